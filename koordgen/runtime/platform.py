@@ -1,0 +1,85 @@
+"""What a target implements: one robot's body behind its program's ports.
+
+The agent is one poll loop. It calls `poll` at least every `period` seconds and everything else between two polls;
+no call may block for more than a few milliseconds (what takes longer runs in a process of the platform's own), none
+sleeps, and time comes in as an argument, so that the simulator can own it. Frames: local ENU metres about the
+fleet's origin, yaw in radians counter-clockwise from east.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+
+class Unready(Exception):
+    """The body cannot serve: a link, a device or a setting is wrong. `hint` says what to do about it."""
+
+    def __init__(self, message: str, hint: str = "") -> None:
+        super().__init__(message)
+        self.message = message
+        self.hint = hint
+
+
+@dataclass(frozen=True, slots=True)
+class Sensed:
+    """The sensor ports at one moment. `values` is keyed by "Module.port"; `time` is when the position in it was true
+    (seconds on the agent's clock), or None when there has been none yet."""
+
+    values: Mapping[str, Any]
+    time: float | None
+
+
+class Platform(Protocol):
+    """Life: `check` or (`start`, then `poll` until `ready`, rounds, `rest`, `poll` until `rested`), then `close`."""
+
+    period: float  # seconds between two polls of the control loop
+
+    def check(self) -> list[str]:
+        """Open what must be opened and look, moving nothing; a line for each thing found right.
+        Raises Unready for the first that is wrong. May take up to ten seconds, the only call that may."""
+        ...
+
+    def start(self, now: float) -> None:
+        """Open the links and begin to become ready (a quad takes off). Raises Unready."""
+        ...
+
+    def poll(self, now: float) -> None:
+        """Read the links, run the controller, write commands. Raises Unready when the body is lost for good."""
+        ...
+
+    @property
+    def ready(self) -> bool:
+        """Whether the robot is where a mission can begin, with fresh sensors."""
+        ...
+
+    @property
+    def progress(self) -> str:
+        """What the body is doing now, in a few words for the log: "waiting for a heartbeat on udp:...", "climbing"."""
+        ...
+
+    def sense(self, now: float) -> Sensed:
+        """Sample all sensor ports the target offers."""
+        ...
+
+    def command(self, actuators: Mapping[str, Any], now: float) -> None:
+        """Take the actuators that an event wrote ("Module.port" to value), already finite and inside the geofence."""
+        ...
+
+    def hold(self, on: bool, now: float) -> None:
+        """Pause at the present position, or resume what was commanded last. Idempotent."""
+        ...
+
+    def rest(self, now: float) -> None:
+        """Begin the safe end: land, or brake and go neutral. Idempotent; not undone."""
+        ...
+
+    @property
+    def rested(self) -> bool:
+        """Whether the safe end is reached."""
+        ...
+
+    def close(self) -> None:
+        """Give back links and devices; the body has been left at rest or in its own failsafe. Idempotent."""
+        ...

@@ -1,0 +1,112 @@
+"""A robot's settings: `settings.json` of its bundle, written by `koordgen build --fleet` and read here, typed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from koordgen.runtime.values import Point
+
+
+class BadSettings(Exception):
+    """A settings file that cannot be used; the message names the file and the key."""
+
+
+class Peer(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Where one robot of the fleet receives its datagrams. Its index in `peers` is its pid."""
+
+    name: str
+    host: str
+    port: int
+
+
+class Origin(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """WGS-84 place of the fleet's local ENU frame: radians would hide it, so degrees; metres above the ellipsoid's
+    mean sea level (AMSL)."""
+
+    latitude: float
+    longitude: float
+    altitude: float
+
+
+class Box(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """An axis-parallel box, metres, local ENU."""
+
+    lo: Point
+    hi: Point
+
+
+class Safety(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Thresholds of the safety layer, in seconds or rounds."""
+
+    position_stale: float = 0.5  # seconds without a fresh own position: hold
+    position_lost: float = 2.0  # ... : end safely
+    missed_rounds: int = 10  # rounds in a row in which the shared state was not current: logged as a warning
+    outside_fence: float = 0.5  # seconds outside the geofence: end safely
+
+
+class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Everything one robot must know besides its program. `body` belongs to the target and is checked by it."""
+
+    app: str
+    robot: str
+    pid: int
+    delta: float  # seconds in a round
+    peers: tuple[Peer, ...]
+    origin: Origin
+    geofence: Box
+    application_id: int = 0  # tells apart fleets that share a network
+    key_file: str | None = None  # 32 bytes, mode 0600; relative to the settings file
+    insecure: bool = False  # run without a key, with a warning
+    params: dict[str, Any] = {}
+    safety: Safety = Safety()
+    body: dict[str, Any] = {}
+    trace: str | None = None  # JSON lines, one a round
+    bind: str = ""  # the address to listen on, when it is not the one that peers send to
+
+
+def load(path: Path, overrides: Path | None = None, pid: int | None = None) -> Settings:
+    """Read a settings file, laid over by another (tables merge, all else replaces) and by a pid. Raises BadSettings."""
+    merged = _read(path)
+    base = path.parent
+    if overrides is not None:
+        over = _read(overrides)
+        if "key_file" in over:
+            base = overrides.parent
+        merged = _merge(merged, over)
+    if pid is not None:
+        merged["pid"] = pid
+    try:
+        settings = msgspec.convert(merged, Settings)
+    except msgspec.ValidationError as error:
+        raise BadSettings(f"{overrides or path}: {error}") from None
+    if not 0 <= settings.pid < len(settings.peers):
+        raise BadSettings(f"{overrides or path}: pid {settings.pid} is not among the {len(settings.peers)} peers")
+    if not 0.005 <= settings.delta <= 60:
+        raise BadSettings(f"{overrides or path}: delta {settings.delta} s is not within 0.005 to 60")
+    if settings.key_file is not None:
+        settings = msgspec.structs.replace(settings, key_file=str(base / settings.key_file))
+    return settings
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        value = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise BadSettings(f"{path}: {error.strerror or error}") from None
+    except ValueError as error:
+        raise BadSettings(f"{path}: not JSON: {error}") from None
+    if not isinstance(value, dict):
+        raise BadSettings(f"{path}: a JSON object is expected")
+    return value
+
+
+def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(below)
+    for key, value in above.items():
+        old = merged.get(key)
+        merged[key] = _merge(old, value) if isinstance(old, dict) and isinstance(value, dict) else value
+    return merged
