@@ -1,0 +1,47 @@
+"""Authentication of everything that arrives over a network: keyed BLAKE2s over the whole datagram.
+
+Nothing of a datagram is looked at before `unseal` accepted it. `purpose` keeps a datagram of one protocol from being
+played into another that has the same key.
+"""
+
+from __future__ import annotations
+
+import stat
+from hashlib import blake2s
+from hmac import compare_digest
+from pathlib import Path
+
+KEY_SIZE = 32
+MAC_SIZE = 16
+MEMORY = b"k-memory"  # shared memory between agents
+POSITION = b"k-pose"  # position feed from a base station
+
+
+class BadKey(Exception):
+    """A key file that must not be used; the message says why and what to do."""
+
+
+def load_key(path: Path) -> bytes:
+    """The fleet's key. Raises BadKey when the file is missing, of another size, or readable by others."""
+    try:
+        mode = path.stat().st_mode
+        key = path.read_bytes()
+    except OSError as error:
+        raise BadKey(f"{path}: {error.strerror or error}; make one with `koordgen key new {path}`") from None
+    if mode & (stat.S_IRWXG | stat.S_IRWXO):
+        raise BadKey(f"{path}: others may read it; run `chmod 600 {path}`")
+    if len(key) != KEY_SIZE:
+        raise BadKey(f"{path}: {len(key)} bytes where a key has {KEY_SIZE}; make one with `koordgen key new`")
+    return key
+
+
+def seal(key: bytes | None, purpose: bytes, payload: bytes) -> bytes:
+    """The payload and its MAC. Without a key (`insecure: true`) the digest only tells damage, not forgery."""
+    return payload + blake2s(payload, digest_size=MAC_SIZE, key=key or b"", person=purpose).digest()
+
+
+def unseal(key: bytes | None, purpose: bytes, datagram: bytes) -> bytes | None:
+    """The payload of a genuine datagram, or None."""
+    payload, mac = datagram[:-MAC_SIZE], datagram[-MAC_SIZE:]
+    genuine = blake2s(payload, digest_size=MAC_SIZE, key=key or b"", person=purpose).digest()
+    return payload if payload and compare_digest(mac, genuine) else None
