@@ -11,7 +11,7 @@ import math
 import msgspec
 
 from koordgen.runtime.seal import POSITION, seal, unseal
-from koordgen.runtime.values import Point, Pose
+from koordgen.runtime.values import Pose
 
 
 class Sample(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
