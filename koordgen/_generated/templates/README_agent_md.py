@@ -1,0 +1,61 @@
+from jinja2.runtime import LoopContext, Macro, Markup, Namespace, TemplateNotFound, TemplateReference, TemplateRuntimeError, Undefined, escape, identity, internalcode, markup_join, missing, str_join
+name = 'README_agent.md'
+
+def root(context, missing=missing):
+    resolve = context.resolve_or_missing
+    undefined = environment.undefined
+    concat = environment.concat
+    cond_expr_undefined = Undefined
+    if 0: yield None
+    l_0_app = resolve('app')
+    l_0_robot = resolve('robot')
+    l_0_target = resolve('target')
+    l_0_version = resolve('version')
+    l_0_source = resolve('source')
+    l_0_summary = resolve('summary')
+    l_0_pid = resolve('pid')
+    l_0_key = resolve('key')
+    l_0_program_hash = resolve('program_hash')
+    l_0_interface_hash = resolve('interface_hash')
+    pass
+    yield '# '
+    yield str((undefined(name='app') if l_0_app is missing else l_0_app))
+    yield ' on '
+    yield str(((undefined(name='robot') if l_0_robot is missing else l_0_robot) or ('any ' + (undefined(name='target') if l_0_target is missing else l_0_target))))
+    yield '\n\nMade by koordgen '
+    yield str((undefined(name='version') if l_0_version is missing else l_0_version))
+    yield ' from `'
+    yield str((undefined(name='source') if l_0_source is missing else l_0_source))
+    yield '` for the target `'
+    yield str((undefined(name='target') if l_0_target is missing else l_0_target))
+    yield '`: '
+    yield str((undefined(name='summary') if l_0_summary is missing else l_0_summary))
+    yield '.\nThis folder is all the robot needs beside Python 3.10 or later.\n\n```\npython3 -m pip install -r requirements.txt      # once\npython3 . --check                               # looks at settings, packages and devices; moves nothing\npython3 .                                       # runs; Ctrl-C brings the robot to a safe rest\n```\n\n'
+    if (undefined(name='robot') if l_0_robot is missing else l_0_robot):
+        pass
+        yield '`settings.json` is robot '
+        yield str((undefined(name='pid') if l_0_pid is missing else l_0_pid))
+        yield ' of the fleet, `'
+        yield str((undefined(name='robot') if l_0_robot is missing else l_0_robot))
+        yield '`, from the fleet file.'
+        if (undefined(name='key') if l_0_key is missing else l_0_key):
+            pass
+            yield " The fleet's key belongs\nbeside it as `"
+            yield str((undefined(name='key') if l_0_key is missing else l_0_key))
+            yield '`, readable by its owner only (`chmod 600`); it is not part of the bundle.'
+        yield '\n'
+    else:
+        pass
+        yield 'Built without a fleet file, so it has no `settings.json`: build with `--fleet FILE`, or run with `--settings FILE`.\n'
+    yield "`--settings FILE` lays another JSON over the settings, `--pid N` takes another robot's place.\n\n| file | what it is |\n|---|---|\n| `program.py` | the program, generated; each statement names its line in `"
+    yield str((undefined(name='source') if l_0_source is missing else l_0_source))
+    yield '` |\n| `koordgen/runtime/` | rounds, shared memory, safety: the same on every robot |\n| `targets/'
+    yield str((undefined(name='target') if l_0_target is missing else l_0_target))
+    yield '/` | what drives this body |\n| `SHA256SUMS` | `sha256sum -c SHA256SUMS` tells whether the folder arrived whole |\n\nProgram '
+    yield str((undefined(name='program_hash') if l_0_program_hash is missing else l_0_program_hash))
+    yield ', interface '
+    yield str((undefined(name='interface_hash') if l_0_interface_hash is missing else l_0_interface_hash))
+    yield ': robots whose hashes differ refuse one another.\nKeep clear of the robot while it runs: it moves as soon as all robots of the fleet are there.\n'
+
+blocks = {}
+debug_info = '1=22&3=26&12=34&13=37&14=44&23=51&25=53&28=55'

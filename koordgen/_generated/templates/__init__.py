@@ -1,0 +1,1 @@
+"""Made by `make generated` from templates/; not written by hand."""

@@ -1,0 +1,103 @@
+"""What a target says of itself: `targets/<name>/manifest.toml`, typed. A new target is one dropped folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+from koordgen import resources
+from koordgen.node import Node
+
+# The Platform interface of koordgen/runtime/platform.py that this compiler's runtime offers.
+API = 1
+SETTING_TYPES = {"string": str, "float": float, "int": int, "bool": bool}
+
+
+class ManifestError(Exception):
+    """A target's folder that cannot be used; the message names the file and the key."""
+
+
+class Setting(Node):
+    """One key that `settings:` of a robot, or the harness's section, may have in the fleet file."""
+
+    type: Literal["string", "float", "int", "bool"]
+    default: str | float | int | bool
+    least: float | None
+    most: float | None
+    doc: str
+
+
+class Target(Node):
+    """One target. `kind` "agent" runs one robot (`entry` is its Platform class), "harness" a whole fleet on one host
+    (`entry` is its main function), both as "module:name". `sensors` and `actuators` are keyed by "Module.port" and
+    say the Koord type. `simulation` names the body and the device that stand in for the real ones."""
+
+    name: str
+    summary: str
+    kind: Literal["agent", "harness"]
+    entry: str
+    requirements: tuple[str, ...]
+    sensors: dict[str, str]
+    actuators: dict[str, str]
+    settings: dict[str, Setting]
+    simulation: dict[str, str]
+    folder: Path
+
+    @property
+    def modules(self) -> set[str]:
+        """The modules that a program may use on this target."""
+        return {name.partition(".")[0] for name in (*self.sensors, *self.actuators)}
+
+
+def available() -> list[str]:
+    """The names of all targets, sorted."""
+    return sorted(p.parent.name for p in resources.targets().glob("*/manifest.toml"))
+
+
+def load(name: str) -> Target:
+    """The target of that name, which must be among `available()`. Raises ManifestError."""
+    import tomllib
+
+    path = resources.targets() / name / "manifest.toml"
+    try:
+        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, tomllib.TOMLDecodeError) as error:
+        raise ManifestError(f"{path}: {error}") from None
+    try:
+        return _target(raw, path)
+    except KeyError as error:
+        raise ManifestError(f"{path}: the key {error} is missing") from None
+    except (TypeError, ValueError, AttributeError) as error:
+        raise ManifestError(f"{path}: {error}") from None
+
+
+def _target(raw: dict[str, Any], path: Path) -> Target:
+    if raw["name"] != path.parent.name:
+        raise ValueError(f"name is {raw['name']!r} but the folder is {path.parent.name!r}")
+    if raw["api"] != API:
+        raise ValueError(f"api is {raw['api']}, this koordgen offers {API}")
+    if raw["kind"] not in ("agent", "harness"):
+        raise ValueError(f"kind is {raw['kind']!r}; it is 'agent' or 'harness'")
+    ports: dict[str, dict[str, str]] = {"sensors": {}, "actuators": {}}
+    for module, directions in raw.get("modules", {}).items():
+        for direction, offered in directions.items():
+            ports[direction].update({f"{module}.{port}": koord_type for port, koord_type in offered.items()})
+    return Target(
+        name=raw["name"],
+        summary=raw["summary"],
+        kind=raw["kind"],
+        entry=raw["entry"],
+        requirements=tuple(raw["requirements"]),
+        sensors=ports["sensors"],
+        actuators=ports["actuators"],
+        settings={key: _setting(key, value) for key, value in raw.get("settings", {}).items()},
+        simulation=raw.get("simulation", {}),
+        folder=path.parent,
+    )
+
+
+def _setting(key: str, raw: dict[str, Any]) -> Setting:
+    if raw["type"] not in SETTING_TYPES:
+        raise ValueError(f"settings.{key}: type {raw['type']!r} is none of {', '.join(SETTING_TYPES)}")
+    default = SETTING_TYPES[raw["type"]](raw["default"])
+    return Setting(raw["type"], default, raw.get("min"), raw.get("max"), raw["doc"])

@@ -1,0 +1,128 @@
+"""Writes planned bundles to disk: beside the old ones first, then by rename; what is not ours is never touched.
+
+A folder is ours when its SHA256SUMS accounts for every file in it, unchanged: then nothing of the user's can be
+lost by replacing it.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from hashlib import sha256
+from pathlib import Path
+
+SUMS = "SHA256SUMS"
+
+
+class CannotWrite(Exception):
+    """The output folder cannot be written: the message names the path and the reason, `hint` the way out."""
+
+    def __init__(self, message: str, hint: str) -> None:
+        super().__init__(message)
+        self.hint = hint
+
+
+class Foreign(CannotWrite):
+    """The output folder holds something that koordgen did not write, or that was changed since."""
+
+
+def sums(files: Mapping[str, bytes]) -> bytes:
+    """The text of SHA256SUMS for a bundle's files, as `sha256sum -c` reads it."""
+    return "".join(f"{sha256(data).hexdigest()}  {path}\n" for path, data in sorted(files.items())).encode()
+
+
+def write(bundles: Mapping[str, Mapping[str, bytes]], folder: Path) -> None:
+    """Write each bundle (name -> relative path -> bytes) as `folder/<name>/`, all or none.
+    Raises Foreign before anything was written, CannotWrite when the disk refuses."""
+    for name in bundles:
+        _must_be_ours(folder / name)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        staging = Path(tempfile.mkdtemp(prefix=".building-", dir=folder))
+    except OSError as error:
+        raise _refused(folder, error) from None
+    try:
+        for name, files in bundles.items():
+            _fill(staging / "new" / name, files)
+        _swap(staging, folder, list(bundles))
+    except OSError as error:
+        raise _refused(folder, error) from None
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+
+
+def _refused(folder: Path, error: OSError) -> CannotWrite:
+    place = error.filename or folder
+    return CannotWrite(
+        f"{place}: {error.strerror or error}", "nothing was changed; choose another folder with -o, or make room"
+    )
+
+
+def _fill(folder: Path, files: Mapping[str, bytes]) -> None:
+    made: set[str] = set()
+    root = str(folder)
+    for path, data in files.items():
+        full = f"{root}/{path}"
+        parent = os.path.dirname(full)
+        if parent not in made:
+            os.makedirs(parent, exist_ok=True)
+            made.add(parent)
+        with open(full, "xb") as file:
+            file.write(data)
+
+
+def _swap(staging: Path, folder: Path, names: list[str]) -> None:
+    """Renames are all that can fail here; if one does, those before it are undone."""
+    (staging / "old").mkdir()
+    done: list[str] = []
+    try:
+        for name in names:
+            if (folder / name).exists():
+                (folder / name).rename(staging / "old" / name)
+            done.append(name)
+            (staging / "new" / name).rename(folder / name)
+    except OSError:
+        for name in done:
+            shutil.rmtree(folder / name, ignore_errors=True)
+            if (staging / "old" / name).exists():
+                (staging / "old" / name).rename(folder / name)
+        raise
+
+
+def _must_be_ours(folder: Path) -> None:
+    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+        raise Foreign(f"{folder}: in the way, and not written by koordgen", "move it away, or choose another -o")
+    if not folder.is_dir():
+        return
+    found = dict(_files(folder))
+    if not found:
+        return
+    known = _known(folder)
+    strange = sorted(p for p in found if p != SUMS and p not in known)
+    changed = sorted(p for p in known if p in found and sha256(found[p].read_bytes()).hexdigest() != known[p])
+    for paths, what in ((strange, "not written by koordgen"), (changed, "changed since koordgen wrote it")):
+        if paths:
+            more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
+            raise Foreign(
+                f"{folder / paths[0]}{more}: {what}, and building would replace {folder}",
+                "move what you need out of that folder and delete it, or choose another with -o",
+            )
+
+
+def _files(folder: Path) -> Iterator[tuple[str, Path]]:
+    """All files below, without the byte code that Python leaves when a bundle runs."""
+    for root, folders, names in os.walk(folder):
+        folders[:] = [d for d in folders if d != "__pycache__"]
+        for name in names:
+            path = Path(root, name)
+            yield path.relative_to(folder).as_posix(), path
+
+
+def _known(folder: Path) -> dict[str, str]:
+    try:
+        listed = (folder / SUMS).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return {}
+    return {path: digest for digest, _, path in (line.partition("  ") for line in listed)}
