@@ -26,9 +26,9 @@ _MARK = "  # {}:"
 def program_text(program: ir.Program) -> str:
     """The generated module, which compiles; anything else is a mistake of this compiler (SyntaxError)."""
     names = Names(program)
-    body = render("program.py", **_values(program, names))
-    head = _head(program, body)
-    text = head + body
+    values = _values(program, names)
+    body = render("program_state.py", **values) + render("program.py", **values)
+    text = _head(program, body) + body
     text = text.replace("LINES: dict[int, int] = {}", f"LINES: dict[int, int] = {_lines(text, program.path)}", 1)
     compile(text, "program.py", "exec")
     return text

@@ -1,0 +1,58 @@
+# The two commands of the README are `make demo` and `make test`; each sets itself up.
+# A fresh machine needs Python 3.11 with venv, and make.
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+VENV := .venv
+PY := $(VENV)/bin/python
+STAMP := $(VENV)/.ready
+QUIET := PIP_DISABLE_PIP_VERSION_CHECK=1
+
+.PHONY: demo test lint slow bench generated wheel lock clean
+
+demo: $(STAMP)
+	$(PY) -m koordgen sim examples/lineform/lineform.koord --fleet examples/lineform/fleet.yaml \
+	  --duration 30 --seed 1 --out build/demo
+	$(PY) examples/lineform/verdict.py build/demo
+
+test: $(STAMP)
+	$(PY) -m koordgen.syntax.generate --check
+	$(PY) -m koordgen.emit.generate --check
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/mypy koordgen targets tests benchmarks examples
+	$(PY) -m pytest -m "not slow"
+
+lint: $(STAMP)
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/mypy koordgen targets tests benchmarks examples
+
+slow: $(STAMP)
+	$(PY) -m pytest -m slow
+
+bench: $(STAMP)
+	$(PY) benchmarks/compile.py
+	$(PY) benchmarks/round.py
+
+# Parser tables and compiled templates are checked in, because building them at each start costs more than all else.
+generated: $(STAMP)
+	$(PY) -m koordgen.syntax.generate
+	$(PY) -m koordgen.emit.generate
+
+wheel: $(STAMP)
+	$(PY) -m build --wheel
+
+$(STAMP): requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' || \
+	  { echo "error: Python 3.11 is needed and $(PYTHON) is another; name it with: make $(MAKECMDGOALS) PYTHON=/path/to/python3.11" >&2; exit 5; }
+	@$(PYTHON) -c 'import ensurepip' || \
+	  { echo "error: $(PYTHON) has no venv; on Debian: apt-get install python3.11-venv" >&2; exit 5; }
+	@test -x $(PY) || $(PYTHON) -m venv $(VENV)
+	@echo "setting up $(VENV) (once)"
+	@$(QUIET) $(PY) -m pip install --quiet -r requirements.lock
+	@$(QUIET) $(PY) -m pip install --quiet --no-deps --no-build-isolation --editable .
+	@touch $@
+
+# Takes the versions of the present environment as the locked ones.
+lock:
+	$(PY) -m pip freeze --exclude-editable --exclude koordgen > requirements.lock
+
+clean:
+	rm -rf $(VENV) build dist

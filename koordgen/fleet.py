@@ -1,0 +1,185 @@
+"""The fleet file: who is in the fleet, where, and what every robot of it must know. See docs/fleet.md."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from koordgen.bundle.manifest import SETTING_TYPES, Setting, Target
+from koordgen.located import Reader, Report, YamlNode
+from koordgen.node import Node
+from koordgen.source import Source
+
+_NAME = re.compile(r"[a-z][a-z0-9_-]{0,31}")
+_ADDRESS = re.compile(r"([A-Za-z0-9.-]+|\[[0-9A-Fa-f:.]+\]):(\d{1,5})")
+# Thresholds of the safety layer, with the defaults of koordgen/runtime/settings.py (a test compares them).
+SAFETY = {"position_stale": 0.5, "position_lost": 2.0, "missed_rounds": 10, "outside_fence": 0.5}
+MOST_ROBOTS = 256
+
+
+class Robot(Node):
+    """One robot. `start` holds `position` (m, ENU) and `yaw` (rad): where the simulator puts it."""
+
+    name: str
+    pid: int
+    target: str
+    host: str
+    port: int
+    start: dict[str, Any]
+    settings: dict[str, Any]
+
+
+class Fleet(Node):
+    """A checked fleet file; plain values, as they go into the bundles' JSON. `harness` is keyed by target name;
+    `params` are what the file says, still to be typed by the program."""
+
+    application_id: int
+    delta: float
+    origin: dict[str, float]
+    geofence: dict[str, list[float]]
+    key: str
+    insecure: bool
+    params: dict[str, YamlNode]
+    safety: dict[str, float]
+    robots: tuple[Robot, ...]
+    harness: dict[str, dict[str, Any]]
+
+
+def read(source: Source, targets: Mapping[str, Target], report: Report) -> Fleet | None:
+    """Check a fleet file against the targets there are; None after anything was reported."""
+    mistakes = 0
+
+    def counted(code: str, message: str, span: Any, help: str) -> None:
+        nonlocal mistakes
+        mistakes += 1
+        report(code, message, span, help)
+
+    reader = Reader(source, counted)
+    harnesses = sorted(name for name, t in targets.items() if t.kind == "harness")
+    optional = ["application_id", "key", "insecure", "params", "safety", *harnesses]
+    top = reader.table(reader.document(), "the fleet file", ["delta", "origin", "geofence", "robots"], optional)
+    origin = reader.table(top.get("origin"), "origin", ["latitude", "longitude", "altitude"], [])
+    corner = reader.table(top.get("geofence"), "geofence", ["lo", "hi"], [])
+    fleet = Fleet(
+        application_id=reader.number(top.get("application_id"), "application_id", 0, 65535, int) or 0,
+        delta=reader.number(top.get("delta"), "delta", 0.005, 60.0),
+        origin={
+            "latitude": reader.number(origin.get("latitude"), "latitude (degrees)", -90, 90),
+            "longitude": reader.number(origin.get("longitude"), "longitude (degrees)", -180, 180),
+            "altitude": reader.number(origin.get("altitude"), "altitude (metres)", -1000, 10000),
+        },
+        geofence=_geofence(reader, corner),
+        key=_key(reader, top.get("key")),
+        insecure=bool(reader.scalar(top.get("insecure"), "insecure", bool)),
+        params=dict(reader.pairs(top.get("params"), "params")),
+        safety=_safety(reader, top.get("safety")),
+        robots=_robots(reader, top.get("robots"), targets),
+        harness={n: _settings(reader, top[n], n, targets[n].settings) for n in harnesses if n in top},
+    )
+    return None if mistakes else fleet
+
+
+def _geofence(reader: Reader, corner: dict[str, YamlNode]) -> dict[str, list[float]]:
+    lo, hi = reader.vector(corner.get("lo"), "geofence.lo"), reader.vector(corner.get("hi"), "geofence.hi")
+    if lo and hi and any(a >= b for a, b in zip(lo, hi, strict=True)):
+        reader.report("F005", "geofence.lo must be below geofence.hi on every axis", corner["hi"])
+    return {"lo": lo or [], "hi": hi or []}
+
+
+def _key(reader: Reader, node: YamlNode | None) -> str:
+    """The key's file name; the key itself is put beside the settings by hand and never enters a bundle."""
+    name: str | None = reader.scalar(node, "key", str)
+    if name and node is not None and ("/" in name or "\\" in name or name.startswith(".")):
+        reader.report("F005", f"key is a file name without folders, not {name!r}", node)
+    return name or "fleet.key"
+
+
+def _safety(reader: Reader, node: YamlNode | None) -> dict[str, float]:
+    given = reader.table(node, "safety", [], SAFETY)
+    found = dict(SAFETY)
+    for key, value in given.items():
+        number = reader.number(value, f"safety.{key}", 0.05, 10000.0, type(SAFETY[key]))
+        if number is not None:
+            found[key] = number
+    return found
+
+
+def _robots(reader: Reader, node: YamlNode | None, targets: Mapping[str, Target]) -> tuple[Robot, ...]:
+    entries = reader.items(node, "robots")
+    if node is not None and not 1 <= len(entries) <= MOST_ROBOTS:
+        reader.report("F005", f"robots lists {len(entries)}; a fleet has 1 to {MOST_ROBOTS}", node)
+    robots: list[Robot] = []
+    seen: dict[object, str] = {}
+    for pid, entry in enumerate(entries):
+        what = f"robot {pid}"
+        keys = reader.table(entry, what, ["name", "target", "address"], ["start", "settings"])
+        name = _name(reader, keys.get("name"), targets)
+        host, port = _address(reader, keys.get("address"))
+        for value, key in ((name, "name"), ((host, port) if port else None, "address")):
+            if value is not None and seen.setdefault(value, what) != what:
+                shown = value if isinstance(value, str) else f"{host}:{port}"
+                reader.report("F006", f"{key} {shown} is already {seen[value]}'s", keys[key])
+        target = _target(reader, keys.get("target"), targets)
+        settings = _settings(reader, keys.get("settings"), f"{what}'s settings", target.settings) if target else {}
+        start = _start(reader, keys.get("start"), what)
+        robots.append(Robot(name or "", pid, target.name if target else "", host, port, start, settings))
+    return tuple(robots)
+
+
+def _name(reader: Reader, node: YamlNode | None, targets: Mapping[str, Target]) -> str | None:
+    name: str | None = reader.scalar(node, "name", str)
+    if name is None or node is None:
+        return None
+    # Names become folders beside these.
+    if not _NAME.fullmatch(name) or name == "fleet" or name in targets:
+        reader.report(
+            "F005", f"{name!r} cannot name a robot", node,
+            "a letter, then letters, digits, - or _, all lower case, at most 32; not 'fleet' and no target's name",
+        )  # fmt: skip
+        return None
+    return name
+
+
+def _address(reader: Reader, node: YamlNode | None) -> tuple[str, int]:
+    text: str | None = reader.scalar(node, "address", str)
+    if text is None or node is None:
+        return "", 0
+    found = _ADDRESS.fullmatch(text)
+    if not found or not 1 <= int(found[2]) <= 65535:
+        reader.report("F005", f"address {text!r} is not HOST:PORT", node, "for example 192.168.1.20:47100")
+        return "", 0
+    return found[1].strip("[]"), int(found[2])
+
+
+def _target(reader: Reader, node: YamlNode | None, targets: Mapping[str, Target]) -> Target | None:
+    name: str | None = reader.scalar(node, "target", str)
+    if name is None or node is None:
+        return None
+    agents = sorted(n for n, t in targets.items() if t.kind == "agent")
+    if name not in agents:
+        reader.report("F007", f"no target {name!r} that a robot could be", node, f"there are: {', '.join(agents)}")
+        return None
+    return targets[name]
+
+
+def _start(reader: Reader, node: YamlNode | None, what: str) -> dict[str, Any]:
+    keys = reader.table(node, f"{what}'s start", ["position"], ["yaw"])
+    position = reader.vector(keys.get("position"), f"{what}'s start position")
+    yaw = reader.number(keys.get("yaw"), f"{what}'s yaw (radians)", -6.3, 6.3)
+    return {"position": position or [0.0, 0.0, 0.0], "yaw": yaw or 0.0}
+
+
+def _settings(reader: Reader, node: YamlNode | None, what: str, known: Mapping[str, Setting]) -> dict[str, Any]:
+    """All settings of a target: what the file says over the manifest's defaults."""
+    given = reader.table(node, what, [], known)
+    values: dict[str, Any] = {key: setting.default for key, setting in known.items()}
+    for key, value in given.items():
+        setting, kind = known[key], SETTING_TYPES[known[key].type]
+        if kind in (int, float):
+            found = reader.number(value, key, setting.least, setting.most, kind)
+        else:
+            found = reader.scalar(value, key, kind)
+        if found is not None:
+            values[key] = found
+    return values

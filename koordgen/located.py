@@ -1,0 +1,162 @@
+"""Reads YAML whose every value still knows its place: getters that report each mistake at its line and column."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import yaml
+
+from koordgen.source import Source, Span
+
+# The C parser of libyaml is ten times faster; wheels of PyYAML have it, some distributions do not.
+_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_CONSTRUCT = yaml.constructor.SafeConstructor()
+
+YamlNode = yaml.Node
+Report = Callable[[str, str, Span, str], None]  # code, message, place, help
+
+
+class Reader:
+    """Typed access to one YAML text. A getter that finds a mistake reports it and returns None: its caller goes on,
+    so that one run tells all mistakes."""
+
+    def __init__(self, source: Source, report: Report) -> None:
+        self._source = source
+        self._report = report
+
+    def document(self) -> YamlNode | None:
+        """The only document of the file."""
+        try:
+            node = yaml.compose(self._source.text, Loader=_LOADER)
+        except yaml.MarkedYAMLError as error:
+            mark = error.problem_mark or error.context_mark
+            line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
+            place = Span(line, column, line, column + 1)
+            self._report("F001", f"not YAML: {error.problem or error.context}", place, "")
+            return None
+        except (yaml.YAMLError, RecursionError) as error:
+            self._report("F001", f"not YAML: {str(error).splitlines()[0]}", Span(1, 1, 1, 2), "")
+            return None
+        if node is None:
+            self._report("F001", "the file is empty", Span(1, 1, 1, 2), "")
+        return node
+
+    def report(self, code: str, message: str, node: YamlNode, help: str = "") -> None:
+        """A mistake of the caller's own finding, at a node's place."""
+        start, end = node.start_mark, node.end_mark
+        if end.line != start.line:  # a block: point at its first line only
+            end_line, end_column = start.line, max(start.column + 1, len(self._source.line(start.line + 1)))
+        else:
+            end_line, end_column = end.line, max(end.column, start.column + 1)
+        self._report(code, message, Span(start.line + 1, start.column + 1, end_line + 1, end_column + 1), help)
+
+    def table(
+        self, node: YamlNode | None, what: str, required: Iterable[str], optional: Iterable[str]
+    ) -> dict[str, YamlNode]:
+        """The values of a mapping by key; unknown, repeated and missing keys are reported."""
+        found: dict[str, YamlNode] = {}
+        if node is None:
+            return found
+        if not isinstance(node, yaml.MappingNode):
+            self.report("F004", f"{what} must be a mapping (key: value)", node)
+            return found
+        known = [*required, *optional]
+        meant = set()  # a misspelt key is one mistake, not also a missing one
+        for key_node, value in node.value:
+            key = key_node.value if isinstance(key_node, yaml.ScalarNode) else None
+            if key not in known:
+                guess = _nearest(str(key), known)
+                meant.add(guess)
+                help = f"did you mean {guess!r}?" if guess else f"known here: {', '.join(sorted(known))}"
+                self.report("F002", f"unknown key {key!r} in {what}", key_node, help)
+            elif key in found:
+                self.report("F006", f"{key!r} stands twice in {what}", key_node)
+            else:
+                found[key] = value
+        for key in required:
+            if key not in found and key not in meant:
+                self.report("F003", f"{what} lacks {key!r}", node)
+        return found
+
+    def items(self, node: YamlNode | None, what: str) -> list[YamlNode]:
+        """The elements of a sequence."""
+        if node is None:
+            return []
+        if not isinstance(node, yaml.SequenceNode):
+            self.report("F004", f"{what} must be a list", node)
+            return []
+        return list(node.value)
+
+    def pairs(self, node: YamlNode | None, what: str) -> list[tuple[str, YamlNode]]:
+        """The keys and values of a mapping with free keys; repeated ones are reported."""
+        if not isinstance(node, yaml.MappingNode):
+            if node is not None:
+                self.report("F004", f"{what} must be a mapping (key: value)", node)
+            return []
+        found: dict[str, YamlNode] = {}
+        for key_node, value in node.value:
+            key = str(key_node.value)
+            if key in found:
+                self.report("F006", f"{key!r} stands twice in {what}", key_node)
+            found[key] = value
+        return list(found.items())
+
+    def scalar(self, node: YamlNode | None, what: str, kind: type) -> Any:
+        """A string, bool, int or float (an int serves as float; NaN and infinity never do)."""
+        if node is None:
+            return None
+        value = None
+        if isinstance(node, yaml.ScalarNode):
+            try:
+                value = _CONSTRUCT.construct_object(node)
+            except (yaml.YAMLError, ValueError):
+                value = None
+        if kind is float and type(value) is int and abs(value) < 2**53:
+            value = float(value)
+        if type(value) is not kind or (isinstance(value, float) and not math.isfinite(value)):
+            shown = f", not {node.value!r}" if isinstance(node, yaml.ScalarNode) else ""
+            self.report("F004", f"{what} must be {_KIND_WORDS[kind]}{shown}", node)
+            return None
+        return value
+
+    def number(
+        self, node: YamlNode | None, what: str, least: float | None, most: float | None, kind: type = float
+    ) -> Any:
+        """A number within [least, most]; None bounds nothing."""
+        value = self.scalar(node, what, kind)
+        if value is None or node is None:
+            return None
+        if (least is not None and value < least) or (most is not None and value > most):
+            bounds = (
+                f"at least {least:g}"
+                if most is None
+                else f"at most {most:g}"
+                if least is None
+                else f"{least:g} to {most:g}"
+            )
+            self.report("F005", f"{what} is {value:g}; it must be {bounds}", node)
+            return None
+        return value
+
+    def vector(self, node: YamlNode | None, what: str) -> list[float] | None:
+        """Three metres, [x, y, z] in local ENU."""
+        if node is None:
+            return None
+        elements = self.items(node, what)
+        if len(elements) != 3:
+            if isinstance(node, yaml.SequenceNode):
+                self.report("F004", f"{what} must be [x, y, z], three numbers in metres", node)
+            return None
+        values = [self.number(e, f"{what}'s {axis}", -1e5, 1e5) for e, axis in zip(elements, "xyz", strict=True)]
+        return values if None not in values else None
+
+
+_KIND_WORDS = {str: "a text", bool: "true or false", int: "a whole number", float: "a finite number"}
+
+
+def _nearest(word: str, known: list[str]) -> str | None:
+    from difflib import get_close_matches
+
+    return next(iter(get_close_matches(word, known, 1)), None)

@@ -1,0 +1,115 @@
+"""The fleet file: every mistake is told once, where it stands, and all of them in one run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from koordgen import fleet
+from koordgen.bundle import manifest
+from koordgen.runtime.settings import Safety
+from koordgen.source import Source, Span
+
+EXAMPLE = Path(__file__).parents[2] / "examples/lineform/fleet.yaml"
+TARGETS = {name: manifest.load(name) for name in manifest.available()}
+
+
+def read(text: str) -> tuple[fleet.Fleet | None, list[tuple[str, int, int, str]]]:
+    found: list[tuple[str, int, int, str]] = []
+
+    def report(code: str, message: str, span: Span, help: str) -> None:
+        found.append((code, span.line, span.column, f"{message} | {help}"))
+
+    return fleet.read(Source("fleet.yaml", text), TARGETS, report), found
+
+
+def test_the_example_is_right() -> None:
+    read_fleet, found = read(EXAMPLE.read_text())
+    assert found == []
+    assert read_fleet is not None
+    assert [(r.name, r.target, r.pid) for r in read_fleet.robots] == [
+        ("alice", "quad", 0), ("bert", "car", 1), ("cleo", "quad", 2), ("dora", "car", 3), ("emil", "quad", 4),
+    ]  # fmt: skip
+    assert read_fleet.robots[0].settings["flight_height"] == 1.5
+    assert read_fleet.robots[1].settings["wheelbase"] == TARGETS["car"].settings["wheelbase"].default
+    assert read_fleet.harness["sim"]["min_separation"] == 0.3
+
+
+def test_safety_defaults_are_the_runtimes() -> None:
+    assert fleet.SAFETY == {f: getattr(Safety(), f) for f in Safety.__struct_fields__}
+
+
+GOOD = """\
+delta: 0.1
+origin: {latitude: 47.0, longitude: 8.0, altitude: 400.0}
+geofence: {lo: [-5, -5, -1], hi: [5, 5, 4]}
+robots:
+  - name: alice
+    target: quad
+    address: 127.0.0.1:47100
+  - name: bert
+    target: car
+    address: 127.0.0.1:47101
+"""
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "line", "column", "words"),
+    [
+        (("delta: 0.1", "dleta: 0.1"), "F002", 1, 1, "did you mean 'delta'"),
+        (("delta: 0.1", "delta: fast"), "F004", 1, 8, "delta must be a finite number, not 'fast'"),
+        (("delta: 0.1", "delta: .nan"), "F004", 1, 8, "finite"),
+        (("delta: 0.1", "delta: 0"), "F005", 1, 8, "0.005 to 60"),
+        (("latitude: 47.0", "latitude: 147.0"), "F005", 2, 20, "-90 to 90"),
+        ((", altitude: 400.0", ""), "F003", 2, 9, "origin lacks 'altitude'"),
+        (("hi: [5, 5, 4]", "hi: [5, -5, 4]"), "F005", 3, 34, "below geofence.hi"),
+        (("hi: [5, 5, 4]", "hi: [5, 5]"), "F004", 3, 34, "[x, y, z]"),
+        (("name: bert", "name: alice"), "F006", 8, 11, "already robot 0's"),
+        (("47101", "47100"), "F006", 10, 14, "already robot 0's"),
+        (("name: bert", "name: Bert!"), "F005", 8, 11, "cannot name a robot"),
+        (("name: bert", "name: fleet"), "F005", 8, 11, "cannot name a robot"),
+        (("name: bert", "name: ../x"), "F005", 8, 11, "cannot name a robot"),
+        (("target: car", "target: boat"), "F007", 9, 13, "there are: car, quad"),
+        (("target: car", "target: sim"), "F007", 9, 13, "there are: car, quad"),
+        (("127.0.0.1:47101", "127.0.0.1"), "F005", 10, 14, "not HOST:PORT"),
+        (("127.0.0.1:47101", "127.0.0.1:99999"), "F005", 10, 14, "not HOST:PORT"),
+        (("47101\n", "47101\n    settings: {wheelbse: 0.3}\n"), "F002", 11, 16, "did you mean 'wheelbase'"),
+        (("47101\n", "47101\n    settings: {wheelbase: 99}\n"), "F005", 11, 27, "0.05 to 5"),
+        (("delta: 0.1", "delta: 0.1\ndelta: 0.2"), "F006", 2, 1, "stands twice"),
+        (("delta: 0.1", "key: ../fleet.key\ndelta: 0.1"), "F005", 1, 6, "without folders"),
+        (("delta: 0.1", "delta: [0.1"), "F001", 2, 7, "not YAML"),
+        (("delta: 0.1", "sim: {boot: later}\ndelta: 0.1"), "F004", 1, 13, "boot must be"),
+        (("delta: 0.1", "safety: {missed_rounds: 2.5}\ndelta: 0.1"), "F004", 1, 25, "whole number"),
+    ],
+)  # fmt: skip
+def test_each_mistake_at_its_place(change: tuple[str, str], code: str, line: int, column: int, words: str) -> None:
+    assert change[0] in GOOD
+    read_fleet, found = read(GOOD.replace(*change, 1))
+    assert read_fleet is None
+    assert [(c, ln, col) for c, ln, col, _ in found] == [(code, line, column)], found
+    assert words in found[0][3]
+
+
+def test_several_mistakes_in_one_run() -> None:
+    _, found = read(GOOD.replace("delta: 0.1", "delta: no").replace("car", "boat").replace("lo: [-5", "lo: [x"))
+    assert [f[0] for f in found] == ["F004", "F004", "F007"]
+
+
+@pytest.mark.parametrize("text", ["", "[]", "42", "robots: {}", "a: &a [*a]", "? [1]\n: 2\n", "\0", "- " * 3000])
+def test_strange_files_are_mistakes_not_crashes(text: str) -> None:
+    read_fleet, found = read(text)
+    assert read_fleet is None
+    assert found
+
+
+@given(st.data())
+def test_mutated_files_never_crash(data: Any) -> None:
+    at = data.draw(st.integers(0, len(GOOD)))
+    cut = data.draw(st.integers(0, 12))
+    text = GOOD[:at] + data.draw(st.text(max_size=8)) + GOOD[at + cut :]
+    read_fleet, found = read(text)
+    assert (read_fleet is None) == bool(found)
