@@ -32,7 +32,7 @@ class Robot(Node):
 
 class Fleet(Node):
     """A checked fleet file; plain values, as they go into the bundles' JSON. `harness` is keyed by target name;
-    `params` are what the file says, still to be typed by the program."""
+    `params` are numbers, booleans and [x, y, z]."""
 
     application_id: int
     delta: float
@@ -40,14 +40,15 @@ class Fleet(Node):
     geofence: dict[str, list[float]]
     key: str
     insecure: bool
-    params: dict[str, YamlNode]
+    params: dict[str, Any]
     safety: dict[str, float]
     robots: tuple[Robot, ...]
     harness: dict[str, dict[str, Any]]
 
 
-def read(source: Source, targets: Mapping[str, Target], report: Report) -> Fleet | None:
-    """Check a fleet file against the targets there are; None after anything was reported."""
+def read(source: Source, targets: Mapping[str, Target], params: Mapping[str, str], report: Report) -> Fleet | None:
+    """Check a fleet file against the targets there are and the program's params (name -> Koord type); None after
+    anything was reported."""
     mistakes = 0
 
     def counted(code: str, message: str, span: Any, help: str) -> None:
@@ -72,7 +73,7 @@ def read(source: Source, targets: Mapping[str, Target], report: Report) -> Fleet
         geofence=_geofence(reader, corner),
         key=_key(reader, top.get("key")),
         insecure=bool(reader.scalar(top.get("insecure"), "insecure", bool)),
-        params=dict(reader.pairs(top.get("params"), "params")),
+        params=_params(reader, top.get("params"), params),
         safety=_safety(reader, top.get("safety")),
         robots=_robots(reader, top.get("robots"), targets),
         harness={n: _settings(reader, top[n], n, targets[n].settings) for n in harnesses if n in top},
@@ -93,6 +94,17 @@ def _key(reader: Reader, node: YamlNode | None) -> str:
     if name and node is not None and ("/" in name or "\\" in name or name.startswith(".")):
         reader.report("F005", f"key is a file name without folders, not {name!r}", node)
     return name or "fleet.key"
+
+
+def _params(reader: Reader, node: YamlNode | None, known: Mapping[str, str]) -> dict[str, Any]:
+    kinds = {"int": int, "float": float, "bool": bool}
+    given = reader.table(node, "params", [], known)
+    return {
+        name: reader.scalar(value, f"param {name}", kinds[known[name]])
+        if known[name] in kinds
+        else reader.vector(value, f"param {name}")
+        for name, value in given.items()
+    }
 
 
 def _safety(reader: Reader, node: YamlNode | None) -> dict[str, float]:

@@ -89,20 +89,6 @@ class Reader:
             return []
         return list(node.value)
 
-    def pairs(self, node: YamlNode | None, what: str) -> list[tuple[str, YamlNode]]:
-        """The keys and values of a mapping with free keys; repeated ones are reported."""
-        if not isinstance(node, yaml.MappingNode):
-            if node is not None:
-                self.report("F004", f"{what} must be a mapping (key: value)", node)
-            return []
-        found: dict[str, YamlNode] = {}
-        for key_node, value in node.value:
-            key = str(key_node.value)
-            if key in found:
-                self.report("F006", f"{key!r} stands twice in {what}", key_node)
-            found[key] = value
-        return list(found.items())
-
     def scalar(self, node: YamlNode | None, what: str, kind: type) -> Any:
         """A string, bool, int or float (an int serves as float; NaN and infinity never do)."""
         if node is None:

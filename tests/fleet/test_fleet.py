@@ -17,6 +17,8 @@ from koordgen.source import Source, Span
 EXAMPLE = Path(__file__).parents[2] / "examples/lineform/fleet.yaml"
 TARGETS = {name: manifest.load(name) for name in manifest.available()}
 
+PARAMS = {"margin": "float", "laps": "int", "home": "Point"}
+
 
 def read(text: str) -> tuple[fleet.Fleet | None, list[tuple[str, int, int, str]]]:
     found: list[tuple[str, int, int, str]] = []
@@ -24,7 +26,7 @@ def read(text: str) -> tuple[fleet.Fleet | None, list[tuple[str, int, int, str]]
     def report(code: str, message: str, span: Span, help: str) -> None:
         found.append((code, span.line, span.column, f"{message} | {help}"))
 
-    return fleet.read(Source("fleet.yaml", text), TARGETS, report), found
+    return fleet.read(Source("fleet.yaml", text), TARGETS, PARAMS, report), found
 
 
 def test_the_example_is_right() -> None:
@@ -83,6 +85,9 @@ robots:
         (("delta: 0.1", "key: ../fleet.key\ndelta: 0.1"), "F005", 1, 6, "without folders"),
         (("delta: 0.1", "delta: [0.1"), "F001", 2, 7, "not YAML"),
         (("delta: 0.1", "sim: {boot: later}\ndelta: 0.1"), "F004", 1, 13, "boot must be"),
+        (("delta: 0.1", "params: {margn: 1}\ndelta: 0.1"), "F002", 1, 10, "did you mean 'margin'"),
+        (("delta: 0.1", "params: {laps: 1.5}\ndelta: 0.1"), "F004", 1, 16, "whole number"),
+        (("delta: 0.1", "params: {home: [1, 2]}\ndelta: 0.1"), "F004", 1, 16, "[x, y, z]"),
         (("delta: 0.1", "safety: {missed_rounds: 2.5}\ndelta: 0.1"), "F004", 1, 25, "whole number"),
     ],
 )  # fmt: skip

@@ -1,0 +1,295 @@
+"""The command line: the only file that prints and exits. Thin; what a command does not need is never imported."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import TYPE_CHECKING
+
+from koordgen import __version__
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from koordgen.check.params import Value
+    from koordgen.pipeline import Rejected
+
+# One table for every command; docs/cli.md prints it.
+HOLDS, WRONG, USAGE, VIOLATED, INCONCLUSIVE, SURROUNDINGS, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 4, 5, 70, 130
+
+
+class Failure(Exception):
+    """Ends the command with a message, a way out, and an exit status."""
+
+    def __init__(self, status: int, message: str, help: str = "") -> None:
+        super().__init__(message)
+        self.status = status
+        self.help = help
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; returns its exit status."""
+    from koordgen.pipeline import Rejected
+
+    options = _parser().parse_args(arguments)
+    try:
+        return int(options.run(options))
+    except Rejected as rejected:
+        _show(rejected, options)
+        return WRONG
+    except Failure as failure:
+        _say(f"error: {failure}" + (f"\n  help: {failure.help}" if failure.help else ""))
+        return failure.status
+    except KeyboardInterrupt:
+        _say("interrupted")
+        return INTERRUPTED
+    except BrokenPipeError:  # the reader of our output has gone: nothing to tell anyone
+        sys.stderr.close()
+        return SURROUNDINGS
+    except Exception as error:
+        return _internal(error)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="koordgen", description="Compiles Koord programs to agents for robots.", allow_abbrev=False
+    )
+    parser.add_argument("--version", action="version", version=f"koordgen {__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+
+    command = commands.add_parser("check", help="check a program")
+    command.add_argument("program", metavar="APP.koord")
+    _format_option(command)
+    command.set_defaults(run=_check)
+
+    command = commands.add_parser("dump", help="show a program as it stands after a pass")
+    command.add_argument("program", metavar="APP.koord")
+    command.add_argument("--after", metavar="PASS", choices=("parse", "check"), default="check", help="parse or check")
+    _format_option(command)
+    command.set_defaults(run=_dump)
+
+    command = commands.add_parser("build", help="write a bundle for each target, or for each robot of a fleet")
+    command.add_argument("program", metavar="APP.koord")
+    command.add_argument("--target", metavar="A,B", required=True, help="the targets to build for")
+    command.add_argument("-o", "--out", metavar="DIR", default="build", help="DIR/<app>/ is written (default: build)")
+    _build_options(command)
+    command.set_defaults(run=_build)
+
+    command = commands.add_parser("key", help="make a fleet's key")
+    command.add_argument("action", choices=("new",))
+    command.add_argument("file", metavar="FILE")
+    command.set_defaults(run=_key)
+
+    for name, summary in _harnesses():
+        command = commands.add_parser(name, help=f"build and run: {summary}")
+        command.add_argument("program", metavar="APP.koord")
+        command.add_argument("--duration", metavar="S", type=float, help="seconds of mission, from its first round")
+        command.add_argument("--seed", metavar="N", type=int, help="seed of all that is random")
+        command.add_argument("--out", metavar="DIR", help="where trace, summary, pictures and report go")
+        command.add_argument("--quiet", action="store_true", help="no progress")
+        _build_options(command, fleet_required=True)
+        command.set_defaults(run=_harness)
+    return parser
+
+
+def _format_option(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--format", choices=("text", "json"), default="text", help="of diagnostics (default: text)")
+
+
+def _build_options(command: argparse.ArgumentParser, fleet_required: bool = False) -> None:
+    command.add_argument("--fleet", metavar="FILE", required=fleet_required, help="the fleet file (YAML)")
+    command.add_argument(
+        "--param", metavar="NAME=VALUE", action="append", default=[], help="a param's value; goes before the fleet's"
+    )
+    _format_option(command)
+
+
+def _harnesses() -> list[tuple[str, str]]:
+    """Targets that run a whole fleet are commands. Their manifests are read only when such a command, or help, is
+    asked for."""
+    if len(sys.argv) > 1 and sys.argv[1] in ("check", "dump", "build", "key"):
+        return []
+    from koordgen.bundle import manifest
+
+    return [(t.name, t.summary) for t in map(manifest.load, manifest.available()) if t.kind == "harness"]
+
+
+def _check(options: argparse.Namespace) -> int:
+    from koordgen.pipeline import check_file
+
+    checked = check_file(options.program)
+    if options.format == "json":
+        from koordgen.diagnostics import to_json
+
+        print(to_json(checked.noticed, checked.source))
+    else:
+        _warn(checked.noticed, checked.source)
+    return HOLDS
+
+
+def _dump(options: argparse.Namespace) -> int:
+    from koordgen.pipeline import check_file, read_source
+
+    if options.after == "check":
+        from koordgen.ir.printer import show
+
+        print(show(check_file(options.program).program), end="")
+        return HOLDS
+    from koordgen.pipeline import parse_source
+    from koordgen.syntax.printer import show as show_tree
+
+    print(show_tree(parse_source(read_source(options.program))), end="")
+    return HOLDS
+
+
+def _build(options: argparse.Namespace) -> int:
+    from pathlib import Path
+
+    bundles, app = _planned(options, _targets(options.target))
+    folder = Path(options.out) / app
+    _write(bundles, folder)
+    for name, files in bundles.items():
+        print(f"{folder / name}  {len(files)} files")
+    return HOLDS
+
+
+def _harness(options: argparse.Namespace) -> int:
+    import subprocess
+    import tempfile
+    from pathlib import Path
+
+    bundles, app = _planned(options, [options.command])
+    _require_packages()
+    passed = [f"--{key}={value}" for key in ("duration", "seed") if (value := getattr(options, key)) is not None]
+    passed.append(f"--out={options.out or f'run-{app}'}")
+    if options.quiet:
+        passed.append("--quiet")
+    with tempfile.TemporaryDirectory(prefix="koordgen-") as folder:
+        _write({options.command: bundles[options.command]}, Path(folder))
+        process = subprocess.Popen([sys.executable, f"{folder}/{options.command}", *passed])
+        while True:
+            try:
+                return process.wait()
+            except KeyboardInterrupt:  # the child got it as well: it ends its run and writes its report
+                continue
+
+
+def _key(options: argparse.Namespace) -> int:
+    import os
+    import secrets
+
+    try:
+        descriptor = os.open(options.file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(secrets.token_bytes(32))
+    except FileExistsError:
+        raise Failure(SURROUNDINGS, f"{options.file} exists", "a key is never overwritten; choose another name") from None
+    except OSError as error:
+        raise Failure(SURROUNDINGS, f"{options.file}: {error.strerror}") from None
+    print(f"{options.file}: copy it to every robot of the fleet, beside settings.json, by a safe way")
+    return HOLDS
+
+
+def _targets(text: str) -> list[str]:
+    from koordgen.bundle import manifest
+
+    wanted = [name.strip() for name in text.split(",") if name.strip()]
+    unknown = [name for name in wanted if name not in manifest.available()]
+    if unknown or not wanted:
+        there_are = f"there are: {', '.join(manifest.available())}"
+        raise Failure(USAGE, f"no target {unknown[0]!r}" if unknown else "--target names no target", there_are)
+    return list(dict.fromkeys(wanted))
+
+
+def _planned(options: argparse.Namespace, targets: list[str]) -> tuple[dict[str, dict[str, bytes]], str]:
+    from koordgen.bundle.manifest import ManifestError
+    from koordgen.check.params import BadParam
+    from koordgen.pipeline import plan_file
+
+    try:
+        checked, bundles = plan_file(options.program, targets, options.fleet, _params(options.param))
+    except BadParam as error:
+        raise Failure(USAGE, str(error)) from None
+    except ManifestError as error:
+        raise Failure(SURROUNDINGS, str(error), "the target's folder is damaged; install koordgen anew") from None
+    _warn(checked.noticed, checked.source)
+    return bundles, checked.program.name
+
+
+def _params(given: list[str]) -> dict[str, Value]:
+    from koordgen.check.params import parse_value
+
+    values = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise Failure(USAGE, f"--param {text}: NAME=VALUE is expected")
+        values[name] = parse_value(value)
+    return values
+
+
+def _write(bundles: dict[str, dict[str, bytes]], folder: object) -> None:
+    from pathlib import Path
+
+    from koordgen.bundle.write import CannotWrite, write
+
+    try:
+        write(bundles, Path(str(folder)))
+    except CannotWrite as error:
+        raise Failure(SURROUNDINGS, str(error), error.hint) from None
+
+
+def _require_packages() -> None:
+    """The harness and the agents run with this very Python."""
+    import re
+    from importlib.metadata import PackageNotFoundError, version
+
+    from koordgen.bundle import manifest
+
+    missing = set()
+    for target in map(manifest.load, manifest.available()):
+        for line in target.requirements:
+            name = re.split(r"[^A-Za-z0-9._-]", line)[0]
+            try:
+                version(name)
+            except PackageNotFoundError:
+                missing.add(name)
+    if missing:
+        message = f"packages are missing: {', '.join(sorted(missing))}"
+        raise Failure(SURROUNDINGS, message, f"{sys.executable} -m pip install 'koordgen[sim]'")
+
+
+def _show(rejected: Rejected, options: argparse.Namespace) -> None:
+    from koordgen.diagnostics import render, to_json
+
+    by_source: dict[int, list[object]] = {}
+    for source, diagnostic in rejected.found:
+        by_source.setdefault(id(source), [source]).append(diagnostic)
+    if getattr(options, "format", "text") == "json":
+        source = rejected.found[0][0]
+        print(to_json([d for _, d in rejected.found], source))
+        return
+    for source, diagnostic in rejected.found:
+        _say(render(diagnostic, source))
+    errors = sum(d.severity == "error" for _, d in rejected.found)
+    _say(f"{errors} error{'s' if errors != 1 else ''}")
+
+
+def _warn(noticed: object, source: object) -> None:
+    from koordgen.diagnostics import render
+
+    for diagnostic in noticed:  # type: ignore[attr-defined]
+        _say(render(diagnostic, source))  # type: ignore[arg-type]
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr)
+
+
+def _internal(error: Exception) -> int:
+    import traceback
+
+    traceback.print_exception(error)
+    _say(f"internal error: {error}\n  this is a mistake of koordgen, not of your program: please report it with the above")
+    return INTERNAL
+

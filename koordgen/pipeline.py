@@ -1,0 +1,113 @@
+"""The passes in order, read as a table of contents: text -> syntax tree -> typed IR -> IR of this build -> bundles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from koordgen.check import check
+from koordgen.diagnostics import Diagnostic
+from koordgen.ir.decl import Program
+from koordgen.ir.verify import verify
+from koordgen.node import Node
+from koordgen.source import Source, Span
+from koordgen.syntax.parse import parse
+
+if TYPE_CHECKING:
+    from koordgen.bundle.manifest import Target
+    from koordgen.bundle.plan import Files
+    from koordgen.check.params import Value
+    from koordgen.fleet import Fleet
+
+
+class Rejected(Exception):
+    """The user's files are wrong: the diagnostics say where and why, each with the source it points into."""
+
+    def __init__(self, found: Sequence[tuple[Source, Diagnostic]]) -> None:
+        super().__init__("the user's files are wrong")
+        self.found = tuple(found)
+
+
+class Checked(Node):
+    """A program that passed, and what was noticed on the way (warnings and notes)."""
+
+    source: Source
+    program: Program
+    noticed: tuple[Diagnostic, ...]
+
+
+def read_source(path: str) -> Source:
+    """The text of a user's file. Raises Rejected when it cannot be read or is no UTF-8."""
+    start = Span(1, 1, 1, 1)
+    try:
+        raw = Path(path).read_bytes()
+        return Source(path, raw.decode("utf-8-sig"))
+    except OSError as error:
+        problem = Diagnostic("F100", "error", f"cannot be read: {error.strerror or error}", start)
+    except UnicodeDecodeError as error:
+        line = raw[: error.start].count(b"\n") + 1
+        problem = Diagnostic("F101", "error", f"byte {error.start} is not UTF-8", Span(line, 1, line, 2))
+    raise Rejected([(Source(path, ""), problem)])
+
+
+def check_file(path: str) -> Checked:
+    """parse, check, verify. Raises Rejected."""
+    source = read_source(path)
+    tree, found = parse(source)
+    program = None
+    if tree is not None:
+        program, more = check(tree, source)
+        found = [*found, *more]
+    if program is None or any(d.severity == "error" for d in found):
+        raise Rejected([(source, d) for d in found])
+    verify(program)
+    return Checked(source, program, tuple(found))
+
+
+def plan_file(
+    path: str, wanted: Sequence[str], fleet_path: str | None, params: Mapping[str, Value]
+) -> tuple[Checked, dict[str, Files]]:
+    """check, fleet, params, verify, ports, plan: the bundles of one build, in memory. `wanted` are names of targets
+    that exist. Raises Rejected, BadParam, ManifestError."""
+    from koordgen import resources
+    from koordgen.bundle import manifest
+    from koordgen.bundle.offer import check_ports
+    from koordgen.bundle.plan import plan, read_ingredients
+    from koordgen.check.params import with_params
+
+    checked = check_file(path)
+    fleet: Fleet | None = None
+    given = dict(params)
+    if fleet_path is not None:
+        targets = {name: manifest.load(name) for name in manifest.available()}
+        fleet, from_file = read_fleet(fleet_path, targets, checked.program)
+        given = {**from_file, **given}
+        needed = {r.target for r in fleet.robots}.union(wanted)
+    else:
+        targets = {name: manifest.load(name) for name in wanted}
+        needed = set(wanted)
+    used = tuple(targets[name] for name in sorted(needed))
+    program = with_params(checked.program, given)
+    verify(program)
+    wrong = check_ports(program, used)
+    if wrong:
+        raise Rejected([(checked.source, d) for d in wrong])
+    source = Path(path).read_bytes()
+    return checked, plan(read_ingredients(program, source, used, fleet, resources.package()), wanted)
+
+
+def read_fleet(path: str, targets: Mapping[str, Target], program: Program) -> tuple[Fleet, dict[str, Value]]:
+    """The fleet and its params as values. Raises Rejected."""
+    from koordgen import fleet
+
+    source = read_source(path)
+    found: list[tuple[Source, Diagnostic]] = []
+
+    def report(code: str, message: str, span: Span, help: str) -> None:
+        found.append((source, Diagnostic(code, "error", message, span, help=help)))
+
+    read = fleet.read(source, targets, {p.name: str(p.type) for p in program.params}, report)
+    if read is None:
+        raise Rejected(found)
+    return read, read.params

@@ -1,0 +1,118 @@
+"""The house's floors: who may import whom, held by walking the imports."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "koordgen"
+TARGETS = sorted(p.parent for p in (ROOT / "targets").glob("*/manifest.toml"))
+
+# A module may import from its own floor and from those named here, nothing else of koordgen.
+BASE = {"node", "source", "diagnostics", "resources", "__init__"}
+FLOORS = {
+    "node": set(),
+    "source": {"node"},
+    "diagnostics": {"node", "source"},
+    "resources": set(),
+    "located": {"node", "source"},
+    "syntax": BASE,
+    "ir": BASE,
+    "check": BASE | {"syntax", "ir"},
+    "semantics": BASE | {"ir"},
+    "emit": BASE | {"ir"},
+    "fleet": BASE | {"located", "bundle"},
+    "bundle": BASE | {"ir", "emit", "fleet"},
+    "pipeline": BASE | {"located", "syntax", "ir", "check", "emit", "fleet", "bundle"},
+    "cli": BASE | {"pipeline", "bundle"},
+    "__main__": {"cli"},
+    "__init__": set(),
+    "runtime": set(),
+    "_generated": set(),
+}
+GENERATED_READERS = {"syntax": "koordgen._generated.grammar"}
+HEAVY = {"pybullet", "casadi", "ompl", "pymavlink", "z3", "numpy", "matplotlib", "serial", "msgspec"}
+
+
+def imports(path: Path) -> Iterator[str]:
+    """Every module that a file imports, also inside functions."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            module = node.module or ""
+            yield from (f"{module}.{alias.name}" for alias in node.names)
+
+
+def floor(module: str) -> str:
+    return (module.split(".") + ["__init__"])[1]
+
+
+@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_floors_are_one_way(path: Path) -> None:
+    own = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+    assert own in FLOORS, f"{own} is a new room: give it a floor here and in ARCHITECTURE.md"
+    for module in imports(path):
+        if module.split(".")[0] == "koordgen":
+            other = floor(module)
+            if module.startswith(GENERATED_READERS.get(own, "\0")) or other == "__version__":
+                continue
+            assert other == own or other in FLOORS[own], f"{path.name} imports {module}"
+
+
+@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_the_compiler_needs_no_robot_package(path: Path) -> None:
+    allowed = {"msgspec"} if path.is_relative_to(PACKAGE / "runtime") else set()
+    assert {m.split(".")[0] for m in imports(path)} & HEAVY <= allowed
+
+
+def test_the_runtime_is_an_island() -> None:
+    for path in (PACKAGE / "runtime").rglob("*.py"):
+        for module in imports(path):
+            top = module.split(".")[0]
+            assert module.startswith("koordgen.runtime") or top in sys.stdlib_module_names or top == "msgspec", (
+                f"{path.name} imports {module}"
+            )
+
+
+@pytest.mark.parametrize("folder", TARGETS, ids=lambda p: p.name)
+def test_a_target_stands_on_the_runtime_and_itself_alone(folder: Path) -> None:
+    for path in folder.rglob("*.py"):
+        for module in imports(path):
+            if module.split(".")[0] in ("koordgen", "targets"):
+                assert module.startswith(("koordgen.runtime", f"targets.{folder.name}")), f"{path} imports {module}"
+
+
+def test_no_targets_name_occurs_in_the_compiler() -> None:
+    names = re.compile(rf"""["']({"|".join(t.name for t in TARGETS)})["']""")
+    for path in PACKAGE.rglob("*.py"):
+        if path.parent.name != "templates":
+            found = names.search(path.read_text(encoding="utf-8"))
+            assert not found, f"{path}: {found}"
+
+
+def test_files_and_functions_keep_to_their_size() -> None:
+    for path in [*PACKAGE.rglob("*.py"), *(ROOT / "targets").rglob("*.py")]:
+        if "_generated" in path.parts:
+            continue
+        text = path.read_text(encoding="utf-8")
+        assert text.count("\n") <= 400, f"{path} has outgrown its room"
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef):
+                assert (node.end_lineno or 0) - node.lineno <= 60, f"{path}: {node.name}"
+    for path in (ROOT / "templates").glob("*.j2"):
+        assert path.read_text(encoding="utf-8").count("\n") <= 80, path
+
+
+@pytest.mark.parametrize("generator", ["koordgen.syntax.generate", "koordgen.emit.generate"])
+def test_what_is_generated_is_fresh(generator: str) -> None:
+    import subprocess
+
+    subprocess.run([sys.executable, "-m", generator, "--check"], cwd=ROOT, check=True)
