@@ -1,0 +1,125 @@
+"""The car's links to the world: the motor controller's serial device and the position feed's UDP port, never blocking."""
+
+from __future__ import annotations
+
+import select
+import socket
+import termios
+from contextlib import suppress
+from typing import Protocol
+
+from koordgen.runtime.platform import Unready
+
+BAUD = 115_200
+LARGEST_DATAGRAM = 2048
+
+
+class ByteLink(Protocol):
+    """A stream of bytes both ways. `read` gives what is there, `write` takes what fits and says how many bytes it
+    took. Both raise Unready when the device is gone."""
+
+    def read(self) -> bytes: ...
+
+    def write(self, data: bytes) -> int: ...
+
+    def close(self) -> None: ...
+
+
+class DatagramLink(Protocol):
+    """Where datagrams arrive. None: there is none now."""
+
+    def receive(self) -> bytes | None: ...
+
+    def close(self) -> None: ...
+
+
+class Links(Protocol):
+    """Opens links by their setting ("vesc:DEVICE", "udp:HOST:PORT"); raises Unready, saying what to do."""
+
+    def drive(self, setting: str) -> ByteLink: ...
+
+    def position(self, setting: str) -> DatagramLink: ...
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass. Used by `check` only, the one call that may."""
+        ...
+
+
+class SerialLink:
+    """A serial device through pyserial; a pseudo-terminal works, too."""
+
+    def __init__(self, device: str) -> None:
+        import serial
+
+        self._device = device
+        self._gone: tuple[type[Exception], ...] = (OSError, termios.error, serial.SerialException)
+        try:
+            self._port = serial.Serial(device, BAUD, timeout=0, write_timeout=0, exclusive=True)
+        except (*self._gone, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            hint = "connect the motor controller, free its device, or correct `drive` in the robot's settings"
+            raise Unready(f"cannot open the motor controller at {device}: {reason}", hint) from None
+
+    def read(self) -> bytes:
+        try:
+            return bytes(self._port.read(4096))
+        except self._gone as error:
+            raise self._lost(error) from None
+
+    def write(self, data: bytes) -> int:
+        try:
+            return int(self._port.write(data) or 0)
+        except self._gone as error:
+            raise self._lost(error) from None
+
+    def _lost(self, error: Exception) -> Unready:
+        return Unready(f"the motor controller at {self._device} is gone: {error}", "check its cable and supply")
+
+    def close(self) -> None:
+        with suppress(*self._gone):
+            self._port.close()
+
+
+class UdpLink:
+    """A bound UDP socket."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.setblocking(False)
+            self._socket.bind((host, port))
+        except (OSError, OverflowError) as error:
+            self._socket.close()
+            hint = "free the port, or give another in `position` of the robot's settings and at the base station"
+            reason = getattr(error, "strerror", None) or error
+            raise Unready(f"cannot receive positions on {host}:{port}: {reason}", hint) from None
+
+    def receive(self) -> bytes | None:
+        try:
+            return self._socket.recv(LARGEST_DATAGRAM)
+        except OSError:  # nothing there; or a stray network error, which later silence tells well enough
+            return None
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class RealLinks:
+    """Links to real devices."""
+
+    def drive(self, setting: str) -> ByteLink:
+        kind, _, device = setting.partition(":")
+        if kind != "vesc" or not device:
+            raise Unready(f"drive {setting!r} is not understood", "write `drive: vesc:DEVICE`, as in vesc:/dev/ttyACM0")
+        return SerialLink(device)
+
+    def position(self, setting: str) -> DatagramLink:
+        kind, _, address = setting.partition(":")
+        host, _, port = address.rpartition(":")
+        if kind != "udp" or not host or not port.isascii() or not port.isdigit():
+            hint = "write `position: udp:HOST:PORT`, as in udp:0.0.0.0:47300"
+            raise Unready(f"position {setting!r} is not understood", hint)
+        return UdpLink(host, int(port))
+
+    def wait(self, seconds: float) -> None:
+        select.select([], [], [], seconds)
