@@ -1,0 +1,211 @@
+"""The process of one robot: `main` of every agent bundle reads its settings, opens what it needs, runs the machine.
+
+Exit statuses: 0 done and at rest; 1 settings or program are wrong; 2 usage; 5 surroundings (port, link, device, body);
+70 internal error; 130 ended at once by a third signal.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import msgspec
+
+from koordgen.runtime.clock import SystemClock
+from koordgen.runtime.layout import Layout, TooLarge
+from koordgen.runtime.machine import INTERNAL, OK, SURROUNDINGS, WRONG_PROGRAM, Agent
+from koordgen.runtime.platform import Platform, Unready
+from koordgen.runtime.program import Program
+from koordgen.runtime.runner import interrupting
+from koordgen.runtime.seal import BadKey, load_key
+from koordgen.runtime.settings import BadSettings, Settings, load
+from koordgen.runtime.trace import Trace
+from koordgen.runtime.transport import CannotOpen, UdpTransport
+
+__all__ = ["Agent", "main", "parameters"]
+
+INTERRUPTED = 130
+LONGEST_WAIT = 0.1  # seconds: how soon a signal is seen
+
+PlatformType = Callable[[Settings, bytes | None], Platform]
+
+
+def main(program: Program, platform_type: PlatformType, root: Path, argv: Sequence[str]) -> int:
+    """Run robot `program` on the body `platform_type` makes, with the settings in `root`; returns the exit status."""
+    arguments = _arguments(program, argv)
+    if isinstance(arguments, int):
+        return arguments
+    platform: Platform | None = None
+    try:
+        settings, key = _settings(root, arguments.settings, arguments.pid)
+        params = parameters(program, settings.params)
+        Layout(program.shared, len(settings.peers))
+        platform = platform_type(settings, key)
+        if arguments.check:
+            return _check(program, settings, platform)
+        return _run(program, settings, key, params, platform, quiet=arguments.quiet)
+    except (BadSettings, BadKey, TooLarge) as error:
+        return _fail(str(error), "", WRONG_PROGRAM)
+    except CannotOpen as error:
+        return _fail(str(error), "", SURROUNDINGS)
+    except Unready as error:
+        return _fail(error.message, error.hint, SURROUNDINGS)
+    except KeyboardInterrupt:
+        return _fail("ended at once; the body is left to its own failsafe", "", INTERRUPTED)
+    except Exception:
+        return _fail("internal error, please report it:\n" + traceback.format_exc(), "", INTERNAL)
+    finally:
+        if platform is not None:
+            platform.close()
+
+
+def parameters(program: Program, given: Mapping[str, Any]) -> dict[str, Any]:
+    """The program's params: as given (from JSON), otherwise their defaults. Raises BadSettings."""
+    known = {p.name: p for p in program.params}
+    for name in given:
+        if name not in known:
+            raise BadSettings(f"params: {program.name} has no param {name}; it has {', '.join(known) or 'none'}")
+    values: dict[str, Any] = {}
+    for name, param in known.items():
+        if name not in given:
+            values[name] = param.initial({})
+            continue
+        try:
+            values[name] = msgspec.convert(given[name], param.type)
+        except msgspec.ValidationError as error:
+            raise BadSettings(f"params: {name}: {error}") from None
+    return values
+
+
+def _arguments(program: Program, argv: Sequence[str]) -> argparse.Namespace | int:
+    parser = argparse.ArgumentParser(
+        prog=f"python3 <bundle of {program.name}>", description=f"Runs one robot of {program.name}."
+    )
+    parser.add_argument("--check", action="store_true", help="look at settings, ports and devices; move nothing")
+    parser.add_argument("--settings", type=Path, metavar="FILE", help="JSON laid over the bundle's settings.json")
+    parser.add_argument("--pid", type=int, metavar="N", help="take the place of robot N of the fleet")
+    parser.add_argument("--quiet", action="store_true", help="tell only warnings and errors")
+    try:
+        return parser.parse_args(list(argv))
+    except SystemExit as done:
+        return done.code if isinstance(done.code, int) else 2
+
+
+def _settings(root: Path, overrides: Path | None, pid: int | None) -> tuple[Settings, bytes | None]:
+    path = root / "settings.json"
+    if path.exists():
+        settings = load(path, overrides, pid)
+    elif overrides is not None:
+        settings = load(overrides, None, pid)
+    else:
+        raise BadSettings(
+            f"{path}: not there: this bundle was built without a fleet file; build it with "
+            "`koordgen build ... --fleet FILE`, or say `--settings FILE`"
+        )
+    if settings.key_file is not None:
+        return settings, load_key(Path(settings.key_file))
+    if not settings.insecure:
+        raise BadSettings(f"{path}: no key_file; a fleet without a key must say so: `insecure: true`")
+    _say("warning", "INSECURE: no key, so anyone on this network can drive this robot")
+    return settings, None
+
+
+def _check(program: Program, settings: Settings, platform: Platform) -> int:
+    n, name = len(settings.peers), settings.robot
+    print(f"program    {program.name} {program.program_hash}, interface {program.interface_hash}")
+    print(f"settings   robot {name}, pid {settings.pid} of {n}, delta {settings.delta} s")
+    print(f"key        {settings.key_file or 'none (insecure)'}")
+    UdpTransport(settings.peers, settings.pid, settings.bind).close()
+    own = settings.peers[settings.pid]
+    print(f"port       {settings.bind or own.host}:{own.port} is free, all {n} peers have addresses")
+    for line in platform.check():
+        print(f"body       {line}")
+    return OK
+
+
+def _run(
+    program: Program,
+    settings: Settings,
+    key: bytes | None,
+    params: dict[str, Any],
+    platform: Platform,
+    quiet: bool,
+) -> int:
+    clock = SystemClock()
+    signals = _Signals()
+    transport = UdpTransport(settings.peers, settings.pid, settings.bind)
+    trace = _open_trace(settings.trace)
+
+    def emit(level: str, line: str) -> None:
+        if not quiet or level != "info":
+            _print(line)
+
+    try:
+        agent = Agent(
+            program, settings, key, params, platform, clock, transport, trace, emit, os.urandom(8), limit=interrupting
+        )
+        seen = 0
+        while not agent.done:
+            wake = agent.poll(clock.now())
+            if signals.count > seen:
+                if seen == 0:
+                    agent.end(f"{signals.name}: coming to rest")
+                else:
+                    _say("warning", "still coming to rest; one more signal ends the process at once")
+                seen = signals.count
+            transport.wait(min(wake - clock.now(), LONGEST_WAIT))
+        return agent.status
+    finally:
+        transport.close()
+        trace.close()
+
+
+class _Signals:
+    """SIGINT and SIGTERM, counted; the third raises KeyboardInterrupt wherever the process is."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.name = ""
+        signal.signal(signal.SIGINT, self._take)
+        signal.signal(signal.SIGTERM, self._take)
+
+    def _take(self, number: int, frame: FrameType | None) -> None:
+        self.count += 1
+        self.name = signal.Signals(number).name
+        if self.count > 2:
+            raise KeyboardInterrupt
+
+
+def _open_trace(path: str | None) -> Trace:
+    def warn(text: str) -> None:
+        _say("warning", text)
+
+    if path is None:
+        return Trace(None, warn)
+    try:
+        return Trace(Path(path).open("wb"), warn)  # lives as long as the run
+    except OSError as error:
+        raise CannotOpen(f"trace: {path}: {error.strerror or error}") from None
+
+
+def _fail(message: str, hint: str, status: int) -> int:
+    _say("error", message + (f"\n  help: {hint}" if hint else ""))
+    return status
+
+
+def _say(level: str, text: str) -> None:
+    _print(f"{level}: {text}")
+
+
+def _print(line: str) -> None:
+    """To standard error, if there still is one: a closed terminal must not stop a flying robot."""
+    with suppress(OSError, ValueError):
+        print(line, file=sys.stderr, flush=True)

@@ -1,0 +1,91 @@
+"""The robot's body as its program sees it: sampled sensors, actuator variables, and everything that makes it hold."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from koordgen.runtime.platform import Platform, Sensed, Unready
+from koordgen.runtime.program import Program
+from koordgen.runtime.safety import clamped
+from koordgen.runtime.settings import Box
+from koordgen.runtime.values import Point, transmissible
+
+_UNSET: dict[Any, Any] = {bool: False, int: 0, float: 0.0, Point: Point()}
+_GOALS = ("target", "path")
+
+
+class Body:
+    """Stands between program and platform. `actuators` are the actuator variables: the values last written, before
+    the geofence; the platform gets what lies inside it."""
+
+    def __init__(self, program: Program, platform: Platform, fence: Box, warn: Callable[[str], None]) -> None:
+        self._platform = platform
+        self._fence = fence
+        self._warn = warn
+        self._sensors = tuple(p.name for p in program.ports if p.direction == "sensor")
+        self._actuators = tuple(p for p in program.ports if p.direction == "actuator")
+        self._commanded: dict[str, float] = {}  # module -> when its target or path was written last
+        self._fenced: tuple[str, ...] = ()
+        self._reasons: set[str] = set()
+        self._retired = False
+        self.actuators: dict[str, Any] = {}
+
+    def begin(self, sensed: Sensed) -> None:
+        """Before `init`: an actuator that was never written holds, so `target` is where the robot is. Raises Unready
+        when the target lacks a port."""
+        for name in self._sensors:
+            if name not in sensed.values:
+                raise Unready(f"this target has no port {name}", "build the program for a target that offers it")
+        for port in self._actuators:
+            position = sensed.values.get(port.name.rpartition(".")[0] + ".position")
+            if port.name.endswith(".target") and isinstance(position, Point):
+                self.actuators[port.name] = position
+            else:
+                self.actuators[port.name] = _UNSET.get(port.type, [])
+
+    def sensors(self, sensed: Sensed) -> dict[str, Any]:
+        """The program's sensor ports. `reached` is true before any command, and after one false until the platform
+        judged by a position that is younger than the command."""
+        values = {name: sensed.values[name] for name in self._sensors}
+        for name in self._sensors:
+            module, _, port = name.rpartition(".")
+            if port == "reached":
+                since = self._commanded.get(module)
+                if since is None:
+                    values[name] = True
+                elif sensed.time is None or sensed.time <= since:
+                    values[name] = False
+        return values
+
+    def command(self, written: Mapping[str, Any], now: float) -> None:
+        """Take what an event wrote to actuators; Points go to the platform moved into the geofence."""
+        if not written or self._retired:
+            return
+        self.actuators = {**self.actuators, **written}  # frames of earlier rounds keep theirs
+        for name in written:
+            module, _, port = name.rpartition(".")
+            if port in _GOALS:
+                self._commanded[module] = now
+        inside, moved = clamped(self._fence, written)
+        if moved and tuple(moved) != self._fenced:
+            self._warn("; ".join(f"{n} = {written[n]} is outside the geofence, commanding {inside[n]}" for n in moved))
+        self._fenced = tuple(moved)
+        self._platform.command(inside, now)
+
+    def hold(self, reason: str, on: bool, now: float) -> bool:
+        """Hold for a reason, or no longer for that one; the robot moves when no reason is left. True on a change."""
+        if on == (reason in self._reasons) or self._retired:
+            return False
+        (self._reasons.add if on else self._reasons.discard)(reason)
+        self._platform.hold(bool(self._reasons), now)
+        return True
+
+    def retire(self) -> None:
+        """The safe end has begun: nothing of the program reaches the platform any more."""
+        self._retired = True
+
+
+def finite(sensors: Mapping[str, Any]) -> str | None:
+    """The first sensor whose value no program may see, or None."""
+    return next((name for name, value in sensors.items() if not transmissible(value)), None)

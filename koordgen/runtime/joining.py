@@ -1,0 +1,161 @@
+"""From process start to round 1: who is alive, whose `init` has run, and when the rounds begin.
+
+Each robot tells each other one, every PERIOD, its boot, its `init` result and whose results it holds. A boot is
+adopted only when its Hello answers a challenge that opened after the last adoption, so a recorded Hello of an earlier
+boot never passes for the present one. Who holds all results announces the epoch, a digest of all boots. Once all
+announce the same one, the robot with the lowest pid proposes the start of round 1, and everyone passes it on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from hashlib import blake2s
+
+from koordgen.runtime.layout import Layout
+from koordgen.runtime.link import Link
+from koordgen.runtime.wire import Closing, Hello, epoch_of
+
+PERIOD = 0.2  # seconds between two Hellos to the same robot
+LEAD = 1.0  # seconds from the proposal to round 1: five Hellos from every robot that has heard it
+LONGEST_LEAD = 60.0  # seconds; a start further ahead was never proposed by one of ours
+
+
+@dataclass(slots=True)
+class _Other:
+    """What is known of another robot's present boot."""
+
+    adoptions: int = 0
+    challenge: bytes = b""  # of its, for us to answer
+    init: Closing | None = None
+    epoch: bytes = b""
+    holds: tuple[int, ...] = ()
+    elsewhere: bool = False  # it is in a mission that our boot is not part of
+
+
+@dataclass(frozen=True, slots=True)
+class Mission:
+    """An agreed beginning: fleet time of round 1 and everyone's round-0 closing by pid."""
+
+    epoch: bytes
+    start: float
+    inits: tuple[Closing, ...]
+
+
+class Joining:
+    """One robot's part in it. Lasts as long as the process: robots that come late are answered during the mission."""
+
+    def __init__(self, link: Link, layout: Layout, names: tuple[str, ...]) -> None:
+        self._link = link
+        self._layout = layout
+        self._names = names
+        self._pid = link.pid
+        self._others = {p: _Other() for p in range(len(names)) if p != link.pid}
+        self._init: Closing | None = None
+        self._start: float | None = None
+        self._next = 0.0
+        self.restarted: set[int] = set()  # robots that began anew while the mission runs
+
+    def ready(self, init: Closing) -> None:
+        """The own `init` has run."""
+        self._init = init
+        self._agree()
+
+    @property
+    def mission(self) -> Mission | None:
+        """The mission, once its start is known."""
+        inits = self._inits()
+        if self._start is None or inits is None:
+            return None
+        return Mission(self._link.epoch, self._start, inits)
+
+    def poll(self, now: float, fleet: float | None) -> float:
+        """Send what is due at local time `now`; `fleet` is the fleet time, if known. When to be called again."""
+        if self._start is not None:
+            return float("inf")
+        agreed = self._link.epoch and all(o.epoch == self._link.epoch for o in self._others.values())
+        if agreed and self._pid == 0 and fleet is not None:
+            self._start = round((fleet + LEAD) * 1e6) / 1e6
+            self._next = now
+        if now >= self._next:
+            self._next = now + PERIOD
+            self.tell()
+        return self._next
+
+    def tell(self) -> None:
+        """A Hello to every other robot."""
+        for pid, other in self._others.items():
+            self._hello(pid, other.challenge)
+
+    def take(self, hello: Hello, fleet: float | None) -> None:
+        """Judge a Hello that `link` let through."""
+        pid = hello.head.pid
+        other = self._others[pid]
+        if not self._link.is_adopted(hello):
+            if hello.answer != self._challenge(pid):
+                self._hello(pid, hello.challenge)  # let it prove that it lives; nothing is kept of it until then
+                return
+            if self._start is not None:
+                self.restarted.add(pid)
+                self._hello(pid, hello.challenge)
+                return
+            self._link.adopt(hello)
+            other = self._others[pid] = _Other(adoptions=other.adoptions + 1)
+            self._link.epoch = b""
+        other.challenge = hello.challenge
+        if self._start is not None:
+            if hello.start is None:  # it missed the proposal; two that know it have nothing to say
+                self._hello(pid, other.challenge)
+            return
+        init = hello.init
+        if init is not None and (init.author != pid or init.round != 0 or self._layout.read(init) is None):
+            self._link.reject("init result does not fit")
+            return
+        other.init = init
+        other.epoch = hello.head.epoch
+        other.holds = hello.holds
+        self._agree()
+        other.elsewhere = hello.start is not None and hello.head.epoch != self._link.epoch
+        if hello.start is not None and self._link.epoch and not other.elsewhere:
+            start = hello.start / 1e6
+            if fleet is not None and start - fleet <= LONGEST_LEAD:
+                self._start = start
+                self.tell()
+
+    def waiting(self) -> str:
+        """What is waited for, in words; empty when the mission's start is known."""
+        if self._start is not None:
+            return ""
+        silent = [self._names[p] for p, o in self._others.items() if not self._link.sessions.get(p)]
+        elsewhere = [self._names[p] for p, o in self._others.items() if o.elsewhere]
+        unready = [self._names[p] for p, o in self._others.items() if self._link.sessions.get(p) and o.init is None]
+        deaf = [self._names[p] for p, o in self._others.items() if o.init is not None and not o.epoch]
+        parts = []
+        if elsewhere:
+            parts.append(f"{', '.join(elsewhere)} in a mission that began before this start: end it first")
+        if silent:
+            parts.append(f"waiting for {', '.join(silent)}, not heard yet")
+        if unready:
+            parts.append(f"waiting for {', '.join(unready)} to get ready")
+        if deaf and not silent and not unready:
+            parts.append(f"waiting until {', '.join(deaf)} hear from all")
+        return "; ".join(parts) or "waiting for the start of round 1"
+
+    def _hello(self, to: int, answer: bytes) -> None:
+        holds = tuple(p for p, o in sorted(self._others.items()) if o.init is not None)
+        start = None if self._start is None else round(self._start * 1e6)
+        self._link.hello(to, self._challenge(to), answer, holds, self._init, start)
+
+    def _challenge(self, pid: int) -> bytes:
+        """New after each adoption and each start, so an answer recorded earlier never fits."""
+        text = self._link.boot + bytes([pid]) + self._others[pid].adoptions.to_bytes(4, "big")
+        return blake2s(text, digest_size=8, person=b"k-hello").digest()
+
+    def _inits(self) -> tuple[Closing, ...] | None:
+        inits = {p: o.init for p, o in self._others.items()} | {self._pid: self._init}
+        held = tuple(init for _, init in sorted(inits.items()) if init is not None)
+        return held if len(held) == len(inits) else None
+
+    def _agree(self) -> None:
+        if self._start is None and self._inits() is not None:
+            boots = {p: s.boot for p, s in self._link.sessions.items()} | {self._pid: self._link.boot}
+            self._link.epoch = epoch_of([boots[p] for p in sorted(boots)])

@@ -1,0 +1,224 @@
+"""Authenticated datagrams between one robot and its peers: who may speak, replays, clock stamps, what is counted.
+
+Nothing received raises, blocks or changes any state before it was found genuine, of this format, application,
+interface and program, fresh, and of this mission; what is not is dropped and counted by its reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from koordgen.runtime.clock import Clock, FleetClock
+from koordgen.runtime.program import Program
+from koordgen.runtime.settings import Settings
+from koordgen.runtime.transport import Transport
+from koordgen.runtime.wire import (
+    LIMIT,
+    MAX_ECHOES,
+    Closing,
+    Echo,
+    Head,
+    Hello,
+    Message,
+    Need,
+    Round,
+    decode,
+    encode,
+    encoder,
+    overhead,
+)
+
+REPLAY_WINDOW = 1024  # datagrams that may arrive out of order
+MOST_DATAGRAMS = 4  # to one peer for one catch-up
+
+
+@dataclass(slots=True)
+class Session:
+    """One boot of a peer: the newest sequence number, a bit for each of the last ones that arrived, and the stamp
+    of the newest datagram with its time of arrival here (microseconds)."""
+
+    boot: bytes
+    newest: int = 0
+    seen: int = 0
+    heard: tuple[int, int] | None = None
+
+    def fresh(self, sequence: int) -> bool:
+        """Take a sequence number; False when it was taken before or is older than the window."""
+        ahead = sequence - self.newest
+        if ahead > 0:
+            self.seen = 1 if ahead >= REPLAY_WINDOW else (self.seen << ahead | 1) & ((1 << REPLAY_WINDOW) - 1)
+            self.newest = sequence
+            return True
+        if -ahead >= REPLAY_WINDOW or self.seen >> -ahead & 1:
+            return False
+        self.seen |= 1 << -ahead
+        return True
+
+
+class Link:
+    """`report` gets what the people at the robots must know, once for each peer."""
+
+    def __init__(
+        self,
+        program: Program,
+        settings: Settings,
+        key: bytes | None,
+        transport: Transport,
+        clock: Clock,
+        fleet_clock: FleetClock,
+        boot: bytes,
+        report: Callable[[str], None],
+    ) -> None:
+        self.pid = settings.pid
+        self.boot = boot
+        self.epoch = b""
+        self.rejected: dict[str, int] = {}
+        self.sessions: dict[int, Session] = {}
+        self._names = [p.name for p in settings.peers]
+        self._application = settings.application_id
+        self._interface = bytes.fromhex(program.interface_hash)
+        self._program = bytes.fromhex(program.program_hash)
+        self._key = key
+        self._transport = transport
+        self._clock = clock
+        self._fleet_clock = fleet_clock
+        self._reference = 0
+        self._report = report
+        self._reported: set[tuple[int, str]] = set()
+        self._sequence = 0
+        self._next_echo = 0
+        self._room = LIMIT - overhead(len(settings.peers))
+
+    def hello(self, to: int, challenge: bytes, answer: bytes, holds: tuple[int, ...], init: Closing | None,
+              start: int | None) -> None:  # fmt: skip
+        self._send([to], Hello(self._head(), to, challenge, answer, holds, init, start))
+
+    def need(self, to: Sequence[int], through: int, held: tuple[int, ...]) -> None:
+        self._send(to, Need(self._head(), through, held))
+
+    def round(self, to: Sequence[int], round_: int, settled: int, held: tuple[int, ...],
+              closings: Sequence[Closing]) -> None:  # fmt: skip
+        """One datagram, or as few as the closings fit in, at most MOST_DATAGRAMS; the rest waits to be asked for."""
+        for batch in self._batches(closings):
+            self._send(to, Round(self._head(), round_, settled, held, batch))
+
+    def receive(self) -> list[Message]:
+        """What arrived and may be listened to. A Hello of a boot that was not adopted is among it: `joining` judges."""
+        accepted = []
+        for datagram in self._transport.receive():
+            message = decode(datagram, self._key)
+            if isinstance(message, str):
+                self.reject(message)
+            elif self._admit(message):
+                accepted.append(message)
+        return accepted
+
+    def adopt(self, hello: Hello) -> None:
+        """From now on this boot of the peer is the one that counts."""
+        session = self.sessions[hello.head.pid] = Session(hello.head.boot)
+        session.fresh(hello.head.sequence)
+        session.heard = (hello.head.sent, _microseconds(self._clock.now()))
+
+    def is_adopted(self, hello: Hello) -> bool:
+        session = self.sessions.get(hello.head.pid)
+        return session is not None and session.boot == hello.head.boot
+
+    def reject(self, reason: str) -> None:
+        self.rejected[reason] = self.rejected.get(reason, 0) + 1
+
+    def _admit(self, message: Message) -> bool:
+        head = message.head
+        reason = self._foreign(head)
+        if reason is None:
+            session = self.sessions.get(head.pid)
+            adopted = session is not None and session.boot == head.boot
+            if isinstance(message, Hello):
+                if message.to != self.pid:
+                    reason = "for another robot"
+            elif not self.epoch or head.epoch != self.epoch:
+                reason = "another mission"
+            elif not adopted:
+                reason = "another boot"
+            if reason is None and adopted and session is not None:
+                if session.fresh(head.sequence):
+                    self._stamps(session, head)
+                else:
+                    reason = "replayed"
+        if reason is not None:
+            self.reject(reason)
+        return reason is None
+
+    def _foreign(self, head: Head) -> str | None:
+        if head.application != self._application:
+            return "another application"
+        if head.pid >= len(self._names) or head.pid == self.pid:
+            return "not a peer"
+        if head.interface != self._interface:
+            return self._tell(head.pid, "another interface", head.interface, self._interface)
+        if head.program != self._program:
+            return self._tell(head.pid, "another program", head.program, self._program)
+        return None
+
+    def _tell(self, pid: int, what: str, theirs: bytes, ours: bytes) -> str:
+        if (pid, what) not in self._reported:
+            self._reported.add((pid, what))
+            self._report(
+                f"robot {self._names[pid]} runs {what} ({theirs.hex()}, here {ours.hex()}) and is not listened to: "
+                "build all bundles from the same source and fleet file"
+            )
+        return what
+
+    def _stamps(self, session: Session, head: Head) -> None:
+        now = _microseconds(self._clock.now())
+        if session.heard is None or head.sent > session.heard[0]:
+            session.heard = (head.sent, now)
+        if head.pid != self._reference:
+            return
+        for echo in head.echoes:
+            if echo.pid == self.pid:
+                self._fleet_clock.take(echo.sent / 1e6, echo.received / 1e6, head.sent / 1e6, now / 1e6)
+
+    def _head(self) -> Head:
+        self._sequence += 1
+        peers = sorted(p for p, s in self.sessions.items() if s.heard is not None)
+        if len(peers) > MAX_ECHOES:  # all in turn
+            at = self._next_echo % len(peers)
+            peers = (peers[at:] + peers[:at])[:MAX_ECHOES]
+            self._next_echo += MAX_ECHOES
+        echoes = tuple(Echo(p, *heard) for p in peers if (heard := self.sessions[p].heard) is not None)
+        return Head(
+            self._application,
+            self._interface,
+            self._program,
+            self.pid,
+            self.boot,
+            self.epoch,
+            self._sequence,
+            _microseconds(self._clock.now()),
+            echoes,
+        )
+
+    def _batches(self, closings: Sequence[Closing]) -> list[tuple[Closing, ...]]:
+        if len(closings) < 2:
+            return [tuple(closings)]
+        batches: list[tuple[Closing, ...]] = []
+        batch: list[Closing] = []
+        room = self._room
+        for closing in closings:
+            length = len(encoder.encode(closing))
+            if batch and length > room:
+                batches.append(tuple(batch))
+                batch, room = [], self._room
+            batch.append(closing)
+            room -= length
+        return [*batches, tuple(batch)][:MOST_DATAGRAMS]
+
+    def _send(self, to: Sequence[int], message: Message) -> None:
+        datagram = encode(message, self._key)
+        for pid in to:
+            self._transport.send(pid, datagram)
+
+
+def _microseconds(seconds: float) -> int:
+    return max(0, round(seconds * 1e6))

@@ -1,0 +1,298 @@
+"""One robot: a machine that is polled, from start through joining and rounds to the safe end.
+
+Everything it touches is handed to it (clock, transport, platform, trace, log), so that a simulator can drive many on
+a clock of its own.
+"""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from koordgen.runtime.body import Body
+from koordgen.runtime.clock import Clock, FleetClock
+from koordgen.runtime.joining import Joining
+from koordgen.runtime.layout import Layout
+from koordgen.runtime.link import Link
+from koordgen.runtime.memory import Memory
+from koordgen.runtime.platform import Platform, Unready
+from koordgen.runtime.program import Fault, Program
+from koordgen.runtime.rounds import Rounds
+from koordgen.runtime.runner import Limit, Runner, unlimited
+from koordgen.runtime.safety import Guard, Verdict
+from koordgen.runtime.settings import Settings
+from koordgen.runtime.trace import Observe, Record, Trace
+from koordgen.runtime.transport import Transport
+from koordgen.runtime.wire import Closing, Hello
+
+OK, WRONG_PROGRAM, SURROUNDINGS, INTERNAL = 0, 1, 5, 70
+LOST_BODY = 10.0  # seconds that a body which is lost for good is still tried to be brought to rest
+MOST_FAILURES = 100  # of the platform in a row after an internal error, then it is given up
+
+Emit = Callable[[str, str], None]  # level (info, warning, error) and a line
+
+
+class Agent:
+    """`poll` it at least as often as it asks for; it is `done` when the body is at rest and nothing is left to serve.
+    `boot` is 8 random bytes, new for every start of the process. Raises TooLarge (layout)."""
+
+    def __init__(
+        self,
+        program: Program,
+        settings: Settings,
+        key: bytes | None,
+        params: Mapping[str, Any],
+        platform: Platform,
+        clock: Clock,
+        transport: Transport,
+        trace: Trace,
+        emit: Emit,
+        boot: bytes,
+        monitors: Sequence[Observe] = (),
+        limit: Limit = unlimited,
+    ) -> None:
+        self._settings = settings
+        self._params = params
+        self._platform = platform
+        self._clock = clock
+        self._transport = transport
+        self._trace = trace
+        self._emit = emit
+        self._monitors = list(monitors)
+        self._names = tuple(p.name for p in settings.peers)
+        self._layout = Layout(program.shared, len(self._names))
+        self._fleet_clock = FleetClock(reference=settings.pid == 0)
+        self._link = Link(program, settings, key, transport, clock, self._fleet_clock, boot, self._report)
+        self._joining = Joining(self._link, self._layout, self._names)
+        self._body = Body(program, platform, settings.geofence, lambda text: self._log("warning", text))
+        self._runner = Runner(program, params, settings.pid, len(self._names), clock, limit)
+        self._guard = Guard(settings.safety, settings.geofence)
+        self._verdict = Verdict("go")
+        self._rounds: Rounds | None = None
+        self._next_body = 0.0
+        self._said = ""
+        self._faulty = ""
+        self._counted: dict[str, int] = {}
+        self._known_restarts = 0
+        self._resting_since = 0.0
+        self._asked_to_end = False
+        self._started = False
+        self._lost = False
+        self._broken = False
+        self._failures = 0
+        self.phase = ""
+        self.status = OK
+        self.done = False
+        trace.header(program.name, settings.robot, settings.pid, len(self._names), settings.delta, program.program_hash)
+
+    @property
+    def round(self) -> int:
+        """The present round; 0 before the first."""
+        return self._rounds.round if self._rounds is not None else 0
+
+    def counters(self) -> dict[str, int]:
+        """Everything counted so far, by its name; datagrams by the reason they were dropped for."""
+        counted = {f"dropped: {k}": v for k, v in self._link.rejected.items()}
+        counted |= {f"network: {k}": v for k, v in self._transport.troubles.items()}
+        if self._rounds is not None:
+            counted |= asdict(self._rounds.counters)
+        return counted
+
+    def end(self, why: str) -> None:
+        """Bring the robot to rest and be done then."""
+        self._asked_to_end = True
+        self._rest(why, OK)
+        self.done = self.done or not self._started
+
+    def poll(self, now: float) -> float:
+        """Do what is due at local time `now`; returns when to be polled again at the latest (earlier when a datagram
+        arrives). Never raises: what goes wrong brings the robot to rest and sets `status`."""
+        try:
+            return self._poll(now)
+        except Unready as lost:
+            if not self._lost:
+                self._lost = True
+                self._log("error", lost.message + (f" ({lost.hint})" if lost.hint else ""))
+                self._rest("the body cannot serve", SURROUNDINGS)
+            self._give_up(now)
+        except Exception:
+            self._failures += 1
+            if not self._broken:
+                self._log("error", "internal error, please report it:\n" + traceback.format_exc())
+                self._broken = True
+                self._rest("internal error", INTERNAL)
+            self.done = self.done or self._failures > MOST_FAILURES
+        return now + self._platform.period
+
+    def _poll(self, now: float) -> float:
+        if not self.phase:
+            self._enter("starting", "")
+            self._platform.start(now)
+            self._started = True
+        wake = self._poll_body(now)
+        if self._broken:
+            return wake
+        fleet = self._fleet_clock.read(now) if self._fleet_clock.known else None
+        for message in self._link.receive():
+            if isinstance(message, Hello):
+                self._joining.take(message, fleet)
+            elif self._rounds is not None:
+                self._rounds.take(message)
+        self._watch_restarts()
+        if self._rounds is not None:
+            wake = min(wake, self._rounds.poll(now, self._platform.sense, self._unready()))
+            if self._rounds.over and self.phase == "running":
+                self._asked_to_end = True
+                self._rest("all robots have stopped", OK)
+        elif self.phase in ("starting", "joining"):
+            wake = min(wake, self._joining.poll(now, fleet))
+            self._begin_rounds(now)
+        return wake
+
+    def _poll_body(self, now: float) -> float:
+        if now < self._next_body - 1e-9:
+            return self._next_body
+        self._next_body = max(self._next_body + self._platform.period, now)
+        if self.phase in ("resting", "rested"):
+            self._platform.rest(now)
+        self._platform.poll(now)
+        self._failures = 0
+        match self.phase:
+            case "starting":
+                self._say(self._platform.progress)
+                if self._platform.ready:
+                    self._begin_joining(now)
+            case "joining" | "running":
+                if self.phase == "joining":
+                    self._say(self._joining.waiting())
+                self._judge(now)
+            case "resting" if self._platform.rested:
+                self._enter("rested", "")
+            case "resting" if self._lost:
+                self._give_up(now)
+        if self.phase == "rested":
+            over = self._rounds is None or self._rounds.over
+            self.done = self._asked_to_end or over or self._broken
+        return self._next_body
+
+    def _begin_joining(self, now: float) -> None:
+        """The body is ready: hold, and run `init` once."""
+        self._enter("joining", "")
+        self._body.hold("joining", True, now)
+        sensed = self._platform.sense(now)
+        self._body.begin(sensed)
+        shared = self._layout.initial(self._params)
+        frame = self._runner.frame(shared, self._body.sensors(sensed), self._body.actuators)
+        done = self._runner.init(frame)
+        if isinstance(done, Fault):
+            self._log("error", f"{done} (in init)")
+            self._rest("init failed", WRONG_PROGRAM)
+            return
+        self._body.command(done.actuators, now)
+        writes = self._layout.writes(done.shared)
+        self._joining.ready(Closing(self._settings.pid, 0, 0, done.stopped, writes))
+
+    def _begin_rounds(self, now: float) -> None:
+        mission = self._joining.mission
+        if mission is None or self.phase != "joining":
+            return
+        memory = Memory(self._layout, self._params, self._settings.pid, mission.inits)
+        self._fleet_clock.lock()
+        self._rounds = Rounds(
+            self._runner,
+            self._body,
+            memory,
+            self._link,
+            self._fleet_clock,
+            self._names,
+            mission.start,
+            self._settings.delta,
+            self._observe,
+        )
+        self._enter("running", f"mission {mission.epoch.hex()}, round 1 at {mission.start:.3f} s of fleet time")
+        if self._rounds.stopped:
+            self._body.hold("stopped", True, now)
+        self._next_body = now
+
+    def _judge(self, now: float) -> None:
+        verdict = self._guard.judge(self._platform.sense(now), now)
+        if verdict.action == "rest":
+            self._rest(verdict.reason, SURROUNDINGS)
+        elif self._body.hold("position", verdict.action == "hold", now):
+            self._log("warning", verdict.reason if verdict.action == "hold" else "own position is fresh again")
+        self._verdict = verdict
+        if self.phase == "running" and self.round > 0:
+            self._body.hold("joining", False, now)
+
+    def _unready(self) -> str | None:
+        return self._verdict.reason if self._verdict.action != "go" else None
+
+    def _rest(self, why: str, status: int) -> None:
+        self.status = self.status or status
+        if self.phase in ("resting", "rested"):
+            return
+        self._resting_since = self._next_body = self._clock.now()  # the next poll calls the platform's `rest`
+        if self._rounds is not None:
+            self._rounds.leave()
+        self._body.retire()
+        self._enter("resting", why)
+
+    def _give_up(self, now: float) -> None:
+        """A body that is lost for good is tried for a while; one that never began to serve has nothing to end."""
+        if not self._started:
+            self.done = True
+        elif now - self._resting_since > LOST_BODY:
+            self._log("error", f"the body did not come to rest within {LOST_BODY:.0f} s")
+            self.done = True
+
+    def _observe(self, record: Record) -> None:
+        rounds = self._rounds
+        assert rounds is not None
+        counters = self.counters()
+        changed = {k: v for k, v in counters.items() if k != "rounds" and self._counted.get(k, 0) != v}
+        self._counted = counters
+        self._trace.round(record, self._fleet_clock.bound(record.time), changed)
+        fault = str(record.fault) if record.fault is not None else ""
+        if fault and fault != self._faulty:
+            self._log("error", f"{fault}; the event is discarded, the robot holds")
+        self._faulty = fault
+        if rounds.counters.in_a_row == self._settings.safety.missed_rounds:
+            self._log("warning", f"{rounds.counters.in_a_row} rounds in a row {record.skipped}")
+        for monitor in tuple(self._monitors):
+            try:
+                monitor(record)
+            except Exception as error:
+                self._monitors.remove(monitor)
+                self._log("error", f"a monitor failed and is off: {type(error).__name__}: {error}")
+
+    def _watch_restarts(self) -> None:
+        if len(self._joining.restarted) > self._known_restarts:
+            self._known_restarts = len(self._joining.restarted)
+            names = ", ".join(self._names[p] for p in sorted(self._joining.restarted))
+            self._log("error", f"{names} began anew during the mission and cannot come back: end all and start again")
+
+    def _enter(self, phase: str, detail: str) -> None:
+        self.phase = phase
+        self._said = ""
+        self._trace.phase(self._clock.now(), phase, detail)
+        self._line("info", f"{phase}: {detail}" if detail else phase)
+
+    def _say(self, progress: str) -> None:
+        if progress and progress != self._said:
+            self._said = progress
+            self._trace.phase(self._clock.now(), self.phase, progress)
+            self._line("info", progress)
+
+    def _report(self, text: str) -> None:
+        self._log("error", text)
+
+    def _log(self, level: str, text: str) -> None:
+        self._trace.log(self._clock.now(), level, text)
+        self._line(level, text)
+
+    def _line(self, level: str, text: str) -> None:
+        now = self._clock.now()
+        time = f"{self._fleet_clock.read(now):.3f}" if self._fleet_clock.known else "?"
+        self._emit(level, f"{time} round {self.round} {self._settings.robot}: {level}: {text}")

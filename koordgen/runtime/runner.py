@@ -1,0 +1,108 @@
+"""Runs one robot's program: its locals, one event at a time, within the time it has."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass
+from types import FrameType
+from typing import Any
+
+from koordgen.runtime.clock import Clock
+from koordgen.runtime.program import Effects, Event, Fault, Frame, Program, choose, run
+
+Limit = Callable[[float], AbstractContextManager[None]]
+
+
+class Overrun(Exception):
+    """Raised within an event that has used up its time."""
+
+
+def unlimited(seconds: float) -> AbstractContextManager[None]:
+    """No interruption: an event that takes too long is only noticed when it ends."""
+    return nullcontext()
+
+
+@contextmanager
+def interrupting(seconds: float) -> Iterator[None]:
+    """Interrupt what runs inside after so many seconds (Overrun), by the process's real-time timer: a loop that does
+    not end must not keep the robot from its control loop. Main thread only."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    armed = True
+
+    def ring(number: int, frame: FrameType | None) -> None:
+        if armed:
+            raise Overrun("not finished by the round's publish deadline")
+
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.setitimer(signal.ITIMER_REAL, max(1e-4, seconds), 0.05)  # again, should an `except` swallow the first
+    try:
+        yield
+    finally:
+        armed = False
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a round's attempt came to: no event enabled (all None), an event's effects, or a fault with none."""
+
+    event: str | None = None
+    effects: Effects | None = None
+    fault: Fault | None = None
+
+
+class Runner:
+    """One program on one robot. `locals` change only when an event counts."""
+
+    def __init__(
+        self, program: Program, params: Mapping[str, Any], pid: int, n_sys: int, clock: Clock, limit: Limit
+    ) -> None:
+        self.program = program
+        self.params = params
+        self.locals: Mapping[str, Any] = {v.name: v.initial(params) for v in program.locals}
+        self._pid = pid
+        self._n_sys = n_sys
+        self._clock = clock
+        self._limit = limit
+
+    def frame(self, shared: Mapping[str, Any], sensors: Mapping[str, Any], actuators: Mapping[str, Any]) -> Frame:
+        return Frame(self._pid, self._n_sys, self.params, self.locals, shared, sensors, actuators)
+
+    def init(self, frame: Frame) -> Effects | Fault:
+        """Run the program's `init`; without one nothing is written."""
+        if self.program.init is None:
+            return Effects(self.locals, {}, {}, False)
+        done = run(self.program, self.program.init, frame)
+        if isinstance(done, Effects):
+            self.locals = done.locals
+        return done
+
+    def step(self, frame: Frame, deadline: float) -> Outcome:
+        """Choose and run this round's event; what is not finished by `deadline` (local time) is discarded whole."""
+        event: Event | None = None
+        done: Effects | Fault
+        try:
+            with self._limit(deadline - self._clock.now()):
+                chosen = choose(self.program, frame)
+                if chosen is None:
+                    return Outcome()
+                if isinstance(chosen, Fault):
+                    return Outcome(fault=chosen)
+                event = chosen
+                done = run(self.program, event.effect, frame)
+        except Overrun as overrun:  # it rang outside the event's own text
+            done = Fault(self.program.source, event.line if event else 0, str(overrun))
+        name = event.name if event else None
+        if isinstance(done, Fault):
+            return Outcome(name, fault=done)
+        if self._clock.now() > deadline:
+            late = "not finished by the round's publish deadline"
+            return Outcome(name, fault=Fault(self.program.source, event.line if event else 0, late))
+        self.locals = done.locals
+        return Outcome(name, done)
