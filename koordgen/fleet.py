@@ -15,7 +15,7 @@ _NAME = re.compile(r"[a-z][a-z0-9_-]{0,31}")
 _ADDRESS = re.compile(r"([A-Za-z0-9.-]+|\[[0-9A-Fa-f:.]+\]):(\d{1,5})")
 # Thresholds of the safety layer, with the defaults of koordgen/runtime/settings.py (a test compares them).
 SAFETY = {"position_stale": 0.5, "position_lost": 2.0, "missed_rounds": 10, "outside_fence": 0.5}
-MOST_ROBOTS = 256
+MOST_ROBOTS = 128  # as koordgen/runtime/wire.py allows (a test compares them)
 
 
 class Robot(Node):

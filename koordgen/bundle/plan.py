@@ -1,0 +1,179 @@
+"""What goes into each bundle: pure, from a checked program, targets and a fleet to a dict of path -> bytes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from koordgen import __version__
+from koordgen.bundle.manifest import Target
+from koordgen.bundle.write import SUMS, sums
+from koordgen.emit.program import interface_hash, program_hash, program_text
+from koordgen.emit.render import render
+from koordgen.fleet import Fleet, Robot
+from koordgen.ir.decl import Program
+from koordgen.node import Node
+
+Files = dict[str, bytes]
+
+
+class Ingredients(Node):
+    """All that a plan is made from, read beforehand. `common` are the files that every bundle holds, `target_files`
+    those of each target by its name, both by their path inside a bundle."""
+
+    program: Program
+    source: bytes
+    targets: tuple[Target, ...]
+    fleet: Fleet | None
+    common: Files
+    target_files: dict[str, Files]
+
+
+def plan(these: Ingredients, wanted: Iterable[str]) -> dict[str, Files]:
+    """Bundle name -> relative path -> bytes, for the targets named in `wanted`: with a fleet one bundle a robot,
+    the harnesses that were asked for, and `fleet`; without one, one bundle a target."""
+    text = program_text(these.program).encode()
+    agents = {t.name: t for t in these.targets if t.kind == "agent"}
+    harnesses = [t for t in these.targets if t.kind == "harness" and t.name in wanted]
+    if these.fleet is None:
+        built = {t.name: _agent(these, t, text, None) for t in agents.values() if t.name in wanted}
+        bundles = dict(built)
+    else:
+        built = {r.name: _agent(these, agents[r.target], text, r) for r in these.fleet.robots}
+        bundles = {r.name: built[r.name] for r in these.fleet.robots if r.target in wanted}
+        bundles["fleet"] = _finished({"fleet.json": _json(_facts(these.program, these.fleet))})
+    for harness in harnesses:
+        bundles[harness.name] = _harness(these, harness, built)
+    return bundles
+
+
+def _agent(these: Ingredients, target: Target, text: bytes, robot: Robot | None) -> Files:
+    module, _, name = target.entry.partition(":")
+    program, fleet = these.program, these.fleet
+    values = {
+        "app": program.name,
+        "robot": robot.name if robot else "",
+        "pid": robot.pid if robot else "",
+        "key": fleet.key if fleet else "",
+        "target": target.name,
+        "summary": target.summary,
+        "source": program.path,
+        "version": __version__,
+        "program_hash": program_hash(program),
+        "interface_hash": interface_hash(program),
+    }
+    files = {
+        **these.common,
+        **these.target_files[target.name],
+        "__main__.py": render("main_agent.py", module=module, name=name).encode(),
+        "program.py": text,
+        program.path: these.source,
+        "requirements.txt": _requirements(target),
+        "README.md": render("README_agent.md", **values).encode(),
+    }
+    if robot is not None and fleet is not None:
+        files["settings.json"] = _json(settings(program, fleet, robot))
+    return _finished(files)
+
+
+def _harness(these: Ingredients, target: Target, agents: dict[str, Files]) -> Files:
+    module, _, name = target.entry.partition(":")
+    program, fleet = these.program, these.fleet
+    robots = [(r.name, r.target) for r in fleet.robots] if fleet else []
+    files = {
+        **these.common,
+        **these.target_files[target.name],
+        "__main__.py": render("main_harness.py", module=module, name=name).encode(),
+        "requirements.txt": _requirements(target),
+        "README.md": render(
+            "README_harness.md", app=program.name, source=program.path, target=target.name, summary=target.summary,
+            version=__version__, robots=robots,
+        ).encode(),
+    }  # fmt: skip
+    for agent, contents in agents.items():
+        files.update({f"agents/{agent}/{path}": data for path, data in contents.items()})
+    if fleet is not None:
+        files["scenario.json"] = _json(_scenario(these, fleet, target))
+    return _finished(files)
+
+
+def _finished(files: Files) -> Files:
+    return {**files, SUMS: sums(files)}
+
+
+def _requirements(target: Target) -> bytes:
+    return "".join(f"{line}\n" for line in target.requirements).encode()
+
+
+def _json(value: Any) -> bytes:
+    return (json.dumps(value, indent=2) + "\n").encode()
+
+
+def _facts(program: Program, fleet: Fleet) -> dict[str, Any]:
+    """What all robots of the fleet share."""
+    return {
+        "app": program.name,
+        "program_hash": program_hash(program),
+        "interface_hash": interface_hash(program),
+        "application_id": fleet.application_id,
+        "delta": fleet.delta,
+        "origin": fleet.origin,
+        "geofence": fleet.geofence,
+        "peers": [{"name": r.name, "host": r.host, "port": r.port} for r in fleet.robots],
+    }
+
+
+def settings(program: Program, fleet: Fleet, robot: Robot) -> dict[str, Any]:
+    """One robot's `settings.json`, as koordgen/runtime/settings.py reads it."""
+    facts = _facts(program, fleet)
+    shared = {k: facts[k] for k in ("app", "application_id", "delta", "origin", "geofence", "peers")}
+    return {
+        "robot": robot.name,
+        "pid": robot.pid,
+        **shared,
+        "key_file": fleet.key or None,
+        "insecure": fleet.insecure,
+        "safety": fleet.safety,
+        "body": robot.settings,
+    }
+
+
+def _scenario(these: Ingredients, fleet: Fleet, harness: Target) -> dict[str, Any]:
+    by_name = {t.name: t for t in these.targets}
+    facts = _facts(these.program, fleet)
+    return {
+        "app": these.program.name,
+        "source": these.program.path,
+        **{k: facts[k] for k in ("program_hash", "delta", "origin", "geofence")},
+        "harness": fleet.harness.get(harness.name) or {k: s.default for k, s in harness.settings.items()},
+        "robots": [
+            {
+                "name": r.name,
+                "pid": r.pid,
+                "target": r.target,
+                "bundle": f"agents/{r.name}",
+                **by_name[r.target].simulation,
+                "start": r.start,
+                "settings": r.settings,
+            }
+            for r in fleet.robots
+        ],
+    }
+
+
+def read_ingredients(
+    program: Program, source: bytes, targets: tuple[Target, ...], fleet: Fleet | None, package: Path
+) -> Ingredients:
+    """Reads every file that is copied whole. `package` is the koordgen package itself."""
+    common = {"koordgen/__init__.py": (package / "__init__.py").read_bytes()}
+    common.update(_folder(package / "runtime", "koordgen/runtime"))
+    common["targets/__init__.py"] = (targets[0].folder.parent / "__init__.py").read_bytes()
+    return Ingredients(
+        program, source, targets, fleet, common, {t.name: _folder(t.folder, f"targets/{t.name}") for t in targets}
+    )
+
+
+def _folder(folder: Path, prefix: str) -> Files:
+    return {f"{prefix}/{p.name}": p.read_bytes() for p in sorted(folder.glob("*.py"))}
