@@ -56,14 +56,15 @@ class Estimator:
 
     def correct(self, pose: Pose, measured: float, now: float) -> None:
         """Take a pose that was true at `measured`, after predicting to `now`."""
+        first = self._sample is None
         self._differentiate(pose, measured)
         state = self._state
         # What was true then is brought to now by the motion since.
         since = State(pose.position.x, pose.position.y, pose.yaw, state.speed, state.steering)
         here = advance(since, max(0.0, now - measured), self._wheelbase)
         dx, dy, turned = here.x - state.x, here.y - state.y, wrap(here.yaw - state.yaw)
-        first = self._time is None or math.hypot(dx, dy) > JUMP
-        gain, yaw_gain = (1.0, 1.0) if first else (POSITION_GAIN, YAW_GAIN)
+        lost = first or math.hypot(dx, dy) > JUMP
+        gain, yaw_gain = (1.0, 1.0) if lost else (POSITION_GAIN, YAW_GAIN)
         yaw = wrap(state.yaw + yaw_gain * turned)
         self._state = replace(state, x=state.x + gain * dx, y=state.y + gain * dy, yaw=yaw)
         self._time = now

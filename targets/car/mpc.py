@@ -57,6 +57,11 @@ class Mpc:
         self._plan: list[float] = []
         self.failures = 0
 
+    def warm_up(self) -> None:
+        """Solve once for nothing: a first solve allocates, which a control step has no time for."""
+        self.follow(State(0.0, 0.0, 0.0), [State(0.0, 0.0, 0.0)] * STEPS)
+        self.reset()
+
     def reset(self) -> None:
         """Forget the plan: the car has been stopped by other means."""
         self._plan = []

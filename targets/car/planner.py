@@ -19,6 +19,7 @@ SPACING = 0.05  # metres between the samples of a path, at most
 REVERSE_PRICE = 0.5  # a metre driven backwards counts this much more than one forwards
 GEAR_PRICE = 0.5  # a change of gear counts like these metres: the car has to stop for it
 # A step that covers less than this part of its length has a gear change in it; arcs within a step bend it far less.
+SHORTEST_ARC = 0.005  # metres
 STRAIGHTNESS = 0.995
 
 Triple = tuple[float, float, float]  # x, y (metres), yaw (radians)
@@ -107,6 +108,25 @@ class Planner:
                 best, least = path, price
         return best
 
+    def arc(self, start: Triple, goal: tuple[float, float], gear: int, tolerance: float) -> list[Segment]:
+        """One arc without a change of gear that ends within `tolerance` metres of the goal, or [] when there is none:
+        what a target that has moved by centimetres calls for. `gear` 0 leaves the gear open."""
+        cosine, sine = math.cos(start[2]), math.sin(start[2])
+        east, north = goal[0] - start[0], goal[1] - start[1]
+        ahead, aside = cosine * east + sine * north, cosine * north - sine * east
+        away = max(math.hypot(ahead, aside), 1e-9)
+        bend = max(-1 / self._radius, min(1 / self._radius, 2 * aside / away**2))
+        bend = math.copysign(max(abs(bend), 1e-6), bend)  # a straight line is an arc of 1000 km
+        along = math.atan2(bend * ahead, 1 - bend * aside) / bend  # the place on it that is nearest to the goal
+        if abs(along) < SHORTEST_ARC or gear * along < 0 or abs(along) > math.pi / 2 * self._radius:
+            return []
+        steps = max(2, math.ceil(abs(along) / SPACING))
+        points = [_on_arc(start, bend, along * i / steps) for i in range(steps + 1)]
+        area = self._area.with_point(start[0], start[1])
+        if math.dist(points[-1][:2], goal) > tolerance or not all(area.contains(x, y) for x, y, _ in points):
+            return []
+        return [_segment(1 if along > 0 else -1, points)]
+
     def _tangents(self, start: Triple, goal: tuple[float, float]) -> Iterator[float]:
         """The headings at which one turn and a straight line arrive, to either side and in either gear: the shortest
         ways to a point, which a grid of headings would only come near to."""
@@ -149,6 +169,13 @@ class Planner:
             last = points[-1][2]
             points.append((at.getX(), at.getY(), last + wrap(at.getYaw() - last)))
         return points
+
+
+def _on_arc(start: Triple, bend: float, along: float) -> Triple:
+    half = bend * along / 2
+    chord = 2 * math.sin(half) / bend
+    heading = start[2] + half
+    return (start[0] + chord * math.cos(heading), start[1] + chord * math.sin(heading), start[2] + 2 * half)
 
 
 def _segments(points: list[Triple], forward: list[float], step: float) -> list[Segment]:

@@ -17,6 +17,7 @@ LATERAL = 0.6  # of the acceleration limit may be used sideways on a curve
 BRAKING = 0.6  # ... and for braking: the rest is for errors
 NEAR = 0.02  # metres before its end at which a segment counts as driven, when the car is
 SLOW = 0.05  # m/s or slower
+TURN_BACK = 0.10  # metres before a change of gear from which on it is certain
 LOOK_BACK, LOOK_AHEAD = 0.2, 0.6  # metres around the last place in which the present one is looked for
 
 
@@ -121,6 +122,16 @@ class Tracker:
         self._tracks = []
         self._mpc.reset()
         self.done = True
+
+    @property
+    def gear(self) -> int:
+        """The direction of the segment being driven; 0: none is."""
+        return self._tracks[0].segment.direction if self._tracks and not self.done else 0
+
+    @property
+    def turning_back(self) -> bool:
+        """Whether the car is about to stand and change gear."""
+        return len(self._tracks) > 1 and self._tracks[0].length - self._tracks[0].station < TURN_BACK
 
     @property
     def error(self) -> float:

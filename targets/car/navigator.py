@@ -1,0 +1,171 @@
+"""Brings the car to a point that may move: when to plan, when to drive, when to stand, and what counts as reached."""
+
+from __future__ import annotations
+
+import math
+
+from koordgen.runtime.settings import Box
+from targets.car.bicycle import State
+from targets.car.mpc import BLIND_STEPS, Command, Limits, Mpc
+from targets.car.planner import Area, Planner
+from targets.car.settings import CarSettings
+from targets.car.tracker import Tracker
+
+STANDING = 0.05  # m/s or slower is standing
+FENCE_MARGIN = 0.05  # metres kept from the geofence, for tracking errors
+MOVED, MOVED_SHARE = 0.02, 0.05  # a target that moved by these metres and this share of its distance needs a new path
+ARC_REACH = 0.5  # metres: a target so near is first tried by a single arc
+CLOSE = 0.4  # of the radius: as close as an arc has to come
+OFF_PATH = 0.25  # metres from the path that call for a new one
+RETRY = 1.0  # seconds until a plan that failed is tried again
+SETTLE = 1.0  # seconds beyond the radius, but within 1.5 radii, after which the car drives again
+LAG = 0.1  # seconds in which the measured speed follows the commanded one
+SLIP = 0.5  # m/s between commanded and measured speed, at most: a blocked car must not wind up
+
+
+class Navigator:
+    """One car's way to its target. Positions are of the rear axle's middle, metres, local ENU."""
+
+    def __init__(self, settings: CarSettings, fence: Box) -> None:
+        limits = Limits(
+            settings.wheelbase,
+            settings.max_speed,
+            settings.max_acceleration,
+            settings.steering_limit,
+            settings.max_steering_rate,
+        )
+        self._settings = settings
+        margin = min(FENCE_MARGIN, settings.reached_radius / 2)
+        (west, east), (south, north) = sorted((fence.lo.x, fence.hi.x)), sorted((fence.lo.y, fence.hi.y))
+        self._area = Area(west + margin, south + margin, east - margin, north - margin)
+        self._planner = Planner(settings.planned_radius, self._area)
+        mpc = Mpc(limits)
+        mpc.warm_up()
+        self._tracker = Tracker(limits, mpc)
+        self._target: tuple[float, float] | None = None
+        self._planned_for: tuple[float, float] | None = None
+        self._failed_for: tuple[float, float] | None = None
+        self._arrival: float | None = None  # heading at the end of the present path
+        self._retry_at = 0.0
+        self._arrived = False
+        self._away_since: float | None = None
+        self._near_since: float | None = None
+        self._near_target: tuple[float, float] | None = None
+        self._last = Command(0.0, 0.0)
+        self.reached = True
+        self.progress = "standing: no target yet"
+
+    @property
+    def steering(self) -> float:
+        """The angle commanded last, radians."""
+        return self._last.steering
+
+    def go_to(self, target: tuple[float, float]) -> None:
+        """Take a target; it is brought inside the margin to the geofence, which is smaller than the radius."""
+        area = self._area
+        self._target = (max(area.west, min(area.east, target[0])), max(area.south, min(area.north, target[1])))
+        if self._near_target is None or math.dist(self._near_target, self._target) > self._settings.reached_radius / 10:
+            self.reached = False
+            self._near_since = None
+
+    def pause(self) -> None:
+        """The car is being braked by others: drop the path, keep the target."""
+        self._tracker.stop()
+        self._planned_for = None
+        self._last = Command(0.0, self._last.steering)
+
+    def watch(self, state: State, standing: bool, now: float) -> None:
+        """Judge whether the target is reached: the car stands within the radius, and has for the dwell time."""
+        if self._target is None:
+            return
+        near = math.dist((state.x, state.y), self._target) <= self._settings.reached_radius
+        if not (near and standing):
+            self.reached = False
+            self._near_since = None
+            return
+        if self._near_since is None:
+            self._near_since, self._near_target = now, self._target
+        self.reached = now - self._near_since >= self._settings.reached_dwell
+
+    def step(self, state: State, standing: bool, now: float) -> Command | None:
+        """What to drive for the next step; None is: brake. `state.speed` is measured."""
+        self.watch(state, standing, now)
+        command = self._drive(state, standing, now)
+        if command is None:
+            self.pause()
+        else:
+            self._last = command
+        return command
+
+    def _drive(self, state: State, standing: bool, now: float) -> Command | None:
+        if self._target is None:
+            return None
+        away = math.dist((state.x, state.y), self._target)
+        if self._stays(away, now):
+            self.progress = "standing at the target"
+            return None
+        if self._tracker.done and not standing:
+            return None  # the end of a path, or of a pause: stand first
+        if self._tracker.done and away <= self._settings.reached_radius:
+            self._arrived = True
+            return None
+        if not self._plan(state, away, now):
+            return None
+        self.progress = f"driving, {away:.1f} m to go"
+        speed = max(state.speed - SLIP, min(state.speed + SLIP, self._last.speed))
+        # Until the speed has become the commanded one, the car will have gone this much farther than the model thinks.
+        extra = LAG * (state.speed - speed)
+        x, y = state.x + extra * math.cos(state.yaw), state.y + extra * math.sin(state.yaw)
+        command = self._tracker.step(State(x, y, state.yaw, speed, self._last.steering))
+        if self._tracker.failures > BLIND_STEPS:
+            self.progress = "braking: the controller finds no way to follow the path"
+            return None
+        return None if self._tracker.done else command
+
+    def _stays(self, away: float, now: float) -> bool:
+        """Whether a car that has arrived stays where it is. It goes on when the target is 1.5 radii away, or has been
+        beyond the radius for a while: noise and small moves are not followed, yet no error remains."""
+        radius = self._settings.reached_radius
+        if not self._arrived:
+            return False
+        if away <= radius:
+            self._away_since = None
+            return True
+        if self._away_since is None:
+            self._away_since = now
+        if away <= 1.5 * radius and now - self._away_since < SETTLE:
+            return True
+        self._arrived, self._away_since = False, None
+        return False
+
+    def _plan(self, state: State, away: float, now: float) -> bool:
+        """Whether there is a path to follow, planning one if needed."""
+        target = self._target
+        if target is None:
+            return False
+        driving = not self._tracker.done and self._tracker.error <= OFF_PATH
+        # A change of gear, once near, is made: planned anew each time the target moves, it would recede for ever.
+        if driving and (self._tracker.turning_back or _same(self._planned_for, target, MOVED + MOVED_SHARE * away)):
+            return True
+        if _same(self._failed_for, target, MOVED) and now < self._retry_at:
+            return False
+        gear = self._tracker.gear or (0 if abs(state.speed) <= STANDING else int(math.copysign(1, state.speed)))
+        start = (state.x, state.y, state.yaw)
+        close = CLOSE * self._settings.reached_radius
+        path = self._planner.arc(start, target, gear, close) if away <= ARC_REACH else []
+        if not path and away <= close:
+            self.progress = "standing at the target"  # nearer would take a manoeuvre
+            return False
+        path = path or self._planner.plan(start, target, gear, self._arrival)
+        if not path:
+            self.progress = f"standing: no path inside the geofence leads to ({target[0]:.2f}, {target[1]:.2f})"
+            self._failed_for, self._retry_at, self._arrival = target, now + RETRY, None
+            return False
+        self._planned_for, self._failed_for = target, None
+        self._arrival = path[-1].poses[-1].yaw
+        self._tracker.take(path)
+        return True
+
+
+def _same(before: tuple[float, float] | None, target: tuple[float, float], within: float) -> bool:
+    return before is not None and math.dist(before, target) <= within

@@ -1,0 +1,238 @@
+"""The car behind the Motion ports: goes to points, holds, comes to rest. One polled state machine at 20 Hz.
+
+`Motion.position` and `Motion.pose` are of the middle of the rear axle, in local ENU, z = 0; that is also the point that
+comes to a target, whose z is ignored, and the point that the position feed must give.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from koordgen.runtime.feed import Feed
+from koordgen.runtime.platform import Sensed, Unready
+from koordgen.runtime.settings import Settings
+from koordgen.runtime.values import Point, Pose
+from targets.car.drive import Drive
+from targets.car.estimator import Estimator
+from targets.car.links import DatagramLink, Links, RealLinks
+from targets.car.mpc import STEP
+from targets.car.navigator import STANDING, Navigator
+from targets.car.settings import decode
+
+STALE = 0.3  # seconds without a sample of the position feed: brake
+WAIT_FOR_DRIVE, WAIT_FOR_FEED = 5.0, 60.0  # seconds until Unready; a base station may be started after the robots
+BLIND_BRAKING = 2.0  # seconds of braking after which a car whose speed nobody measures counts as standing
+STILL = 0.3  # seconds at standstill that make a rest
+DATAGRAMS_A_POLL = 64  # a flood must not keep the control loop from its work
+SLACK = 0.005  # seconds: polls that come at the period's pace, but for jitter, each run the controller
+_CHECK_STEP, _CHECK_STEPS = 0.05, 60
+
+
+class Car:
+    """koordgen.runtime.platform.Platform for an F1/10-class car: VESC over serial, position feed over UDP."""
+
+    period = STEP
+
+    def __init__(self, settings: Settings, key: bytes | None, links: Links | None = None) -> None:
+        self._settings = decode(settings.body)
+        self._fence = settings.geofence
+        self._links: Links = links if links is not None else RealLinks()
+        self._feed = Feed(settings.robot, key)
+        self._estimator = Estimator(self._settings.wheelbase)
+        self._datagrams: DatagramLink | None = None
+        self._drive: Drive | None = None
+        self._navigator: Navigator | None = None
+        self._now = 0.0
+        self._started = 0.0
+        self._next_control = -math.inf
+        self._still_since: float | None = None
+        self._resting_since: float | None = None
+        self._holding = False
+        self._blocked = ""  # why the car brakes, in words; "" when it does not
+
+    def check(self) -> list[str]:
+        drive, datagrams = self._open()
+        speed: float | None = None
+        fed = False
+        for i in range(_CHECK_STEPS):
+            now = i * _CHECK_STEP
+            drive.ask(now)
+            self._links.wait(_CHECK_STEP)
+            speed = drive.read(now) if speed is None else speed
+            while not fed and (datagram := datagrams.receive()) is not None:
+                fed = self._feed.take(datagram, now)
+            if fed and speed is not None:
+                break
+        if speed is None:
+            raise self._silent_drive(_CHECK_STEPS * _CHECK_STEP)
+        if not fed:
+            raise self._silent_feed(_CHECK_STEPS * _CHECK_STEP)
+        self._build()
+        position = self._feed.pose.position if self._feed.pose else Point()
+        return [
+            f"motor controller answers on {self._settings.drive}, supply {drive.voltage:.1f} V",
+            f"position feed arrives on {self._settings.position}: ({position.x:.2f}, {position.y:.2f})",
+            f"planner and MPC are ready, turning radius {self._settings.planned_radius:.2f} m",
+        ]
+
+    def start(self, now: float) -> None:
+        self._open()
+        self._navigator = self._build()
+        self._now = self._started = now
+
+    def _open(self) -> tuple[Drive, DatagramLink]:
+        """Open both links, if they are not open: the socket first, for opening a VESC's port can take a moment."""
+        if self._datagrams is None:
+            self._datagrams = self._links.position(self._settings.position)
+        if self._drive is None:
+            self._drive = Drive(self._settings, self._links.drive(self._settings.drive))
+        return self._drive, self._datagrams
+
+    def _build(self) -> Navigator:
+        try:
+            return Navigator(self._settings, self._fence)
+        except ImportError as error:
+            hint = "install the bundle's requirements.txt (64-bit systems only)"
+            raise Unready(f"a package is missing: {error}", hint) from None
+
+    def poll(self, now: float) -> None:
+        self._now = now
+        drive = self._read(now)
+        if now < self._next_control - SLACK:
+            return
+        self._next_control = max(self._next_control, now) + STEP
+        self._control(drive, now)
+
+    def _read(self, now: float) -> Drive:
+        drive, datagrams = self._opened()
+        speed = drive.read(now)
+        if speed is not None:
+            self._estimator.wheels(speed, now)
+        steering = self._navigator.steering if self._navigator else 0.0
+        self._estimator.predict(now, steering)
+        for _ in range(DATAGRAMS_A_POLL):
+            datagram = datagrams.receive()
+            if datagram is None:
+                break
+            if self._feed.take(datagram, now) and self._feed.pose is not None and self._feed.time is not None:
+                self._estimator.correct(self._feed.pose, self._feed.time, now)
+        self._wait_for_links(drive, now)
+        moving = self._estimator.speed(now)
+        if moving is None or abs(moving) > STANDING:
+            self._still_since = None
+        elif self._still_since is None:
+            self._still_since = now
+        return drive
+
+    def _opened(self) -> tuple[Drive, DatagramLink]:
+        if self._drive is None or self._datagrams is None:
+            raise Unready("the car's links are closed")
+        return self._drive, self._datagrams
+
+    def _wait_for_links(self, drive: Drive, now: float) -> None:
+        waited = now - self._started
+        if not drive.heard and waited > WAIT_FOR_DRIVE:
+            raise self._silent_drive(waited)
+        if self._feed.time is None and waited > WAIT_FOR_FEED and self._resting_since is None:
+            raise self._silent_feed(waited)
+
+    def _control(self, drive: Drive, now: float) -> None:
+        navigator = self._navigator
+        if navigator is None:
+            return
+        self._blocked = self._obstacle(drive, now)
+        standing = self._still_since is not None
+        if self._blocked:
+            navigator.pause()
+            navigator.watch(self._estimator.state, standing and self._fresh(now), now)
+            drive.brake(now)
+            return
+        command = navigator.step(self._estimator.state, standing, now)
+        if command is None:
+            drive.brake(now)
+        else:
+            drive.go(command, now)
+
+    def _obstacle(self, drive: Drive, now: float) -> str:
+        """What forbids driving now, in words; "" when nothing does."""
+        if self._resting_since is not None:
+            return "at rest" if self.rested else "braking to rest"
+        if not drive.heard:
+            return f"waiting for the motor controller on {self._settings.drive}"
+        if self._feed.time is None:
+            return f"waiting for the position feed on {self._settings.position}{self._rejections()}"
+        if not self._fresh(now):
+            return f"braking: the position is {now - self._feed.time:.1f} s old"
+        if drive.fault:
+            return f"braking: the motor controller reports fault {drive.fault}"
+        return "holding" if self._holding else ""
+
+    def _fresh(self, now: float) -> bool:
+        return self._feed.time is not None and now - self._feed.time <= STALE
+
+    def _rejections(self) -> str:
+        rejected = self._feed.rejected
+        return f"; dropped: {', '.join(f'{n} {why}' for why, n in rejected.items())}" if rejected else ""
+
+    def _silent_drive(self, seconds: float) -> Unready:
+        hint = "switch its supply on; check that `drive` names the VESC and that its USB or UART app is enabled"
+        return Unready(f"the motor controller on {self._settings.drive} has not answered for {seconds:.0f} s", hint)
+
+    def _silent_feed(self, seconds: float) -> Unready:
+        hint = "start the base station; check that it knows this robot's name, address and the fleet's key"
+        message = f"no position has arrived on {self._settings.position} for {seconds:.0f} s"
+        return Unready(message + self._rejections(), hint)
+
+    @property
+    def ready(self) -> bool:
+        return self._drive is not None and self._drive.heard and self._drive.fault == 0 and self._fresh(self._now)
+
+    @property
+    def progress(self) -> str:
+        if self._navigator is None:
+            return "not started"
+        return self._blocked or self._navigator.progress
+
+    def sense(self, now: float) -> Sensed:
+        """The filtered pose, run on to `now`."""
+        state = self._estimator.state
+        position = Point(state.x, state.y, 0.0)
+        speed = self._estimator.speed(now) or 0.0
+        values = {
+            "Motion.position": position,
+            "Motion.pose": Pose(position, state.yaw),
+            "Motion.velocity": Point(speed * math.cos(state.yaw), speed * math.sin(state.yaw), 0.0),
+            "Motion.reached": self._navigator is None or self._navigator.reached,
+        }
+        return Sensed(values, self._feed.time)
+
+    def command(self, actuators: Mapping[str, Any], now: float) -> None:
+        target = actuators.get("Motion.target")
+        if isinstance(target, Point) and self._navigator is not None:
+            self._navigator.go_to((target.x, target.y))
+
+    def hold(self, on: bool, now: float) -> None:
+        self._holding = on
+
+    def rest(self, now: float) -> None:
+        if self._resting_since is None:
+            self._resting_since = now
+
+    @property
+    def rested(self) -> bool:
+        """Braked and standing; when nobody measures the speed any more, braked for two seconds."""
+        since = self._resting_since
+        if since is None:
+            return False
+        if self._still_since is not None:
+            return self._now - max(since, self._still_since) >= STILL
+        return self._estimator.speed(self._now) is None and self._now - since >= BLIND_BRAKING
+
+    def close(self) -> None:
+        if self._drive is not None:
+            self._drive.close()
+        if self._datagrams is not None:
+            self._datagrams.close()
+        self._drive = self._datagrams = None
