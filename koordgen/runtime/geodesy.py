@@ -1,0 +1,91 @@
+"""WGS-84: geodetic coordinates to and from a local ENU frame, exact, also at the poles and the date line.
+
+Latitudes and longitudes in degrees, longitudes within -180 to 180; heights and all else in metres. The height above
+mean sea level (AMSL) that autopilots and fleet files use stands in for the height above the ellipsoid: as long as
+origin and points use the same one, the geoid's height scales distances by less than 2e-5 and moves nothing else.
+
+Formulas: B. Hofmann-Wellenhof, H. Lichtenegger, J. Collins, "GPS: Theory and Practice", section 10.2; the way back
+iterates B. R. Bowring's (Survey Review 23, 1976) twice, which leaves rounding only, up to heights of 100 km.
+"""
+
+from __future__ import annotations
+
+import math
+
+Vector = tuple[float, float, float]
+
+SEMI_MAJOR = 6378137.0
+FLATTENING = 1 / 298.257223563
+SEMI_MINOR = SEMI_MAJOR * (1 - FLATTENING)
+_E2 = FLATTENING * (2 - FLATTENING)  # first eccentricity, squared
+_EP2 = _E2 / (1 - _E2)  # second eccentricity, squared
+
+
+def ecef(latitude: float, longitude: float, altitude: float) -> Vector:
+    """Earth-centred, earth-fixed coordinates of a geodetic place."""
+    phi, lam = math.radians(latitude), math.radians(longitude)
+    normal = SEMI_MAJOR / math.sqrt(1 - _E2 * math.sin(phi) ** 2)  # radius of curvature in the prime vertical
+    radius = (normal + altitude) * math.cos(phi)
+    return radius * math.cos(lam), radius * math.sin(lam), (normal * (1 - _E2) + altitude) * math.sin(phi)
+
+
+def geodetic(x: float, y: float, z: float) -> Vector:
+    """Latitude, longitude and altitude of an ECEF point that is not near the earth's centre."""
+    p = math.hypot(x, y)
+    beta = math.atan2(z * SEMI_MAJOR, p * SEMI_MINOR)  # parametric latitude
+    phi = 0.0
+    for _ in range(2):
+        phi = math.atan2(
+            z + _EP2 * SEMI_MINOR * math.sin(beta) ** 3,
+            p - _E2 * SEMI_MAJOR * math.cos(beta) ** 3,
+        )
+        beta = math.atan2((1 - FLATTENING) * math.sin(phi), math.cos(phi))
+    sine = math.sin(phi)
+    # This form of the height, unlike p / cos(phi) - N, is stable at the poles.
+    height = p * math.cos(phi) + z * sine - SEMI_MAJOR * math.sqrt(1 - _E2 * sine * sine)
+    return math.degrees(phi), math.degrees(math.atan2(y, x)), height
+
+
+def _axes(latitude: float, longitude: float) -> tuple[Vector, Vector, Vector]:
+    """The unit vectors east, north and up at a place, in ECEF."""
+    phi, lam = math.radians(latitude), math.radians(longitude)
+    sp, cp, sl, cl = math.sin(phi), math.cos(phi), math.sin(lam), math.cos(lam)
+    return (-sl, cl, 0.0), (-sp * cl, -sp * sl, cp), (cp * cl, cp * sl, sp)
+
+
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+class LocalFrame:
+    """The local ENU frame whose origin is a geodetic place: x east, y north, z up, tangent to the ellipsoid there."""
+
+    def __init__(self, latitude: float, longitude: float, altitude: float) -> None:
+        self._origin = ecef(latitude, longitude, altitude)
+        self._east, self._north, self._up = _axes(latitude, longitude)
+
+    def enu(self, latitude: float, longitude: float, altitude: float) -> Vector:
+        """The ENU coordinates of a geodetic place."""
+        x, y, z = ecef(latitude, longitude, altitude)
+        d = (x - self._origin[0], y - self._origin[1], z - self._origin[2])
+        return _dot(d, self._east), _dot(d, self._north), _dot(d, self._up)
+
+    def geodetic(self, x: float, y: float, z: float) -> Vector:
+        """Latitude, longitude and altitude of a point in this frame."""
+        (ox, oy, oz), e, n, u = self._origin, self._east, self._north, self._up
+        return geodetic(
+            ox + x * e[0] + y * n[0] + z * u[0],
+            oy + x * e[1] + y * n[1] + z * u[1],
+            oz + x * e[2] + y * n[2] + z * u[2],
+        )
+
+    def turned(self, latitude: float, longitude: float, north: float, east: float, down: float) -> Vector:
+        """A direction or velocity in the NED axes at a place, expressed in this frame's ENU axes. The two differ by
+        the meridians' convergence: nothing at 100 m in middle latitudes, everything at a pole."""
+        e, n, u = _axes(latitude, longitude)
+        v = (
+            east * e[0] + north * n[0] - down * u[0],
+            east * e[1] + north * n[1] - down * u[1],
+            east * e[2] + north * n[2] - down * u[2],
+        )
+        return _dot(v, self._east), _dot(v, self._north), _dot(v, self._up)

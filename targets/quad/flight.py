@@ -1,0 +1,261 @@
+"""The life of a flight, from the first heartbeat to the motors' stop: a polled state machine over one link.
+
+Each step is believed only when telemetry shows it, and asked for again until then. After take-off a mode that is not
+ours means that a pilot or a failsafe took the vehicle: it is never taken back.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from koordgen.runtime.platform import Unready
+from koordgen.runtime.settings import Box
+from koordgen.runtime.values import Point
+from targets.quad.link import RESULTS, Link
+from targets.quad.telemetry import GUIDED, LAND, RETURNS, Streams, Telemetry, firmware
+
+SILENCE = 30.0  # seconds without a heartbeat after which the vehicle counts as gone for good
+GROUND_SLACK = 0.5  # metres by which the ground may seem to lie outside the fence, estimates being what they are
+AT_HEIGHT = 0.3  # metres below the flight height at which the climb counts as done
+STILL = 0.1  # m/s; in LAND mode a vehicle that is slower has touched down
+PATIENCE = 5.0  # seconds on the ground after which we disarm, where the autopilot's own landing does not
+_ON_GROUND = mavlink.MAV_LANDED_STATE_ON_GROUND
+
+
+class Phase(enum.Enum):
+    """Where in its life the flight is; they follow in this order."""
+
+    CONNECTING = enum.auto()
+    ESTIMATING = enum.auto()
+    SWITCHING = enum.auto()
+    ARMING = enum.auto()
+    CLIMBING = enum.auto()
+    FLYING = enum.auto()
+    LANDING = enum.auto()
+    RESTED = enum.auto()
+
+
+def misplaced(fence: Box, height: float, p: Point) -> str:
+    """Why a take-off from p to that height would be wrong, or nothing."""
+    lo, hi = fence.lo, fence.hi
+    if not (lo.x <= p.x <= hi.x and lo.y <= p.y <= hi.y and lo.z - GROUND_SLACK <= p.z <= hi.z):
+        return (
+            f"the autopilot puts the robot at ({p.x:.2f}, {p.y:.2f}, {p.z:.2f}), outside the geofence; "
+            "are the fleet's origin and its altitude (AMSL) right?"
+        )
+    if p.z > height - 0.2:
+        return f"the ground here is at z = {p.z:.2f} m, not below flight_height {height:g}"
+    return ""
+
+
+class Flight:
+    """Brings the vehicle to `height` (m, fleet's ENU) and back to the ground. `progress` says what it is at."""
+
+    def __init__(self, url: str, link: Link, telemetry: Telemetry, fence: Box, height: float, now: float) -> None:
+        self._url, self._link, self._telemetry = url, link, telemetry
+        self._fence, self._height = fence, height
+        self._streams = Streams()
+        self._since = now  # when the present phase began
+        self._begun = now
+        self._restarts = 0
+        self._climb_from = 0.0
+        self._landing_seen = False  # LAND, asked for by us, was seen in a heartbeat
+        self._grounded: float | None = None  # since when the vehicle seems to be on the ground, while landing
+        self._accepted = True  # whether we have the vehicle; False once someone else took it
+        self.phase = Phase.CONNECTING
+        self.progress = f"waiting for a heartbeat on {url}"
+
+    def poll(self, now: float) -> None:
+        """Take what has arrived, look, and ask for what comes next. Raises Unready."""
+        for message in self._link.receive(now):
+            self._streams.note(message.get_msgId(), now)
+            self._telemetry.take(message, now)
+        self._link.greet(now)
+        if self.phase is not Phase.RESTED:
+            self._watch(now)
+        if self._link.vehicle is not None:
+            self._streams.poll(self._link, now)
+        match self.phase:
+            case Phase.CONNECTING:
+                self._connect(now)
+            case Phase.ESTIMATING:
+                self._estimate(now)
+            case Phase.SWITCHING:
+                self._switch(now)
+            case Phase.ARMING:
+                self._arm(now)
+            case Phase.CLIMBING:
+                self._climb(now)
+            case Phase.FLYING:
+                self._fly(now)
+            case Phase.LANDING:
+                self._land(now)
+            case Phase.RESTED:
+                pass
+
+    def _enter(self, phase: Phase, now: float, progress: str) -> None:
+        self.phase, self._since, self.progress = phase, now, progress
+        for command in (mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, mavlink.MAV_CMD_NAV_TAKEOFF):
+            self._link.forget(command)
+
+    def _watch(self, now: float) -> None:
+        """Silence and restarts, in any phase."""
+        silent = now - (self._begun if self._link.heard is None else self._link.heard)
+        if silent > SILENCE:
+            heard = "no autopilot answers" if self._link.heard is None else "the autopilot has fallen silent"
+            raise Unready(
+                f"{heard} on {self._url} ({silent:.0f} s)",
+                "is it powered, and does it send MAVLink to this address or at this baud rate?",
+            )
+        if self._telemetry.restarts != self._restarts:
+            self._restarts = self._telemetry.restarts
+            self._streams.restart()
+            if self.phase is Phase.FLYING or (self.phase is Phase.CLIMBING and self._telemetry.flying):
+                raise Unready("the autopilot restarted in flight")
+            if self.phase in (Phase.SWITCHING, Phase.ARMING, Phase.CLIMBING):
+                self._enter(Phase.ESTIMATING, now, "the autopilot restarted; waiting for its position estimate")
+
+    def _connect(self, now: float) -> None:
+        if self._link.vehicle is None:
+            return
+        what, flyable = firmware(self._link)
+        if not flyable:
+            raise Unready(f"{self._url} is {what}, not an ArduPilot copter", "check the robot's `autopilot` setting")
+        self._enter(Phase.ESTIMATING, now, f"{what}: waiting for its position estimate")
+
+    def _estimate(self, now: float) -> None:
+        state = self._telemetry
+        if state.position is None or not state.fresh(now) or state.landed is None or state.mode is None:
+            return
+        if state.flying:
+            if state.mode == GUIDED:
+                self._enter(Phase.FLYING, now, "flying already: taking over without a take-off")
+            elif state.mode == LAND or state.mode in RETURNS:
+                self.progress = f"already flying in {state.mode_name}: waiting until it has landed"
+            else:
+                raise Unready(f"already flying in {state.mode_name}", "land it first, or switch it to GUIDED")
+            return
+        fault = misplaced(self._fence, self._height, state.position)
+        if fault:
+            self.progress = f"not taking off: {fault}"
+        else:
+            self._enter(Phase.SWITCHING, now, "switching to GUIDED")
+
+    def _switch(self, now: float) -> None:
+        if self._telemetry.mode == GUIDED and self._telemetry.mode_time > self._since:
+            self._enter(Phase.ARMING, now, "arming")
+            return
+        asked = self._set_mode(GUIDED, now)
+        if asked > 1:
+            self.progress = self._explained("switching to GUIDED", mavlink.MAV_CMD_DO_SET_MODE, now)
+
+    def _arm(self, now: float) -> None:
+        if self._telemetry.mode != GUIDED:
+            self._enter(Phase.SWITCHING, now, f"the autopilot fell back to {self._telemetry.mode_name}; asking again")
+        elif self._telemetry.armed:
+            self._enter(Phase.CLIMBING, now, "taking off")
+        else:
+            self._link.ask(now, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, every=2.0)
+            self.progress = self._explained("arming", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, now)
+
+    def _climb(self, now: float) -> None:
+        state = self._telemetry
+        if not state.armed:
+            said = self._link.reasons(self._since)
+            self._enter(Phase.ARMING, now, f"disarmed before take-off{': ' if said else ''}{said}; arming again")
+        elif state.mode != GUIDED:
+            if state.flying:
+                self._lost_control()
+            self._enter(Phase.SWITCHING, now, f"the autopilot fell back to {state.mode_name}; asking again")
+        elif state.position is None or not state.fresh(now) or state.time is None or state.time < self._since + 0.3:
+            pass  # home, which the take-off's height counts from, has just been set anew
+        elif not state.flying:
+            self._climb_from = state.position.z
+            # Height above home: home's own is what the two heights of one message differ by.
+            above_home = self._height - state.position.z + state.relative
+            self._link.ask(now, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, above_home, every=2.0)
+            self.progress = self._explained("taking off", mavlink.MAV_CMD_NAV_TAKEOFF, now)
+        else:
+            self.progress = f"climbing to {self._height:g} m"
+            risen = state.position.z - self._climb_from
+            stopped = abs(state.velocity.z) < STILL and risen > 0.5 * (self._height - self._climb_from)
+            if state.position.z > self._height - min(AT_HEIGHT, 0.2 * (self._height - self._climb_from)) or stopped:
+                self._enter(Phase.FLYING, now, "flying")
+
+    def _fly(self, now: float) -> None:
+        if not self._telemetry.armed:
+            said = self._link.reasons(now - 10.0)
+            raise Unready(f"the autopilot disarmed in flight{': ' if said else ''}{said}")
+        if self._telemetry.mode != GUIDED:
+            self._lost_control()
+        silent = 0.0 if self._link.heard is None else now - self._link.heard
+        self.progress = "flying" if self._link.alive(now) else f"no heartbeat on {self._url} for {silent:.0f} s"
+
+    def _lost_control(self) -> None:
+        self._accepted = False
+        raise Unready(
+            f"the autopilot is in {self._telemetry.mode_name}: a pilot or a failsafe took over",
+            "the agent leaves it to them",
+        )
+
+    def rest(self, now: float) -> None:
+        """Begin to land. Idempotent."""
+        if self.phase not in (Phase.LANDING, Phase.RESTED):
+            self._enter(Phase.LANDING, now, "landing")
+
+    def _land(self, now: float) -> None:
+        state = self._telemetry
+        # An arming that is still on its way must not catch us asleep: only a later heartbeat says that all is quiet.
+        if self._link.heard is None or (not state.armed and state.mode_time > self._since + 1.0):
+            self._enter(Phase.RESTED, now, "at rest" if self._link.heard is None else "at rest, disarmed")
+            return
+        ends_itself = state.mode == LAND or state.mode in RETURNS
+        if self._landing_seen and not ends_itself:
+            self._accepted = False
+        if not self._accepted and not ends_itself:
+            self._enter(Phase.RESTED, now, f"left to whoever switched it to {state.mode_name}")
+            return
+        if ends_itself:
+            self._landing_seen = True
+            self._link.forget(mavlink.MAV_CMD_DO_SET_MODE)
+            self.progress = "landing"
+        else:
+            self._set_mode(LAND, now)
+            self.progress = self._explained("switching to LAND", mavlink.MAV_CMD_DO_SET_MODE, now)
+        self._touch_down(now)
+
+    def _touch_down(self, now: float) -> None:
+        """Disarm, without force, a vehicle that is on the ground but does not do so by itself: without a remote
+        control ArduPilot's LAND may wait for ever (LAND_REPOSITION). In flight it refuses to."""
+        state = self._telemetry
+        down = state.landed == _ON_GROUND
+        if state.mode == LAND and state.fresh(now):
+            down |= math.hypot(state.velocity.x, state.velocity.y, state.velocity.z) < STILL
+        if not down:
+            self._grounded = None
+            return
+        self._grounded = now if self._grounded is None else self._grounded
+        if now - self._grounded > PATIENCE:
+            self._link.ask(now, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
+            self.progress = self._explained(
+                "on the ground but still armed: disarming", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, now
+            )
+
+    def _set_mode(self, mode: int, now: float) -> int:
+        """How often it was asked for in this phase."""
+        flag = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+        return self._link.ask(now, mavlink.MAV_CMD_DO_SET_MODE, flag, mode).times
+
+    def _explained(self, doing: str, command: int, now: float) -> str:
+        """What is being done, the answer to it, and the autopilot's own words."""
+        asked = self._link.asked(command)
+        if asked is None or (asked.result is None and asked.times < 3):
+            return doing
+        if asked.result == mavlink.MAV_RESULT_ACCEPTED:
+            return doing
+        answer = "no answer" if asked.result is None else RESULTS.get(asked.result, f"result {asked.result}")
+        said = self._link.reasons(max(self._since, now - 35.0))  # ArduPilot repeats its pre-arm faults every 30 s
+        return f"{doing}: {answer}{': ' if said else ''}{said}"

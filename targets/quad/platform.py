@@ -1,0 +1,153 @@
+"""A multicopter behind an ArduPilot autopilot: the Motion ports of a program, served over MAVLink 2.
+
+`Motion.position` and `velocity` are the autopilot's estimate; `target` is approached in a straight line at `max_speed`
+and at `flight_height` or above; `reached` means arrived and standing still.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any
+
+import msgspec
+
+from koordgen.runtime.geodesy import LocalFrame
+from koordgen.runtime.platform import Sensed, Unready
+from koordgen.runtime.settings import BadSettings, Settings
+from koordgen.runtime.values import Point
+from targets.quad.check import checked
+from targets.quad.flight import Flight, Phase
+from targets.quad.link import Link
+from targets.quad.motion import Motion
+from targets.quad.telemetry import Telemetry
+from targets.quad.transport import Transport, opened
+
+
+class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What `settings:` of a quad says; the bounds are those of manifest.toml."""
+
+    autopilot: str = "udpin:127.0.0.1:14550"
+    flight_height: Annotated[float, msgspec.Meta(ge=0.3, le=100.0)] = 1.5
+    max_speed: Annotated[float, msgspec.Meta(ge=0.1, le=15.0)] = 1.0
+    reached_radius: Annotated[float, msgspec.Meta(ge=0.01, le=5.0)] = 0.15
+    reached_dwell: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 0.3
+
+
+class Quad:
+    """Implements koordgen.runtime.platform.Platform. The fleet's key plays no part: the autopilot's link is a wire or
+    loopback. `connect`, `clock` and `sleep` are what the surroundings give; the last two serve `check` alone."""
+
+    period = 0.05
+
+    def __init__(
+        self,
+        settings: Settings,
+        key: bytes | None,
+        *,
+        connect: Callable[[str], Transport] = opened,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        try:
+            body = msgspec.convert(settings.body, Body)
+        except msgspec.ValidationError as error:
+            raise BadSettings(f"settings of {settings.robot}: body: {error}") from None
+        fence, origin = settings.geofence, settings.origin
+        if not fence.lo.z <= body.flight_height <= fence.hi.z:
+            raise BadSettings(
+                f"settings of {settings.robot}: body: flight_height {body.flight_height:g} is outside the geofence"
+            )
+        self._body, self._fence = body, fence
+        self._frame = LocalFrame(origin.latitude, origin.longitude, origin.altitude)
+        self._telemetry = Telemetry(self._frame)
+        self._motion = Motion(
+            self._frame, fence, body.flight_height, body.max_speed, body.reached_radius, body.reached_dwell
+        )
+        self._connect, self._clock, self._sleep = connect, clock, sleep
+        self._link: Link | None = None
+        self._flight: Flight | None = None
+        self._now = 0.0
+
+    def check(self) -> list[str]:
+        """See Platform: hears the autopilot, its firmware and its position estimate; moves nothing."""
+        link = Link(self._connect(self._body.autopilot))
+        try:
+            return checked(
+                self._body.autopilot, link, self._frame, self._fence, self._body.flight_height, self._clock, self._sleep
+            )
+        finally:
+            link.close()
+
+    def start(self, now: float) -> None:
+        """See Platform: opens the link; `poll` then takes off."""
+        url = self._body.autopilot
+        self._now = now
+        self._link = Link(self._connect(url))
+        self._flight = Flight(url, self._link, self._telemetry, self._fence, self._body.flight_height, now)
+
+    def poll(self, now: float) -> None:
+        """See Platform."""
+        if self._flight is None or self._link is None:
+            raise Unready("the quad was not started")
+        self._now = now
+        self._flight.poll(now)
+        if self._flight.phase is Phase.FLYING and self._telemetry.fresh(now):
+            self._motion.steer(self._link, self._telemetry, now)
+        else:
+            self._motion.coast()
+
+    @property
+    def ready(self) -> bool:
+        """At flight height, position fresh, and the autopilot seen to follow setpoints."""
+        return (
+            self._flight is not None
+            and self._flight.phase is Phase.FLYING
+            and self._link is not None
+            and self._link.alive(self._now)
+            and self._telemetry.fresh(self._now)
+            and self._motion.followed
+        )
+
+    @property
+    def progress(self) -> str:
+        """See Platform; what the autopilot itself says against arming is part of it."""
+        if self._flight is None:
+            return "not started"
+        refused = f"; {self._motion.refused} targets were not finite" if self._motion.refused else ""
+        return self._flight.progress + refused
+
+    def sense(self, now: float) -> Sensed:
+        """See Platform. Before the first estimate the position is the origin, and `time` is None."""
+        state = self._telemetry
+        values = {
+            "Motion.position": state.position or Point(),
+            "Motion.velocity": state.velocity,
+            "Motion.reached": self._motion.reached,
+        }
+        return Sensed(values, state.time)
+
+    def command(self, actuators: Mapping[str, Any], now: float) -> None:
+        """See Platform. A target that is not finite is refused, counted and shown in `progress`."""
+        if "Motion.target" in actuators:
+            self._motion.command(actuators["Motion.target"])
+
+    def hold(self, on: bool, now: float) -> None:
+        """See Platform."""
+        self._motion.hold(on)
+
+    def rest(self, now: float) -> None:
+        """See Platform: lands. A vehicle that a pilot or a failsafe has taken is left to them."""
+        if self._flight is not None:
+            self._flight.rest(now)
+
+    @property
+    def rested(self) -> bool:
+        """Landed and disarmed, or in another's hands, or never touched."""
+        return self._flight is None or self._flight.phase is Phase.RESTED
+
+    def close(self) -> None:
+        """See Platform."""
+        if self._link is not None:
+            self._link.close()
+            self._link = None

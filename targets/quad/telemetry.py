@@ -1,0 +1,168 @@
+"""What the autopilot says of itself: mode, arming, position, what it follows; and asking for it to be said.
+
+Positions: local ENU about the FLEET's origin, from GLOBAL_POSITION_INT. LOCAL_POSITION_NED would be about the vehicle's
+own EKF origin, which no other robot shares. Heights are AMSL throughout (GLOBAL_POSITION_INT.alt, frame 5 in
+setpoints), not relative to home: home is where the vehicle was armed, each vehicle's own, and moves when it arms.
+"""
+
+from __future__ import annotations
+
+import math
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from koordgen.runtime.geodesy import LocalFrame
+from koordgen.runtime.values import Point
+from targets.quad.framing import Message
+from targets.quad.link import Link
+
+COPTERS = {
+    mavlink.MAV_TYPE_QUADROTOR: "quadrotor",
+    mavlink.MAV_TYPE_COAXIAL: "coaxial copter",
+    mavlink.MAV_TYPE_HELICOPTER: "helicopter",
+    mavlink.MAV_TYPE_HEXAROTOR: "hexarotor",
+    mavlink.MAV_TYPE_OCTOROTOR: "octorotor",
+    mavlink.MAV_TYPE_TRICOPTER: "tricopter",
+    mavlink.MAV_TYPE_DODECAROTOR: "dodecarotor",
+    mavlink.MAV_TYPE_DECAROTOR: "decarotor",
+}
+GUIDED, LAND = 4, 9
+RETURNS = (6, 21)  # RTL, SMART_RTL: like LAND they end on the ground by themselves
+MODES = {
+    0: "STABILIZE", 1: "ACRO", 2: "ALT_HOLD", 3: "AUTO", 4: "GUIDED", 5: "LOITER", 6: "RTL", 7: "CIRCLE", 9: "LAND",
+    11: "DRIFT", 13: "SPORT", 16: "POSHOLD", 17: "BRAKE", 18: "THROW", 20: "GUIDED_NOGPS", 21: "SMART_RTL",
+}  # fmt: skip
+
+# Message -> how often it is wanted, Hz. A heartbeat carries the mode, so it is wanted more often than it comes.
+RATES = {
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 20.0,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
+    mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 5.0,
+    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: 5.0,
+    mavlink.MAVLINK_MSG_ID_HEARTBEAT: 4.0,
+}
+# These come only while the autopilot has something to say in them: their absence is not asked about twice a second.
+_OCCASIONAL = (mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT, mavlink.MAVLINK_MSG_ID_HEARTBEAT)
+
+
+class Streams:
+    """Asks for each stream by SET_MESSAGE_INTERVAL, and again when it is not there: nothing streams until asked, and
+    an autopilot that restarted has forgotten."""
+
+    def __init__(self) -> None:
+        self._came: dict[int, float] = {}
+        self._asked: dict[int, float] = {}
+
+    def note(self, message: int, now: float) -> None:
+        """A message of this id has come."""
+        self._came[message] = now
+
+    def poll(self, link: Link, now: float) -> None:
+        """Ask for what is missing."""
+        for message, rate in RATES.items():
+            occasional = message in _OCCASIONAL
+            silent = now - self._came.get(message, -math.inf) > 1.0
+            if (silent or occasional) and now - self._asked.get(message, -math.inf) >= (5.0 if occasional else 1.0):
+                self._asked[message] = now
+                link.tell(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message, 1e6 / rate)
+
+    def restart(self) -> None:
+        """The autopilot has restarted: ask for everything at once."""
+        self._came.clear()
+        self._asked.clear()
+
+
+class Telemetry:
+    """The vehicle's last known state. None stands for what has not been heard yet."""
+
+    def __init__(self, frame: LocalFrame) -> None:
+        self._frame = frame
+        self._boot: int | None = None  # ms, the vehicle's clock
+        self._ekf: int | None = None
+        self.restarts = 0
+        self.mode: int | None = None
+        self.mode_time = -math.inf
+        self.armed = False
+        self.landed: int | None = None  # MAV_LANDED_STATE
+        self.position: Point | None = None
+        self.velocity = Point()  # m/s, ENU
+        self.time: float | None = None  # when `position` came
+        self.amsl = 0.0  # m
+        self.relative = 0.0  # m above home
+        self.followed: Point | None = None  # the position target that the autopilot says it has
+        self.followed_time = -math.inf
+
+    def take(self, message: Message, now: float) -> None:
+        """Take one of the vehicle's messages."""
+        match message.get_msgId():
+            case mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+                self.mode, self.mode_time = message.custom_mode, now
+                self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+            case mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
+                self._take_position(message, now)
+            case mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE:
+                self.landed = message.landed_state or None
+            case mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT:
+                self._ekf = message.flags
+            case mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT:
+                if math.isfinite(message.alt):  # always AMSL here, whatever frame was asked for
+                    place = self._frame.enu(message.lat_int * 1e-7, message.lon_int * 1e-7, message.alt)
+                    self.followed, self.followed_time = Point(*place), now
+
+    def _take_position(self, message: Message, now: float) -> None:
+        if self._boot is not None and message.time_boot_ms <= self._boot:
+            if self._boot - message.time_boot_ms < 2000:
+                return  # repeated or overtaken on the way: not news, so it must not look fresh
+            self._restarted()
+        self._boot = message.time_boot_ms
+        if (message.lat == 0 and message.lon == 0) or not self._estimating:
+            return
+        latitude, longitude = message.lat * 1e-7, message.lon * 1e-7
+        self.amsl, self.relative = message.alt * 1e-3, message.relative_alt * 1e-3
+        self.position = Point(*self._frame.enu(latitude, longitude, self.amsl))
+        self.velocity = Point(
+            *self._frame.turned(latitude, longitude, message.vx * 0.01, message.vy * 0.01, message.vz * 0.01)
+        )
+        # When it came, not when it was sent: a simulated autopilot's clock may run slower than ours, so that the lag
+        # of a single message cannot be told from their drift.
+        self.time = now
+
+    def _restarted(self) -> None:
+        self.restarts += 1
+        self._ekf = self.landed = self.position = self.time = self.followed = None
+
+    @property
+    def _estimating(self) -> bool:
+        """Whether the EKF knows where it is, as ArduPilot itself decides it (Copter::ekf_has_absolute_position)."""
+        if self._ekf is None:
+            return False
+        absolute = bool(self._ekf & mavlink.EKF_POS_HORIZ_ABS)
+        if self.armed:
+            return absolute and not self._ekf & mavlink.EKF_CONST_POS_MODE
+        return absolute or bool(self._ekf & mavlink.EKF_PRED_POS_HORIZ_ABS)
+
+    @property
+    def flying(self) -> bool:
+        """Whether the vehicle is armed and off the ground."""
+        return self.armed and self.landed is not None and self.landed != mavlink.MAV_LANDED_STATE_ON_GROUND
+
+    def fresh(self, now: float, age: float = 0.5) -> bool:
+        """Whether the position is not older than `age` seconds."""
+        return self.time is not None and now - self.time <= age
+
+    @property
+    def mode_name(self) -> str:
+        return "no mode" if self.mode is None else MODES.get(self.mode, f"mode {self.mode}")
+
+
+def firmware(link: Link) -> tuple[str, bool]:
+    """What the vehicle is, in words, and whether it is one that this target can fly."""
+    vehicle = link.vehicle
+    if vehicle is None:
+        return "nothing", False
+    kind = COPTERS.get(vehicle.type)
+    maker = {mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduPilot", mavlink.MAV_AUTOPILOT_PX4: "PX4"}.get(
+        vehicle.autopilot, f"autopilot {vehicle.autopilot}"
+    )
+    flyable = kind is not None and vehicle.autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+    return f"{maker} {kind or f'vehicle of MAV_TYPE {vehicle.type}'}", flyable

@@ -1,0 +1,238 @@
+"""Ways to an autopilot's bytes: UDP, TCP and serial, never blocking, surviving silence, refusal and unplugging."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import socket
+from typing import Any, Protocol
+
+from koordgen.runtime.platform import Unready
+
+Address = tuple[Any, ...]
+Chunk = tuple[bytes, Address | None]
+
+BUDGET = 16384  # bytes read in one call: far above what an autopilot sends, and a bound on what a flood costs
+RECONNECT = 1.0  # seconds between two attempts to open a broken connection anew
+HINT = "use udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD"
+
+
+class Transport(Protocol):
+    """Bytes to and from an autopilot. Only `opened` below raises."""
+
+    datagrams: bool  # whether what arrives comes as datagrams of whole frames, or as a stream
+
+    def receive(self, now: float) -> list[Chunk]:
+        """What has arrived, with the sender's address where there is one. At most about BUDGET bytes."""
+        ...
+
+    def answer(self, source: Address | None) -> None:
+        """Send to this address from now on: the vehicle spoke from there."""
+        ...
+
+    def send(self, data: bytes) -> bool:
+        """Send one frame, or drop it and return False when it cannot be taken now."""
+        ...
+
+    def close(self) -> None: ...
+
+
+class Udp:
+    """A UDP socket: bound (`udpin`, answers whoever the vehicle is) or sending to a fixed address (`udpout`)."""
+
+    datagrams = True
+
+    def __init__(self, bind: Address | None, peer: Address | None, family: int) -> None:
+        self._fixed = peer is not None
+        self._peer = peer
+        self._socket = socket.socket(family, socket.SOCK_DGRAM)
+        try:
+            self._socket.setblocking(False)
+            if bind is not None:
+                self._socket.bind(bind)
+        except OSError:
+            self._socket.close()
+            raise
+
+    def receive(self, now: float) -> list[Chunk]:
+        chunks: list[Chunk] = []
+        size = 0
+        while size < BUDGET:
+            try:
+                data, source = self._socket.recvfrom(2048)
+            except BlockingIOError:
+                break
+            except OSError:  # an ICMP refusal of something sent earlier
+                size += 1024
+                continue
+            size += len(data) + 64
+            if not self._fixed or source == self._peer:
+                chunks.append((data, source))
+        return chunks
+
+    def answer(self, source: Address | None) -> None:
+        if not self._fixed:
+            self._peer = source
+
+    def send(self, data: bytes) -> bool:
+        if self._peer is None:
+            return False
+        try:
+            self._socket.sendto(data, self._peer)
+        except OSError:
+            return False
+        return True
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class Tcp:
+    """A TCP client that connects, and connects again, in the background."""
+
+    datagrams = False
+
+    def __init__(self, peer: Address, family: int) -> None:
+        self._peer = peer
+        self._family = family
+        self._socket: socket.socket | None = None
+        self._retry = float("-inf")
+        self._unsent = b""
+
+    def receive(self, now: float) -> list[Chunk]:
+        if self._socket is None:
+            if now >= self._retry:
+                self._connect(now)
+            return []
+        chunks: list[Chunk] = []
+        size = 0
+        while size < BUDGET:
+            try:
+                data = self._socket.recv(4096)
+            except BlockingIOError:
+                break
+            except OSError as error:
+                if error.errno != errno.ENOTCONN:  # still connecting
+                    self._drop()
+                break
+            if not data:
+                self._drop()
+                break
+            size += len(data)
+            chunks.append((data, None))
+        return chunks
+
+    def _connect(self, now: float) -> None:
+        self._retry = now + RECONNECT
+        self._socket = socket.socket(self._family, socket.SOCK_STREAM)
+        self._socket.setblocking(False)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        if self._socket.connect_ex(self._peer) not in (0, errno.EINPROGRESS, errno.EWOULDBLOCK):
+            self._drop()
+
+    def _drop(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+        self._socket, self._unsent = None, b""
+
+    def answer(self, source: Address | None) -> None:
+        pass
+
+    def send(self, data: bytes) -> bool:
+        if self._socket is None or len(self._unsent) > 4096:
+            return False
+        data = self._unsent + data  # a frame that was cut goes first
+        try:
+            sent = self._socket.send(data)
+        except BlockingIOError:
+            sent = 0
+        except OSError:
+            return False
+        self._unsent = data[sent:]
+        return True
+
+    def close(self) -> None:
+        self._drop()
+
+
+class Serial:
+    """A serial device, opened again when it was unplugged."""
+
+    datagrams = False
+
+    def __init__(self, device: str, baud: int) -> None:
+        self._device, self._baud = device, baud
+        self._retry = float("-inf")
+        self._port: Any = self._opened()
+
+    def _opened(self) -> Any:
+        import serial  # only robots with a serial link pay for it
+
+        return serial.Serial(self._device, self._baud, timeout=0, write_timeout=0, exclusive=True)
+
+    def receive(self, now: float) -> list[Chunk]:
+        if self._port is None:
+            if now < self._retry:
+                return []
+            self._retry = now + RECONNECT
+            try:
+                self._port = self._opened()
+            except (OSError, ValueError):
+                return []
+        try:
+            data = self._port.read(BUDGET)
+        except (OSError, TypeError):  # pyserial: TypeError when the file descriptor vanished under it
+            self._drop()
+            return []
+        return [(data, None)] if data else []
+
+    def _drop(self) -> None:
+        with contextlib.suppress(OSError):
+            self._port.close()
+        self._port = None
+
+    def answer(self, source: Address | None) -> None:
+        pass
+
+    def send(self, data: bytes) -> bool:
+        if self._port is None:
+            return False
+        try:
+            return bool(self._port.write(data) == len(data))
+        except (OSError, TypeError):  # SerialTimeoutException, an OSError: the buffer is full
+            return False
+
+    def close(self) -> None:
+        if self._port is not None:
+            self._drop()
+
+
+def opened(url: str) -> Transport:
+    """Open a transport. Raises Unready: a URL that is none, a port in use, no such device."""
+    scheme, _, rest = url.partition(":")
+    place, _, number = rest.rpartition(":")
+    if scheme not in ("udpin", "udpout", "tcp", "serial") or not place or not number.isdecimal():
+        raise Unready(f"autopilot: {url!r} is no MAVLink link", HINT)
+    try:
+        if scheme == "serial":
+            return Serial(place, int(number))
+        kind = socket.SOCK_STREAM if scheme == "tcp" else socket.SOCK_DGRAM
+        family, _, _, _, address = socket.getaddrinfo(place.strip("[]"), int(number), type=kind)[0]
+        if scheme == "tcp":
+            return Tcp(address, family)
+        return Udp(address, None, family) if scheme == "udpin" else Udp(None, address, family)
+    except ImportError:
+        raise Unready(f"autopilot: {url} needs pyserial", "pip install -r requirements.txt") from None
+    except (OSError, ValueError, OverflowError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise Unready(f"autopilot: cannot open {url}: {reason}", _hint(scheme)) from None
+
+
+def _hint(scheme: str) -> str:
+    match scheme:
+        case "serial":
+            return "is the device there, not used by another program, and may this user read it (group dialout)?"
+        case "udpin":
+            return "does another program (a ground station, another agent) listen on this port?"
+        case _:
+            return "is the host's name right?"
