@@ -1,0 +1,125 @@
+"""What the compiler tells its user: diagnostics as data, their catalogue, and their two renderings.
+
+Only the command line prints. A mistake of the user is a Diagnostic; a mistake of the compiler is an InternalError.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Literal
+
+from koordgen.node import Node
+from koordgen.source import Source, Span
+
+Severity = Literal["error", "warning", "note"]
+
+# code -> title. A code's meaning never changes; a code that is given up is never used again.
+CATALOGUE: dict[str, str] = {
+    "K001": "something else is expected here",
+    "K002": "unexpected character",
+    "K003": "not supported by this version yet",
+    "K004": "tab in indentation",
+    "K005": "indentation matches no enclosing block",
+    "K006": "unpaired bracket",
+    "K007": "nested too deeply",
+    "K008": "unexpected or missing indentation",
+    "K009": "number too large",
+    "K010": "undefined name",
+    "K011": "name declared twice",
+    "K012": "types do not agree",
+    "K013": "a condition must be a bool",
+    "K014": "wrong number of arguments",
+    "K015": "no such field",
+    "K016": "unknown type",
+    "K017": "a name is used as what it is not",
+    "K018": "port not declared",
+    "K019": "an event or a program lacks a part",
+    "K020": "write to a sensor",
+    "K021": "write to another robot's slot",
+    "K022": "cannot be assigned",
+    "K023": "read of shared state in init",
+    "K024": "statement without effect",
+    "K025": "initial value is not constant",
+    "K030": "index names no robot",
+    "K031": "index may name no robot",
+    "K032": "division by zero",
+    "K033": "divisor may be zero",
+    "K040": "update may be lost",
+    "K041": "event can never run",
+    "K042": "event is hidden by an earlier one",
+    "K043": "statement can never run",
+}
+
+
+class InternalError(Exception):
+    """The compiler is wrong, whatever the user wrote."""
+
+
+class Label(Node):
+    """A second place that belongs to a diagnostic, and what is to be said of it."""
+
+    span: Span
+    text: str
+
+
+class Diagnostic(Node):
+    """One finding. `message` stands alone, without the source line beside it; `help` says what to write instead."""
+
+    code: str
+    severity: Severity
+    message: str
+    span: Span
+    labels: tuple[Label, ...] = ()
+    help: str = ""
+
+
+def in_order(found: Iterable[Diagnostic]) -> list[Diagnostic]:
+    """By place, each once."""
+    return sorted(dict.fromkeys(found), key=lambda d: (d.span.line, d.span.column, d.code))
+
+
+def render(diagnostic: Diagnostic, source: Source) -> str:
+    """The headline, the source line with carets, labels, and help: several lines without an end of line."""
+    d = diagnostic
+    lines = [f"{source.path}:{d.span.line}:{d.span.column}: {d.severity}[{d.code}]: {d.message}"]
+    width = len(str(max([d.span.line, *(label.span.line for label in d.labels)])))
+    lines += _excerpt(d.span, "^", "", source, width)
+    for label in d.labels:
+        lines += _excerpt(label.span, "-", label.text, source, width)
+    if d.help:
+        lines += [f"{' ' * width} = help: {d.help}"]
+    return "\n".join(lines)
+
+
+def _excerpt(span: Span, mark: str, text: str, source: Source, width: int) -> list[str]:
+    line = source.line(span.line)
+    shown = "".join(c if c.isprintable() else " " if c == "\t" else "\N{REPLACEMENT CHARACTER}" for c in line)
+    if not shown.strip():
+        return []
+    end = span.end_column if span.end_line == span.line else len(shown) + 1
+    marks = " " * (span.column - 1) + mark * max(1, min(end, len(shown) + 1) - span.column)
+    if len(shown) > 160:  # what a person can take in; the columns say the rest
+        cut = max(0, span.column - 60)
+        shown, marks = shown[cut : cut + 160], marks[cut : cut + 160]
+    return [f"{span.line:>{width}} | {shown}", f"{' ' * width} | {marks} {text}".rstrip()]
+
+
+def to_json(diagnostics: Iterable[Diagnostic], source: Source) -> str:
+    """`{"diagnostics": [{code, severity, message, file, line, column, end_line, end_column, help}]}`"""
+    import json
+
+    found = [
+        {
+            "code": d.code,
+            "severity": d.severity,
+            "message": d.message,
+            "file": source.path,
+            "line": d.span.line,
+            "column": d.span.column,
+            "end_line": d.span.end_line,
+            "end_column": d.span.end_column,
+            "help": d.help,
+        }
+        for d in diagnostics
+    ]
+    return json.dumps({"diagnostics": found}, indent=2)

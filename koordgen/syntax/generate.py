@@ -1,0 +1,97 @@
+"""Makes the parser's tables ahead: `python -m koordgen.syntax.generate`, with `--check` only telling whether that is due.
+
+Lark analyses the grammar and its LALR(1) tables are written out as literals, so that neither the grammar nor Lark
+itself is needed at start-up. States and rules are numbered in an order of our own: two runs give the same bytes.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+GRAMMAR = Path(__file__).with_name("koord.lark")
+TABLES = Path(__file__).parents[1] / "_generated" / "grammar.py"
+
+_HEAD = '''"""The LALR(1) tables of koordgen/syntax/koord.lark: made by `make generated`, not written by hand.
+
+STATES: symbol -> n >= 0: shift (or go) to state n; n < 0: reduce by rule -n - 1.
+RULES: (symbol, length, name of the function in build.py; empty: the value of the only child or a spliced list).
+"""
+
+'''
+
+
+def tables() -> str:
+    """The text of the generated module."""
+    from lark import Lark
+    from lark.lexer import Lexer
+
+    class NoLexer(Lexer):  # the tokens come from layout.py
+        def __init__(self, conf: object) -> None: ...
+
+        def lex(self, state: object, parser_state: object) -> Iterator[Any]:  # type: ignore[override]
+            raise NotImplementedError
+
+    grammar = GRAMMAR.read_text(encoding="utf-8")
+    lark = Lark(grammar, parser="lalr", lexer=NoLexer, keep_all_tokens=True, maybe_placeholders=False)
+    literals = {t.name: t.pattern.value for t in lark.terminals if t.pattern.type == "str"}
+    table = lark.parser.parser._parse_table
+    symbols = {name: literals.get(name, name) for row in table.states.values() for name in row}
+    assert len(set(symbols.values())) == len(symbols), "a rule has the name of a keyword: give it a trailing underscore"
+    # Rules that differ only in marks that nobody looks at are one.
+    rules = sorted({_rule(arg) for row in table.states.values() for _, arg in row.values() if hasattr(arg, "origin")})
+    rule_number = {rule: number for number, rule in enumerate(rules)}
+    order = _reached(table, symbols)
+    state_number = {state: number for number, state in enumerate(order)}
+
+    def code(arg: Any) -> int:
+        return -rule_number[_rule(arg)] - 1 if hasattr(arg, "origin") else state_number[arg]
+
+    lines = [_HEAD, "STATES: tuple[dict[str, int], ...] = (\n"]
+    for state in order:
+        row = {symbols[name]: code(arg) for name, (_, arg) in table.states[state].items()}
+        lines.append(f"    {{{', '.join(f'{name!r}: {row[name]}' for name in sorted(row))}}},\n")
+    lines.append(")\nRULES: tuple[tuple[str, int, str], ...] = (\n")
+    for rule in rules:
+        lines.append(f"    {rule!r},\n")
+    lines.append(f")\nSTART = {state_number[table.start_states['start']]}\n")
+    lines.append(f"END = {state_number[table.end_states['start']]}\n")
+    return "".join(lines)
+
+
+def _rule(rule: Any) -> tuple[str, int, str]:
+    name = str(rule.origin.name)
+    passed_on = name.startswith("_") or name == "start" or (rule.options.expand1 and len(rule.expansion) == 1)
+    return name, len(rule.expansion), str(rule.alias or ("" if passed_on else name))
+
+
+def _reached(table: Any, symbols: dict[str, str]) -> list[int]:
+    """All states, breadth first from the start, along the symbols in alphabetical order."""
+    order = [table.start_states["start"]]
+    seen = set(order)
+    for state in order:
+        for name in sorted(table.states[state], key=symbols.__getitem__):
+            target = table.states[state][name][1]
+            if not hasattr(target, "origin") and target not in seen:
+                seen.add(target)
+                order.append(target)
+    return order
+
+
+def main(arguments: list[str]) -> int:
+    """Write what has changed; with --check write nothing and say by the status whether something had to be."""
+    text = tables()
+    fresh = TABLES.is_file() and TABLES.read_text(encoding="utf-8") == text
+    if arguments == ["--check"]:
+        if not fresh:
+            print(f"{TABLES}: stale; run `make generated`", file=sys.stderr)
+        return 0 if fresh else 1
+    if not fresh:
+        TABLES.write_text(text, encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))
