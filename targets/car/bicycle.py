@@ -1,4 +1,4 @@
-"""The kinematic bicycle: how the car moves. The reference point is the middle of the rear axle, everywhere in this target.
+"""The kinematic bicycle: how the car moves. Its reference point, in the whole target, is the rear axle's middle.
 
 Formulas: S. M. LaValle, Planning Algorithms (2006), section 13.1.2.1, the simple car:
 x' = v cos(yaw), y' = v sin(yaw), yaw' = v tan(steering) / wheelbase.

@@ -21,53 +21,48 @@ class Drive:
         self._decoder = vesc.Decoder()
         self._unsent = b""
         self._stuck_since: float | None = None
-        self._asked_since: float | None = None
-        self._heard: float | None = None
+        self._unanswered_since: float | None = None
+        self.heard = False  # whether it has answered since the link was opened
         self.fault = 0
         self.voltage = 0.0
-
-    @property
-    def heard(self) -> bool:
-        """Whether it has answered since the link was opened."""
-        return self._heard is not None
 
     def read(self, now: float) -> float | None:
         """Take what arrived; a newly measured speed, or None. Raises Unready when the controller has fallen silent."""
         speed = None
         for message in self._decoder.feed(self._link.read()):
             if isinstance(message, vesc.Values):
-                self._heard = now
+                self.heard, self._unanswered_since = True, None
                 self.fault, self.voltage = message.fault, message.voltage
                 speed = message.erpm / self._settings.speed_to_erpm_gain
-        if self._heard is not None and self._asked_since is not None and now - self._heard > SILENT:
+        since = self._unanswered_since
+        if self.heard and since is not None and now - since > SILENT:
             raise Unready(
-                f"the motor controller at {self._settings.drive} has not answered for {now - self._heard:.1f} s",
+                f"the motor controller at {self._settings.drive} has not answered for {now - since:.1f} s",
                 "check its supply and cable; it brakes by itself when commands stop",
             )
         return speed
 
     def ask(self, now: float) -> None:
         """Ask for its values; moves nothing."""
-        if self._asked_since is None:
-            self._asked_since = now
-        self._send(vesc.encode(vesc.AskValues()), now)
+        self._send(b"", now)
 
     def go(self, command: Command, now: float) -> None:
-        """Drive with this speed and steering until the next command, 0.5 s at the longest by the VESC's own time-out."""
+        """Drive like this until the next command, 0.5 s at the longest by the VESC's own time-out."""
         settings = self._settings
         servo = settings.steering_to_servo_offset + settings.steering_to_servo_gain * command.steering
         erpm = settings.speed_to_erpm_gain * command.speed
-        frames = vesc.encode(vesc.SetServo(servo)) + vesc.encode(vesc.SetErpm(erpm))
-        self._send(frames + vesc.encode(vesc.AskValues()), now)
+        self._send(vesc.encode(vesc.SetServo(servo)) + vesc.encode(vesc.SetErpm(erpm)), now)
 
     def brake(self, now: float) -> None:
         """Brake; at standstill: neutral."""
-        frames = vesc.encode(vesc.Brake(self._settings.brake_current)) + vesc.encode(vesc.AskValues())
-        self._send(frames, now)
+        self._send(vesc.encode(vesc.Brake(self._settings.brake_current)), now)
 
-    def _send(self, frames: bytes, now: float) -> None:
+    def _send(self, commands: bytes, now: float) -> None:
+        """Send commands and ask for the values."""
+        if self._unanswered_since is None:
+            self._unanswered_since = now
         # What is left of a frame goes first, or its first half would spoil the next; a queue would only age.
-        data = self._unsent or frames
+        data = self._unsent or commands + vesc.encode(vesc.AskValues())
         self._unsent = data[self._link.write(data) :]
         if not self._unsent:
             self._stuck_since = None

@@ -1,4 +1,4 @@
-"""The car's links to the world: the motor controller's serial device and the position feed's UDP port, never blocking."""
+"""The car's links, never blocking: the motor controller's serial device and the position feed's UDP port."""
 
 from __future__ import annotations
 

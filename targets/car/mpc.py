@@ -113,8 +113,10 @@ class Mpc:
     def _braking(self, state: State) -> Command:
         if not (math.isfinite(state.speed) and math.isfinite(state.steering)):
             return Command(0.0, 0.0)
-        less = max(0.0, abs(state.speed) - self._limits.acceleration * STEP)
-        return Command(math.copysign(less, state.speed), state.steering)
+        limits = self._limits
+        speed = _clamp(state.speed, limits.speed)
+        slower = max(0.0, abs(speed) - limits.acceleration * STEP)
+        return Command(math.copysign(slower, speed), _clamp(state.steering, limits.steering))
 
 
 def build(limits: Limits) -> Solver:

@@ -15,7 +15,8 @@ STANDING = 0.05  # m/s or slower is standing
 FENCE_MARGIN = 0.05  # metres kept from the geofence, for tracking errors
 MOVED, MOVED_SHARE = 0.02, 0.05  # a target that moved by these metres and this share of its distance needs a new path
 ARC_REACH = 0.5  # metres: a target so near is first tried by a single arc
-CLOSE = 0.4  # of the radius: as close as an arc has to come
+STANDING_BY, FOLLOWING = 0.4, 1.5  # radii: as close as an arc has to come, from a stand and on the last stretch
+LOOKAHEAD = 0.3  # metres: the car follows a target that is nearer as softly as one at this distance
 OFF_PATH = 0.25  # metres from the path that call for a new one
 RETRY = 1.0  # seconds until a plan that failed is tried again
 SETTLE = 1.0  # seconds beyond the radius, but within 1.5 radii, after which the car drives again
@@ -151,9 +152,12 @@ class Navigator:
             return False
         gear = self._tracker.gear or (0 if abs(state.speed) <= STANDING else int(math.copysign(1, state.speed)))
         start = (state.x, state.y, state.yaw)
-        close = CLOSE * self._settings.reached_radius
-        path = self._planner.arc(start, target, gear, close) if away <= ARC_REACH else []
-        if not path and away <= close:
+        radius = self._settings.reached_radius
+        # On the last stretch to a target that moves on, a little beside it is better than a manoeuvre, which would
+        # be out of date when it ends; from a stand there is time for one.
+        close, lookahead = (FOLLOWING * radius, LOOKAHEAD) if self._tracker.last_stretch else (STANDING_BY * radius, 0.0)
+        path = self._planner.arc(start, target, gear, close, lookahead) if away <= ARC_REACH else []
+        if not path and away <= STANDING_BY * radius:
             self.progress = "standing at the target"  # nearer would take a manoeuvre
             return False
         path = path or self._planner.plan(start, target, gear, self._arrival)

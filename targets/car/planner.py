@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 from targets.car.bicycle import wrap
@@ -79,12 +80,12 @@ class Planner:
     ) -> list[Segment]:
         """The cheapest path found from a pose (x, y, yaw) to a point, or [] when every one leaves the area.
 
-        `gear` is the direction in which the car rolls (0: it stands): starting the other way is priced. `arrival`, the
-        heading at which an earlier plan arrives, is tried too, so that a plan made on the way agrees with its beginning.
+        `gear` is the direction in which the car rolls (0: it stands): starting the other way is priced. `arrival`,
+        the heading at which an earlier plan arrives, is tried too: a plan made on the way agrees with its beginning.
         """
         # Noise can put a car that stands at the fence outside of it: from there, it may come back in.
         area = self._area.with_point(start[0], start[1])
-        if not self._area.contains(*goal) or not all(map(math.isfinite, start)) or start[:2] == goal:
+        if not self._area.contains(*goal) or not all(map(math.isfinite, start)) or math.dist(start[:2], goal) < 1e-3:
             return []
         headings = [start[2] + i * 2 * math.pi / HEADINGS for i in range(HEADINGS)]
         headings += self._tangents(start, goal)
@@ -108,13 +109,16 @@ class Planner:
                 best, least = path, price
         return best
 
-    def arc(self, start: Triple, goal: tuple[float, float], gear: int, tolerance: float) -> list[Segment]:
+    def arc(
+        self, start: Triple, goal: tuple[float, float], gear: int, tolerance: float, lookahead: float = 0.0
+    ) -> list[Segment]:
         """One arc without a change of gear that ends within `tolerance` metres of the goal, or [] when there is none:
-        what a target that has moved by centimetres calls for. `gear` 0 leaves the gear open."""
+        what a target that has moved by centimetres calls for. `gear` 0 leaves the gear open. A goal nearer
+        than `lookahead` is steered for as softly as if it were that far: pure pursuit of a nearer point sways."""
         cosine, sine = math.cos(start[2]), math.sin(start[2])
         east, north = goal[0] - start[0], goal[1] - start[1]
         ahead, aside = cosine * east + sine * north, cosine * north - sine * east
-        away = max(math.hypot(ahead, aside), 1e-9)
+        away = max(math.hypot(ahead, aside), lookahead, 1e-9)
         bend = max(-1 / self._radius, min(1 / self._radius, 2 * aside / away**2))
         bend = math.copysign(max(abs(bend), 1e-6), bend)  # a straight line is an arc of 1000 km
         along = math.atan2(bend * ahead, 1 - bend * aside) / bend  # the place on it that is nearest to the goal
@@ -148,7 +152,7 @@ class Planner:
         step = length / steps
         points = self._points(kind, start, goal, steps)
         forward = []  # how much of each step is driven forwards, metres
-        for (x0, y0, yaw0), (x1, y1, yaw1) in zip(points, points[1:], strict=False):
+        for (x0, y0, yaw0), (x1, y1, yaw1) in pairwise(points):
             middle = (yaw0 + yaw1) / 2
             along = (x1 - x0) * math.cos(middle) + (y1 - y0) * math.sin(middle)
             if abs(along) > STRAIGHTNESS * step:
@@ -210,12 +214,13 @@ def _cusp(before: Triple, last: Triple, gear: int, share: float) -> Triple:
     step before."""
     turn = (last[2] - before[2]) * share
     ahead = gear * math.dist(before[:2], last[:2]) * share
-    return (last[0] + ahead * math.cos(last[2] + turn / 2), last[1] + ahead * math.sin(last[2] + turn / 2), last[2] + turn)
+    heading = last[2] + turn / 2
+    return (last[0] + ahead * math.cos(heading), last[1] + ahead * math.sin(heading), last[2] + turn)
 
 
 def _segment(gear: int, run: list[Triple]) -> Segment:
-    ways = [math.dist(a[:2], b[:2]) for a, b in zip(run, run[1:], strict=False)]
-    bends = [gear * (b[2] - a[2]) / way for a, b, way in zip(run, run[1:], ways, strict=False)]
+    ways = [math.dist(a[:2], b[:2]) for a, b in pairwise(run)]
+    bends = [gear * (b[2] - a[2]) / way for (a, b), way in zip(pairwise(run), ways, strict=True)]
     poses = tuple(PathPose(*at, bend) for at, bend in zip(run, [bends[0], *bends], strict=True))
     return Segment(gear, poses, sum(ways))
 

@@ -23,7 +23,7 @@ from targets.car.settings import decode
 
 STALE = 0.3  # seconds without a sample of the position feed: brake
 WAIT_FOR_DRIVE, WAIT_FOR_FEED = 5.0, 60.0  # seconds until Unready; a base station may be started after the robots
-BLIND_BRAKING = 2.0  # seconds of braking after which a car whose speed nobody measures counts as standing
+BLIND_BRAKING = 1.5  # seconds of braking after which a car whose speed nobody measures counts as standing
 STILL = 0.3  # seconds at standstill that make a rest
 DATAGRAMS_A_POLL = 64  # a flood must not keep the control loop from its work
 SLACK = 0.005  # seconds: polls that come at the period's pace, but for jitter, each run the controller
@@ -222,7 +222,7 @@ class Car:
 
     @property
     def rested(self) -> bool:
-        """Braked and standing; when nobody measures the speed any more, braked for two seconds."""
+        """Braked and standing; when nobody measures the speed any more, braked for a while."""
         since = self._resting_since
         if since is None:
             return False

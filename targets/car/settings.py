@@ -29,12 +29,12 @@ class CarSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     reached_dwell: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 0.3
     speed_to_erpm_gain: Annotated[float, msgspec.Meta(ge=-100_000.0, le=100_000.0)] = 4614.0
     steering_to_servo_gain: Annotated[float, msgspec.Meta(ge=-10.0, le=10.0)] = -1.2135
-    steering_to_servo_offset: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.5304
+    steering_to_servo_offset: Annotated[float, msgspec.Meta(ge=0.1, le=0.9)] = 0.5304
     brake_current: Annotated[float, msgspec.Meta(ge=0.5, le=60.0)] = 10.0
 
     @property
     def steering_limit(self) -> float:
-        """The angle, radians, that can be steered to both sides: the servo's range (0 to 1) may end before the wheels'."""
+        """The angle, radians, that both sides allow: the servo's range (0 to 1) may end before the wheels'."""
         room = min(self.steering_to_servo_offset, 1.0 - self.steering_to_servo_offset)
         return min(self.max_steering, room / abs(self.steering_to_servo_gain))
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Sequence
+from itertools import pairwise
 
 from targets.car.bicycle import State, wrap
 from targets.car.mpc import STEP, STEPS, Command, Limits, Mpc
@@ -29,7 +30,7 @@ class Track:
         self._limits = limits
         poses = segment.poses
         self._stations = [0.0]
-        for a, b in zip(poses, poses[1:], strict=False):
+        for a, b in pairwise(poses):
             self._stations.append(self._stations[-1] + math.hypot(b.x - a.x, b.y - a.y))
         # Squares of speeds: under constant braking they fall linearly along the way.
         self._squares = [limits.speed**2] * len(poses)
@@ -53,7 +54,7 @@ class Track:
         lo, hi = self.station - LOOK_BACK, self.station + LOOK_AHEAD
         best, self.error = self.station, math.inf
         poses = self.segment.poses
-        for i, (a, b) in enumerate(zip(poses, poses[1:], strict=False)):
+        for i, (a, b) in enumerate(pairwise(poses)):
             begin, end = self._stations[i], self._stations[i + 1]
             if end < lo or begin > hi:
                 continue
@@ -74,7 +75,7 @@ class Track:
         wished = []
         for _ in range(STEPS):
             pace = min(pace + self._limits.acceleration * STEP, self._allowed(station))
-            rest = self.length - station
+            rest = max(0.0, self.length - station)
             pace = min(pace, rest / STEP)
             station += pace * STEP
             wished.append(self._state(station, direction * pace, yaw))
@@ -129,6 +130,11 @@ class Tracker:
         return self._tracks[0].segment.direction if self._tracks and not self.done else 0
 
     @property
+    def last_stretch(self) -> bool:
+        """Whether the segment that ends the path is being driven."""
+        return len(self._tracks) == 1 and not self.done
+
+    @property
     def turning_back(self) -> bool:
         """Whether the car is about to stand and change gear."""
         return len(self._tracks) > 1 and self._tracks[0].length - self._tracks[0].station < TURN_BACK
@@ -143,7 +149,7 @@ class Tracker:
         return self._mpc.failures
 
     def step(self, state: State) -> Command:
-        """The command of the next step; only while not `done`. `state.speed` and `state.steering` are the last commanded."""
+        """The command of the next step; only while not `done`. Speed and steering are those last commanded."""
         track = self._tracks[0]
         track.locate(state)
         if track.length - track.station < NEAR and abs(state.speed) < SLOW:

@@ -52,7 +52,7 @@ class TestBody:
 
 
 class Wire:
-    """Both links at once, in memory. `alive` and `fed` cut them."""
+    """Both links at once, in memory."""
 
     def __init__(self) -> None:
         self.to_drive = b""
