@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.platform import Unready
 from koordgen.runtime.settings import Box
-from targets.quad.flight import misplaced
+from targets.quad.flight import coordinates, misplaced
 from targets.quad.link import Link
 from targets.quad.telemetry import Streams, Telemetry, firmware
 
@@ -62,5 +62,5 @@ def _verdict(url: str, link: Link, telemetry: Telemetry, version: str, fence: Bo
         raise Unready(fault)
     return [
         f"autopilot on {url}: {what} {version}, system {link.vehicle.system}",
-        f"position estimate: ({p.x:.2f}, {p.y:.2f}, {p.z:.2f}) m; in {telemetry.mode_name}",
+        f"position estimate: {coordinates(p)} m; in {telemetry.mode_name}",
     ]

@@ -12,6 +12,7 @@ import math
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.platform import Unready
+from koordgen.runtime.safety import clamp
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point
 from targets.quad.link import RESULTS, Link
@@ -38,12 +39,18 @@ class Phase(enum.Enum):
     RESTED = enum.auto()
 
 
+def coordinates(p: Point) -> str:
+    """A point in words, to the centimetre and without negative zeros."""
+    x, y, z = (round(v, 2) + 0.0 for v in (p.x, p.y, p.z))
+    return f"({x:.2f}, {y:.2f}, {z:.2f})"
+
+
 def misplaced(fence: Box, height: float, p: Point) -> str:
     """Why a take-off from p to that height would be wrong, or nothing."""
-    lo, hi = fence.lo, fence.hi
-    if not (lo.x <= p.x <= hi.x and lo.y <= p.y <= hi.y and lo.z - GROUND_SLACK <= p.z <= hi.z):
+    q = clamp(fence, p)
+    if (q.x, q.y) != (p.x, p.y) or p.z > q.z or p.z < q.z - GROUND_SLACK:
         return (
-            f"the autopilot puts the robot at ({p.x:.2f}, {p.y:.2f}, {p.z:.2f}), outside the geofence; "
+            f"the autopilot puts the robot at {coordinates(p)}, outside the geofence; "
             "are the fleet's origin and its altitude (AMSL) right?"
         )
     if p.z > height - 0.2:
@@ -64,7 +71,7 @@ class Flight:
         self._climb_from = 0.0
         self._landing_seen = False  # LAND, asked for by us, was seen in a heartbeat
         self._grounded: float | None = None  # since when the vehicle seems to be on the ground, while landing
-        self._accepted = True  # whether we have the vehicle; False once someone else took it
+        self._taken = False  # by a pilot or a failsafe
         self.phase = Phase.CONNECTING
         self.progress = f"waiting for a heartbeat on {url}"
 
@@ -76,7 +83,7 @@ class Flight:
         self._link.greet(now)
         if self.phase is not Phase.RESTED:
             self._watch(now)
-        if self._link.vehicle is not None:
+        if self.phase is not Phase.CONNECTING:
             self._streams.poll(self._link, now)
         match self.phase:
             case Phase.CONNECTING:
@@ -195,27 +202,30 @@ class Flight:
         self.progress = "flying" if self._link.alive(now) else f"no heartbeat on {self._url} for {silent:.0f} s"
 
     def _lost_control(self) -> None:
-        self._accepted = False
+        self._taken = True
         raise Unready(
             f"the autopilot is in {self._telemetry.mode_name}: a pilot or a failsafe took over",
             "the agent leaves it to them",
         )
 
     def rest(self, now: float) -> None:
-        """Begin to land. Idempotent."""
-        if self.phase not in (Phase.LANDING, Phase.RESTED):
+        """Begin to land. Idempotent. A vehicle that was never commanded, not a copter perhaps, or flown by a pilot, is
+        left as it is."""
+        if self.phase in (Phase.CONNECTING, Phase.ESTIMATING):
+            self._enter(Phase.RESTED, now, "nothing was moved")
+        elif self.phase is not Phase.RESTED and self.phase is not Phase.LANDING:
             self._enter(Phase.LANDING, now, "landing")
 
     def _land(self, now: float) -> None:
         state = self._telemetry
         # An arming that is still on its way must not catch us asleep: only a later heartbeat says that all is quiet.
-        if self._link.heard is None or (not state.armed and state.mode_time > self._since + 1.0):
-            self._enter(Phase.RESTED, now, "at rest" if self._link.heard is None else "at rest, disarmed")
+        if not state.armed and state.mode_time > self._since + 1.0:
+            self._enter(Phase.RESTED, now, "at rest, disarmed")
             return
         ends_itself = state.mode == LAND or state.mode in RETURNS
         if self._landing_seen and not ends_itself:
-            self._accepted = False
-        if not self._accepted and not ends_itself:
+            self._taken = True
+        if self._taken and not ends_itself:
             self._enter(Phase.RESTED, now, f"left to whoever switched it to {state.mode_name}")
             return
         if ends_itself:

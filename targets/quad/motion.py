@@ -6,10 +6,11 @@ import math
 
 from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.platform import Unready
+from koordgen.runtime.safety import clamp
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point, distance, transmissible
 from targets.quad.link import Link
-from targets.quad.setpoint import Carrot, setpoint, within
+from targets.quad.setpoint import Carrot, setpoint
 from targets.quad.telemetry import Telemetry
 
 STANDING = 0.25  # m/s, above what a hovering vehicle's estimate shows
@@ -52,7 +53,7 @@ class Motion:
             self._holding, self._pause = on, None
 
     def _lifted(self, p: Point) -> Point:
-        return within(self._fence, Point(p.x, p.y, max(p.z, self._height)))
+        return clamp(self._fence, Point(p.x, p.y, max(p.z, self._height)))
 
     def steer(self, link: Link, state: Telemetry, now: float) -> None:
         """Send the next setpoint when one is due, and look whether the autopilot follows the last ones. Raises

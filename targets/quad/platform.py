@@ -14,6 +14,7 @@ import msgspec
 
 from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.platform import Sensed, Unready
+from koordgen.runtime.safety import clamp
 from koordgen.runtime.settings import BadSettings, Settings
 from koordgen.runtime.values import Point
 from targets.quad.check import checked
@@ -54,7 +55,7 @@ class Quad:
         except msgspec.ValidationError as error:
             raise BadSettings(f"settings of {settings.robot}: body: {error}") from None
         fence, origin = settings.geofence, settings.origin
-        if not fence.lo.z <= body.flight_height <= fence.hi.z:
+        if clamp(fence, Point(0.0, 0.0, body.flight_height)).z != body.flight_height:
             raise BadSettings(
                 f"settings of {settings.robot}: body: flight_height {body.flight_height:g} is outside the geofence"
             )

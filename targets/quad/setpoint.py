@@ -14,6 +14,7 @@ import math
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.geodesy import LocalFrame
+from koordgen.runtime.safety import clamp
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point, distance
 from targets.quad.framing import Message
@@ -33,15 +34,6 @@ class NotSendable(ValueError):
     """A setpoint that is not finite: it would abort the autopilot's process, so it is never sent."""
 
 
-def within(box: Box, p: Point) -> Point:
-    """The point of the box that is nearest to p."""
-    return Point(
-        min(max(p.x, box.lo.x), box.hi.x),
-        min(max(p.y, box.lo.y), box.hi.y),
-        min(max(p.z, box.lo.z), box.hi.z),
-    )
-
-
 def setpoint(vehicle: Vehicle, frame: LocalFrame, fence: Box, p: Point) -> Message:
     """A position-only setpoint at p (fleet's ENU), clamped to the fence. Raises NotSendable unless p is finite.
 
@@ -50,7 +42,7 @@ def setpoint(vehicle: Vehicle, frame: LocalFrame, fence: Box, p: Point) -> Messa
     """
     if not (math.isfinite(p.x) and math.isfinite(p.y) and math.isfinite(p.z)):
         raise NotSendable(f"({p.x}, {p.y}, {p.z})")
-    q = within(fence, p)
+    q = clamp(fence, p)
     latitude, longitude, altitude = frame.geodetic(q.x, q.y, q.z)
     return mavlink.MAVLink_set_position_target_global_int_message(
         0, vehicle.system, vehicle.component, mavlink.MAV_FRAME_GLOBAL_INT, POSITION,

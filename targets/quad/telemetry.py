@@ -41,7 +41,8 @@ RATES = {
     mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: 5.0,
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: 4.0,
 }
-# These come only while the autopilot has something to say in them: their absence is not asked about twice a second.
+# Their absence proves nothing: the one comes only while there is a target, the other always, only too seldom. They are
+# asked for again every five seconds, whatever comes.
 _OCCASIONAL = (mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT, mavlink.MAVLINK_MSG_ID_HEARTBEAT)
 
 

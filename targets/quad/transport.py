@@ -213,6 +213,8 @@ def opened(url: str) -> Transport:
     place, _, number = rest.rpartition(":")
     if scheme not in ("udpin", "udpout", "tcp", "serial") or not place or not number.isdecimal():
         raise Unready(f"autopilot: {url!r} is no MAVLink link", HINT)
+    if scheme != "serial" and not 0 < int(number) < 65536:  # getaddrinfo would wrap it around
+        raise Unready(f"autopilot: {url!r} has no port within 1 to 65535", HINT)
     try:
         if scheme == "serial":
             return Serial(place, int(number))

@@ -1,4 +1,4 @@
-"""A quad's agent side against the simulated autopilot on one simulated clock: bytes in memory, a point mass for a body."""
+"""A quad's agent against the simulated autopilot on one simulated clock: bytes in memory, a point mass for a body."""
 
 from __future__ import annotations
 
@@ -158,6 +158,5 @@ class Rig:
     def go(self, x: float, y: float, z: float = 0.0) -> None:
         self.quad.command({"Motion.target": Point(x, y, z)}, self.now)
 
-    @property
     def reached(self) -> bool:
         return bool(self.quad.sense(self.now).values["Motion.reached"])

@@ -1,0 +1,84 @@
+"""The one test with real sockets and the real clock: agent and simulated autopilot over loopback."""
+
+from __future__ import annotations
+
+import socket
+import time
+
+import pytest
+
+from koordgen.runtime.platform import Unready
+from koordgen.runtime.values import Point
+from targets.quad.platform import Quad
+from targets.quad.transport import opened
+from targets.sim.autopilot import SimulatedAutopilot
+from targets.sim.bodies import DeviceContext
+from tests.quad.rig import ORIGIN, STEP, PointMass, settings
+
+
+def test_a_flight_over_loopback() -> None:
+    body = PointMass()
+    harness = {"boot": 0.2, "position_noise": 0.005}
+    autopilot = SimulatedAutopilot(body, DeviceContext("alice", {}, harness, ORIGIN, 1, b""))
+    quad = Quad(settings(**autopilot.overrides, flight_height=0.5), None)
+    try:
+        quad.start(time.monotonic())
+        begun = stepped = polled = time.monotonic()
+        while time.monotonic() - begun < 20.0 and not quad.rested:
+            now = time.monotonic()
+            while stepped < now:
+                stepped += STEP
+                body.step(STEP)
+                autopilot.step(stepped)
+            if now >= polled:
+                polled += quad.period
+                quad.poll(now)
+                if quad.ready:
+                    quad.command({"Motion.target": Point(1.3, -2.0, 0.0)}, now)
+                    if quad.sense(now).values["Motion.reached"]:
+                        quad.rest(now)
+            time.sleep(0.002)
+        assert quad.rested, quad.progress
+        assert abs(body.position[0] - 1.3) < 0.2 and body.position[2] == 0.0
+    finally:
+        quad.close()
+        autopilot.close()
+
+
+def test_a_port_in_use_is_said() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        url = f"udpin:127.0.0.1:{taken.getsockname()[1]}"
+        with pytest.raises(Unready, match="in use") as error:
+            opened(url)
+    assert "does another program" in error.value.hint
+
+
+def test_tcp_comes_back_after_a_break() -> None:
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        server.listen()
+        server.settimeout(5)
+        link = opened(f"tcp:127.0.0.1:{server.getsockname()[1]}")
+        now = 0.0
+        for word in (b"one", b"two"):
+            link.receive(now)
+            connection, _ = server.accept()
+            with connection:
+                connection.settimeout(5)
+                connection.sendall(word)
+                got = b""
+                while got != word:
+                    got += b"".join(data for data, _ in link.receive(now))
+                assert link.send(b"hello")
+                assert connection.recv(5) == b"hello"
+            for _ in range(200):  # the break is noticed
+                link.receive(now)
+                time.sleep(0.002)
+                if not link.send(b"?"):
+                    break
+            now += 2.0
+        link.close()
+    refused = opened("tcp:127.0.0.1:1")
+    assert refused.receive(0.0) == [] and refused.receive(2.0) == []
+    refused.close()
