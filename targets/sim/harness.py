@@ -1,0 +1,147 @@
+"""The sim bundle's command line: runs the fleet and writes trace, summary, pictures and report."""
+
+from __future__ import annotations
+
+import argparse
+import errno
+import hashlib
+import importlib.util
+import math
+import platform
+import shlex
+import sys
+import traceback
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from targets.sim.folder import Foreign, RunFolder
+from targets.sim.scenario import FILE, BadScenario, Scenario, load
+
+if TYPE_CHECKING:
+    from targets.sim.summary import Summary
+
+HELD, BAD_FILES, USAGE, VIOLATED, SURROUNDINGS, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 5, 70, 130
+STATUS = {"held": HELD, "violated": VIOLATED, "interrupted": INTERRUPTED, "not started": SURROUNDINGS}
+NEEDED = ("numpy", "pybullet", "matplotlib")
+
+
+def main(root: Path, argv: list[str] | None = None) -> int:
+    """Run the bundle at `root`; returns the exit status. Usage errors leave by SystemExit(2)."""
+    options = _parser(root).parse_args(argv)
+    try:
+        scenario = load(root, options.settings)
+        out: Path = options.out or Path(f"run-{scenario.app}")
+        _require(scenario)
+        if options.check:
+            return _check(root, scenario)
+        with RunFolder(out) as folder:
+            return _run(root, scenario, folder, options)
+    except BadScenario as error:
+        return _fail(BAD_FILES, str(error), error.hint)
+    except Foreign as error:
+        return _fail(SURROUNDINGS, str(error), error.hint)
+    except ModuleNotFoundError as error:
+        hint = f"{sys.executable} -m pip install -r {root / 'requirements.txt'}"
+        return _fail(SURROUNDINGS, f"the Python package {error.name!r} is missing", hint)
+    except OSError as error:
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        where = f"{error.filename}: " if error.filename else ""
+        text = (
+            "the disk is full; the run was ended, and its results are incomplete" if full else error.strerror or error
+        )
+        return _fail(SURROUNDINGS, f"{where}{text}", "make room and run it again" if full else "")
+    except KeyboardInterrupt:
+        return _fail(INTERRUPTED, "interrupted", "")
+    except Exception:
+        traceback.print_exc()
+        return _fail(INTERNAL, "this is a mistake of koordgen; please report it with the lines above", "")
+
+
+def _parser(root: Path) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog=f"python3 {root.name}", description="Run the whole fleet on this host.")
+    parser.add_argument("--duration", type=_seconds, default=30.0, metavar="S", help="mission time, default 30 s")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all randomness in the world, default 0")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="what the run leaves, default run-<app>")
+    parser.add_argument("--settings", type=Path, metavar="FILE", help="JSON object laid over the scenario's settings")
+    parser.add_argument("--check", action="store_true", help="check the bundle and its packages; run nothing")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+    return parser
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not (math.isfinite(value) and value > 0):
+        raise ValueError
+    return value
+
+
+def _fail(status: int, message: str, hint: str) -> int:
+    print(f"error: {message}" + (f"\n  help: {hint}" if hint else ""), file=sys.stderr)
+    return status
+
+
+def _require(scenario: Scenario) -> None:
+    """Find out now, and not after the run, that a package is missing."""
+    from targets.sim.stage import device_class
+
+    for name in NEEDED:
+        if importlib.util.find_spec(name) is None:
+            raise ModuleNotFoundError(name=name)
+    for device in sorted({robot.device for robot in scenario.robots}):
+        device_class(device)
+
+
+def _check(root: Path, scenario: Scenario) -> int:
+    print(f"ok: {root / FILE}: {scenario.app}, {len(scenario.robots)} robots, delta {scenario.delta:g} s")
+    for robot in scenario.robots:
+        print(f"ok: {robot.name}: {robot.target}, {robot.body} with {robot.device}, {robot.bundle}")
+    print(f"ok: packages {', '.join(NEEDED)}")
+    return HELD
+
+
+def _run(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespace) -> int:
+    from targets.sim.progress import Progress
+    from targets.sim.run import Run
+
+    progress = Progress(sys.stderr, options.quiet)
+    run = Run(scenario, root, folder, options.seed, options.duration, progress)
+    try:
+        outcome = run.execute()
+    finally:
+        progress.finish()
+    from targets.sim import summary, trace
+
+    names = tuple(trace.RobotName(r.name, r.pid, r.target) for r in scenario.robots)
+    header = trace.Header(
+        trace.FORMAT, scenario.app, scenario.program_hash, scenario.delta, options.seed, names, options.duration,
+        outcome.started, scenario.number("min_separation", 0.0), (scenario.geofence.lo, scenario.geofence.hi),
+    )  # fmt: skip
+    merged = folder / "trace.jsonl"
+    trace.merge(merged, header, outcome.zero, run.poses_file, [a.trace_file for a in run.agents], outcome.marks)
+    run.poses_file.unlink()
+    found = summary.summarise(*trace.read(merged), outcome)
+    summary.write(found, folder)
+    progress.say("drawing the report")
+    _report(root, scenario, folder, options, found)
+    print(summary.as_text(found))
+    print(f"report: {folder / 'report.html'}")
+    return STATUS[found.verdict] if outcome.ended != "died" else VIOLATED
+
+
+def _report(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespace, found: Summary) -> None:
+    from targets.sim import plots, report, trace
+
+    merged = folder / "trace.jsonl"
+    pictures = plots.draw(plots.tracks(*trace.read(merged)), folder / "plots")
+    command = ["python3", str(root), "--duration", f"{options.duration:g}", "--seed", str(options.seed)]
+    if options.settings:
+        command += ["--settings", str(options.settings)]
+    reproduce = {
+        "command": shlex.join([*command, "--out", str(folder)]),
+        "program": f"{scenario.source}, hash {scenario.program_hash}",
+        "scenario": f"{FILE}, SHA-256 {hashlib.sha256((root / FILE).read_bytes()).hexdigest()}",
+        "settings": ", ".join(f"{key} {value}" for key, value in sorted(scenario.harness.items())),
+        "host": f"Python {platform.python_version()}, {platform.system()} {platform.machine()}",
+    }
+    lines = report.important(*trace.read(merged))
+    report.write(folder / "report.html", found, lines, pictures, reproduce)

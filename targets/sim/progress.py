@@ -1,0 +1,79 @@
+"""What a run shows on the terminal: one line that is rewritten, or few plain ones when nobody watches."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from typing import TextIO
+
+from targets.sim.stage import Watch
+from targets.sim.supervise import Agent
+
+PLAIN_EVERY = 10.0  # seconds between lines where they cannot be rewritten
+LIVE_EVERY = 0.2
+
+
+class Progress:
+    """Writes to `stream` (standard error); quiet, it says nothing."""
+
+    def __init__(self, stream: TextIO, quiet: bool) -> None:
+        self._stream = stream
+        self._quiet = quiet
+        self._live = stream.isatty()
+        self._next = 0.0
+        self._open = False  # a line stands that will be rewritten
+
+    def say(self, text: str) -> None:
+        """A line that stays."""
+        if not self._quiet:
+            self._write(("\r\x1b[K" if self._open else "") + text + "\n")
+            self._open = False
+
+    def show(
+        self, now: float, zero: float | None, duration: float, agents: list[Agent], watch: Watch, factor: float
+    ) -> None:
+        """The present state, when it is time for it again."""
+        if self._quiet or now < self._next:
+            return
+        first = self._next == 0.0
+        self._next = now + (LIVE_EVERY if self._live else PLAIN_EVERY)
+        if first and not self._live:
+            return
+        text = _starting(agents) if zero is None else _running(now - zero, duration, agents, watch, factor)
+        if self._live:
+            text = text[: max(20, shutil.get_terminal_size().columns - 1)]
+        self._write("\r\x1b[K" + text if self._live else text + "\n")
+        self._open = self._live
+
+    def finish(self) -> None:
+        """End the line that stands."""
+        if self._open:
+            self._write("\r\x1b[K")
+            self._open = False
+
+    def _write(self, text: str) -> None:
+        try:
+            self._stream.write(text)
+            self._stream.flush()
+        except OSError:  # the terminal is gone; the run is not
+            self._quiet = True
+
+
+def _starting(agents: list[Agent]) -> str:
+    return " | ".join(f"{agent.robot.name} {agent.waiting_for()}" for agent in agents)
+
+
+def _running(t: float, duration: float, agents: list[Agent], watch: Watch, factor: float) -> str:
+    parts = [
+        f"{min(t, duration):5.1f} of {duration:g} s",
+        f"round {max(agent.round for agent in agents)}",
+        f"{sum(agent.events for agent in agents)} events",
+    ]
+    if math.isfinite(watch.closest.distance):
+        parts.append(f"closest {watch.closest.distance:.2f} m")
+    gone = [agent.robot.name for agent in agents if not agent.alive]
+    if gone:
+        parts.append(f"ended: {', '.join(gone)}")
+    if factor < 0.98:
+        parts.append(f"the host is too slow: real-time factor {factor:.2f}")
+    return ", ".join(parts)

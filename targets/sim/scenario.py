@@ -1,0 +1,132 @@
+"""The scenario: `scenario.json` of a sim bundle, typed and checked; who is in the fleet and where each one starts."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from targets.sim.bodies import Vector
+
+FILE = "scenario.json"
+
+
+class BadScenario(Exception):
+    """A file that cannot be used; the message names it and what is wrong, `hint` the way out."""
+
+    def __init__(self, message: str, hint: str = "") -> None:
+        super().__init__(message)
+        self.hint = hint
+
+
+class Origin(msgspec.Struct, frozen=True):
+    """WGS-84 place of the local frame: degrees, and metres above mean sea level."""
+
+    latitude: float
+    longitude: float
+    altitude: float
+
+
+class Box(msgspec.Struct, frozen=True):
+    """Metres, local ENU."""
+
+    lo: Vector
+    hi: Vector
+
+
+class Start(msgspec.Struct, frozen=True):
+    """Metres, local ENU; yaw in radians counter-clockwise from east."""
+
+    position: Vector
+    yaw: float = 0.0
+
+
+class Robot(msgspec.Struct, frozen=True):
+    """One robot: its bundle's folder within the sim bundle, the simulated body and device that stand in for the real
+    ones, and the settings that body has on the robot."""
+
+    name: str
+    pid: int
+    target: str
+    bundle: str
+    body: str
+    device: str
+    start: Start
+    settings: dict[str, Any] = {}
+
+
+class Scenario(msgspec.Struct, frozen=True):
+    """`harness` are the sim target's own settings, as its manifest declares them."""
+
+    app: str
+    source: str
+    program_hash: str
+    delta: float
+    origin: Origin
+    geofence: Box
+    robots: tuple[Robot, ...]
+    harness: dict[str, Any] = {}
+
+    def number(self, setting: str, default: float) -> float:
+        """One of the harness's settings."""
+        return float(self.harness.get(setting, default))
+
+
+def load(root: Path, settings: Path | None = None) -> Scenario:
+    """The scenario of the bundle at `root`; a JSON file may be laid over its harness settings. Raises BadScenario."""
+    path = root / FILE
+    if not path.exists():
+        raise BadScenario(
+            f"{path}: there is none, so nobody knows which robots to simulate",
+            "the bundle was built without a fleet: build it again with --fleet FILE",
+        )
+    try:
+        scenario = msgspec.convert(_object(path), Scenario)
+    except msgspec.ValidationError as error:
+        raise BadScenario(f"{path}: {error}", "build the bundle again") from None
+    _check(path, root, scenario)
+    if settings is None:
+        return scenario
+    return msgspec.structs.replace(scenario, harness=_laid_over(scenario.harness, settings))
+
+
+def _object(path: Path) -> dict[str, Any]:
+    try:
+        value = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise BadScenario(f"{path}: {getattr(error, 'strerror', None) or error}") from None
+    if not isinstance(value, dict):
+        raise BadScenario(f"{path}: a JSON object is expected")
+    return value
+
+
+def _check(path: Path, root: Path, scenario: Scenario) -> None:
+    names = [robot.name for robot in scenario.robots]
+    if not names or len(set(names)) != len(names):
+        raise BadScenario(f"{path}: the robots need names of their own: {names}")
+    if [robot.pid for robot in scenario.robots] != list(range(len(names))):
+        raise BadScenario(f"{path}: the robots' pids must count from 0")
+    if not (math.isfinite(scenario.delta) and scenario.delta > 0):
+        raise BadScenario(f"{path}: delta is {scenario.delta}")
+    for robot in scenario.robots:
+        bundle = (root / robot.bundle).resolve()
+        if not bundle.is_relative_to(root.resolve()) or not (bundle / "__main__.py").is_file():
+            raise BadScenario(f"{path}: {robot.name}'s bundle {robot.bundle} is not there", "build the bundle again")
+        if not all(map(math.isfinite, (*robot.start.position, robot.start.yaw))):
+            raise BadScenario(f"{path}: {robot.name}'s start is not finite")
+
+
+def _laid_over(harness: dict[str, Any], path: Path) -> dict[str, Any]:
+    given = _object(path)
+    for key, value in given.items():
+        if key not in harness:
+            raise BadScenario(f"{path}: no setting {key!r}", f"there are: {', '.join(sorted(harness))}")
+        old = harness[key]
+        number = isinstance(old, (int, float)) and not isinstance(old, bool)
+        fits = type(value) in (int, float) and math.isfinite(value) if number else type(value) is type(old)
+        if not fits:
+            raise BadScenario(f"{path}: {key} is {value!r} where something like {old!r} is expected")
+    return {**harness, **given}

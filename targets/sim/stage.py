@@ -1,0 +1,147 @@
+"""The stage: a scenario's bodies and devices in one world, stepped together and watched for what must not happen."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import random
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from targets.sim.bodies import BodyState, Device, DeviceContext, Vector
+from targets.sim.car import SimulatedCar
+from targets.sim.quadrotor import SimulatedQuadrotor
+from targets.sim.scenario import BadScenario, Robot, Scenario
+from targets.sim.world import Rigid, World
+
+
+class Body(Protocol):
+    """What the stage needs of every body; devices know more."""
+
+    rigid: Rigid
+
+    def state(self) -> BodyState: ...
+
+    def step(self) -> None: ...
+
+
+def _quadrotor(world: World, robot: Robot) -> Body:
+    return SimulatedQuadrotor(world, robot.start.position, robot.start.yaw)
+
+
+def _car(world: World, robot: Robot) -> Body:
+    wheelbase = float(robot.settings.get("wheelbase", 0.33))
+    max_steering = float(robot.settings.get("max_steering", 0.4))
+    return SimulatedCar(world, robot.start.position, robot.start.yaw, wheelbase, max_steering)
+
+
+# What a target's [simulation] table may name. Devices are imported when a robot needs them.
+BODIES: dict[str, Callable[[World, Robot], Body]] = {"quadrotor": _quadrotor, "car": _car}
+DEVICES: dict[str, str] = {
+    "autopilot": "targets.sim.autopilot:SimulatedAutopilot",
+    "drive": "targets.sim.drive:SimulatedDrive",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Actor:
+    """One robot's simulated half."""
+
+    robot: Robot
+    body: Body
+    device: Device
+
+
+@dataclass(frozen=True, slots=True)
+class Closest:
+    """The separation of two robots at a time: metres, seconds, pids."""
+
+    distance: float = math.inf
+    time: float = 0.0
+    pids: tuple[int, int] = (0, 0)
+
+
+@dataclass(slots=True)
+class Watch:
+    """What was seen of all pairs of robots, at every step. Separation is the distance in space of the robots' reference
+    points: those that they call their positions. Times are those that `Stage.step` was told."""
+
+    min_separation: float
+    closest: Closest = Closest()
+    too_close: dict[tuple[int, int], Closest] = field(default_factory=dict)  # each pair's first time
+    collisions: dict[tuple[int, int], float] = field(default_factory=dict)  # pair of pids -> the first time, s
+
+    def look(self, time: float, positions: list[Vector]) -> None:
+        for i, p in enumerate(positions):
+            for j in range(i + 1, len(positions)):
+                distance = math.dist(p, positions[j])
+                if distance < self.closest.distance:
+                    self.closest = Closest(distance, time, (i, j))
+                if distance < self.min_separation:
+                    self.too_close.setdefault((i, j), Closest(distance, time, (i, j)))
+
+    def touched(self, time: float, pair: tuple[int, int]) -> None:
+        self.collisions.setdefault(pair, time)
+
+
+class Stage:
+    """Owns world, bodies and devices; `close` gives all of them back. The same scenario, seed and commands give the
+    same motion."""
+
+    def __init__(self, scenario: Scenario, seed: int, key: bytes) -> None:
+        self.world = World()
+        self.actors: list[Actor] = []
+        self.watch = Watch(scenario.number("min_separation", 0.0))
+        try:
+            for robot in scenario.robots:
+                self.actors.append(_actor(self.world, scenario, robot, seed, key))
+        except BaseException:
+            self.close()
+            raise
+        self._pids = {actor.body.rigid.number: pid for pid, actor in enumerate(self.actors)}
+
+    def step(self, at: float) -> list[BodyState]:
+        """One physics step; the states before it. `at` stamps what the watch sees."""
+        now = self.world.time
+        states = [actor.body.state() for actor in self.actors]
+        self.watch.look(at, [state.position for state in states])
+        for actor in self.actors:
+            actor.device.step(now)
+        for actor in self.actors:
+            actor.body.step()
+        self.world.step()
+        for a, b in self.world.contacts():
+            self.watch.touched(at, (self._pids[a], self._pids[b]))
+        return states
+
+    def standing(self, pid: int) -> bool:
+        """Whether a robot is on the floor and does not move."""
+        body = self.actors[pid].body
+        return self.world.grounded(body.rigid) and math.hypot(*body.state().velocity) < 0.1
+
+    def close(self) -> None:
+        for actor in self.actors:
+            actor.device.close()
+        self.world.close()
+
+
+def device_class(name: str) -> Callable[[Any, DeviceContext], Device]:
+    """The class behind a device's name. Raises BadScenario, or ImportError when a package is missing."""
+    if name not in DEVICES:
+        raise BadScenario(f"no simulated device {name!r}", f"there are: {', '.join(sorted(DEVICES))}")
+    module, _, member = DEVICES[name].partition(":")
+    found: Callable[[Any, DeviceContext], Device] = getattr(importlib.import_module(module), member)
+    return found
+
+
+def _actor(world: World, scenario: Scenario, robot: Robot, seed: int, key: bytes) -> Actor:
+    if robot.body not in BODIES:
+        raise BadScenario(f"no simulated body {robot.body!r}", f"there are: {', '.join(sorted(BODIES))}")
+    make = device_class(robot.device)
+    body = BODIES[robot.body](world, robot)
+    origin = scenario.origin
+    harness: Mapping[str, Any] = scenario.harness
+    own_seed = random.Random(f"{seed}/{robot.pid}").getrandbits(32)
+    place = (origin.latitude, origin.longitude, origin.altitude)
+    return Actor(robot, body, make(body, DeviceContext(robot.name, robot.settings, harness, place, own_seed, key)))

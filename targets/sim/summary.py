@@ -1,0 +1,237 @@
+"""The summary of a run: figures per robot and for the whole fleet, computed from its trace, as JSON and as text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from targets.sim.bodies import Vector
+from targets.sim.run import Outcome
+from targets.sim.trace import End, Header, Pose, Record, Round, Violation, fault_text
+
+LATE = 0.5  # of delta: a round decided later than this is late
+
+Verdict = Literal["held", "violated", "interrupted", "not started"]
+
+
+class RobotSummary(msgspec.Struct):
+    """One robot. Positions (m, local ENU) are the truth: `start` at the beginning of the run, `final` at the mission's
+    end, `rest` after landing or braking. `path_length` is from round 1 to the mission's end."""
+
+    name: str
+    pid: int
+    target: str
+    start: Vector | None = None
+    final: Vector | None = None
+    rest: Vector | None = None
+    path_length: float = 0.0
+    rounds: int = 0
+    events: dict[str, int] = {}
+    skips: dict[str, int] = {}
+    faults: int = 0
+    first_fault: str | None = None
+    late_rounds: int = 0
+    status: int | None = None
+    waiting_for: str | None = None
+    last_lines: list[str] = []
+
+
+class Separation(msgspec.Struct):
+    """Of all pairs over the whole run, at every physics step (240 Hz), in space, between reference points."""
+
+    distance: float
+    time: float
+    robots: tuple[str, str]
+
+
+class Summary(msgspec.Struct):
+    app: str
+    program_hash: str
+    seed: int
+    duration_asked: float
+    duration: float
+    verdict: Verdict
+    why: str
+    violations: list[Violation]
+    robots: list[RobotSummary]
+    min_separation: Separation | None
+    min_separation_asked: float
+    collisions: int
+    real_time_factor: float
+    late_steps: int
+    steps: int
+
+
+def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Summary:
+    """Read a merged trace through once."""
+    tallies = {
+        robot.pid: _Tally(RobotSummary(robot.name, robot.pid, robot.target), header.delta) for robot in header.robots
+    }
+    ended = False
+    violations: list[Violation] = []
+    for record in records:
+        match record:
+            case Pose(pid=pid) if pid in tallies:
+                tallies[pid].pose(record, ended)
+            case Round(pid=pid) if pid in tallies:
+                tallies[pid].round(record)
+            case Violation():
+                violations.append(record)
+            case End():
+                ended = True
+            case _:
+                pass
+    robots = [tally.summary for tally in tallies.values()]
+    for robot in robots:
+        robot.status = outcome.statuses.get(robot.name)
+        robot.waiting_for = outcome.waiting.get(robot.name)
+        robot.last_lines = outcome.last_lines.get(robot.name, [])
+    verdict, why = _verdict(outcome, violations)
+    closest = outcome.closest
+    names = {robot.pid: robot.name for robot in header.robots}
+    return Summary(
+        app=header.app,
+        program_hash=header.program_hash,
+        seed=header.seed,
+        duration_asked=header.duration,
+        duration=outcome.duration if outcome.started else 0.0,
+        verdict=verdict,
+        why=why,
+        violations=violations,
+        robots=robots,
+        min_separation=Separation(
+            round(closest.distance, 4), closest.time, (names[closest.pids[0]], names[closest.pids[1]])
+        )
+        if closest
+        else None,
+        min_separation_asked=header.min_separation,
+        collisions=sum(v.what == "collision" for v in violations),
+        real_time_factor=outcome.real_time_factor,
+        late_steps=outcome.late_steps,
+        steps=outcome.steps,
+    )
+
+
+class _Tally:
+    def __init__(self, summary: RobotSummary, delta: float) -> None:
+        summary.events, summary.skips = {}, {}
+        self.summary = summary
+        self._delta = delta
+        self._last: Vector | None = None
+        self._round = 0
+
+    def pose(self, pose: Pose, ended: bool) -> None:
+        own = self.summary
+        own.start = own.start or pose.position
+        own.rest = pose.position
+        if not ended:
+            own.final = pose.position
+            if pose.t >= 0 and self._last is not None:
+                own.path_length += math.dist(self._last, pose.position)
+        self._last = pose.position
+
+    def round(self, record: Round) -> None:
+        own = self.summary
+        own.rounds += 1
+        slept = max(0, record.round - self._round - 1) if self._round else 0
+        self._round = record.round
+        waited = (record.skipped or "").startswith("not current")  # decided at the deadline, as it should be
+        own.late_rounds += slept + (record.late > LATE * self._delta and not waited)
+        if record.fault is not None:
+            own.faults += 1
+            own.first_fault = own.first_fault or fault_text(record.fault)
+        elif record.skipped is not None:
+            reason = record.skipped.partition(":")[0]
+            own.skips[reason] = own.skips.get(reason, 0) + 1
+        elif record.event is not None:
+            own.events[record.event] = own.events.get(record.event, 0) + 1
+
+
+def _verdict(outcome: Outcome, violations: list[Violation]) -> tuple[Verdict, str]:
+    first = f"{told(violations[0])}" if violations else ""
+    if outcome.ended == "interrupted":
+        return "interrupted", "interrupted by the user" + (f"; before that, {first}" if first else "")
+    if outcome.ended == "timeout":
+        waiting = "; ".join(f"{name}: {what}" for name, what in outcome.waiting.items())
+        return "not started", f"round 1 never came: {waiting}"
+    if violations:
+        return "violated", first
+    if outcome.ended == "stopped":
+        return "held", "all robots ended by themselves, and nothing was violated"
+    return "held", "the whole duration was simulated, and nothing was violated"
+
+
+def told(violation: Violation) -> str:
+    """A violation in one sentence."""
+    return f"at {violation.t:.2f} s {' and '.join(violation.robots)}: {violation.what}, {violation.detail}"
+
+
+def write(summary: Summary, folder: Path) -> None:
+    """`summary.json` and `summary.txt`. Raises OSError."""
+    text = msgspec.json.format(msgspec.json.encode(summary), indent=2)
+    (folder / "summary.json").write_bytes(text + b"\n")
+    (folder / "summary.txt").write_text(as_text(summary), encoding="utf-8")
+
+
+def as_text(summary: Summary) -> str:
+    """The summary for people."""
+    lines = [
+        f"{summary.app}: {summary.verdict.upper()}: {summary.why}",
+        f"seed {summary.seed}, {summary.duration:.1f} of {summary.duration_asked:g} s, program {summary.program_hash}",
+        "",
+        *_table(summary),
+        "",
+        *_details(summary),
+    ]
+    if summary.min_separation:
+        found = summary.min_separation
+        asked = f", at least {summary.min_separation_asked:g} m asked" if summary.min_separation_asked else ""
+        lines.append(
+            f"closest: {' and '.join(found.robots)}, {found.distance:.3f} m at {found.time:.2f} s{asked}"
+            " (in space, between reference points, at 240 Hz)"
+        )
+    lines.append(f"collisions: {summary.collisions}")
+    lines.append(
+        f"world: {summary.steps} steps, {summary.late_steps} late, real-time factor {summary.real_time_factor:.3f}"
+    )
+    if len(summary.violations) > 1:
+        lines += ["", f"all {len(summary.violations)} violations:", *(f"  {told(v)}" for v in summary.violations)]
+    for robot in summary.robots:
+        if robot.last_lines:
+            lines += ["", f"the last lines of {robot.name}'s log:", *(f"  {line}" for line in robot.last_lines)]
+    return "\n".join(lines) + "\n"
+
+
+def _table(summary: Summary) -> list[str]:
+    rows = [("pid", "robot", "target", "start", "final", "path m", "rounds", "events", "skips", "faults", "late")]
+    rows += [
+        (
+            str(r.pid), r.name, r.target, place(r.start), place(r.final), f"{r.path_length:.2f}", str(r.rounds),
+            str(sum(r.events.values())), str(sum(r.skips.values())), str(r.faults), str(r.late_rounds),
+        )
+        for r in summary.robots
+    ]  # fmt: skip
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+
+
+def _details(summary: Summary) -> list[str]:
+    lines = []
+    for robot in summary.robots:
+        parts = [f"{name} {count}" for name, count in sorted(robot.events.items())]
+        parts += [f"skipped ({reason}) {count}" for reason, count in sorted(robot.skips.items())]
+        if robot.first_fault:
+            parts.append(f"first fault {robot.first_fault}")
+        if robot.status not in (0, None):
+            parts.append(f"ended with status {robot.status}")
+        lines.append(f"{robot.name}: {', '.join(parts) or 'no round'}")
+    return lines
+
+
+def place(position: Vector | None) -> str:
+    """A position, for a table."""
+    return "-" if position is None else "({:.2f}, {:.2f}, {:.2f})".format(*position)

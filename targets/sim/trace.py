@@ -1,0 +1,219 @@
+"""The run's trace, format koord-trace/1: its records, following the agents' own files, and the one merged file.
+
+In an agent's file `time` is the host's monotonic clock; in the merged one every record has `t`, seconds since the
+start of round 1 (negative before), and the agents' records a `pid`. Points are [x, y, z], metres, local ENU.
+"""
+
+from __future__ import annotations
+
+import heapq
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any
+
+import msgspec
+
+from targets.sim.bodies import BodyState, Vector
+
+FORMAT = "koord-trace/1"
+MOST_AT_ONCE = 1 << 20  # bytes of one file in one look
+
+
+class RobotName(msgspec.Struct, frozen=True):
+    name: str
+    pid: int
+    target: str
+
+
+class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
+    """The merged file's first record. `started` tells whether there was a round 1; without one, t counts from the
+    agents' launch. `geofence` are the two corners."""
+
+    format: str
+    app: str
+    program_hash: str
+    delta: float
+    seed: int
+    robots: tuple[RobotName, ...]
+    duration: float = 0.0  # asked for, seconds
+    started: bool = True
+    min_separation: float = 0.0  # asked for, metres
+    geofence: tuple[Vector, Vector] | None = None
+
+
+class Pose(msgspec.Struct, frozen=True, tag_field="kind", tag="pose"):
+    """The truth about a robot, 20 times a second; yaw in radians."""
+
+    pid: int
+    position: Vector
+    yaw: float
+    t: float = 0.0
+
+
+class Phase(msgspec.Struct, frozen=True, tag_field="kind", tag="phase"):
+    phase: str
+    detail: str = ""
+    time: float = 0.0
+    t: float = 0.0
+    pid: int = -1
+
+
+class Round(msgspec.Struct, frozen=True, tag_field="kind", tag="round"):
+    """An agent's round; of its fields those that are looked at here. `late` is seconds after the tick."""
+
+    round: int
+    event: str | None = None
+    skipped: str | None = None
+    fault: Any = None
+    late: float = 0.0
+    time: float = 0.0
+    t: float = 0.0
+    pid: int = -1
+
+
+class Log(msgspec.Struct, frozen=True, tag_field="kind", tag="log"):
+    level: str = "info"
+    message: str = ""
+    time: float = 0.0
+    t: float = 0.0
+    pid: int = -1
+
+
+class Violation(msgspec.Struct, frozen=True, tag_field="kind", tag="violation"):
+    """What must not happen and did: `what` is separation, collision, ended, fault or unrest."""
+
+    t: float
+    what: str
+    robots: tuple[str, ...]
+    detail: str
+
+
+class End(msgspec.Struct, frozen=True, tag_field="kind", tag="end"):
+    """The mission's end: the agents were told to come to rest."""
+
+    t: float
+    why: str
+
+
+Record = Header | Pose | Phase | Round | Log | Violation | End
+_decoder = msgspec.json.Decoder(Record)
+_encoder = msgspec.json.Encoder()
+
+
+class BadTrace(Exception):
+    """A trace that cannot be used; the message names the file."""
+
+
+def fault_text(fault: Any) -> str:
+    """A round's fault in words."""
+    if isinstance(fault, dict):
+        return f"{fault.get('file')}:{fault.get('line')}: {fault.get('reason')}"
+    return str(fault)
+
+
+class Tail:
+    """Follows a file that an agent is writing; what is no record is counted and passed over."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._offset = 0
+        self._rest = b""
+        self.malformed = 0
+
+    def read(self) -> list[Record]:
+        """The records written since the last time."""
+        try:
+            with self._path.open("rb") as file:
+                file.seek(self._offset)
+                data = file.read(MOST_AT_ONCE)
+        except FileNotFoundError:
+            return []
+        self._offset += len(data)
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        found: list[Record] = []
+        for line in lines:
+            try:
+                # An agent's header says other things than the merged file's.
+                if b'"kind":"header"' not in line[:40]:
+                    found.append(_decoder.decode(line))
+            except msgspec.DecodeError:
+                self.malformed += 1
+        return found
+
+
+class Poses:
+    """Writes poses to a file of their own while the run goes on, with host times."""
+
+    def __init__(self, path: Path) -> None:
+        self._file: IO[bytes] = path.open("wb")
+
+    def write(self, time: float, states: list[BodyState]) -> None:
+        for pid, state in enumerate(states):
+            place = tuple(round(c, 5) for c in state.position)
+            record = {"kind": "pose", "time": time, "pid": pid, "position": place, "yaw": round(state.yaw, 5)}
+            self._file.write(_encoder.encode(record) + b"\n")
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def merge(
+    path: Path, header: Header, zero: float, poses: Path, agents: list[Path], marks: list[Violation | End]
+) -> None:
+    """Write the merged trace: all records by time, `zero` the host time of t = 0; the agents' files in the order of
+    their pids. Raises OSError."""
+    streams = [
+        _marked(marks),
+        _timed(poses, zero, None),
+        *(_timed(file, zero, pid) for pid, file in enumerate(agents)),
+    ]
+    with path.open("wb") as out:
+        out.write(_encoder.encode(header) + b"\n")
+        for _, line in heapq.merge(*streams, key=lambda pair: pair[0]):
+            out.write(line + b"\n")
+
+
+def _marked(marks: list[Violation | End]) -> Iterator[tuple[float, bytes]]:
+    for mark in sorted(marks, key=lambda m: m.t):
+        yield mark.t, _encoder.encode(mark)
+
+
+def _timed(path: Path, zero: float, pid: int | None) -> Iterator[tuple[float, bytes]]:
+    if not path.exists():
+        return
+    with path.open("rb") as file:
+        for line in file:
+            if not line.endswith(b"\n") or b'"kind":"header"' in line[:40]:
+                continue
+            try:
+                _decoder.decode(line)
+            except msgspec.DecodeError:
+                if pid is None:
+                    raise
+                continue
+            record = json.loads(line)
+            t = round(record.pop("time", zero) - zero, 6)
+            own = {} if pid is None else {"pid": pid}
+            yield t, _encoder.encode({"kind": record.pop("kind"), "t": t, **own, **record})
+
+
+def read(path: Path) -> tuple[Header, Iterator[Record]]:
+    """A merged trace: its header, and everything else in order. Raises BadTrace, also while being read."""
+    records = _records(path)
+    header = next(records, None)
+    if not isinstance(header, Header) or header.format != FORMAT:
+        raise BadTrace(f"{path}: no header of format {FORMAT}")
+    return header, records
+
+
+def _records(path: Path) -> Iterator[Record]:
+    try:
+        with path.open("rb") as file:
+            for number, line in enumerate(file, 1):
+                try:
+                    yield _decoder.decode(line)
+                except msgspec.DecodeError as error:
+                    raise BadTrace(f"{path}:{number}: {error}") from None
+    except OSError as error:
+        raise BadTrace(f"{path}: {error.strerror or error}") from None

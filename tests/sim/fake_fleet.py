@@ -1,0 +1,106 @@
+"""A sim bundle of trivial agents, and devices that do nothing, for tests of the harness. As a program it runs such a
+bundle: `fake_fleet.py ROOT ARGUMENTS...`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from targets.sim import harness, stage
+from targets.sim.bodies import DeviceContext
+
+AGENT = '''
+import json, os, signal, sys, time
+settings = json.load(open(sys.argv[sys.argv.index("--settings") + 1]))
+how, pid = settings["body"]["how"], settings["body"]["pid"]
+assert os.stat(settings["key_file"]).st_mode & 0o777 == 0o600 and os.stat(settings["key_file"]).st_size == 32
+out = open(settings["trace"], "ab", buffering=0)
+def write(**record):
+    out.write(json.dumps({**record, "time": time.monotonic()}).encode() + b"\\n")
+def phase(name, detail=""):
+    write(kind="phase", phase=name, detail=detail)
+def end(number, frame):
+    phase("resting", "told to end")
+    if how == "stubborn":
+        return
+    phase("rested")
+    sys.exit(0)
+signal.signal(signal.SIGTERM, end)
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+write(kind="header", format="koord-trace/1", app="fake", robot="r", pid=pid, n_sys=2, delta=0.1, program_hash="0")
+phase("starting", "looking for the <stars>")
+if how == "unborn":
+    print("no autopilot answers", file=sys.stderr)
+    sys.exit(5)
+while how == "waiting":
+    time.sleep(0.05)
+phase("running")
+for round_ in range(1, 10_000):
+    fault = {"file": "a.koord", "line": 3, "reason": "1 / 0"} if how == "faulty" and round_ == 4 else None
+    write(kind="round", round=round_, event="Move" if pid == 0 and not fault else None,
+          skipped=None if pid == 0 and not fault else "fault" if fault else "no event enabled", fault=fault,
+          sensors={}, shared={}, actuators={}, late=0.001)
+    if how == "dying" and round_ == 5:
+        print("Traceback\\nValueError: <b>ouch</b>", file=sys.stderr)
+        sys.exit(70)
+    if how == "stopping" and round_ == 5:
+        phase("resting", "all robots have stopped")
+        sys.exit(0)
+    time.sleep(0.1)
+'''
+
+
+class Idle:
+    """A device that never commands its body; it tells the agent what to play."""
+
+    def __init__(self, body: Any, context: DeviceContext) -> None:
+        self.overrides: Mapping[str, Any] = {}
+
+    def step(self, now: float) -> None: ...
+
+    def close(self) -> None: ...
+
+
+def bundle(root: Path, how: list[str], starts: list[list[float]] | None = None, **settings: Any) -> Path:
+    """Write a sim bundle whose robots play `how`: good, dying, faulty, stopping, stubborn, unborn, waiting."""
+    places = starts or [[2.0 * pid, 0.0, 0.0] for pid in range(len(how))]
+    for pid in range(len(how)):
+        agent = root / "agents" / f"r{pid}"
+        agent.mkdir(parents=True)
+        (agent / "__main__.py").write_text(AGENT)
+    robots = [
+        {
+            "name": f"r{pid}", "pid": pid, "target": "quad", "bundle": f"agents/r{pid}", "body": "quadrotor",
+            "device": "idle", "start": {"position": places[pid], "yaw": 0.0}, "settings": {"how": each, "pid": pid},
+        }
+        for pid, each in enumerate(how)
+    ]  # fmt: skip
+    scenario = {
+        "app": "fake", "source": "fake.koord", "program_hash": "0123456789abcdef", "delta": 0.1,
+        "origin": {"latitude": 47.0, "longitude": 8.0, "altitude": 400.0},
+        "geofence": {"lo": [-6, -5, -0.5], "hi": [6, 5, 4]},
+        "harness": {"min_separation": 0.3, "boot": 0.0, "position_noise": 0.0, "start_timeout": 10.0, **settings},
+        "robots": robots,
+    }  # fmt: skip
+    (root / "scenario.json").write_text(json.dumps(scenario))
+    return root
+
+
+class Telling(Idle):
+    """Idle, and passes the robot's settings on as overrides, as a real device passes its port."""
+
+    def __init__(self, body: Any, context: DeviceContext) -> None:
+        self.overrides = dict(context.settings)
+
+
+def enlist() -> None:
+    """Make the stage know the device."""
+    stage.DEVICES["idle"] = f"{Telling.__module__}:{Telling.__qualname__}"
+
+
+if __name__ == "__main__":
+    enlist()
+    raise SystemExit(harness.main(Path(sys.argv[1]), sys.argv[2:]))
