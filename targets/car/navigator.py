@@ -16,12 +16,40 @@ FENCE_MARGIN = 0.05  # metres kept from the geofence, for tracking errors
 MOVED, MOVED_SHARE = 0.02, 0.05  # a target that moved by these metres and this share of its distance needs a new path
 ARC_REACH = 0.5  # metres: a target so near is first tried by a single arc
 STANDING_BY, FOLLOWING = 0.4, 1.5  # radii: as close as an arc has to come, from a stand and on the last stretch
-LOOKAHEAD = 0.3  # metres: the car follows a target that is nearer as softly as one at this distance
+LOOKAHEAD = 0.4  # metres at which a moving target is steered for: pure pursuit of a nearer point sways
+TRAIL = 0.3  # metres of a target's way that tell where it is heading
 OFF_PATH = 0.25  # metres from the path that call for a new one
 RETRY = 1.0  # seconds until a plan that failed is tried again
 SETTLE = 1.0  # seconds beyond the radius, but within 1.5 radii, after which the car drives again
 LAG = 0.1  # seconds in which the measured speed follows the commanded one
 SLIP = 0.5  # m/s between commanded and measured speed, at most: a blocked car must not wind up
+
+
+class Trail:
+    """Where a moving target has been of late."""
+
+    def __init__(self) -> None:
+        self._places: list[tuple[float, float]] = []
+
+    def add(self, place: tuple[float, float]) -> None:
+        """Take the target's present place; a jump begins a new trail."""
+        if self._places:
+            step = math.dist(self._places[-1], place)
+            if step < MOVED:
+                return
+            if step > TRAIL:
+                self._places.clear()
+        self._places.append(place)
+        while math.dist(self._places[0], place) > TRAIL:
+            self._places.pop(0)
+
+    def beyond(self, distance: float) -> tuple[float, float] | None:
+        """The place so many metres on, if the target has been moving and goes on straight."""
+        if distance <= 0 or len(self._places) < 3:
+            return None
+        (x0, y0), (x1, y1) = self._places[0], self._places[-1]
+        way = max(math.hypot(x1 - x0, y1 - y0), MOVED)
+        return (x1 + distance * (x1 - x0) / way, y1 + distance * (y1 - y0) / way)
 
 
 class Navigator:
@@ -53,6 +81,7 @@ class Navigator:
         self._near_since: float | None = None
         self._near_target: tuple[float, float] | None = None
         self._last = Command(0.0, 0.0)
+        self._trail = Trail()
         self.reached = True
         self.progress = "standing: no target yet"
 
@@ -65,6 +94,7 @@ class Navigator:
         """Take a target; it is brought inside the margin to the geofence, which is smaller than the radius."""
         area = self._area
         self._target = (max(area.west, min(area.east, target[0])), max(area.south, min(area.north, target[1])))
+        self._trail.add(self._target)
         if self._near_target is None or math.dist(self._near_target, self._target) > self._settings.reached_radius / 10:
             self.reached = False
             self._near_since = None
@@ -155,8 +185,10 @@ class Navigator:
         radius = self._settings.reached_radius
         # On the last stretch to a target that moves on, a little beside it is better than a manoeuvre, which would
         # be out of date when it ends; from a stand there is time for one.
-        close, lookahead = (FOLLOWING * radius, LOOKAHEAD) if self._tracker.last_stretch else (STANDING_BY * radius, 0.0)
-        path = self._planner.arc(start, target, gear, close, lookahead) if away <= ARC_REACH else []
+        following = self._tracker.last_stretch
+        close = (FOLLOWING if following else STANDING_BY) * radius
+        through = self._trail.beyond(LOOKAHEAD - away) if following else None
+        path = self._planner.arc(start, target, gear, close, through) if away <= ARC_REACH else []
         if not path and away <= STANDING_BY * radius:
             self.progress = "standing at the target"  # nearer would take a manoeuvre
             return False

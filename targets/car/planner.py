@@ -23,6 +23,7 @@ GEAR_PRICE = 0.5  # a change of gear counts like these metres: the car has to st
 SHORTEST_ARC = 0.005  # metres
 STRAIGHTNESS = 0.995
 
+Point2 = tuple[float, float]
 Triple = tuple[float, float, float]  # x, y (metres), yaw (radians)
 
 
@@ -76,7 +77,7 @@ class Planner:
         self._states = [[space.allocState() for _ in range(3)] for space in self._spaces]
 
     def plan(
-        self, start: Triple, goal: tuple[float, float], gear: int = 0, arrival: float | None = None
+        self, start: Triple, goal: Point2, gear: int = 0, arrival: float | None = None
     ) -> list[Segment]:
         """The cheapest path found from a pose (x, y, yaw) to a point, or [] when every one leaves the area.
 
@@ -110,17 +111,15 @@ class Planner:
         return best
 
     def arc(
-        self, start: Triple, goal: tuple[float, float], gear: int, tolerance: float, lookahead: float = 0.0
+        self, start: Triple, goal: Point2, gear: int, tolerance: float, through: Point2 | None = None
     ) -> list[Segment]:
         """One arc without a change of gear that ends within `tolerance` metres of the goal, or [] when there is none:
-        what a target that has moved by centimetres calls for. `gear` 0 leaves the gear open. A goal nearer
-        than `lookahead` is steered for as softly as if it were that far: pure pursuit of a nearer point sways."""
-        cosine, sine = math.cos(start[2]), math.sin(start[2])
-        east, north = goal[0] - start[0], goal[1] - start[1]
-        ahead, aside = cosine * east + sine * north, cosine * north - sine * east
-        away = max(math.hypot(ahead, aside), lookahead, 1e-9)
-        bend = max(-1 / self._radius, min(1 / self._radius, 2 * aside / away**2))
+        what a target that has moved by centimetres calls for. `gear` 0 leaves the gear open. The arc is
+        the one through the goal, or `through` another point beyond it, as far as the turning radius allows."""
+        ahead, aside = _seen_from(start, goal if through is None else through)
+        bend = max(-1 / self._radius, min(1 / self._radius, 2 * aside / max(math.hypot(ahead, aside), 1e-9) ** 2))
         bend = math.copysign(max(abs(bend), 1e-6), bend)  # a straight line is an arc of 1000 km
+        ahead, aside = _seen_from(start, goal)
         along = math.atan2(bend * ahead, 1 - bend * aside) / bend  # the place on it that is nearest to the goal
         if abs(along) < SHORTEST_ARC or gear * along < 0 or abs(along) > math.pi / 2 * self._radius:
             return []
@@ -131,7 +130,7 @@ class Planner:
             return []
         return [_segment(1 if along > 0 else -1, points)]
 
-    def _tangents(self, start: Triple, goal: tuple[float, float]) -> Iterator[float]:
+    def _tangents(self, start: Triple, goal: Point2) -> Iterator[float]:
         """The headings at which one turn and a straight line arrive, to either side and in either gear: the shortest
         ways to a point, which a grid of headings would only come near to."""
         x, y, yaw = start
@@ -173,6 +172,13 @@ class Planner:
             last = points[-1][2]
             points.append((at.getX(), at.getY(), last + wrap(at.getYaw() - last)))
         return points
+
+
+def _seen_from(start: Triple, point: Point2) -> Point2:
+    """A point in the car's own frame: metres ahead and to the left."""
+    east, north = point[0] - start[0], point[1] - start[1]
+    cosine, sine = math.cos(start[2]), math.sin(start[2])
+    return cosine * east + sine * north, cosine * north - sine * east
 
 
 def _on_arc(start: Triple, bend: float, along: float) -> Triple:

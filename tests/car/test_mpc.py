@@ -1,4 +1,4 @@
-"""The MPC and the tracker on a bicycle whose servo and motor lag: errors, limits, and what happens when solving fails."""
+"""The MPC and the tracker on a bicycle whose servo and motor lag: errors, limits, and what a failed solve leads to."""
 
 from __future__ import annotations
 

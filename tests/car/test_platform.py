@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-import tomllib
+import random
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
+import tomllib
 
 from koordgen.runtime.platform import Platform, Unready
 from koordgen.runtime.values import Point
@@ -22,6 +23,14 @@ MANIFEST = Path(__file__).parents[2] / "targets/car/manifest.toml"
 
 def standing(world: World) -> bool:
     return abs(world.body.truth.speed) < 0.02
+
+
+def rested(world: World) -> bool:
+    return world.car.rested
+
+
+def open_and_start(car: Car) -> None:
+    car.start(0.0)
 
 
 def test_the_settings_are_those_of_the_manifest() -> None:
@@ -152,17 +161,22 @@ def test_a_target_that_creeps_as_in_lineform_is_followed_without_stop_and_go(
     assert world.distance(before.x, before.y) < 0.005, "it still creeps"
 
 
-def test_while_a_target_moves_steadily_the_car_stays_close_behind() -> None:
+@pytest.mark.parametrize(("step", "gap"), [(0.02, 0.12), (0.03, 0.12), (0.06, 0.26)])
+def test_while_a_target_moves_steadily_the_car_stays_close_behind(step: float, gap: float) -> None:
+    dice = random.Random(5)
     world = World(TestBody(-4.0, 0.0, 0.0)).begin()
     gaps = []
-    for k in range(160):
-        x = -4.0 + 0.03 * k
-        world.go(x, 0.3 * math.sin(x))
+    for k in range(round(8.0 / step)):
+        x = -4.0 + step * k
+        y = 0.3 * math.sin(x)
+        world.go(x + dice.gauss(0, 0.003), y + dice.gauss(0, 0.003))
         world.run(0.1)
-        if k > 40:
-            gaps.append(world.distance(x, 0.3 * math.sin(x)))
+        if k > 60:
+            gaps.append(world.distance(x, y))
+            course = math.atan(0.3 * math.cos(x))
+            assert abs(math.remainder(world.body.truth.yaw - course, 2 * math.pi)) < 0.5, "it sways"
             assert world.body.truth.speed > 0.1, "stop-and-go"
-    assert max(gaps) < 0.2
+    assert max(gaps) < gap
 
 
 def test_noise_does_not_wake_a_car_that_has_arrived_but_a_move_does() -> None:
@@ -238,14 +252,14 @@ def test_rest_brakes_and_keeps_braking_whatever_comes() -> None:
     world.go(5.0, 0.0)
     world.run(2.0)
     world.car.rest(world.now)
-    assert not world.car.rested
+    assert not rested(world)
     world.run(0.1)
-    assert not world.car.rested and world.car.progress == "braking to rest"
+    assert not rested(world) and world.car.progress == "braking to rest"
     world.car.hold(False, world.now)
     world.go(5.0, 0.0)
     world.run(2.0)
     world.car.rest(world.now)
-    assert world.car.rested and standing(world)
+    assert rested(world) and standing(world)
     at = world.body.truth
     sent: list[vesc.Message] = []
     for _ in range(20):
@@ -288,7 +302,7 @@ def test_an_unreachable_target_is_said_and_the_car_stands() -> None:
 
 
 def test_a_device_that_cannot_be_opened_is_unready() -> None:
-    for act in (lambda car: car.start(0.0), lambda car: car.check()):
+    for act in (open_and_start, Car.check):
         with pytest.raises(Unready, match="cannot open it"):
             act(Car(robot_settings({}), KEY, NoLinks()))
 

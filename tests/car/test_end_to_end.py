@@ -1,0 +1,174 @@
+"""The car's platform against the simulated motor controller, over a real pseudo-terminal and loopback UDP.
+
+These tests open devices; the world's clock is still the test's own, so that no second passes for a second.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from koordgen.runtime.platform import Unready
+from koordgen.runtime.values import Point
+from targets.car import vesc
+from targets.car.platform import Car
+from targets.car.settings import CarSettings
+from targets.sim.bodies import Device
+from targets.sim.drive import TIMEOUT, BaseStation, Controller, SimulatedDrive
+from tests.car.world import KEY, PHYSICS, TestBody, context, robot_settings
+
+
+class Bench:
+    """A body, its device and the agent's platform on one clock."""
+
+    def __init__(self) -> None:
+        self.body = TestBody(-1.0, 0.5, 0.3)
+        self.drive = SimulatedDrive(self.body, context({}, 0.005))
+        self.device: Device = self.drive
+        self.car = Car(robot_settings(self.device.overrides), KEY)
+        self.ticks = 0
+
+    @property
+    def now(self) -> float:
+        return self.ticks * PHYSICS
+
+    def run(self, seconds: float, agent: bool = True) -> None:
+        for _ in range(round(seconds / PHYSICS)):
+            self.ticks += 1
+            self.device.step(self.now)
+            self.body.step(PHYSICS)
+            if agent and self.ticks % 4 == 0:
+                self.car.poll(self.now)
+
+    def until(self, said: str, seconds: float) -> None:
+        begin = self.now
+        while said not in self.car.progress:
+            assert self.now - begin < seconds, self.car.progress
+            self.run(0.05)
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    made = Bench()
+    yield made
+    made.car.close()
+    made.device.close()
+    made.device.close()
+
+
+def test_a_mission_over_the_real_links(bench: Bench) -> None:
+    bench.car.start(bench.now)
+    begin = bench.now
+    while not bench.car.ready:
+        bench.run(0.05)
+        assert bench.now - begin < 2.0, bench.car.progress
+    bench.car.command({"Motion.target": Point(1.5, -0.5, 0.0)}, bench.now)
+    bench.run(7.0)
+    assert bench.car.sense(bench.now).values["Motion.reached"] is True
+    truth = bench.body.truth
+    assert abs(truth.x - 1.5) < 0.06 and abs(truth.y + 0.5) < 0.06
+    bench.car.command({"Motion.target": Point(-3.0, 0.0, 0.0)}, bench.now)
+    bench.run(4.0)
+    assert abs(bench.body.truth.speed) > 0.3
+    bench.car.rest(bench.now)
+    bench.run(1.5)
+    assert bench.car.rested and abs(bench.body.truth.speed) < 0.01
+
+
+def test_an_agent_that_dies_leaves_a_car_that_stops(bench: Bench) -> None:
+    bench.car.start(bench.now)
+    bench.run(0.5)
+    bench.car.command({"Motion.target": Point(5.0, 0.5, 0.0)}, bench.now)
+    bench.run(2.0)
+    assert bench.body.truth.speed > 0.5
+    bench.car.close()
+    bench.run(TIMEOUT + 0.6, agent=False)
+    assert abs(bench.body.truth.speed) < 0.01
+
+
+def test_a_vanished_device_is_unready_and_names_it(bench: Bench) -> None:
+    bench.car.start(bench.now)
+    bench.run(0.5)
+    bench.device.close()
+    with pytest.raises(Unready, match="/dev/pts"):
+        for i in range(200):
+            bench.car.poll(bench.now + i * 0.05)
+
+
+def test_a_missing_device_and_a_port_in_use_are_unready(bench: Bench) -> None:
+    missing = Car(robot_settings({**bench.device.overrides, "drive": "vesc:/dev/koordgen-no-such"}), KEY)
+    with pytest.raises(Unready, match="/dev/koordgen-no-such") as error:
+        missing.start(0.0)
+    assert error.value.hint
+    missing.close()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        position = f"udp:127.0.0.1:{other.getsockname()[1]}"
+        taken = Car(robot_settings({**bench.device.overrides, "position": position}), KEY)
+        with pytest.raises(Unready, match="cannot receive positions") as error:
+            taken.start(0.0)
+        assert "port" in error.value.hint
+        taken.close()
+
+
+@pytest.mark.parametrize("wrong", ["drive=can:0", "drive=vesc:", "position=udp:1234", "position=tcp:a:1"])
+def test_settings_of_unknown_form_are_unready(bench: Bench, wrong: str) -> None:
+    key, _, value = wrong.partition("=")
+    car = Car(robot_settings({**bench.device.overrides, key: value}), KEY)
+    with pytest.raises(Unready, match="not understood"):
+        car.start(0.0)
+    car.close()
+
+
+def test_the_device_survives_noise_and_a_deaf_agent(bench: Bench) -> None:
+    device = bench.device.overrides["drive"].removeprefix("vesc:")
+    line = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        for _ in range(200):
+            os.write(line, os.urandom(50) + vesc.encode(vesc.AskValues()) * 20)  # never read
+            bench.run(PHYSICS, agent=False)
+        os.write(line, bytes(600))
+        os.write(line, vesc.encode(vesc.SetErpm(4614.0)) + vesc.encode(vesc.SetServo(0.5304)))
+        begin = time.monotonic()
+        bench.run(0.2, agent=False)
+        assert time.monotonic() - begin < 1.0, "a deaf agent blocks the world"
+    finally:
+        os.close(line)
+    assert bench.body.asked[0] == pytest.approx(1.0)
+
+
+def test_the_controller_turns_messages_into_motion_and_brakes_without_them() -> None:
+    body = TestBody()
+    controller = Controller(body, CarSettings())
+    controller.step(vesc.encode(vesc.SetErpm(2307.0)) + vesc.encode(vesc.SetServo(0.5304 - 1.2135 * 0.2)), 1.0)
+    assert body.asked == pytest.approx((0.5, 0.2), abs=1e-3)
+    controller.step(vesc.encode(vesc.AskValues()), 1.4)
+    assert body.asked[0] == pytest.approx(0.5)
+    controller.step(vesc.encode(vesc.AskValues()), 1.51)
+    assert body.asked == pytest.approx((0.0, 0.2), abs=1e-3), "asking is no command"
+    controller.step(vesc.encode(vesc.SetErpm(2307.0)), 2.0)
+    controller.step(vesc.encode(vesc.Brake(10.0)), 2.1)
+    assert body.asked[0] == 0.0
+
+
+def test_values_tell_the_speed_along_the_car() -> None:
+    body = TestBody(0.0, 0.0, 2.0)
+    controller = Controller(body, CarSettings())
+    body.drive(-0.7, 0.0)
+    body.step(5.0)
+    (values,) = vesc.Decoder().feed(controller.step(vesc.encode(vesc.AskValues()), 0.0))
+    assert isinstance(values, vesc.Values) and values.erpm == pytest.approx(-0.7 * 4614, abs=1)
+
+
+def test_the_feed_is_the_same_for_the_same_seed_and_fifty_a_second() -> None:
+    def samples() -> list[bytes | None]:
+        station = BaseStation(TestBody(), context({}, 0.01))
+        return [station.sample(i / 240) for i in range(241)]
+
+    first, second = samples(), samples()
+    assert first == second
+    assert sum(s is not None for s in first) in (49, 50, 51)
