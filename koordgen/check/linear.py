@@ -1,0 +1,419 @@
+"""Decides conditions that are linear in integers: what must hold, what cannot, and an example of what can.
+
+Terms are linear over integer variables, among them the quotients, remainders and choices of other terms. `unsat`
+is sound: True means that no integers satisfy the formulas (Fourier-Motzkin elimination, with rows tightened to
+integers, on each branch of the disjunctions). `find` looks for an example among small values. Neither is complete;
+where both fail nothing is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import product
+from math import gcd
+from typing import assert_never
+
+from koordgen.node import Node
+
+MOST_BRANCHES = 200
+MOST_ROWS = 300
+MOST_EXAMPLES = 6000
+
+
+class Linear(Node):
+    """constant + sum of factor * variable; variables differ, factors are not zero."""
+
+    terms: tuple[tuple[Var, int], ...]
+    constant: int
+
+
+class Quotient(Node):
+    """operand // divisor, divisor > 0."""
+
+    operand: Linear
+    divisor: int
+
+
+class Remainder(Node):
+    """operand % divisor, in [0, divisor) where the divisor is positive."""
+
+    operand: Linear
+    divisor: Linear
+
+
+class Choice(Node):
+    """then if condition else orelse."""
+
+    condition: Formula
+    then: Linear
+    orelse: Linear
+
+
+# A plain variable is its name: "pid", "N_SYS", or a kind and a name, as in "param k" and "local count".
+Var = str | Quotient | Remainder | Choice
+
+
+class AtLeastZero(Node):
+    """linear >= 0"""
+
+    linear: Linear
+
+
+class Fact(Node):
+    """A condition that is no arithmetic, known by any hashable key."""
+
+    key: object
+    holds: bool
+
+
+class And(Node):
+    """All hold; of none: true."""
+
+    parts: tuple[Formula, ...]
+
+
+class Or(Node):
+    """One holds; of none: false."""
+
+    parts: tuple[Formula, ...]
+
+
+class Unknown(Node):
+    """A condition of which nothing is known; so is its negation."""
+
+
+Formula = AtLeastZero | Fact | And | Or | Unknown
+
+TRUE, FALSE, UNKNOWN = And(()), Or(()), Unknown()
+PID, N_SYS = "pid", "N_SYS"
+
+
+def constant(value: int) -> Linear:
+    return Linear((), value)
+
+
+def variable(var: Var) -> Linear:
+    return Linear(((var, 1),), 0)
+
+
+def combine(left: Linear, right: Linear, factor: int = 1) -> Linear:
+    """left + factor * right"""
+    terms = dict(left.terms)
+    for var, times in right.terms:
+        terms[var] = terms.get(var, 0) + factor * times
+    kept = tuple((var, times) for var, times in terms.items() if times)
+    return Linear(kept, left.constant + factor * right.constant)
+
+
+def scale(linear: Linear, factor: int) -> Linear:
+    return combine(constant(0), linear, factor)
+
+
+def at_least(left: Linear, right: Linear) -> Formula:
+    """left >= right"""
+    return AtLeastZero(combine(left, right, -1))
+
+
+def less(left: Linear, right: Linear) -> Formula:
+    """left < right"""
+    return AtLeastZero(combine(combine(right, left, -1), constant(-1)))
+
+
+def equal(left: Linear, right: Linear) -> Formula:
+    return And((at_least(left, right), at_least(right, left)))
+
+
+def negate(formula: Formula) -> Formula:
+    """The formula's opposite."""
+    match formula:
+        case AtLeastZero(linear):
+            return AtLeastZero(combine(constant(-1), linear, -1))
+        case Fact(key, holds):
+            return Fact(key, not holds)
+        case And(parts):
+            return Or(tuple(negate(p) for p in parts))
+        case Or(parts):
+            return And(tuple(negate(p) for p in parts))
+        case Unknown():
+            return formula
+        case _:
+            assert_never(formula)
+
+
+# What holds of every fleet: N_SYS >= 1 and 0 <= pid < N_SYS.
+FLEET: tuple[Formula, ...] = (
+    at_least(variable(N_SYS), constant(1)),
+    at_least(variable(PID), constant(0)),
+    less(variable(PID), variable(N_SYS)),
+)
+
+
+def unsat(formulas: Iterable[Formula]) -> bool:
+    """Whether no robot of any fleet satisfies all formulas; False may also mean that it was too hard to tell."""
+    return _closed([*formulas, *FLEET], [], {}, frozenset(), [MOST_BRANCHES])
+
+
+def _closed(
+    pending: list[Formula], rows: list[Linear], facts: dict[object, bool], defined: frozenset[Var], budget: list[int]
+) -> bool:
+    """Whether every branch of the formulas ends in a contradiction."""
+    open_: list[Or] = []
+    while pending:
+        match formula := pending.pop():
+            case AtLeastZero(linear):
+                rows.append(linear)
+                for var, _ in linear.terms:
+                    if not isinstance(var, str) and var not in defined:
+                        defined |= {var}
+                        pending.extend(_definition(var))
+            case Fact(key, holds):
+                if facts.setdefault(key, holds) != holds:
+                    return True
+            case And(parts):
+                pending.extend(parts)
+            case Or(parts):
+                if not parts:
+                    return True
+                open_.append(formula)
+            case Unknown():
+                pass
+            case _:
+                assert_never(formula)
+    if _contradictory(rows):
+        return True
+    if not open_:
+        return False
+    chosen = open_.pop()
+    for part in chosen.parts:
+        budget[0] -= 1
+        if budget[0] < 0 or not _closed([part, *open_], list(rows), dict(facts), defined, budget):
+            return False
+    return True
+
+
+def _definition(var: Var) -> list[Formula]:
+    """What a derived variable's value satisfies."""
+    match var:
+        case Quotient(operand, divisor):
+            rest = combine(operand, variable(var), -divisor)
+            return [at_least(rest, constant(0)), less(rest, constant(divisor))]
+        case Remainder(_, divisor):
+            positive = at_least(divisor, constant(1))
+            range_ = And((at_least(variable(var), constant(0)), less(variable(var), divisor)))
+            return [Or((negate(positive), range_))]
+        case Choice(condition, then, orelse):
+            return [
+                Or((And((condition, equal(variable(var), then))), And((negate(condition), equal(variable(var), orelse)))))
+            ]
+        case _:
+            return []
+
+
+def _contradictory(rows: Iterable[Linear]) -> bool:
+    """Whether no integers make all rows >= 0; eliminates one variable after the other."""
+    system: dict[tuple[tuple[Var, int], ...], int] = {}
+    for row in rows:
+        if not _add(system, dict(row.terms), row.constant):
+            return True
+    while True:
+        counts: dict[Var, list[int]] = {}
+        for terms in system:
+            for var, factor in terms:
+                counts.setdefault(var, [0, 0])[factor > 0] += 1
+        if not counts:
+            return False
+        least = min(counts, key=lambda v: counts[v][0] * counts[v][1])
+        lower, upper, rest = [], [], {}
+        for terms, bound in system.items():
+            factor = dict(terms).get(least, 0)
+            if factor > 0:
+                lower.append((terms, bound, factor))
+            elif factor < 0:
+                upper.append((terms, bound, -factor))
+            else:
+                rest[terms] = bound
+        if len(rest) + len(lower) * len(upper) > MOST_ROWS:
+            return False
+        system = rest
+        for (low, low_bound, up), (high, high_bound, down) in product(lower, upper):
+            sums = {var: factor * down for var, factor in low}
+            for var, factor in high:
+                sums[var] = sums.get(var, 0) + factor * up
+            if not _add(system, sums, low_bound * down + high_bound * up):
+                return True
+
+
+def _add(system: dict[tuple[tuple[Var, int], ...], int], sums: dict[Var, int], bound: int) -> bool:
+    """Adds the row sums + bound >= 0, divided by what its factors share; False when it can never hold."""
+    kept = [(var, factor) for var, factor in sums.items() if factor]
+    if not kept:
+        return bound >= 0
+    shared = gcd(*(factor for _, factor in kept))
+    key = tuple(sorted(((var, factor // shared) for var, factor in kept), key=_order))
+    bound //= shared
+    system[key] = min(bound, system.get(key, bound))
+    return True
+
+
+def _order(term: tuple[Var, int]) -> str:
+    return term[0] if isinstance(term[0], str) else repr(term[0])
+
+
+def value_of(linear: Linear, values: Mapping[str, int]) -> int | None:
+    """The value of a term; None where a variable has none."""
+    total = linear.constant
+    for var, factor in linear.terms:
+        value = values.get(var) if isinstance(var, str) else _derived(var, values)
+        if value is None:
+            return None
+        total += factor * value
+    return total
+
+
+def _derived(var: Quotient | Remainder | Choice, values: Mapping[str, int]) -> int | None:
+    match var:
+        case Quotient(operand, divisor):
+            dividend = value_of(operand, values)
+            return None if dividend is None else dividend // divisor
+        case Remainder(operand, modulus):
+            dividend, by = value_of(operand, values), value_of(modulus, values)
+            return None if dividend is None or not by else dividend % by
+        case Choice(condition, then, orelse):
+            held = truth(condition, values)
+            return None if held is None else value_of(then if held else orelse, values)
+        case _:
+            assert_never(var)
+
+
+def truth(formula: Formula, values: Mapping[str, int]) -> bool | None:
+    """Whether a formula holds; None where that depends on what is not known."""
+    match formula:
+        case AtLeastZero(linear):
+            value = value_of(linear, values)
+            return None if value is None else value >= 0
+        case Fact() | Unknown():
+            return None
+        case And(parts):
+            found = {truth(p, values) for p in parts}
+            return False if False in found else None if None in found else True
+        case Or(parts):
+            found = {truth(p, values) for p in parts}
+            return True if True in found else None if None in found else False
+        case _:
+            assert_never(formula)
+
+
+def variables(item: Formula | Linear | Var) -> Iterator[object]:
+    """The plain variables of a formula, and the keys of its facts."""
+    match item:
+        case Linear(terms):
+            for var, _ in terms:
+                yield from variables(var)
+        case AtLeastZero(linear):
+            yield from variables(linear)
+        case Fact(key):
+            yield key
+        case And(parts) | Or(parts):
+            for part in parts:
+                yield from variables(part)
+        case Quotient(operand):
+            yield from variables(operand)
+        case Remainder(operand, divisor):
+            yield from variables(operand)
+            yield from variables(divisor)
+        case Choice(condition, then, orelse):
+            yield from variables(condition)
+            yield from variables(then)
+            yield from variables(orelse)
+        case str():
+            yield item
+        case Unknown():
+            pass
+        case _:
+            assert_never(item)
+
+
+class Example(Node):
+    """Values that satisfy some formulas; `certain` unless that also depends on something unknown."""
+
+    values: dict[str, int]
+    certain: bool
+
+
+def find(formulas: Iterable[Formula], params: Mapping[str, int]) -> Example | None:
+    """An example among small values and those near the constants that occur; `params` (their variables' values) stay
+    as they are. Certain examples go first, then fleets of three, which read best."""
+    wanted = And(tuple(formulas))
+    marks = {abs(c) for c in _constants(wanted) if abs(c) < 2**62} | {0}
+    near = sorted({mark + d for mark in marks for d in (-1, 0, 1, 2)})
+    possible: Example | None = None
+    sizes = dict.fromkeys([3, 4, 5, 2, 1, 6, 7, 8, *(n for n in near if n > 0)])
+    tries = 0
+    for size in sizes:
+        for pid in dict.fromkeys(p for p in [*range(8), *range(size - 4, size), *near] if 0 <= p < size):
+            tries += 1
+            if tries > MOST_EXAMPLES:
+                return possible
+            values = {**params, PID: pid, N_SYS: size}
+            held = truth(wanted, values)
+            if held:
+                return Example(values, True)
+            if held is None and possible is None:
+                possible = Example(values, False)
+    return possible
+
+
+def _constants(item: Formula | Linear | Var) -> Iterator[int]:
+    match item:
+        case Linear(terms, constant_):
+            yield constant_
+            for var, _ in terms:
+                yield from _constants(var)
+        case AtLeastZero(linear) | Quotient(linear):
+            yield from _constants(linear)
+        case And(parts) | Or(parts):
+            for part in parts:
+                yield from _constants(part)
+        case Remainder(operand, divisor):
+            yield from _constants(operand)
+            yield from _constants(divisor)
+        case Choice(condition, then, orelse):
+            yield from _constants(condition)
+            yield from _constants(then)
+            yield from _constants(orelse)
+        case _:
+            return
+
+
+def show(linear: Linear) -> str:
+    """A term in Koord's words: `N_SYS - pid - 1`."""
+    parts = [(factor, _name(var)) for var, factor in linear.terms]
+    parts.sort(key=lambda part: part[0] < 0)
+    text = ""
+    for factor, name in parts:
+        times = name if abs(factor) == 1 else f"{abs(factor)} * {name}"
+        sign = (" - " if factor < 0 else " + ") if text else ("-" if factor < 0 else "")
+        text += sign + times
+    if not text:
+        return str(linear.constant)
+    return text if not linear.constant else f"{text} {'+-'[linear.constant < 0]} {abs(linear.constant)}"
+
+
+def _name(var: Var) -> str:
+    match var:
+        case str():
+            return var.rpartition(" ")[2]
+        case Quotient(operand, divisor):
+            return f"({show(operand)}) // {divisor}"
+        case Remainder(operand, modulus):
+            return f"({show(operand)}) % ({show(modulus)})"
+        case Choice():
+            return "(...)"
+        case _:
+            assert_never(var)
+
+
+def substitute(linear: Linear, var: str, by: Linear) -> Linear:
+    """The term with a plain variable replaced, derived variables left alone."""
+    factor = dict(linear.terms).get(var, 0)
+    return combine(combine(linear, variable(var), -factor), by, factor)
