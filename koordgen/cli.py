@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING
 from koordgen import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
     from koordgen.check.params import Value
+    from koordgen.diagnostics import Diagnostic
     from koordgen.pipeline import Rejected
+    from koordgen.source import Source
 
 # One table for every command; docs/cli.md prints it.
 HOLDS, WRONG, USAGE, VIOLATED, INCONCLUSIVE, SURROUNDINGS, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 4, 5, 70, 130
@@ -121,24 +123,23 @@ def _check(options: argparse.Namespace) -> int:
     if options.format == "json":
         from koordgen.diagnostics import to_json
 
-        print(to_json(checked.noticed, checked.source))
+        print(to_json((checked.source, d) for d in checked.noticed))
     else:
-        _warn(checked.noticed, checked.source)
+        _tell([(checked.source, d) for d in checked.noticed])
     return HOLDS
 
 
 def _dump(options: argparse.Namespace) -> int:
-    from koordgen.pipeline import check_file, read_source
+    if options.after == "parse":
+        from koordgen.pipeline import parse_file
+        from koordgen.syntax.printer import show as show_tree
 
-    if options.after == "check":
+        print(show_tree(parse_file(options.program)[1]), end="")
+    else:
         from koordgen.ir.printer import show
+        from koordgen.pipeline import check_file
 
         print(show(check_file(options.program).program), end="")
-        return HOLDS
-    from koordgen.pipeline import parse_source
-    from koordgen.syntax.printer import show as show_tree
-
-    print(show_tree(parse_source(read_source(options.program))), end="")
     return HOLDS
 
 
@@ -183,7 +184,9 @@ def _key(options: argparse.Namespace) -> int:
         with os.fdopen(descriptor, "wb") as file:
             file.write(secrets.token_bytes(32))
     except FileExistsError:
-        raise Failure(SURROUNDINGS, f"{options.file} exists", "a key is never overwritten; choose another name") from None
+        raise Failure(
+            SURROUNDINGS, f"{options.file} exists", "a key is never overwritten; choose another name"
+        ) from None
     except OSError as error:
         raise Failure(SURROUNDINGS, f"{options.file}: {error.strerror}") from None
     print(f"{options.file}: copy it to every robot of the fleet, beside settings.json, by a safe way")
@@ -212,7 +215,7 @@ def _planned(options: argparse.Namespace, targets: list[str]) -> tuple[dict[str,
         raise Failure(USAGE, str(error)) from None
     except ManifestError as error:
         raise Failure(SURROUNDINGS, str(error), "the target's folder is damaged; install koordgen anew") from None
-    _warn(checked.noticed, checked.source)
+    _tell([(checked.source, d) for d in checked.noticed])
     return bundles, checked.program.name
 
 
@@ -260,26 +263,23 @@ def _require_packages() -> None:
 
 
 def _show(rejected: Rejected, options: argparse.Namespace) -> None:
-    from koordgen.diagnostics import render, to_json
-
-    by_source: dict[int, list[object]] = {}
-    for source, diagnostic in rejected.found:
-        by_source.setdefault(id(source), [source]).append(diagnostic)
     if getattr(options, "format", "text") == "json":
-        source = rejected.found[0][0]
-        print(to_json([d for _, d in rejected.found], source))
+        from koordgen.diagnostics import to_json
+
+        print(to_json(rejected.found))
         return
-    for source, diagnostic in rejected.found:
-        _say(render(diagnostic, source))
+    _tell(rejected.found)
     errors = sum(d.severity == "error" for _, d in rejected.found)
     _say(f"{errors} error{'s' if errors != 1 else ''}")
 
 
-def _warn(noticed: object, source: object) -> None:
+def _tell(found: Collection[tuple[Source, Diagnostic]]) -> None:
+    if not found:
+        return
     from koordgen.diagnostics import render
 
-    for diagnostic in noticed:  # type: ignore[attr-defined]
-        _say(render(diagnostic, source))  # type: ignore[arg-type]
+    for source, diagnostic in found:
+        _say(render(diagnostic, source))
 
 
 def _say(text: str) -> None:
@@ -290,6 +290,7 @@ def _internal(error: Exception) -> int:
     import traceback
 
     traceback.print_exception(error)
-    _say(f"internal error: {error}\n  this is a mistake of koordgen, not of your program: please report it with the above")
+    _say(
+        f"internal error: {error}\n  this is a mistake of koordgen, not of your program: please report it with the above"
+    )
     return INTERNAL
-

@@ -12,6 +12,7 @@ from koordgen.ir.decl import Program
 from koordgen.ir.verify import verify
 from koordgen.node import Node
 from koordgen.source import Source, Span
+from koordgen.syntax import decl as tree
 from koordgen.syntax.parse import parse
 
 if TYPE_CHECKING:
@@ -51,15 +52,20 @@ def read_source(path: str) -> Source:
     raise Rejected([(Source(path, ""), problem)])
 
 
+def parse_file(path: str) -> tuple[Source, tree.Program]:
+    """parse. Raises Rejected."""
+    source = read_source(path)
+    parsed, found = parse(source)
+    if parsed is None:
+        raise Rejected([(source, d) for d in found])
+    return source, parsed
+
+
 def check_file(path: str) -> Checked:
     """parse, check, verify. Raises Rejected."""
-    source = read_source(path)
-    tree, found = parse(source)
-    program = None
-    if tree is not None:
-        program, more = check(tree, source)
-        found = [*found, *more]
-    if program is None or any(d.severity == "error" for d in found):
+    source, parsed = parse_file(path)
+    program, found = check(parsed, source)
+    if program is None:
         raise Rejected([(source, d) for d in found])
     verify(program)
     return Checked(source, program, tuple(found))

@@ -30,7 +30,8 @@ class Setting(Node):
 class Target(Node):
     """One target. `kind` "agent" runs one robot (`entry` is its Platform class), "harness" a whole fleet on one host
     (`entry` is its main function), both as "module:name". `sensors` and `actuators` are keyed by "Module.port" and
-    say the Koord type. `simulation` names the body and the device that stand in for the real ones."""
+    say the Koord type. `simulation` names the body and the device that stand in for the real ones; `also` the other
+    targets whose files this one's code imports."""
 
     name: str
     summary: str
@@ -41,6 +42,7 @@ class Target(Node):
     actuators: dict[str, str]
     settings: dict[str, Setting]
     simulation: dict[str, str]
+    also: tuple[str, ...]
     folder: Path
 
     @property
@@ -92,6 +94,7 @@ def _target(raw: dict[str, Any], path: Path) -> Target:
         actuators=ports["actuators"],
         settings={key: _setting(key, value) for key, value in raw.get("settings", {}).items()},
         simulation=raw.get("simulation", {}),
+        also=tuple(raw.get("also", ())),
         folder=path.parent,
     )
 

@@ -171,8 +171,13 @@ def read_ingredients(
     common.update(_folder(package / "runtime", "koordgen/runtime"))
     common["targets/__init__.py"] = (targets[0].folder.parent / "__init__.py").read_bytes()
     return Ingredients(
-        program, source, targets, fleet, common, {t.name: _folder(t.folder, f"targets/{t.name}") for t in targets}
+        program, source, targets, fleet, common, {t.name: _target_files(t) for t in targets}
     )
+
+
+def _target_files(target: Target) -> Files:
+    folders = (target.folder, *(target.folder.parent / name for name in target.also))
+    return {path: data for folder in folders for path, data in _folder(folder, f"targets/{folder.name}").items()}
 
 
 def _folder(folder: Path, prefix: str) -> Files:

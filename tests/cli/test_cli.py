@@ -1,0 +1,262 @@
+"""The command line on real files: exit statuses, messages with a place and a way out, and nothing half-written."""
+
+from __future__ import annotations
+
+import filecmp
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from koordgen.cli import main
+
+ROOT = Path(__file__).parents[2]
+LINEFORM = ROOT / "examples/lineform/lineform.koord"
+FLEET = ROOT / "examples/lineform/fleet.yaml"
+
+
+def koordgen(*arguments: object, **env: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "koordgen", *map(str, arguments)],
+        capture_output=True, text=True, cwd=ROOT, env={**os.environ, **env},
+    )  # fmt: skip
+
+
+@pytest.fixture
+def printed(tmp_path: Path) -> Path:
+    """LineForm as printed: its guard lacks the `not`."""
+    path = tmp_path / "lineform.koord"
+    path.write_text(LINEFORM.read_text().replace("pre: not (pid", "pre: (pid"))
+    return path
+
+
+def test_check_passes_the_corrected_program(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(LINEFORM)]) == 0
+    assert capsys.readouterr() == ("", "")
+
+
+def test_check_refuses_lineform_as_printed(printed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(printed)]) == 1
+    told = capsys.readouterr().err
+    assert "x[pid+1]" in told
+    assert "N_SYS - 1" in told
+    assert "not (" in told, "the fix is named"
+    line = next(i for i, text in enumerate(printed.read_text().splitlines(), 1) if "x[pid+1]" in text)
+    assert f"lineform.koord:{line}:" in told
+
+
+def test_check_json(printed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", "--format", "json", str(printed)]) == 1
+    found = json.loads(capsys.readouterr().out)["diagnostics"]
+    assert found
+    keys = {"code", "severity", "message", "file", "line", "column", "end_line", "end_column", "help"}
+    assert all(set(d) == keys and d["file"] == str(printed) for d in found)
+
+
+@pytest.mark.parametrize("after", ["parse", "check"])
+def test_dump(after: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dump", str(LINEFORM), "--after", after]) == 0
+    assert "TargetUpdate" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [(None, "No such file"), (b"\xff\xfe", "not UTF-8"), (b"", "error"), (b"using Motion\n", "error"), (b"\0", "error")],
+)  # fmt: skip
+def test_unusable_programs(
+    tmp_path: Path, content: bytes | None, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "a.koord"
+    if content is not None:
+        path.write_bytes(content)
+    assert main(["check", str(path)]) == 1
+    told = capsys.readouterr().err
+    assert words in told
+    assert str(path) in told
+    assert "Traceback" not in told
+
+
+def test_a_directory_and_an_unreadable_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(tmp_path)]) == 1
+    assert "directory" in capsys.readouterr().err
+
+
+def test_usage() -> None:
+    for arguments in ([], ["fly"], ["check"], ["build", str(LINEFORM)], ["check", str(LINEFORM), "--format", "xml"]):
+        assert koordgen(*arguments).returncode == 2, arguments
+
+
+def test_unknown_target(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["build", str(LINEFORM), "--target", "boat", "-o", str(tmp_path)]) == 2
+    told = capsys.readouterr().err
+    assert "no target 'boat'" in told
+    assert "car, quad" in told
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_build_without_a_fleet(tmp_path: Path) -> None:
+    assert main(["build", str(LINEFORM), "--target", "quad,car,sim", "-o", str(tmp_path)]) == 0
+    assert sorted(p.name for p in (tmp_path / "lineform").iterdir()) == ["car", "quad", "sim"]
+    run = subprocess.run([sys.executable, str(tmp_path / "lineform/quad")], capture_output=True, text=True)
+    assert run.returncode == 1
+    assert "--fleet" in run.stderr
+
+
+def test_build_with_a_fleet_holds_the_same_bytes_under_sim(tmp_path: Path) -> None:
+    command = ["build", str(LINEFORM), "--target", "quad,car,sim", "--fleet", str(FLEET), "-o", str(tmp_path)]
+    assert main(command) == 0
+    app = tmp_path / "lineform"
+    robots = ["alice", "bert", "cleo", "dora", "emil"]
+    assert sorted(p.name for p in app.iterdir()) == sorted([*robots, "fleet", "sim"])
+    for robot in robots:
+        files = sorted(str(p.relative_to(app / robot)) for p in (app / robot).rglob("*") if p.is_file())
+        match, mismatch, errors = filecmp.cmpfiles(app / robot, app / "sim/agents" / robot, files, shallow=False)
+        assert match == files
+        assert not mismatch + errors
+        subprocess.run(["sha256sum", "--quiet", "-c", "SHA256SUMS"], cwd=app / robot, check=True)
+
+
+def test_two_builds_are_the_same_bytes_whatever_the_hash_seed(tmp_path: Path) -> None:
+    for seed in ("1", "2"):
+        out = tmp_path / seed
+        done = koordgen("build", LINEFORM, "--target", "quad,car,sim", "--fleet", FLEET, "-o", out, PYTHONHASHSEED=seed)
+        assert done.returncode == 0, done.stderr
+    one, two = ({p.relative_to(tmp_path / s): p.read_bytes() for p in (tmp_path / s).rglob("*") if p.is_file()}
+                for s in "12")  # fmt: skip
+    assert one == two
+
+
+def test_a_fleet_file_with_mistakes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fleet = tmp_path / "fleet.yaml"
+    fleet.write_text(FLEET.read_text().replace("name: bert", "name: alice").replace("delta:", "dleta:"))
+    command = ["build", str(LINEFORM), "--target", "quad", "--fleet", str(fleet), "-o", str(tmp_path / "out")]
+    assert main(command) == 1
+    told = capsys.readouterr().err
+    assert f"{fleet}:3:1: error[F002]" in told
+    assert "already robot 0's" in told
+    assert "2 errors" in told
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_port_that_the_target_does_not_offer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "a.koord"
+    path.write_text(LINEFORM.read_text().replace("Point position", "Point position\n    float altitude"))
+    assert main(["build", str(path), "--target", "quad,car", "-o", str(tmp_path / "out")]) == 1
+    told = capsys.readouterr().err
+    assert "target car offers no sensor Motion.altitude" in told
+    assert "target quad offers no sensor Motion.altitude" in told
+    assert "a.koord:5:" in told
+
+
+PARAMS = "param float margin = 0.5\nparam int laps = 3\nparam Point home = Point(0, 0, 1)\n"
+
+
+def test_params_go_into_the_program_and_its_hash(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "a.koord"
+    path.write_text(PARAMS + LINEFORM.read_text())
+    texts = []
+    for value in ("0.5", "0.8"):
+        out = tmp_path / value
+        given = ["--param", f"margin={value}", "--param", "laps=-4", "--param", "home=1,2,-3"]
+        assert main(["build", str(path), "--target", "quad", "-o", str(out), *given]) == 0
+        texts.append((out / "a/quad/program.py").read_text())
+    assert "PARAM_MARGIN: float = 0.8  # a.koord:1" in texts[1]
+    assert "PARAM_LAPS: int = -4  # a.koord:2" in texts[1]
+    assert "PARAM_HOME: Point = Point(1.0, 2.0, -3.0)  # a.koord:3" in texts[1]
+    hashes = [next(line for line in text.splitlines() if "program_hash=" in line) for text in texts]
+    assert hashes[0] != hashes[1]
+
+
+@pytest.mark.parametrize("param", ["margin", "mragin=1", "margin=fast", "laps=0.5", "home=1,2", "margin=nan"])
+def test_wrong_params(tmp_path: Path, param: str, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "a.koord"
+    path.write_text(PARAMS + LINEFORM.read_text())
+    assert main(["build", str(path), "--target", "quad", "-o", str(tmp_path / "out"), "--param", param]) == 2
+    assert param.partition("=")[0] in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_output_that_cannot_be_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("")
+    assert main(["build", str(LINEFORM), "--target", "quad", "-o", str(tmp_path / "file")]) == 5
+    assert str(tmp_path / "file") in capsys.readouterr().err
+
+
+def test_an_output_that_is_not_ours(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["build", str(LINEFORM), "--target", "quad", "-o", str(tmp_path)]
+    assert main(command) == 0
+    key = tmp_path / "lineform/quad/fleet.key"
+    key.write_bytes(b"k" * 32)
+    assert main(command) == 5
+    assert "fleet.key" in capsys.readouterr().err
+    assert key.read_bytes() == b"k" * 32
+
+
+def test_key_new(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "fleet.key"
+    assert main(["key", "new", str(path)]) == 0
+    assert path.stat().st_mode & 0o777 == 0o600
+    key = path.read_bytes()
+    assert len(key) == 32
+    assert key.hex() not in "".join(capsys.readouterr())
+    assert main(["key", "new", str(path)]) == 5
+    assert path.read_bytes() == key
+
+
+@pytest.fixture
+def full_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 64 KiB, when this machine lets us mount one."""
+    folder = tmp_path / "small"
+    folder.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "none", str(folder)], capture_output=True)
+    if mounted.returncode:
+        pytest.skip("mounting takes root")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+def test_a_full_disk(full_disk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["build", str(LINEFORM), "--target", "quad,car", "-o", str(full_disk)]) == 5
+    assert "No space left" in capsys.readouterr().err
+    assert list((full_disk / "lineform").iterdir()) == [] if (full_disk / "lineform").exists() else True
+
+
+def test_check_imports_nothing_heavy() -> None:
+    code = (
+        "import sys; from koordgen.cli import main; status = main(['check', sys.argv[1]]);"
+        "print(sorted(set(sys.modules) & {'jinja2', 'yaml', 'json', 'numpy', 'msgspec', 'z3', 'casadi', 'ompl',"
+        " 'pybullet', 'pymavlink', 'tomllib'})); sys.exit(status)"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(LINEFORM)], capture_output=True, text=True, cwd=ROOT)
+    assert (done.returncode, done.stdout.strip()) == (0, "[]"), done.stderr
+
+
+def test_build_imports_no_robot_package(tmp_path: Path) -> None:
+    code = (
+        "import sys; from koordgen.cli import main; status = main(['build', sys.argv[1], '--target', 'quad,car',"
+        " '-o', sys.argv[2]]); print(sorted(set(sys.modules) & {'numpy', 'msgspec', 'z3', 'casadi', 'ompl',"
+        " 'pybullet', 'pymavlink', 'yaml'}), file=sys.stderr); sys.exit(status)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(LINEFORM), str(tmp_path)], capture_output=True, text=True, cwd=ROOT
+    )
+    assert (done.returncode, done.stderr.strip()) == (0, "[]")
+
+
+def test_an_error_of_the_compiler_is_not_the_users(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("koordgen.pipeline.check", lambda *_: 1 / 0)
+    assert main(["check", str(LINEFORM)]) == 70
+    assert "mistake of koordgen" in capsys.readouterr().err
+
+
+def test_outputs_of_others_survive(tmp_path: Path) -> None:
+    (tmp_path / "lineform/quad").mkdir(parents=True)
+    (tmp_path / "lineform/quad/thesis.tex").write_text("years")
+    assert main(["build", str(LINEFORM), "--target", "quad", "-o", str(tmp_path)]) == 5
+    assert (tmp_path / "lineform/quad/thesis.tex").read_text() == "years"

@@ -1,0 +1,129 @@
+"""What every target must keep, enlisted by its manifest: a dropped folder is tested at once."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from koordgen import fleet
+from koordgen.bundle import manifest
+from koordgen.ir.types import NAMED
+from koordgen.runtime.platform import Platform
+from koordgen.runtime.settings import Settings
+from tests.programs import build, settings_of
+
+TARGETS = [manifest.load(name) for name in manifest.available()]
+AGENTS = [t for t in TARGETS if t.kind == "agent"]
+DISTRIBUTION = {"serial": "pyserial", "fcl": "python-fcl"}
+by_name = pytest.mark.parametrize("target", TARGETS, ids=lambda t: t.name)
+agents_by_name = pytest.mark.parametrize("target", AGENTS, ids=lambda t: t.name)
+
+
+@by_name
+def test_the_entry_is_there(target: manifest.Target) -> None:
+    module, _, name = target.entry.partition(":")
+    assert callable(getattr(importlib.import_module(module), name))
+
+
+@by_name
+def test_requirements_are_pinned_and_cover_what_is_imported(target: manifest.Target) -> None:
+    pins = {re.split(r"[^A-Za-z0-9._-]", line)[0] for line in target.requirements}
+    assert all("==" in line for line in target.requirements)
+    imported = {"msgspec"}
+    for path in target.folder.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                imported.update(alias.name.split(".")[0] for alias in node.names)
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                imported.add(node.module.split(".")[0])
+    foreign = imported - set(sys.stdlib_module_names) - {"koordgen", "targets"}
+    assert {DISTRIBUTION.get(name, name) for name in foreign} <= pins
+
+
+@by_name
+def test_the_locked_versions_are_those_of_the_bundles(target: manifest.Target) -> None:
+    """What the tests run with is what a robot installs."""
+    locked = dict(
+        line.strip().split("==") for line in (Path(__file__).parents[2] / "requirements.lock").read_text().splitlines()
+    )
+    for line in target.requirements:
+        name, _, rest = line.partition("==")
+        version, _, marker = (part.strip() for part in rest.partition(";"))
+        if not marker or "< " not in marker:
+            assert locked[name] == version, line
+
+
+@agents_by_name
+def test_it_offers_motion_with_types_of_the_language(target: manifest.Target) -> None:
+    assert target.sensors["Motion.position"] == "Point"
+    assert target.actuators["Motion.target"] == "Point"
+    assert {"Motion.reached"} <= set(target.sensors)
+    assert all(t in NAMED or t == "Pose" for t in (*target.sensors.values(), *target.actuators.values()))
+
+
+@agents_by_name
+def test_a_platform_is_made_from_default_settings_and_senses_what_the_manifest_offers(target: manifest.Target) -> None:
+    settings: Settings = settings_of(target)
+    module, _, name = target.entry.partition(":")
+    platform: Platform = getattr(importlib.import_module(module), name)(settings, bytes(32))
+    try:
+        assert 0 < platform.period <= 0.1
+        assert not platform.ready
+        assert isinstance(platform.progress, str)
+        assert set(platform.sense(0.0).values) == set(target.sensors)
+        assert platform.sense(0.0).time is None, "no position before the body has told one"
+    finally:
+        platform.close()
+        platform.close()
+
+
+@agents_by_name
+def test_simulation_names_a_body_and_a_device_of_the_harness(target: manifest.Target) -> None:
+    from targets.sim import stage
+
+    assert target.simulation["body"] in stage.BODIES
+    assert target.simulation["device"] in stage.DEVICES
+
+
+@agents_by_name
+def test_every_setting_reaches_the_body(target: manifest.Target, tmp_path: Path) -> None:
+    """A setting that the manifest offers and the platform does not know would be refused by the robot, not by build."""
+    files = build(target.name)
+    body = json.loads(files[f"{target.name}-0"]["settings.json"])["body"]
+    assert set(body) == set(target.settings)
+
+
+@agents_by_name
+def test_check_of_a_built_bundle_says_what_is_missing(target: manifest.Target, tmp_path: Path) -> None:
+    files = build(target.name)[f"{target.name}-0"]
+    for path, data in files.items():
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / path).write_bytes(data)
+    done = subprocess.run([sys.executable, str(tmp_path), "--check"], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert "koordgen key new" in done.stderr
+    (tmp_path / "fleet.key").write_bytes(bytes(32))
+    (tmp_path / "fleet.key").chmod(0o600)
+    done = subprocess.run([sys.executable, str(tmp_path), "--check"], capture_output=True, text=True)
+    assert done.returncode == 5, done.stderr
+    assert "help:" in done.stderr
+
+
+@agents_by_name
+def test_the_bundle_compiles_for_python_3_10(target: manifest.Target) -> None:
+    for path, data in build(target.name)[f"{target.name}-0"].items():
+        if path.endswith(".py"):
+            ast.parse(data, path, feature_version=(3, 10))
+
+
+def test_robots_limit_is_the_wires() -> None:
+    from koordgen.runtime.wire import MAX_ROBOTS
+
+    assert fleet.MOST_ROBOTS == MAX_ROBOTS

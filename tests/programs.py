@@ -1,0 +1,54 @@
+"""Bundles built in memory for tests: LineForm for fleets of a target."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+
+import msgspec
+
+from koordgen import resources
+from koordgen.bundle import manifest
+from koordgen.bundle.plan import Files, plan, read_ingredients
+from koordgen.fleet import Fleet, read
+from koordgen.pipeline import check_file
+from koordgen.runtime.settings import Settings
+from koordgen.source import Source, Span
+
+ROOT = Path(__file__).parents[1]
+LINEFORM = ROOT / "examples/lineform/lineform.koord"
+
+
+def fleet_of(target: str, size: int = 2) -> Fleet:
+    """A fleet of one target, robots named `<target>-<pid>`, on loopback."""
+    robots = "".join(
+        f"  - {{name: {target}-{pid}, target: {target}, address: '127.0.0.1:{47900 + pid}'}}\n" for pid in range(size)
+    )
+    text = (
+        "delta: 0.1\norigin: {latitude: 47.4, longitude: 8.5, altitude: 400.0}\n"
+        f"geofence: {{lo: [-5, -5, -1], hi: [5, 5, 4]}}\nrobots:\n{robots}"
+    )
+
+    def report(code: str, message: str, span: Span, help: str) -> None:
+        raise AssertionError(f"{code} {span}: {message} {help}")
+
+    found = read(Source("fleet.yaml", text), {n: manifest.load(n) for n in manifest.available()}, {}, report)
+    assert found is not None
+    return found
+
+
+@cache
+def build(target: str) -> dict[str, Files]:
+    """LineForm's bundles for a fleet of two of this target."""
+    program = check_file(str(LINEFORM)).program
+    ingredients = read_ingredients(
+        program, LINEFORM.read_bytes(), (manifest.load(target),), fleet_of(target), resources.package()
+    )
+    return plan(ingredients, [target])
+
+
+def settings_of(target: manifest.Target) -> Settings:
+    """Robot 0's settings of that fleet, as its agent reads them."""
+    raw = json.loads(build(target.name)[f"{target.name}-0"]["settings.json"])
+    return msgspec.convert(raw, Settings)
