@@ -42,8 +42,9 @@ RATES = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: 4.0,
 }
 # Their absence proves nothing: the one comes only while there is a target, the other always, only too seldom. They are
-# asked for again every five seconds, whatever comes.
+# asked for again every two seconds, whatever comes.
 _OCCASIONAL = (mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT, mavlink.MAVLINK_MSG_ID_HEARTBEAT)
+LONG_AGO = 2000  # ms, more than a message may be late
 
 
 class Streams:
@@ -63,7 +64,7 @@ class Streams:
         for message, rate in RATES.items():
             occasional = message in _OCCASIONAL
             silent = now - self._came.get(message, -math.inf) > 1.0
-            if (silent or occasional) and now - self._asked.get(message, -math.inf) >= (5.0 if occasional else 1.0):
+            if (silent or occasional) and now - self._asked.get(message, -math.inf) >= (2.0 if occasional else 1.0):
                 self._asked[message] = now
                 link.tell(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message, 1e6 / rate)
 
@@ -78,7 +79,8 @@ class Telemetry:
 
     def __init__(self, frame: LocalFrame) -> None:
         self._frame = frame
-        self._boot: int | None = None  # ms, the vehicle's clock
+        self._boot: int | None = None  # ms, the vehicle's clock in the newest message
+        self._earlier: int | None = None  # ... in a last one that was older than that
         self._ekf: int | None = None
         self.restarts = 0
         self.mode: int | None = None
@@ -111,11 +113,8 @@ class Telemetry:
                     self.followed, self.followed_time = Point(*place), now
 
     def _take_position(self, message: Message, now: float) -> None:
-        if self._boot is not None and message.time_boot_ms <= self._boot:
-            if self._boot - message.time_boot_ms < 2000:
-                return  # repeated or overtaken on the way: not news, so it must not look fresh
-            self._restarted()
-        self._boot = message.time_boot_ms
+        if not self._news(message.time_boot_ms):
+            return
         if (message.lat == 0 and message.lon == 0) or not self._estimating:
             return
         latitude, longitude = message.lat * 1e-7, message.lon * 1e-7
@@ -127,6 +126,18 @@ class Telemetry:
         # When it came, not when it was sent: a simulated autopilot's clock may run slower than ours, so that the lag
         # of a single message cannot be told from their drift.
         self.time = now
+
+    def _news(self, boot: int) -> bool:
+        """Whether a message with this time is newer than all before. What is repeated or was overtaken on the way must
+        not look fresh; two in a row that run on from long before mean that the vehicle's clock began anew."""
+        if self._boot is not None and boot <= self._boot:
+            runs_on = self._earlier is not None and 0 < boot - self._earlier < LONG_AGO
+            self._earlier = boot
+            if not runs_on or self._boot - boot < LONG_AGO:
+                return False
+            self._restarted()
+        self._boot, self._earlier = boot, None
+        return True
 
     def _restarted(self) -> None:
         self.restarts += 1

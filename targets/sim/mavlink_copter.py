@@ -106,7 +106,9 @@ class Copter:
         if not self.armed:
             return
         if self.landed:
-            if self.mode != LAND and now - self._armed_at > self.params["DISARM_DELAY"]:
+            waits_for_pilot = self.mode == LAND and self.params["LAND_REPOSITION"]
+            delay = 1.0 if self.mode == LAND else self.params["DISARM_DELAY"]
+            if not waits_for_pilot and now - max(self._armed_at, self.guidance.since) > delay:
                 self.disarm(force=False)
             return
         silent = 0.0 if self.ground_station is None else now - self.ground_station

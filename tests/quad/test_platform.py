@@ -177,6 +177,100 @@ def test_a_link_lost_in_flight_shows_and_heals() -> None:
     assert rig.quad.ready
 
 
+def told(data: bytes) -> int:
+    """The number of a MAVLink 2 frame's message."""
+    return int.from_bytes(data[7:10], "little")
+
+
+def test_nothing_is_sent_on_a_stale_position() -> None:
+    rig = Rig()
+    rig.fly()
+    rig.wire.meddle = lambda data, down: None if down and told(data) == 33 else data
+    rig.go(3.0, 3.0)
+    rig.run(0.6)
+    rig.wire.up.clear()
+    rig.run(3.0)
+    assert not sent(rig, SETPOINT) and not rig.quad.ready
+    rig.wire.meddle = lambda data, down: data
+    assert rig.run(10.0, rig.reached)
+
+
+def test_an_estimate_that_broke_down_is_not_a_position() -> None:
+    """The autopilot goes on sending positions when its EKF has lost them; the agent must see them grow stale."""
+    rig = Rig()
+    rig.fly()
+    lost = mavlink.MAVLink_ekf_status_report_message(mavlink.EKF_ATTITUDE | mavlink.EKF_POS_HORIZ_ABS
+                                                     | mavlink.EKF_CONST_POS_MODE, 0, 0, 0, 0, 0)  # fmt: skip
+    frame = bytes(lost.pack(mavlink.MAVLink(None, 1, 1)))
+    rig.wire.meddle = lambda data, down: frame if down and told(data) == 193 else data
+    rig.run(0.3)
+    broken = rig.now
+    rig.run(1.0)
+    time = rig.quad.sense(rig.now).time
+    assert time is not None and time <= broken
+
+
+def test_repeated_and_overtaken_positions_are_not_fresh() -> None:
+    rig = Rig()
+    rig.fly()
+    kept: list[bytes] = []
+
+    def freeze(data: bytes, down: bool) -> bytes | None:
+        if down and told(data) == 33:
+            kept.append(data)
+            return kept[(len(kept) - 1) % 2]  # the first two, again and again
+        return data
+
+    rig.run(0.2)
+    rig.wire.meddle = freeze
+    rig.run(0.2)
+    frozen = rig.now
+    rig.run(1.0)
+    time = rig.quad.sense(rig.now).time
+    assert time is not None and time <= frozen
+
+
+def test_a_message_from_long_ago_is_no_restart() -> None:
+    rig = Rig()
+    kept: list[bytes] = []
+
+    def record(data: bytes, down: bool) -> bytes:
+        if down and told(data) == 33:
+            kept.append(data)
+        return data
+
+    rig.wire.meddle = record
+    rig.fly()
+    rig.run(3.0)
+    for old in kept[:20]:
+        rig.wire.inject(old)
+        rig.run(0.05)
+    assert rig.quad.ready
+
+
+def test_velocity_is_sensed_in_the_fleets_frame() -> None:
+    rig = Rig()
+    rig.fly()
+    rig.go(4.0, 1.0, 3.0)
+    rig.run(3.0)
+    sensed, true = rig.quad.sense(rig.now).values["Motion.velocity"], Point(*rig.body.velocity)
+    assert true.x > 0.4 and true.y > 0.4 and true.z > 0.1
+    assert distance(sensed, true) < 0.03
+
+
+def test_a_mode_that_falls_back_before_take_off_is_set_again() -> None:
+    rig = Rig()
+    rig.quad.start(rig.now)
+    assert rig.autopilot is not None
+    copter = rig.autopilot.copter
+    copter.failing_check = "Compass not calibrated"
+    assert rig.run(10.0, lambda: "arming" in rig.quad.progress)
+    copter.mode = 0
+    copter.failing_check = ""
+    assert rig.run(15.0, lambda: rig.quad.ready)
+    assert any("fell back to STABILIZE" in said for said in rig.progress)
+
+
 def test_a_link_cut_for_good_is_unready_and_the_autopilot_lands_by_itself() -> None:
     rig = Rig()
     rig.fly()
@@ -244,10 +338,6 @@ def test_a_target_outside_the_fence_is_clamped() -> None:
     rig.go(50.0, -50.0, 50.0)
     assert rig.run(20.0, rig.reached)
     assert distance(at(rig), FENCE.hi) > 5 and distance(at(rig), Point(6.0, -5.0, 4.0)) < 0.2
-
-
-def reply(rig: Rig, message: Message) -> None:
-    rig.wire.inject(bytes(message.pack(mavlink.MAVLink(None, 1, 1))))
 
 
 @pytest.mark.parametrize(("autopilot", "kind", "name"), [(3, 10, "MAV_TYPE 10"), (12, 2, "PX4"), (3, 1, "MAV_TYPE 1")])
