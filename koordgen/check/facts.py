@@ -76,22 +76,22 @@ def term(node: ir.Expr, flow: Flow) -> Linear | None:
         return None
     match node:
         case ir.Unary("-", operand):
-            value = term(operand, flow)
-            return None if value is None else linear.scale(value, -1)
+            positive = term(operand, flow)
+            return None if positive is None else linear.scale(positive, -1)
         case ir.Binary():
             return _arithmetic(node, flow)
         case ir.Conditional(condition, then, orelse):
             return _choice(formula(condition, flow), term(then, flow), term(orelse, flow))
         case ir.Builtin("abs", (operand,)):
-            value = term(operand, flow)
-            if value is None:
+            inner = term(operand, flow)
+            if inner is None:
                 return None
-            return _choice(linear.AtLeastZero(value), value, linear.scale(value, -1))
-        case ir.Builtin("min" | "max" as name, (first, second)):
+            return _choice(linear.AtLeastZero(inner), inner, linear.scale(inner, -1))
+        case ir.Builtin("min" | "max" as which, (first, second)):
             left, right = term(first, flow), term(second, flow)
             if left is None or right is None:
                 return None
-            return _choice(linear.at_least(*((right, left) if name == "min" else (left, right))), left, right)
+            return _choice(linear.at_least(*((right, left) if which == "min" else (left, right))), left, right)
         case ir.LocalRead() | ir.TempRead() | ir.SharedRead() | ir.PortRead() | ir.ParamRead():
             name = variable_of(node)
             assert name is not None

@@ -45,7 +45,8 @@ def _check(node: tree.Stmt, c: Context) -> stmt.Stmt | None:
         case tree.If():
             return _if(node, c)
         case tree.Evaluate():
-            return _evaluate(node, c)
+            _evaluate(node, c)
+            return None
         case tree.Pass():
             return None
         case tree.Stop(span):
@@ -197,7 +198,7 @@ def _if(node: tree.If, c: Context) -> stmt.Stmt | None:
     for branch in node.branches:
         held = condition(branch.condition, c, "the condition of 'if'")
         before = c.flow
-        known = linear.UNKNOWN
+        known: linear.Formula = linear.UNKNOWN
         if before is not None and held.type == BOOL:
             known = formula(held, before)
             c.flow = before.knowing(known)

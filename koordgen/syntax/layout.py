@@ -19,13 +19,17 @@ DEEPEST_BLOCKS = 30
 
 # Words of the whole language, also those whose meaning this version lacks: they never become names.
 KEYWORDS = frozenset(
-    "using sensors actuators param allread allwrite local init pre eff if elif else pass stop "
-    "and or not True False".split()
+    (
+        "using", "sensors", "actuators", "param", "allread", "allwrite", "local", "init", "pre", "eff",
+        "if", "elif", "else", "pass", "stop", "and", "or", "not", "True", "False",
+    )
 )
 LATER = frozenset(
-    "atomic for while in break continue return def fun extern spec axiom invariant initially assume "
-    "forall exists".split()
-)
+    (
+        "atomic", "for", "while", "in", "break", "continue", "return", "def", "fun", "extern", "spec", "axiom",
+        "invariant", "initially", "assume", "forall", "exists",
+    )
+)  # fmt: skip
 
 _TOKEN = re.compile(
     r"(?P<NAME>[A-Za-z_][A-Za-z0-9_]*)"

@@ -8,7 +8,9 @@ from koordgen.source import Span
 from koordgen.syntax.layout import KEYWORDS, LATER, Token
 
 # Types of the full language; `Point` and the numbers are there already.
-LATER_TYPES = frozenset("string List Map Set Queue Pose GridMap Grid Scan PathPlanner stream".split())
+LATER_TYPES = frozenset(
+    ("string", "List", "Map", "Set", "Queue", "Pose", "GridMap", "Grid", "Scan", "PathPlanner", "stream")
+)
 
 _MODERN = {"&&": "and", "||": "or", "!": "not"}
 _LATER_MARKS = {"[": "a list", "{": "a set", "**": "a power", "->": "a function's type", "STRING": "a string"}
@@ -64,7 +66,7 @@ def explain(tokens: list[Token], position: int, states: list[int]) -> Diagnostic
 
 def _later(tokens: list[Token], position: int) -> Diagnostic | None:
     """A construct of the full language that this version lacks."""
-    kind, text, line, column = tokens[position]
+    kind, text, line, _ = tokens[position]
     if kind in LATER:
         return _unsupported(f"'{text}'", tokens[position])
     first = position

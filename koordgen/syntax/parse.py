@@ -10,7 +10,7 @@ from koordgen.diagnostics import Diagnostic, in_order
 from koordgen.node import Node
 from koordgen.source import Source
 from koordgen.syntax import build, decl
-from koordgen.syntax.layout import Chunk, Token, sections
+from koordgen.syntax.layout import Chunk, sections
 
 DEEPEST_TREE = 100
 
@@ -101,7 +101,7 @@ def _measure(section: Node) -> None:
             message = f"this expression is nested more than {DEEPEST_TREE} deep"
             help = "give parts of it names of their own"
             raise build.Refused(Diagnostic("K007", "error", message, node.span, help=help))
-        for field in type(node).__match_args__:  # type: ignore[attr-defined]
+        for field in type(node).__match_args__:
             child = getattr(node, field)
             if isinstance(child, (Node, tuple)) and field not in ("span", "type_span", "name_span"):
                 pending.append((child, depth + 1))

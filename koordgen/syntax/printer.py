@@ -15,7 +15,7 @@ def show(tree: Node) -> str:
     pending: list[tuple[Any, int, str]] = [(tree, 0, "")]
     while pending:
         node, depth, role = pending.pop()
-        fields = [(f, getattr(node, f)) for f in type(node).__match_args__ if f not in _PLACES]  # type: ignore[attr-defined]
+        fields = [(f, getattr(node, f)) for f in type(node).__match_args__ if f not in _PLACES]
         plain = [f"{f}={value!r}" for f, value in fields if not isinstance(value, (Node, tuple)) and value is not None]
         span = getattr(node, "span", None)
         place = f"  @{span.line}:{span.column}" if span is not None else ""
