@@ -20,8 +20,10 @@ LOOKAHEAD = 0.4  # metres at which a moving target is steered for: pure pursuit 
 TRAIL = 0.3  # metres of a target's way that tell where it is heading
 OFF_PATH = 0.25  # metres from the path that call for a new one
 RETRY = 1.0  # seconds until a plan that failed is tried again
-SETTLE = 1.0  # seconds beyond the radius, but within 1.5 radii, after which the car drives again
-LAG = 0.1  # seconds in which the measured speed follows the commanded one
+STAY, LEAVE = 0.9, 1.5  # radii from the target within which an arrived car stays, beyond which it goes on at once
+SETTLE = 1.0  # seconds between these two after which it goes on, too
+STUCK = 2.0  # seconds without motion after which a driving car says so
+LAG = 0.15  # seconds in which the measured speed follows the commanded one
 SLIP = 0.5  # m/s between commanded and measured speed, at most: a blocked car must not wind up
 
 
@@ -81,6 +83,7 @@ class Navigator:
         self._near_since: float | None = None
         self._near_target: tuple[float, float] | None = None
         self._last = Command(0.0, 0.0)
+        self._stirred = 0.0  # when the car moved last, or had no reason to
         self._trail = Trail()
         self.reached = True
         self.progress = "standing: no target yet"
@@ -126,6 +129,10 @@ class Navigator:
             self.pause()
         else:
             self._last = command
+        if command is None or not standing:
+            self._stirred = now
+        elif now - self._stirred > STUCK:
+            self.progress = f"driving, but the car has not moved for {now - self._stirred:.0f} s"
         return command
 
     def _drive(self, state: State, standing: bool, now: float) -> Command | None:
@@ -155,16 +162,16 @@ class Navigator:
 
     def _stays(self, away: float, now: float) -> bool:
         """Whether a car that has arrived stays where it is. It goes on when the target is 1.5 radii away, or has been
-        beyond the radius for a while: noise and small moves are not followed, yet no error remains."""
+        nearly a radius away for a while: noise and small moves are not followed, yet no target is left unreached."""
         radius = self._settings.reached_radius
         if not self._arrived:
             return False
-        if away <= radius:
+        if away <= STAY * radius:
             self._away_since = None
             return True
         if self._away_since is None:
             self._away_since = now
-        if away <= 1.5 * radius and now - self._away_since < SETTLE:
+        if away <= LEAVE * radius and now - self._away_since < SETTLE:
             return True
         self._arrived, self._away_since = False, None
         return False

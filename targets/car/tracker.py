@@ -16,6 +16,7 @@ from targets.car.planner import Segment
 
 LATERAL = 0.6  # of the acceleration limit may be used sideways on a curve
 BRAKING = 0.6  # ... and for braking: the rest is for errors
+APPROACH = 3.0  # 1/s: speed over distance in the last centimetres to a stop, or a lagging drive overshoots
 NEAR = 0.02  # metres before its end at which a segment counts as driven, when the car is
 SLOW = 0.05  # m/s or slower
 TURN_BACK = 0.10  # metres before a change of gear from which on it is certain
@@ -76,7 +77,7 @@ class Track:
         for _ in range(STEPS):
             pace = min(pace + self._limits.acceleration * STEP, self._allowed(station))
             rest = max(0.0, self.length - station)
-            pace = min(pace, rest / STEP)
+            pace = min(pace, APPROACH * rest)
             station += pace * STEP
             wished.append(self._state(station, direction * pace, yaw))
         return wished

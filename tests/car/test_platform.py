@@ -161,7 +161,7 @@ def test_a_target_that_creeps_as_in_lineform_is_followed_without_stop_and_go(
     assert world.distance(before.x, before.y) < 0.005, "it still creeps"
 
 
-@pytest.mark.parametrize(("step", "gap"), [(0.02, 0.12), (0.03, 0.12), (0.06, 0.26)])
+@pytest.mark.parametrize(("step", "gap"), [(0.02, 0.12), (0.03, 0.14), (0.06, 0.28)])
 def test_while_a_target_moves_steadily_the_car_stays_close_behind(step: float, gap: float) -> None:
     dice = random.Random(5)
     world = World(TestBody(-4.0, 0.0, 0.0)).begin()
@@ -299,6 +299,16 @@ def test_an_unreachable_target_is_said_and_the_car_stands() -> None:
     world.run(2.0)
     assert "no path inside the geofence leads to (2.00, 0.00)" in world.car.progress
     assert standing(world) and world.distance(0, 0) < 0.01 and world.value("reached") is False
+
+
+def test_a_car_that_is_stuck_says_so() -> None:
+    world = World().begin()
+    world.body.drive = lambda speed, steering: None  # type: ignore[method-assign]
+    world.go(2.0, 0.0)
+    world.run(4.0)
+    assert "has not moved for" in world.car.progress
+    sent = [m for m in vesc.Decoder().feed(world.wire.to_drive) if isinstance(m, vesc.SetErpm)]
+    assert all(abs(m.erpm) <= 0.6 * 4614 for m in sent), "it winds up"
 
 
 def test_a_device_that_cannot_be_opened_is_unready() -> None:
