@@ -65,7 +65,7 @@ class FleetClock:
         self._best: _Exchange | None = None
         self._offset = 0.0
         self._locked = False
-        self._last = 0.0
+        self._last = float("-inf")
 
     @property
     def known(self) -> bool:

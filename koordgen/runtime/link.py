@@ -116,9 +116,9 @@ class Link:
 
     def adopt(self, hello: Hello) -> None:
         """From now on this boot of the peer is the one that counts."""
-        session = self.sessions[hello.head.pid] = Session(hello.head.boot)
-        session.fresh(hello.head.sequence)
-        session.heard = (hello.head.sent, _microseconds(self._clock.now()))
+        head, now = hello.head, _microseconds(self._clock.now())
+        all_seen = (1 << REPLAY_WINDOW) - 1  # what it sent before is old news, perhaps recorded
+        self.sessions[head.pid] = Session(head.boot, head.sequence, all_seen, (head.sent, now))
 
     def is_adopted(self, hello: Hello) -> bool:
         session = self.sessions.get(hello.head.pid)

@@ -124,6 +124,7 @@ class Agent:
                 self._broken = True
                 self._rest("internal error", INTERNAL)
             self.done = self.done or self._failures > MOST_FAILURES
+        self._transport.receive()  # what waits unread would keep the loop from waiting
         return now + self._platform.period
 
     def _poll(self, now: float) -> float:
@@ -133,6 +134,7 @@ class Agent:
             self._started = True
         wake = self._poll_body(now)
         if self._broken:
+            self._transport.receive()
             return wake
         fleet = self._fleet_clock.read(now) if self._fleet_clock.known else None
         for message in self._link.receive():

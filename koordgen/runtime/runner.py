@@ -16,8 +16,8 @@ from koordgen.runtime.program import Effects, Event, Fault, Frame, Program, choo
 Limit = Callable[[float], AbstractContextManager[None]]
 
 
-class Overrun(Exception):
-    """Raised within an event that has used up its time."""
+class Overrun(BaseException):
+    """Raised within an event that has used up its time; no `except Exception` of an extern function keeps it."""
 
 
 def unlimited(seconds: float) -> AbstractContextManager[None]:
@@ -39,7 +39,7 @@ def interrupting(seconds: float) -> Iterator[None]:
             raise Overrun("not finished by the round's publish deadline")
 
     before = signal.signal(signal.SIGALRM, ring)
-    signal.setitimer(signal.ITIMER_REAL, max(1e-4, seconds), 0.05)  # again, should an `except` swallow the first
+    signal.setitimer(signal.ITIMER_REAL, max(1e-4, seconds), 0.05)  # again, should a bare `except` keep the first
     try:
         yield
     finally:
@@ -96,7 +96,7 @@ class Runner:
                     return Outcome(fault=chosen)
                 event = chosen
                 done = run(self.program, event.effect, frame)
-        except Overrun as overrun:  # it rang outside the event's own text
+        except Overrun as overrun:
             done = Fault(self.program.source, event.line if event else 0, str(overrun))
         name = event.name if event else None
         if isinstance(done, Fault):

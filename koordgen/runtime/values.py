@@ -7,7 +7,7 @@ import math
 import msgspec
 
 
-class Point(msgspec.Struct, frozen=True, array_like=True, gc=False):
+class Point(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
     """A position or displacement: x east, y north, z up, in metres about the fleet's origin."""
 
     x: float = 0.0

@@ -1,0 +1,217 @@
+"""Events on a robot: faults and late events are discarded whole, `stop`, `reached`, the end of a mission."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from koordgen.runtime.clock import SystemClock
+from koordgen.runtime.program import Event, Program, Stopped
+from koordgen.runtime.runner import Runner, interrupting
+from koordgen.runtime.values import Point
+from tests.runtime.fleet import Fleet
+from tests.runtime.lineform import PROGRAM, State, effect
+from tests.runtime.reference import check_visibility
+
+
+def program(effect: Callable[[State], None], guard: Callable[[State], bool] = lambda s: True) -> Program:
+    return replace(PROGRAM, events=(Event("Only", 21, guard, effect),))
+
+
+def half_done_then_raise(s: State) -> None:
+    s.x.own = Point(9, 9, 9)
+    s.last.value = 99
+    s.target.value = Point(1, 1, 1)
+    s.count = 99
+    if s.pid == 2:
+        raise ZeroDivisionError("division by zero")
+
+
+def writes_nan(s: State) -> None:
+    s.last.value = 7
+    s.target.value = Point(float("nan"), 0, 0)
+
+
+def writes_beyond_64_bits(s: State) -> None:
+    s.last.value = 2**63
+
+
+def reads_beyond(s: State) -> None:
+    s.last.value = 7
+    s.target.value = s.x[s.n_sys]
+
+
+@pytest.mark.parametrize(
+    ("effect", "reason"),
+    [
+        (half_done_then_raise, "lineform.koord:0: ZeroDivisionError: division by zero"),
+        (writes_nan, "Motion.target would become Point(x=nan"),
+        (writes_beyond_64_bits, "last would become 9223372036854775808"),
+        (reads_beyond, "index 5 names no robot"),
+    ],
+)
+def test_a_fault_discards_the_event_whole_and_holds(effect: Callable[[State], None], reason: str) -> None:
+    fleet = Fleet(program=program(effect, lambda s: s.pid == 2)).boot_all()
+    fleet.run_rounds(8)
+    cleo = fleet.robots[2]
+    assert all(r.effects is None and r.fault is not None for r in cleo.records)
+    assert cleo.platform.held and not cleo.platform.commands
+    assert cleo.agent._runner.locals == {"count": 0}
+    assert len([line for line in cleo.lines if reason in line]) == 1  # once, not once a round
+    alice = fleet.robots[0].records[-1].frame
+    assert alice is not None and alice.shared["last"] == 4  # as after init
+    assert cleo.trace("round")[-1]["fault"]["line"] == 0
+    assert not fleet.robots[0].platform.held  # the others go on
+    check_visibility(fleet)
+
+
+def test_a_fault_in_a_guard_is_a_fault() -> None:
+    def guard(s: State) -> bool:
+        raise KeyError("here")
+
+    fleet = Fleet(program=program(effect, guard)).boot_all()
+    fleet.run_rounds(3)
+    assert "KeyError" in str(fleet.robots[0].records[-1].fault)
+
+
+def test_the_robot_goes_on_when_the_fault_is_over() -> None:
+    def sometimes(s: State) -> None:
+        if s.last.value > 1:
+            s.count += 1
+        elif s.position.x < 100:
+            raise ValueError("early")
+
+    fleet = Fleet(program=program(sometimes)).boot_all()
+    fleet.run_rounds(3)
+    assert fleet.robots[0].agent._runner.locals["count"] > 0
+    assert not fleet.robots[0].platform.held
+
+
+def test_an_event_beyond_the_publish_deadline_never_happened() -> None:
+    fleets: list[Fleet] = []
+
+    def slow(s: State) -> None:
+        effect(s)
+        fleets[0].time.time += 0.06
+
+    fleets.append(Fleet(program=program(slow, lambda s: s.pid == 1)).boot_all())
+    fleets[0].run_rounds(6)
+    bert = fleets[0].robots[1]
+    assert bert.agent.counters()["discarded"] >= 5
+    assert bert.agent._runner.locals == {"count": 0} and not bert.platform.commands and bert.platform.held
+    assert "lineform.koord:21: not finished by the round's publish deadline" in "".join(bert.lines)
+    check_visibility(fleets[0])
+
+
+def loops(s: State) -> None:
+    while True:
+        s.count += 1
+
+
+def loops_and_catches(s: State) -> None:
+    while True:
+        try:
+            loops(s)
+        except Exception:
+            continue
+
+
+@pytest.mark.parametrize("endless", [loops, loops_and_catches])
+def test_an_event_that_never_ends_is_interrupted(endless: Callable[[State], None]) -> None:
+    clock = SystemClock()
+    runner = Runner(program(endless), {"gain": 0.5}, 0, 1, clock, interrupting)
+    sensors, actuators = {"Motion.position": Point(), "Motion.reached": True}, {"Motion.target": Point()}
+    shared: dict[str, Any] = {"x": (Point(),), "last": 0}
+    began = clock.now()
+    outcome = runner.step(runner.frame(shared, sensors, actuators), began + 0.03)
+    assert outcome.event == "Only" and outcome.effects is None
+    assert "publish deadline" in str(outcome.fault)
+    assert clock.now() - began < 0.5
+    assert runner.locals == {"count": 0}
+
+
+def stops_when_line_is_reached(s: State) -> None:
+    s.last.value = s.pid
+    if s.last.value >= 0:
+        raise Stopped
+
+
+def test_when_all_have_stopped_they_linger_and_rest() -> None:
+    fleet = Fleet(program=program(stops_when_line_is_reached)).boot_all()
+    fleet.run(30, until=lambda: all(r.agent.done for r in fleet.robots.values()))
+    for robot in fleet.robots.values():
+        assert robot.agent.done and robot.agent.status == 0
+        assert robot.platform.rested
+        assert robot.records[0].effects is not None and robot.records[0].effects.stopped
+        assert robot.records[1].skipped == "stopped"
+        rests = [p for p in robot.trace("phase") if p["phase"] == "resting"]
+        assert rests[0]["detail"] == "all robots have stopped"
+        lingered = [r for r in robot.trace("round") if r["time"] <= rests[0]["time"]]
+        assert 20 <= len(lingered) <= 24
+        assert [p["phase"] for p in robot.trace("phase") if not p["detail"]][-1] == "rested"
+
+
+def test_one_robot_that_stopped_freezes_nobody() -> None:
+    def stop_one(s: State) -> None:
+        effect(s)
+        if s.pid == 2:
+            raise Stopped
+
+    fleet = Fleet(program=program(stop_one, lambda s: 0 < s.pid < 4)).boot_all()
+    fleet.run_rounds(60)
+    assert fleet.robots[2].platform.held
+    assert fleet.robots[2].records[0].effects is not None
+    assert all(r.skipped == "stopped" for r in fleet.robots[2].records[1:])
+    assert all(r.event for r in fleet.robots[1].records) and not fleet.robots[1].platform.held
+    check_visibility(fleet)
+
+
+def test_reached_is_true_before_any_command_and_never_stale_after_one() -> None:
+    fleet = Fleet(n=3).boot_all()
+    bert = fleet.robots[1]
+    bert.platform.goal_reached = False
+    fleet.run_rounds(1)
+    assert bert.records[0].sensors["Motion.reached"] is True
+    command = bert.platform.commands[0][0]
+
+    bert.platform.fresh = False  # the platform's position is older than the command from now on
+    bert.platform.goal_reached = True
+    bert.platform.seen = command - 0.01
+    fleet.run(0.12)
+    assert bert.records[1].sensors["Motion.reached"] is False
+
+
+def test_actuators_begin_as_a_hold_and_read_back() -> None:
+    fleet = Fleet(n=3).boot_all()
+    fleet.run_rounds(3)
+    first, second = (r.frame for r in fleet.robots[1].records[:2])
+    assert first is not None and second is not None
+    assert first.actuators == {"Motion.target": fleet.robots[1].records[0].sensors["Motion.position"]}
+    effects = fleet.robots[1].records[0].effects
+    assert effects is not None
+    assert second.actuators == effects.actuators
+
+
+def test_a_fault_in_init_ends_this_robot_before_the_mission() -> None:
+    def init(s: State) -> None:
+        raise ValueError("no such thing")
+
+    fleet = Fleet(program=replace(PROGRAM, init=init), n=1).boot_all()
+    fleet.run(10, until=lambda: fleet.robots[0].agent.done)
+    assert fleet.robots[0].agent.status == 1
+    assert fleet.robots[0].platform.rested
+    assert "ValueError: no such thing (in init)" in "".join(fleet.robots[0].lines)
+
+
+def test_a_monitor_that_fails_is_dropped() -> None:
+    fleet = Fleet(n=1).boot_all()
+
+    def monitor(record: object) -> None:
+        raise RuntimeError("oops")
+
+    fleet.robots[0].agent._monitors.append(monitor)
+    fleet.run_rounds(5)
+    assert len([line for line in fleet.robots[0].lines if "a monitor failed" in line]) == 1
