@@ -1,4 +1,5 @@
-"""Looks at an autopilot without moving anything: who answers, what it is, and whether it knows where it is."""
+"""Looks at an autopilot without moving anything: who answers, what it is, whether it knows where it is, and whether a
+take-off from there would be right."""
 
 from __future__ import annotations
 
@@ -8,13 +9,34 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.platform import Unready
+from koordgen.runtime.safety import clamp
 from koordgen.runtime.settings import Box
-from targets.quad.flight import coordinates, misplaced
+from koordgen.runtime.values import Point
 from targets.quad.link import Link
 from targets.quad.telemetry import Streams, Telemetry, firmware
 
 DEADLINE = 9.5  # seconds
 _PAUSE = 0.05
+GROUND_SLACK = 0.5  # metres by which the ground may seem to lie outside the fence, estimates being what they are
+
+
+def coordinates(p: Point) -> str:
+    """A point in words, to the centimetre and without negative zeros."""
+    x, y, z = (round(v, 2) + 0.0 for v in (p.x, p.y, p.z))
+    return f"({x:.2f}, {y:.2f}, {z:.2f})"
+
+
+def misplaced(fence: Box, height: float, p: Point) -> str:
+    """Why a take-off from p to that height would be wrong, or nothing."""
+    q = clamp(fence, p)
+    if (q.x, q.y) != (p.x, p.y) or p.z > q.z or p.z < q.z - GROUND_SLACK:
+        return (
+            f"the autopilot puts the robot at {coordinates(p)}, outside the geofence; "
+            "are the fleet's origin and its altitude (AMSL) right?"
+        )
+    if p.z > height - 0.2:
+        return f"the ground here is at z = {p.z:.2f} m, not below flight_height {height:g}"
+    return ""
 
 
 def checked(

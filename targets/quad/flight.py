@@ -12,14 +12,12 @@ import math
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.platform import Unready
-from koordgen.runtime.safety import clamp
 from koordgen.runtime.settings import Box
-from koordgen.runtime.values import Point
+from targets.quad.check import misplaced
 from targets.quad.link import RESULTS, Link
 from targets.quad.telemetry import GUIDED, LAND, RETURNS, Streams, Telemetry, firmware
 
 SILENCE = 30.0  # seconds without a heartbeat after which the vehicle counts as gone for good
-GROUND_SLACK = 0.5  # metres by which the ground may seem to lie outside the fence, estimates being what they are
 AT_HEIGHT = 0.3  # metres below the flight height at which the climb counts as done
 STILL = 0.1  # m/s; in LAND mode a vehicle that is slower has touched down
 PATIENCE = 5.0  # seconds on the ground after which we disarm, where the autopilot's own landing does not
@@ -39,44 +37,33 @@ class Phase(enum.Enum):
     RESTED = enum.auto()
 
 
-def coordinates(p: Point) -> str:
-    """A point in words, to the centimetre and without negative zeros."""
-    x, y, z = (round(v, 2) + 0.0 for v in (p.x, p.y, p.z))
-    return f"({x:.2f}, {y:.2f}, {z:.2f})"
-
-
-def misplaced(fence: Box, height: float, p: Point) -> str:
-    """Why a take-off from p to that height would be wrong, or nothing."""
-    q = clamp(fence, p)
-    if (q.x, q.y) != (p.x, p.y) or p.z > q.z or p.z < q.z - GROUND_SLACK:
-        return (
-            f"the autopilot puts the robot at {coordinates(p)}, outside the geofence; "
-            "are the fleet's origin and its altitude (AMSL) right?"
-        )
-    if p.z > height - 0.2:
-        return f"the ground here is at z = {p.z:.2f} m, not below flight_height {height:g}"
-    return ""
-
-
 class Flight:
-    """Brings the vehicle to `height` (m, fleet's ENU) and back to the ground. `progress` says what it is at."""
+    """Brings the vehicle to `height` (m, fleet's ENU) and back to the ground."""
 
     def __init__(self, url: str, link: Link, telemetry: Telemetry, fence: Box, height: float, now: float) -> None:
         self._url, self._link, self._telemetry = url, link, telemetry
         self._fence, self._height = fence, height
         self._streams = Streams()
         self._since = now  # when the present phase began
-        self._begun = now
+        self._begun = self._now = now
         self._restarts = 0
         self._climb_from = 0.0
+        self._airborne = False  # it has left the ground: what goes wrong now is not simply begun again
         self._landing_seen = False  # LAND, asked for by us, was seen in a heartbeat
         self._grounded: float | None = None  # since when the vehicle seems to be on the ground, while landing
         self._taken = False  # by a pilot or a failsafe
         self.phase = Phase.CONNECTING
-        self.progress = f"waiting for a heartbeat on {url}"
+        self._doing = f"waiting for a heartbeat on {url}"
+
+    @property
+    def progress(self) -> str:
+        """What the flight is at, in the autopilot's own words where it refuses something."""
+        silent = self.phase is not Phase.RESTED and self._link.heard is not None and not self._link.alive(self._now)
+        return f"no heartbeat on {self._url}; was {self._doing}" if silent else self._doing
 
     def poll(self, now: float) -> None:
         """Take what has arrived, look, and ask for what comes next. Raises Unready."""
+        self._now = now
         for message in self._link.receive(now):
             self._streams.note(message.get_msgId(), now)
             self._telemetry.take(message, now)
@@ -104,7 +91,7 @@ class Flight:
                 pass
 
     def _enter(self, phase: Phase, now: float, progress: str) -> None:
-        self.phase, self._since, self.progress = phase, now, progress
+        self.phase, self._since, self._doing = phase, now, progress
         for command in (mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, mavlink.MAV_CMD_NAV_TAKEOFF):
             self._link.forget(command)
 
@@ -120,7 +107,7 @@ class Flight:
         if self._telemetry.restarts != self._restarts:
             self._restarts = self._telemetry.restarts
             self._streams.restart()
-            if self.phase is Phase.FLYING or (self.phase is Phase.CLIMBING and self._telemetry.flying):
+            if self._airborne and self.phase is not Phase.LANDING:
                 raise Unready("the autopilot restarted in flight")
             if self.phase in (Phase.SWITCHING, Phase.ARMING, Phase.CLIMBING):
                 self._enter(Phase.ESTIMATING, now, "the autopilot restarted; waiting for its position estimate")
@@ -141,13 +128,13 @@ class Flight:
             if state.mode == GUIDED:
                 self._enter(Phase.FLYING, now, "flying already: taking over without a take-off")
             elif state.mode == LAND or state.mode in RETURNS:
-                self.progress = f"already flying in {state.mode_name}: waiting until it has landed"
+                self._doing = f"already flying in {state.mode_name}: waiting until it has landed"
             else:
                 raise Unready(f"already flying in {state.mode_name}", "land it first, or switch it to GUIDED")
             return
         fault = misplaced(self._fence, self._height, state.position)
         if fault:
-            self.progress = f"not taking off: {fault}"
+            self._doing = f"not taking off: {fault}"
         else:
             self._enter(Phase.SWITCHING, now, "switching to GUIDED")
 
@@ -157,7 +144,7 @@ class Flight:
             return
         asked = self._set_mode(GUIDED, now)
         if asked > 1:
-            self.progress = self._explained("switching to GUIDED", mavlink.MAV_CMD_DO_SET_MODE, now)
+            self._doing = self._explained("switching to GUIDED", mavlink.MAV_CMD_DO_SET_MODE, now)
 
     def _arm(self, now: float) -> None:
         if self._telemetry.mode != GUIDED:
@@ -166,47 +153,55 @@ class Flight:
             self._enter(Phase.CLIMBING, now, "taking off")
         else:
             self._link.ask(now, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, every=2.0)
-            self.progress = self._explained("arming", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, now)
+            self._doing = self._explained("arming", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, now)
 
     def _climb(self, now: float) -> None:
         state = self._telemetry
-        if not state.armed:
+        if not state.armed and not self._airborne:
             said = self._link.reasons(self._since)
             self._enter(Phase.ARMING, now, f"disarmed before take-off{': ' if said else ''}{said}; arming again")
+        elif self._airborne:
+            self._rise(now)
         elif state.mode != GUIDED:
-            if state.flying:
-                self._lost_control()
             self._enter(Phase.SWITCHING, now, f"the autopilot fell back to {state.mode_name}; asking again")
         elif state.position is None or not state.fresh(now) or state.time is None or state.time < self._since + 0.3:
             pass  # home, which the take-off's height counts from, has just been set anew
-        elif not state.flying:
+        elif state.flying:
+            self._airborne = True
+        else:
             self._climb_from = state.position.z
             # Height above home: home's own is what the two heights of one message differ by.
             above_home = self._height - state.position.z + state.relative
             self._link.ask(now, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, above_home, every=2.0)
-            self.progress = self._explained("taking off", mavlink.MAV_CMD_NAV_TAKEOFF, now)
-        else:
-            self.progress = f"climbing to {self._height:g} m"
-            risen = state.position.z - self._climb_from
-            stopped = abs(state.velocity.z) < STILL and risen > 0.5 * (self._height - self._climb_from)
-            if state.position.z > self._height - min(AT_HEIGHT, 0.2 * (self._height - self._climb_from)) or stopped:
-                self._enter(Phase.FLYING, now, "flying")
+            self._doing = self._explained("taking off", mavlink.MAV_CMD_NAV_TAKEOFF, now)
+
+    def _rise(self, now: float) -> None:
+        state = self._telemetry
+        self._keep(now)
+        self._doing = f"climbing to {self._height:g} m"
+        if state.position is None or not state.fresh(now):
+            return
+        height, climb = state.position.z, self._height - self._climb_from
+        stopped = abs(state.velocity.z) < STILL and height - self._climb_from > 0.5 * climb
+        if height > self._height - min(AT_HEIGHT, 0.2 * climb) or stopped:
+            self._enter(Phase.FLYING, now, "flying")
 
     def _fly(self, now: float) -> None:
+        self._keep(now)
+        self._airborne = True
+        self._doing = "flying"
+
+    def _keep(self, now: float) -> None:
+        """In the air: the vehicle must be armed, and ours."""
         if not self._telemetry.armed:
             said = self._link.reasons(now - 10.0)
             raise Unready(f"the autopilot disarmed in flight{': ' if said else ''}{said}")
         if self._telemetry.mode != GUIDED:
-            self._lost_control()
-        silent = 0.0 if self._link.heard is None else now - self._link.heard
-        self.progress = "flying" if self._link.alive(now) else f"no heartbeat on {self._url} for {silent:.0f} s"
-
-    def _lost_control(self) -> None:
-        self._taken = True
-        raise Unready(
-            f"the autopilot is in {self._telemetry.mode_name}: a pilot or a failsafe took over",
-            "the agent leaves it to them",
-        )
+            self._taken = True
+            raise Unready(
+                f"the autopilot is in {self._telemetry.mode_name}: a pilot or a failsafe took over",
+                "the agent leaves it to them",
+            )
 
     def rest(self, now: float) -> None:
         """Begin to land. Idempotent. A vehicle that was never commanded, not a copter perhaps, or flown by a pilot, is
@@ -231,10 +226,10 @@ class Flight:
         if ends_itself:
             self._landing_seen = True
             self._link.forget(mavlink.MAV_CMD_DO_SET_MODE)
-            self.progress = "landing"
+            self._doing = "landing"
         else:
             self._set_mode(LAND, now)
-            self.progress = self._explained("switching to LAND", mavlink.MAV_CMD_DO_SET_MODE, now)
+            self._doing = self._explained("switching to LAND", mavlink.MAV_CMD_DO_SET_MODE, now)
         self._touch_down(now)
 
     def _touch_down(self, now: float) -> None:
@@ -250,7 +245,7 @@ class Flight:
         self._grounded = now if self._grounded is None else self._grounded
         if now - self._grounded > PATIENCE:
             self._link.ask(now, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
-            self.progress = self._explained(
+            self._doing = self._explained(
                 "on the ground but still armed: disarming", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, now
             )
 

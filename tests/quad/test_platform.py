@@ -459,16 +459,36 @@ def test_an_autopilot_that_does_not_follow_is_not_silently_accepted() -> None:
     assert not rig.quad.ready
 
 
+def restart(rig: Rig) -> None:
+    """The autopilot's processor comes up again, its clock at 0."""
+    other = Rig(boot=2.0)
+    assert other.autopilot is not None
+    other.autopilot._port, other.autopilot._body = rig.wire.autopilot_end, rig.body
+    rig.body.motors(False)
+    rig.autopilot = other.autopilot
+
+
+def test_an_autopilot_that_restarts_in_its_climb_is_not_started_again() -> None:
+    rig = Rig(flight_height=4.0)
+    rig.quad.start(rig.now)
+    assert rig.run(20.0, lambda: rig.body.position[2] > 2.0)
+    restart(rig)
+    with pytest.raises(Unready, match="disarmed in flight"):
+        rig.run(10.0)
+    with pytest.raises(Unready):
+        rig.run(10.0)
+    rig.quad.rest(rig.now)
+    assert rig.run(5.0, lambda: rig.quad.rested)
+    assert rig.autopilot is not None and not rig.autopilot.copter.armed
+
+
 def test_an_autopilot_that_restarts_on_the_ground_is_prepared_anew() -> None:
     rig = Rig()
     assert rig.autopilot is not None
     rig.autopilot.copter.failing_check = "Hardware safety switch"
     rig.quad.start(rig.now)
     rig.run(8.0)
-    other = Rig(boot=2.0)
-    assert other.autopilot is not None
-    other.autopilot._port, other.autopilot._body = rig.wire.autopilot_end, rig.body  # it comes up again, its clock at 0
-    rig.autopilot = other.autopilot
+    restart(rig)
     assert rig.run(20.0, lambda: rig.quad.ready)
     assert any("restarted" in said for said in rig.progress)
 
