@@ -47,7 +47,8 @@ class Drive:
         self._send(b"", now)
 
     def go(self, command: Command, now: float) -> None:
-        """Drive like this until the next command, 0.5 s at the longest by the VESC's own time-out."""
+        """Drive like this until the next command; without one the VESC's own time-out brakes (set it to 0.5 s, and its
+        time-out brake current, which is 0 as delivered, to `brake_current`)."""
         settings = self._settings
         servo = settings.steering_to_servo_offset + settings.steering_to_servo_gain * command.steering
         erpm = settings.speed_to_erpm_gain * command.speed

@@ -98,7 +98,10 @@ class Mpc:
             start = [*present, *shifted[5:], 0.0, 0.0, *shifted[-5:]]
         else:
             start = [*present, *(v for r in reference for v in (0.0, 0.0, *_values(r)))]
-        plan, defect = self._solve([*present, *(v for r in reference for v in _values(r))], start)
+        try:
+            plan, defect = self._solve([*present, *(v for r in reference for v in _values(r))], start)
+        except RuntimeError:  # CasADi's, for whatever it finds wrong
+            return None
         if not defect <= DEFECT or not all(map(math.isfinite, plan)):
             return None
         reach = self._limits

@@ -184,6 +184,13 @@ def test_a_plan_that_the_car_cannot_drive_is_refused(what: str) -> None:
     assert mpc.failures == 1
 
 
+def test_a_solver_that_raises_has_failed() -> None:
+    def broken(parameters: list[float], start: list[float]) -> tuple[list[float], float]:
+        raise RuntimeError("NaN detected")
+
+    assert Mpc(LIMITS, broken).follow(State(0.0, 0.0, 0.0), [State(1.0, 0.0, 0.0)] * STEPS) == Command(0.0, 0.0)
+
+
 def test_it_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
     mpc = Mpc(LIMITS)
     mpc.follow(State(0.0, 0.0, 0.0), [State(1e9, -1e9, 40.0, 1.0, 0.3)] * STEPS)

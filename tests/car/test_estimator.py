@@ -1,0 +1,90 @@
+"""The bicycle's arcs and the filter that runs on them."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import pytest
+
+from koordgen.runtime.values import Point, Pose
+from targets.car.bicycle import State, advance, turning_radius, wrap
+from targets.car.estimator import Estimator
+
+WHEELBASE = 0.33
+
+
+@pytest.mark.parametrize(("speed", "steering"), [(1.0, 0.3), (-0.7, 0.3), (1.0, 0.0), (0.5, -0.38), (0.0, 0.2)])
+def test_an_arc_is_what_many_small_steps_come_to(speed: float, steering: float) -> None:
+    begin = State(1.0, -2.0, 0.5, speed, steering)
+    x, y, yaw = begin.x, begin.y, begin.yaw
+    for _ in range(20_000):
+        dt = 2.0 / 20_000
+        x, y = x + speed * math.cos(yaw) * dt, y + speed * math.sin(yaw) * dt
+        yaw += speed * math.tan(steering) / WHEELBASE * dt
+    end = advance(begin, 2.0, WHEELBASE)
+    assert (end.x, end.y, end.yaw) == pytest.approx((x, y, yaw), abs=1e-3)
+
+
+def test_a_full_circle_has_the_turning_radius() -> None:
+    radius = turning_radius(0.3, WHEELBASE)
+    begin = State(0.0, 0.0, 0.0, 1.0, 0.3)
+    half = advance(begin, math.pi * radius, WHEELBASE)
+    assert (half.x, half.y) == pytest.approx((0.0, 2 * radius))
+    assert abs(wrap(half.yaw - math.pi)) < 1e-9
+
+
+def pose(x: float, y: float, yaw: float) -> Pose:
+    return Pose(Point(x, y, 0.0), yaw)
+
+
+def test_the_first_sample_is_believed_and_a_jump_too() -> None:
+    estimator = Estimator(WHEELBASE)
+    estimator.predict(1.0, 0.0)
+    estimator.correct(pose(3.0, 4.0, 1.0), 1.0, 1.0)
+    assert (estimator.state.x, estimator.state.y, estimator.state.yaw) == (3.0, 4.0, 1.0)
+    estimator.predict(1.02, 0.0)
+    estimator.correct(pose(-3.0, 4.0, 1.0), 1.02, 1.02)
+    assert estimator.state.x == -3.0
+
+
+def test_noise_is_smoothed_without_lag_while_driving() -> None:
+    dice = random.Random(6)
+    estimator = Estimator(WHEELBASE)
+    truth = State(0.0, 0.0, 3.0, 1.0, 0.2)  # its yaw passes pi
+    errors = []
+    for i in range(500):
+        now = i * 0.02
+        estimator.wheels(1.0, now)
+        estimator.predict(now, 0.2)
+        x, y, yaw = (value + dice.gauss(0, 0.02) for value in (truth.x, truth.y, truth.yaw))
+        estimator.correct(pose(x, y, wrap(yaw)), now, now)
+        if i > 50:
+            errors.append((estimator.state.x - truth.x, estimator.state.y - truth.y))
+            assert abs(wrap(estimator.state.yaw - truth.yaw)) < 0.06
+        truth = advance(truth, 0.02, WHEELBASE)
+    assert math.sqrt(sum(x * x + y * y for x, y in errors) / len(errors)) < 0.02 * math.sqrt(2) * 0.6
+    assert abs(sum(x for x, _ in errors) / len(errors)) < 0.003
+
+
+def test_an_old_sample_is_brought_to_the_present() -> None:
+    estimator = Estimator(WHEELBASE)
+    for i in range(200):
+        now = 1.0 + i * 0.02
+        estimator.wheels(1.0, now)
+        estimator.predict(now, 0.0)
+        estimator.correct(pose(now - 0.1, 0.0, 0.0), now - 0.1, now)
+    assert estimator.state.x == pytest.approx(now, abs=0.005)
+
+
+def test_without_wheels_speed_comes_from_positions_and_ends_with_them() -> None:
+    estimator = Estimator(WHEELBASE)
+    assert estimator.speed(0.0) is None
+    for i in range(100):
+        now = i * 0.02
+        estimator.predict(now, 0.0)
+        estimator.correct(pose(-0.6 * now, 0.0, 0.0), now, now)
+    assert estimator.speed(now) == pytest.approx(-0.6, abs=0.02)
+    estimator.wheels(-0.5, now)
+    assert estimator.speed(now + 0.2) == -0.5
+    assert estimator.speed(now + 0.4) is None
