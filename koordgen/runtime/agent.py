@@ -12,7 +12,7 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -139,43 +139,47 @@ def _run(
     platform: Platform,
     quiet: bool,
 ) -> int:
-    clock = SystemClock()
-    signals = _Signals()
-    transport = UdpTransport(settings.peers, settings.pid, settings.bind)
-    trace = _open_trace(settings.trace)
-
     def emit(level: str, line: str) -> None:
         if not quiet or level != "info":
             _print(line)
 
-    try:
+    clock = SystemClock()
+    with ExitStack() as opened:
+        transport = UdpTransport(settings.peers, settings.pid, settings.bind)  # first: it tells that we run already
+        opened.callback(transport.close)
+        trace = _open_trace(settings.trace)
+        opened.callback(trace.close)
         agent = Agent(
             program, settings, key, params, platform, clock, transport, trace, emit, os.urandom(8), limit=interrupting
         )
+        signals = opened.enter_context(_Signals())
         seen = 0
         while not agent.done:
             wake = agent.poll(clock.now())
             if signals.count > seen:
-                if seen == 0:
+                seen += 1
+                if seen == 1:
                     agent.end(f"{signals.name}: coming to rest")
                 else:
                     _say("warning", "still coming to rest; one more signal ends the process at once")
-                seen = signals.count
             transport.wait(min(wake - clock.now(), LONGEST_WAIT))
         return agent.status
-    finally:
-        transport.close()
-        trace.close()
 
 
 class _Signals:
-    """SIGINT and SIGTERM, counted; the third raises KeyboardInterrupt wherever the process is."""
+    """SIGINT and SIGTERM, counted inside the block; the third raises KeyboardInterrupt wherever the process is."""
 
     def __init__(self) -> None:
         self.count = 0
         self.name = ""
-        signal.signal(signal.SIGINT, self._take)
-        signal.signal(signal.SIGTERM, self._take)
+
+    def __enter__(self) -> _Signals:
+        self._before = {number: signal.signal(number, self._take) for number in (signal.SIGINT, signal.SIGTERM)}
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
 
     def _take(self, number: int, frame: FrameType | None) -> None:
         self.count += 1

@@ -17,7 +17,7 @@ from koordgen.runtime.link import Link
 from koordgen.runtime.memory import Memory
 from koordgen.runtime.platform import Sensed
 from koordgen.runtime.program import Frame
-from koordgen.runtime.runner import Outcome, Runner
+from koordgen.runtime.runner import LATE, Outcome, Runner
 from koordgen.runtime.trace import Observe, Record
 from koordgen.runtime.wire import Need, Round
 
@@ -183,7 +183,7 @@ class Rounds:
         if outcome.fault is not None:
             skipped = "fault"
             self.counters.faults += 1
-            self.counters.discarded += "publish deadline" in outcome.fault.reason
+            self.counters.discarded += outcome.fault.reason == LATE
         elif outcome.effects is None:
             skipped = "no event enabled"
         record = Record(

@@ -13,6 +13,9 @@ from typing import Any
 from koordgen.runtime.clock import Clock
 from koordgen.runtime.program import Effects, Event, Fault, Frame, Program, choose, run
 
+LATE = "not finished by the round's publish deadline"
+INIT_TIME = 1.0  # seconds
+
 Limit = Callable[[float], AbstractContextManager[None]]
 
 
@@ -36,7 +39,7 @@ def interrupting(seconds: float) -> Iterator[None]:
 
     def ring(number: int, frame: FrameType | None) -> None:
         if armed:
-            raise Overrun("not finished by the round's publish deadline")
+            raise Overrun("out of time")
 
     before = signal.signal(signal.SIGALRM, ring)
     signal.setitimer(signal.ITIMER_REAL, max(1e-4, seconds), 0.05)  # again, should a bare `except` keep the first
@@ -78,7 +81,11 @@ class Runner:
         """Run the program's `init`; without one nothing is written."""
         if self.program.init is None:
             return Effects(self.locals, {}, {}, False)
-        done = run(self.program, self.program.init, frame)
+        try:
+            with self._limit(INIT_TIME):
+                done = run(self.program, self.program.init, frame)
+        except Overrun:
+            return Fault(self.program.source, 0, f"init not finished within {INIT_TIME} s")
         if isinstance(done, Effects):
             self.locals = done.locals
         return done
@@ -96,13 +103,12 @@ class Runner:
                     return Outcome(fault=chosen)
                 event = chosen
                 done = run(self.program, event.effect, frame)
-        except Overrun as overrun:
-            done = Fault(self.program.source, event.line if event else 0, str(overrun))
+        except Overrun:
+            done = Fault(self.program.source, event.line if event else 0, LATE)
         name = event.name if event else None
         if isinstance(done, Fault):
             return Outcome(name, fault=done)
         if self._clock.now() > deadline:
-            late = "not finished by the round's publish deadline"
-            return Outcome(name, fault=Fault(self.program.source, event.line if event else 0, late))
+            return Outcome(name, fault=Fault(self.program.source, event.line if event else 0, LATE))
         self.locals = done.locals
         return Outcome(name, done)

@@ -116,6 +116,12 @@ class Robot:
     records: list[Record] = field(default_factory=list)
     wake: float = 0.0
 
+    def held(self) -> bool:
+        return self.platform.held
+
+    def done(self) -> bool:
+        return self.agent.done
+
     def trace(self, kind: str) -> list[dict[str, Any]]:
         return [t for t in map(json.loads, self.file.getvalue().splitlines()) if t["kind"] == kind]
 

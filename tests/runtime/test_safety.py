@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -53,12 +54,12 @@ def test_a_stale_position_holds_and_skips_then_goes_on() -> None:
     bert = fleet.robots[1]
     bert.platform.fresh = False
     fleet.run(1.0)
-    assert bert.platform.held
+    assert bert.held()
     assert bert.records[-1].skipped is not None and "own position is" in bert.records[-1].skipped
     assert fleet.robots[2].records[-1].event == "TargetUpdate"  # the others go on
     bert.platform.fresh = True
     fleet.run(0.5)
-    assert not bert.platform.held and bert.records[-1].event == "TargetUpdate"
+    assert not bert.held() and bert.records[-1].event == "TargetUpdate"
     assert [t["message"] for t in bert.trace("log")][-1] == "own position is fresh again"
 
 
@@ -69,13 +70,13 @@ def test_a_lost_position_ends_this_robot_safely_and_it_still_serves() -> None:
     bert.platform.fresh = False
     fleet.run(2.6)
     commands = len(bert.platform.commands)
-    assert bert.agent.phase == "rested" and bert.platform.rested and not bert.agent.done
+    assert bert.agent.phase == "rested" and bert.platform.rested and not bert.done()
     fleet.run(2.0)
     assert fleet.robots[2].records[-1].event == "TargetUpdate"
     assert bert.records[-1].skipped == "left the mission" and len(bert.platform.commands) == commands
     bert.agent.end("SIGTERM")
     fleet.run(0.1)
-    assert bert.agent.done and bert.agent.status == 5
+    assert bert.done() and bert.agent.status == 5
 
 
 def test_a_robot_outside_the_fence_ends_safely() -> None:
@@ -99,7 +100,7 @@ def test_a_position_that_is_no_number_holds_and_never_reaches_the_program() -> N
     fleet.robots[1].platform.position = Point(float("nan"), 0, 0)
     fleet.run(0.5)
     robot = fleet.robots[1]
-    assert robot.platform.held and robot.records[-1].frame is None
+    assert robot.held() and robot.records[-1].frame is None
     assert fleet.robots[0].records[-1].frame is not None
     fleet.run(3.0)
     assert robot.agent.phase in ("resting", "rested")
@@ -111,10 +112,10 @@ def test_a_lost_body_is_brought_to_rest_or_given_up() -> None:
     robot = fleet.robots[1]
     robot.platform.raises = Unready("no heartbeat for 5 s", "look at the cable")
     fleet.run(1.0)
-    assert robot.agent.phase == "resting" and robot.platform.resting is not None and not robot.agent.done
+    assert robot.agent.phase == "resting" and robot.platform.resting is not None and not robot.done()
     assert len([line for line in robot.lines if "no heartbeat for 5 s (look at the cable)" in line]) == 1
     fleet.run(11.0)
-    assert robot.agent.done and robot.agent.status == 5
+    assert robot.done() and robot.agent.status == 5
 
 
 def test_a_body_that_cannot_start_is_done_at_once() -> None:
@@ -141,7 +142,7 @@ def test_an_internal_error_brings_the_body_to_rest(forever: bool, monkeypatch: p
     if forever:
         robot.platform.raises = AttributeError("our second mistake")
     fleet.run(5.0)
-    assert robot.agent.done and robot.agent.status == 70
+    assert robot.done() and robot.agent.status == 70
     assert robot.platform.resting is not None and robot.platform.rested != forever
     assert len([line for line in robot.lines if "internal error, please report it" in line]) == 1
     assert "our mistake" in "".join(robot.lines) or forever
@@ -189,5 +190,5 @@ def test_the_trace_is_what_its_readers_rely_on() -> None:
         "clock_bound",
     }
     assert rounds[0]["event"] == "TargetUpdate" and rounds[0]["shared"]["x"] == [-3.0, 2.5, 0.0]
-    assert all(b["time"] - a["time"] == pytest.approx(0.1, abs=0.02) for a, b in zip(rounds, rounds[1:], strict=False))
+    assert all(b["time"] - a["time"] == pytest.approx(0.1, abs=0.02) for a, b in pairwise(rounds))
     assert fleet.robots[0].trace("round")[0]["skipped"] == "no event enabled"

@@ -1,0 +1,21 @@
+"""A bundle's `__main__` for the process tests: LineForm on a fake body. usage: robot_main.py ROOT [arguments]"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from koordgen.runtime.agent import main
+from koordgen.runtime.settings import Settings
+from tests.runtime.fleet import STARTS, FakePlatform
+from tests.runtime.lineform import PROGRAM
+
+
+def body(settings: Settings, key: bytes | None) -> FakePlatform:
+    return FakePlatform(STARTS[settings.pid])
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(PROGRAM, body, Path(sys.argv[1]), sys.argv[2:]))
