@@ -1,4 +1,4 @@
-"""The network is hostile: what is forged, damaged, foreign, replayed or out of range raises nothing, changes nothing."""
+"""The network is hostile: what is forged, damaged, foreign, replayed or out of range raises and changes nothing."""
 
 from __future__ import annotations
 
