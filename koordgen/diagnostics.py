@@ -74,8 +74,9 @@ class Diagnostic(Node):
 
 
 def in_order(found: Iterable[Diagnostic]) -> list[Diagnostic]:
-    """By place, each once."""
-    return sorted(dict.fromkeys(found), key=lambda d: (d.span.line, d.span.column, d.code))
+    """In the order of the text, each once (places take no part in the equality of nodes)."""
+    once = {(d.span.line, d.span.column, d.code, d.message): d for d in found}
+    return [once[key] for key in sorted(once)]
 
 
 def render(diagnostic: Diagnostic, source: Source) -> str:
@@ -104,11 +105,11 @@ def _excerpt(span: Span, mark: str, text: str, source: Source, width: int) -> li
     return [f"{span.line:>{width}} | {shown}", f"{' ' * width} | {marks} {text}".rstrip()]
 
 
-def to_json(diagnostics: Iterable[Diagnostic], source: Source) -> str:
+def to_json(found: Iterable[tuple[Source, Diagnostic]]) -> str:
     """`{"diagnostics": [{code, severity, message, file, line, column, end_line, end_column, help}]}`"""
     import json
 
-    found = [
+    listed = [
         {
             "code": d.code,
             "severity": d.severity,
@@ -120,6 +121,6 @@ def to_json(diagnostics: Iterable[Diagnostic], source: Source) -> str:
             "end_column": d.span.end_column,
             "help": d.help,
         }
-        for d in diagnostics
+        for source, d in found
     ]
-    return json.dumps({"diagnostics": found}, indent=2)
+    return json.dumps({"diagnostics": listed}, indent=2)

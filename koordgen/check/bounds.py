@@ -109,7 +109,7 @@ def _refuted(side: Formula, bad: Formula, value: Linear, c: Context) -> tuple[Ex
     """An example of a robot for which `side` holds, and whether that is certain: no matter what else is the case,
     or because `bad` holds whenever one gets here."""
     assert c.flow is not None
-    if any(not isinstance(v, str) or v not in (PID, N_SYS) and v not in c.defaults for v in linear.variables(value)):
+    if any(not isinstance(v, str) or (v not in (PID, N_SYS) and v not in c.defaults) for v in linear.variables(value)):
         return None, False
     example = linear.find((*c.flow.facts, side), c.defaults)
     if example is None:

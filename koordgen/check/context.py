@@ -31,7 +31,7 @@ class Temp(Node):
 
 
 class Site(Node):
-    """An index or a divisor that must be shown right: it is not when `facts` (but for the event's guard) and `bad` hold."""
+    """An index or a divisor that is wrong where `facts` (all but the event's guard) and `bad` hold."""
 
     facts: tuple[Formula, ...]
     bad: Formula

@@ -1,4 +1,4 @@
-"""Expressions: resolves names, gives every node its type, and settles what can be settled about indices and divisors."""
+"""Expressions: resolves names, gives every node its type, has its indices and divisors judged."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ def check_expr(node: ast.Expr, c: Context) -> ir.Expr:
     """The typed form; POISON where it is wrong, which has been reported then."""
     match node:
         case ast.Literal(value):
-            return ir.Const(value, BOOL if isinstance(value, bool) else INT if isinstance(value, int) else FLOAT, node.span)
+            return ir.Const(
+                value, BOOL if isinstance(value, bool) else INT if isinstance(value, int) else FLOAT, node.span
+            )
         case ast.Name():
             return _name(node, c)
         case ast.Attribute():

@@ -233,5 +233,3 @@ def _reads(node: object) -> set[str]:
                 found.add(name)
             pending.extend(getattr(item, f) for f in type(item).__match_args__ if f not in ("span", "type"))  # type: ignore[attr-defined]
     return found
-
-

@@ -203,7 +203,12 @@ def _definition(var: Var) -> list[Formula]:
             return [Or((negate(positive), range_))]
         case Choice(condition, then, orelse):
             return [
-                Or((And((condition, equal(variable(var), then))), And((negate(condition), equal(variable(var), orelse)))))
+                Or(
+                    (
+                        And((condition, equal(variable(var), then))),
+                        And((negate(condition), equal(variable(var), orelse))),
+                    )
+                )
             ]
         case _:
             return []

@@ -73,7 +73,9 @@ def _modules(program: ast.Program, c: Context) -> tuple[decl.Module, ...]:
                 first = next((p for p in ports if p.name == port.name), None)
                 if first is not None:
                     label = Label(first.span, "declared here first")
-                    c.error("K011", f"the port {section.name}.{port.name} is declared twice", port.span, labels=(label,))
+                    c.error(
+                        "K011", f"the port {section.name}.{port.name} is declared twice", port.span, labels=(label,)
+                    )
                     continue
                 type_ = c.type_named(port.type, port.type_span)
                 ports.append(decl.Port(port.name, type_, group.direction, port.span))
@@ -193,7 +195,12 @@ def _event(node: ast.Event, hiding: ast.Event | None, c: Context) -> tuple[decl.
     sound, always = not c.refuted, False
     if hiding is not None:
         labels = (Label(hiding.span, "always enabled, and earlier"),)
-        c.warn("K042", f"the event {node.name} can never run: {hiding.name} is always chosen first", node.span, labels=labels)
+        c.warn(
+            "K042",
+            f"the event {node.name} can never run: {hiding.name} is always chosen first",
+            node.span,
+            labels=labels,
+        )
     elif guard.type == BOOL and known != linear.UNKNOWN:
         if linear.unsat((known,)):
             c.warn("K041", f"the event {node.name} can never run: its guard never holds", guards[0].condition.span)

@@ -145,7 +145,11 @@ def _slot(node: ast.Index, entity: Shared, c: Context) -> Target | None:
         message = f"{c.text(node.span)} may be another robot's slot; a robot writes {entity.name}[pid] only"
         c.error("K021", message, node.span, f"write {entity.name}[pid] = ...")
         return None
-    return stmt.OwnSlot(entity.name), entity.type, ir.SlotRead(entity.name, ir.Pid(INT, index.span), True, entity.type, node.span)
+    return (
+        stmt.OwnSlot(entity.name),
+        entity.type,
+        ir.SlotRead(entity.name, ir.Pid(INT, index.span), True, entity.type, node.span),
+    )
 
 
 def _port(node: ast.Attribute, c: Context) -> Target | None:
@@ -203,7 +207,9 @@ def _if(node: tree.If, c: Context) -> stmt.Stmt | None:
             known = formula(held, before)
             c.flow = before.knowing(known)
             if not c.poisoned and known != linear.UNKNOWN and linear.unsat(c.flow.facts):
-                c.warn("K043", f"this branch can never run: {c.text(branch.condition.span)} never holds here", branch.span)
+                c.warn(
+                    "K043", f"this branch can never run: {c.text(branch.condition.span)} never holds here", branch.span
+                )
         c.poisoned = poisoned or held.type == POISON
         block = check_block(branch.block, c)
         ends.append(c.flow)

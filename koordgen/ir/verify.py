@@ -147,7 +147,9 @@ class _Walk:
                 return FLOAT
             case expr.Unary(op, operand):
                 self.typed(operand, operand.type, temps)
-                _must(operand.type in ((BOOL,) if op == "not" else (INT, FLOAT, POINT)), f"{op} on {operand.type}", span)
+                _must(
+                    operand.type in ((BOOL,) if op == "not" else (INT, FLOAT, POINT)), f"{op} on {operand.type}", span
+                )
                 _must(op in ("-", "not"), f"no operator {op}", span)
                 return operand.type
             case expr.Binary(op, left, right, proved):

@@ -115,7 +115,7 @@ def _turn(program: decl.Program, state: State, pid: int) -> Step:
 
 
 def run(block: stmt.Block, state: State, pid: int) -> Writes | Discarded:
-    """An effect (or init) of one robot on the state of the round's start: what it writes, or why nothing of it counts."""
+    """An effect (or init) of one robot on the state of the round's start: its writes, or why none of them counts."""
     working = _Working(_view(state, pid))
     try:
         working.block(block)

@@ -186,7 +186,9 @@ def integer(c: Children) -> expr.Literal:
     value = int(text) if len(text) < 20 else 2**63
     if value >= 2**63:
         help = f"an int has 64 bits: at most {2**63 - 1}"
-        raise Refused(Diagnostic("K009", "error", f"{_shown(text)} is too large for an int", token_span(c[0]), help=help))
+        raise Refused(
+            Diagnostic("K009", "error", f"{_shown(text)} is too large for an int", token_span(c[0]), help=help)
+        )
     return expr.Literal(value, token_span(c[0]))
 
 

@@ -1,4 +1,4 @@
-"""Makes the parser's tables ahead: `python -m koordgen.syntax.generate`, with `--check` only telling whether that is due.
+"""Makes the parser's tables ahead: `python -m koordgen.syntax.generate`; `--check` only tells whether that is due.
 
 Lark analyses the grammar and its LALR(1) tables are written out as literals, so that neither the grammar nor Lark
 itself is needed at start-up. States and rules are numbered in an order of our own: two runs give the same bytes.

@@ -20,8 +20,26 @@ DEEPEST_BLOCKS = 30
 # Words of the whole language, also those whose meaning this version lacks: they never become names.
 KEYWORDS = frozenset(
     (
-        "using", "sensors", "actuators", "param", "allread", "allwrite", "local", "init", "pre", "eff",
-        "if", "elif", "else", "pass", "stop", "and", "or", "not", "True", "False",
+        "using",
+        "sensors",
+        "actuators",
+        "param",
+        "allread",
+        "allwrite",
+        "local",
+        "init",
+        "pre",
+        "eff",
+        "if",
+        "elif",
+        "else",
+        "pass",
+        "stop",
+        "and",
+        "or",
+        "not",
+        "True",
+        "False",
     )
 )
 LATER = frozenset(

@@ -14,7 +14,7 @@ LATER_TYPES = frozenset(
 
 _MODERN = {"&&": "and", "||": "or", "!": "not"}
 _LATER_MARKS = {"[": "a list", "{": "a set", "**": "a power", "->": "a function's type", "STRING": "a string"}
-_EXPRESSION = {"NAME", "INT", "FLOAT", "True", "False", "(", "-", "not"}
+_EXPRESSION = {"NAME", "INT", "FLOAT", "True", "False", "(", "-"}
 _OPERATORS = {"+", "-", "*", "/", "//", "%", "==", "!=", "<", "<=", ">", ">=", "and", "or", "if", ".", "[", "("}
 _MADE = {name for name, _, _ in RULES}  # symbols that are no tokens
 _WORDS = {
@@ -46,10 +46,14 @@ def explain(tokens: list[Token], position: int, states: list[int]) -> Diagnostic
     if kind == "INDENT":
         help = "only what belongs to a block stands deeper than the line before"
         return Diagnostic("K008", "error", "unexpected indentation", span, help=help)
-    if expected == {"INDENT"} and before is not None:
-        return Diagnostic("K008", "error", f"expected an indented block {_after(tokens, position - 1)}", span)
+    if expected == {"INDENT"} and position > 1:
+        colon = tokens[position - 2]
+        message = f"expected an indented block {_after(tokens, position - 2)}"
+        return Diagnostic("K008", "error", message, _behind(colon))
     if kind == "=" and expected & {"==", ")"} and "=" not in expected:
-        return Diagnostic("K001", "error", "'=' assigns and cannot stand in a condition", span, help="'==' compares")
+        if _first_of_line(tokens, position) in ("pre", "if", "elif"):
+            return Diagnostic("K001", "error", "'=' assigns and cannot stand in a condition", span, help="'==' compares")
+        return Diagnostic("K001", "error", "what stands before '=' cannot be assigned", span)
     if ":" in expected:
         place = _behind(before) if before is not None else span
         return Diagnostic("K001", "error", f"expected ':' {_after(tokens, position)}", place)
@@ -59,26 +63,34 @@ def explain(tokens: list[Token], position: int, states: list[int]) -> Diagnostic
     if kind in ("NEWLINE", "DEDENT", "$END") and before is not None and before[0] not in ("NEWLINE", "DEDENT"):
         span = _behind(before)
     message = f"expected {_list(expected)}, found {_found(token)}"
-    if before is not None and before[1] and len(expected) <= 3:
+    if before is not None and before[1] and (len(expected) <= 3 or expected >= _EXPRESSION):
         message = f"expected {_list(expected)} after '{before[1]}', found {_found(token)}"
     return Diagnostic("K001", "error", message, span)
 
 
 def _later(tokens: list[Token], position: int) -> Diagnostic | None:
     """A construct of the full language that this version lacks."""
-    kind, text, line, _ = tokens[position]
+    kind, text, _, _ = tokens[position]
     if kind in LATER:
         return _unsupported(f"'{text}'", tokens[position])
-    first = position
-    while first and tokens[first - 1][2] == line and tokens[first - 1][0] not in ("NEWLINE", "INDENT", "DEDENT"):
-        first -= 1
-    for place in range(first, position + 1):
+    for place in range(_line_start(tokens, position), position + 1):
         word = tokens[place]
         if word[1] in LATER_TYPES and (place == position or tokens[place + 1][0] in ("<", "NAME")):
             return _unsupported(f"the type {word[1]}", word)
     if kind in _LATER_MARKS:
         return _unsupported(_LATER_MARKS[kind], tokens[position])
     return None
+
+
+def _line_start(tokens: list[Token], position: int) -> int:
+    """Where in `tokens` the logical line begins."""
+    while position and tokens[position - 1][0] not in ("NEWLINE", "INDENT", "DEDENT"):
+        position -= 1
+    return position
+
+
+def _first_of_line(tokens: list[Token], position: int) -> str:
+    return tokens[_line_start(tokens, position)][0]
 
 
 def _unsupported(what: str, token: Token) -> Diagnostic:
@@ -131,7 +143,7 @@ def _list(expected: set[str]) -> str:
     groups = []
     if expected >= _EXPRESSION:
         groups.append("a statement" if "pass" in expected else "an expression")
-        expected = expected - _EXPRESSION - {"pass", "stop", "if"}
+        expected = expected - _EXPRESSION - {"not", "pass", "stop", "if"}
     if len(expected & _OPERATORS) > 3:
         groups.append("an operator")
         expected = expected - _OPERATORS
