@@ -82,13 +82,12 @@ def _fail(status: int, message: str, hint: str) -> int:
 
 def _require(scenario: Scenario) -> None:
     """Find out now, and not after the run, that a package is missing."""
-    from targets.sim.stage import device_class
+    from targets.sim import stage
 
     for name in NEEDED:
         if importlib.util.find_spec(name) is None:
             raise ModuleNotFoundError(name=name)
-    for device in sorted({robot.device for robot in scenario.robots}):
-        device_class(device)
+    stage.check(scenario)
 
 
 def _check(root: Path, scenario: Scenario) -> int:

@@ -103,7 +103,8 @@ def _over_time(found: Tracks, axis: int, name: str, path: Path) -> Path:
     ends: list[tuple[float, int]] = []
     for pid, (times, places) in enumerate(zip(found.times, found.places, strict=True)):
         if len(times):
-            axes.plot(_thin(times), _thin(places[:, axis]), linewidth=1.8, **_style(pid))
+            width = 2.8 - 1.2 * pid / max(1, len(found.times) - 1)  # lines that cover one another stay visible
+            axes.plot(_thin(times), _thin(places[:, axis]), linewidth=width, **_style(pid))
             ends.append((float(places[-1, axis]), pid))
     first, last = _span(found)
     axes.set_xlim(first, last)
@@ -128,19 +129,19 @@ def _mark_times(axes: Any, found: Tracks) -> None:
         if low <= t <= high:
             axes.axvline(t, color=colour, linewidth=1.0, linestyle=(0, (3, 3)), zorder=1)
             side = "right" if t > low + 0.8 * (high - low) else "left" if t < low + 0.2 * (high - low) else "center"
-            axes.text(
-                t, 1.01, text, color=colour, fontsize=9, ha=side, va="bottom", transform=axes.get_xaxis_transform()
-            )
+            where, line = (1.01, "bottom") if colour == GREY else (0.98, "top")
+            axes.text(t, where, text, color=colour, fontsize=9, ha=side, va=line, transform=axes.get_xaxis_transform())
 
 
 def _name_ends(axes: Any, found: Tracks, ends: list[tuple[float, int]], last: float) -> None:
     """Robots' names beside the ends of their lines, moved apart where they would cover one another."""
     low, high = axes.get_ylim()
-    gap = (high - low) * 0.055
+    gap = (high - low) * min(0.055, 1 / max(1, len(ends)))
     heights: list[float] = []
     for value, _ in sorted(ends):
         heights.append(max(value, heights[-1] + gap) if heights else value)
-    excess = max(0.0, heights[-1] - high) if heights else 0.0
+    shifts = [height - value for (value, _), height in zip(sorted(ends), heights, strict=True)]
+    excess = max(sum(shifts) / len(shifts), heights[-1] - high) if shifts else 0.0
     for (value, pid), height in zip(sorted(ends), heights, strict=True):
         colour = COLOURS[pid % len(COLOURS)]
         axes.annotate(
@@ -150,7 +151,7 @@ def _name_ends(axes: Any, found: Tracks, ends: list[tuple[float, int]], last: fl
             color=colour,
             va="center",
             annotation_clip=False,
-            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.6},
+            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.6, "relpos": (0, 0.5)},
         )
 
 

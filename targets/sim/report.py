@@ -29,16 +29,23 @@ dl { display: grid; grid-template-columns: max-content 1fr; gap: .2rem 1.2rem; }
 
 
 def important(header: Header, records: Iterable[Record]) -> list[tuple[float, str, str, str]]:
-    """What the report tells of the trace: t, robot, kind and text of violations, phases, warnings, errors, and the
-    first of each robot's faults of a kind. At most MOST_LINES, the first ones."""
+    """What the report tells of the trace: t, robot, kind and text of all violations, and the first MOST_LINES of
+    changed phases, warnings, errors and each robot's different faults."""
     names = {robot.pid: robot.name for robot in header.robots}
     seen: set[tuple[int, str]] = set()
+    phases: dict[int, str] = {}
     found: list[tuple[float, str, str, str]] = []
+    violations = 0
     for record in records:
         match record:
             case Violation():
+                violations += 1
                 found.append((record.t, " and ".join(record.robots), record.what, record.detail))
-            case Phase():
+                continue
+            case _ if len(found) - violations >= MOST_LINES:
+                continue
+            case Phase() if phases.get(record.pid) != record.phase:
+                phases[record.pid] = record.phase
                 found.append((record.t, names.get(record.pid, "?"), record.phase, record.detail))
             case Log() if record.level != "info":
                 found.append((record.t, names.get(record.pid, "?"), record.level, record.message))
@@ -47,8 +54,6 @@ def important(header: Header, records: Iterable[Record]) -> list[tuple[float, st
                 found.append((record.t, names.get(record.pid, "?"), "fault", fault_text(fault)))
             case _:
                 pass
-        if len(found) == MOST_LINES:
-            break
     return found
 
 
@@ -183,9 +188,5 @@ def _lines(lines: list[tuple[float, str, str, str]]) -> str:
         rows.append(
             f'<td class="n">{t:.2f}</td><td>{escape(robot)}</td><td{bad}>{escape(kind)}</td><td>{escape(text)}</td>'
         )
-    more = (
-        f'<p class="dim">Only the first {MOST_LINES}; all of it is in trace.jsonl.</p>'
-        if len(lines) >= MOST_LINES
-        else ""
-    )
+    more = '<p class="dim">Not all of it; the rest is in trace.jsonl.</p>' if len(lines) >= MOST_LINES else ""
     return '<div class="wide"><table>' + "".join(f"<tr>{row}</tr>" for row in rows) + "</table></div>" + more

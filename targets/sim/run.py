@@ -73,7 +73,11 @@ class Run:
             self.agents.append(Agent(robot, root / robot.bundle, own))
         self.poses_file = folder / "poses.jsonl"
         self._poses = Poses(self.poses_file)
-        self._stage = Stage(scenario, seed, key)
+        try:
+            self._stage = Stage(scenario, seed, key)
+        except BaseException:
+            self._give_up_files()
+            raise
         self._pace = Pace(0.0, STEP)
         self._zero: float | None = None
         self._next_look = 0.0
@@ -89,8 +93,11 @@ class Run:
             for agent in self.agents:
                 agent.kill()
             self._stage.close()
-            self._poses.close()
-            self._key_file.unlink(missing_ok=True)
+            self._give_up_files()
+
+    def _give_up_files(self) -> None:
+        self._key_file.unlink(missing_ok=True)
+        self._poses.close()
 
     def _execute(self) -> Outcome:
         ports = free_ports(len(self.agents))

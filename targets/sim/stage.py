@@ -87,7 +87,7 @@ class Watch:
 
 class Stage:
     """Owns world, bodies and devices; `close` gives all of them back. The same scenario, seed and commands give the
-    same motion."""
+    same motion. `check` the scenario before."""
 
     def __init__(self, scenario: Scenario, seed: int, key: bytes) -> None:
         self.world = World()
@@ -135,9 +135,15 @@ def device_class(name: str) -> Callable[[Any, DeviceContext], Device]:
     return found
 
 
+def check(scenario: Scenario) -> None:
+    """Whether there is a body and a device for every robot. Raises as `device_class`."""
+    for robot in scenario.robots:
+        if robot.body not in BODIES:
+            raise BadScenario(f"no simulated body {robot.body!r}", f"there are: {', '.join(sorted(BODIES))}")
+        device_class(robot.device)
+
+
 def _actor(world: World, scenario: Scenario, robot: Robot, seed: int, key: bytes) -> Actor:
-    if robot.body not in BODIES:
-        raise BadScenario(f"no simulated body {robot.body!r}", f"there are: {', '.join(sorted(BODIES))}")
     make = device_class(robot.device)
     body = BODIES[robot.body](world, robot)
     origin = scenario.origin

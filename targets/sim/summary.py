@@ -20,7 +20,7 @@ Verdict = Literal["held", "violated", "interrupted", "not started"]
 
 class RobotSummary(msgspec.Struct):
     """One robot. Positions (m, local ENU) are the truth: `start` at the beginning of the run, `final` at the mission's
-    end, `rest` after landing or braking. `path_length` is from round 1 to the mission's end."""
+    end, `rest` after landing or braking. `path_length`, rounds and what they brought are from round 1 to that end."""
 
     name: str
     pid: int
@@ -77,7 +77,7 @@ def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Su
         match record:
             case Pose(pid=pid) if pid in tallies:
                 tallies[pid].pose(record, ended)
-            case Round(pid=pid) if pid in tallies:
+            case Round(pid=pid) if pid in tallies and not ended:
                 tallies[pid].round(record)
             case Violation():
                 violations.append(record)
@@ -234,4 +234,6 @@ def _details(summary: Summary) -> list[str]:
 
 def place(position: Vector | None) -> str:
     """A position, for a table."""
-    return "-" if position is None else "({:.2f}, {:.2f}, {:.2f})".format(*position)
+    if position is None:
+        return "-"
+    return "({:.2f}, {:.2f}, {:.2f})".format(*(round(c, 2) + 0.0 for c in position))  # + 0.0: no -0.00

@@ -1,0 +1,285 @@
+"""The harness end to end, on fleets of trivial agents: real processes, real files, a few seconds each."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from targets.sim import folder, harness, run, trace
+from targets.sim.trace import Phase, Pose, Record, Round, Violation, read
+from tests.sim.fake_fleet import bundle, enlist
+
+REPOSITORY = Path(__file__).parents[2]
+
+
+@pytest.fixture(autouse=True)
+def device() -> None:
+    enlist()
+
+
+def sim(root: Path, out: Path, *more: str) -> int:
+    return harness.main(root, ["--duration", "1", "--seed", "7", "--out", str(out), "--quiet", *more])
+
+
+def summary(out: Path) -> Any:
+    return json.loads((out / "summary.json").read_text())
+
+
+def records(out: Path) -> list[Record]:
+    return list(read(out / "trace.jsonl")[1])
+
+
+def no_process_left(root: Path) -> bool:
+    found = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=True).stdout
+    return str(root) not in found
+
+
+def test_a_good_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root, out = bundle(tmp_path / "sim", ["good", "good"]), tmp_path / "deep" / "out"
+    assert sim(root, out) == 0
+    found = summary(out)
+    assert (found["verdict"], found["seed"], found["violations"]) == ("held", 7, [])
+    assert found["robots"][0]["events"]["Move"] == pytest.approx(10, abs=2)
+    assert found["robots"][1]["skips"]["no event enabled"] == pytest.approx(10, abs=2)
+    assert found["min_separation"]["distance"] == pytest.approx(2.0, abs=0.01)
+    assert found["real_time_factor"] > 0.9
+    seen = records(out)
+    times = [record.t for record in seen]  # type: ignore[union-attr]
+    assert times == sorted(times)
+    first = next(record for record in seen if isinstance(record, Round))
+    assert first.round == 1 and first.t == pytest.approx(0.001, abs=1e-3)  # `late` after the tick
+    poses = [record for record in seen if isinstance(record, Pose) and record.pid == 0 and 0 <= record.t < 1]
+    assert len(poses) == pytest.approx(20, abs=1)
+    assert any(isinstance(record, Phase) and record.phase == "rested" for record in seen)
+    assert {p.name for p in (out / "plots").iterdir()} >= {"top.png", "x-t.png", "y-t.png", "separation.png"}
+    page = (out / "report.html").read_text()
+    assert "Held" in page and "looking for the &lt;stars&gt;" in page
+    assert str(out / "report.html") in capsys.readouterr().out
+    assert not (out / "fleet.key").exists()
+    assert no_process_left(root)
+
+
+def test_an_agent_that_dies_fails_the_run_but_does_not_end_it(tmp_path: Path) -> None:
+    root, out = bundle(tmp_path / "sim", ["good", "dying"]), tmp_path / "out"
+    assert sim(root, out) == 3
+    found = summary(out)
+    (violation,) = found["violations"]
+    assert violation["what"] == "ended" and violation["robots"] == ["r1"]
+    assert violation["t"] == pytest.approx(0.45, abs=0.3)
+    assert "70" in found["why"] and "ouch" in found["why"]
+    assert found["robots"][0]["rounds"] >= 9
+    assert "ValueError: <b>ouch</b>" in found["robots"][1]["last_lines"]
+    page = (out / "report.html").read_text()
+    assert "&lt;b&gt;ouch" in page and "<b>ouch" not in page
+
+
+def test_a_fault_fails_the_run(tmp_path: Path) -> None:
+    root, out = bundle(tmp_path / "sim", ["faulty", "good"]), tmp_path / "out"
+    assert sim(root, out) == 3
+    (violation,) = summary(out)["violations"]
+    assert violation["what"] == "fault" and "a.koord:3: 1 / 0" in violation["detail"]
+    assert violation["t"] == pytest.approx(0.3, abs=0.1)
+    assert summary(out)["robots"][0]["faults"] == 1
+
+
+def test_robots_that_are_too_close_or_touch_fail_the_run(tmp_path: Path) -> None:
+    places = [[0.0, 0.0, 0.0], [0.35, 0.0, 0.0], [2.0, 0.0, 0.0]]  # the first two overlap a little: they touch
+    root, out = bundle(tmp_path / "sim", ["good"] * 3, places, min_separation=0.5), tmp_path / "out"
+    assert sim(root, out) == 3
+    found = summary(out)
+    assert {v["what"] for v in found["violations"]} == {"separation", "collision"}
+    assert all(v["robots"] == ["r0", "r1"] for v in found["violations"])
+    assert found["collisions"] == 1
+    assert found["min_separation"]["distance"] == pytest.approx(0.35, abs=0.02)
+
+
+def test_a_fleet_that_stops_by_itself_ends_the_run(tmp_path: Path) -> None:
+    root, out = bundle(tmp_path / "sim", ["stopping", "stopping"]), tmp_path / "out"
+    assert sim(root, out, "--duration", "60") == 0
+    assert summary(out)["duration"] < 3 and "by themselves" in summary(out)["why"]
+
+
+def test_a_start_that_never_comes_says_what_was_waited_for(tmp_path: Path) -> None:
+    root, out = bundle(tmp_path / "sim", ["waiting", "waiting"], start_timeout=1.0), tmp_path / "out"
+    assert sim(root, out) == 5
+    found = summary(out)
+    assert found["verdict"] == "not started"
+    assert "r1: starting: looking for the <stars>" in found["why"]
+    assert not read(out / "trace.jsonl")[0].started
+    assert no_process_left(root)
+
+
+def test_an_agent_that_dies_before_round_1_ends_the_run_at_once(tmp_path: Path) -> None:
+    root, out = bundle(tmp_path / "sim", ["waiting", "unborn"]), tmp_path / "out"
+    began = time.monotonic()
+    assert sim(root, out) == 3
+    assert time.monotonic() - began < 8
+    assert "r1" in summary(out)["why"] and "no autopilot answers" in summary(out)["why"]
+
+
+def test_an_agent_that_will_not_rest_is_killed_and_fails_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run, "REST_WITHIN", 0.5)
+    root, out = bundle(tmp_path / "sim", ["good", "stubborn"]), tmp_path / "out"
+    assert sim(root, out) == 3
+    assert "did not come to rest" in summary(out)["why"]
+    assert no_process_left(root)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_run_leaves_a_report_and_no_process(tmp_path: Path, number: int) -> None:
+    root, out = bundle(tmp_path / "sim", ["good", "good"]), tmp_path / "out"
+    command = [sys.executable, "-m", "tests.sim.fake_fleet", str(root), "--duration", "60", "--out", str(out)]
+    process = subprocess.Popen(command, cwd=REPOSITORY, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    for line in process.stderr:
+        if "round 1" in line:
+            break
+    time.sleep(0.5)
+    process.send_signal(number)
+    _, said = process.communicate(timeout=30)
+    assert process.returncode == 130, said
+    assert summary(out)["verdict"] == "interrupted"
+    assert 0.3 < summary(out)["duration"] < 5
+    assert "Interrupted" in (out / "report.html").read_text()
+    assert no_process_left(root)
+
+
+def test_agents_do_not_outlive_a_killed_harness(tmp_path: Path) -> None:
+    root = bundle(tmp_path / "sim", ["good"])
+    command = [sys.executable, "-m", "tests.sim.fake_fleet", str(root), "--out", str(tmp_path / "out")]
+    process = subprocess.Popen(command, cwd=REPOSITORY, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    with process.stderr as said:
+        for line in said:
+            if "round 1" in line:
+                break
+    process.kill()
+    process.wait()
+    until = time.monotonic() + 5
+    while not no_process_left(root) and time.monotonic() < until:
+        time.sleep(0.05)
+    assert no_process_left(root)
+
+
+def test_a_bundle_without_a_fleet_says_how_to_get_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert sim(tmp_path, tmp_path / "out") == 1
+    assert "--fleet FILE" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"robots": []}, "robots"),
+        ({"delta": "soon"}, "delta"),
+        ({"delta": -1}, "delta"),
+        ({"app": None}, "app"),
+    ],
+)
+def test_a_bad_scenario_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: dict[str, Any], said: str
+) -> None:
+    root = bundle(tmp_path / "sim", ["good"])
+    path = root / "scenario.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
+    assert sim(root, tmp_path / "out") == 1
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("bundle", "../elsewhere"), ("body", "whale"), ("device", "oracle"), ("pid", 3)]
+)
+def test_a_robot_that_cannot_be_simulated_is_refused(tmp_path: Path, field: str, value: object) -> None:
+    root = bundle(tmp_path / "sim", ["good"])
+    path = root / "scenario.json"
+    scenario = json.loads(path.read_text())
+    scenario["robots"][0][field] = value
+    path.write_text(json.dumps(scenario))
+    assert sim(root, tmp_path / "out") == 1
+
+
+def test_settings_are_laid_over_and_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root, given = bundle(tmp_path / "sim", ["good", "good"]), tmp_path / "given.json"
+    given.write_text('{"min_separation": 2.5}')
+    assert sim(root, tmp_path / "out", "--settings", str(given)) == 3
+    given.write_text('{"min_seperation": 2.5}')
+    assert sim(root, tmp_path / "out", "--settings", str(given)) == 1
+    given.write_text('{"min_separation": "wide"}')
+    assert sim(root, tmp_path / "out", "--settings", str(given)) == 1
+    assert "min_seperation" in capsys.readouterr().err
+
+
+def test_check_runs_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root = bundle(tmp_path / "sim", ["good"])
+    assert sim(root, tmp_path / "out", "--check") == 0
+    assert "r0" in capsys.readouterr().out
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("arguments", [["--duration", "nan"], ["--duration", "0"], ["--seed", "x"], ["--nonsense"]])
+def test_usage(tmp_path: Path, arguments: list[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        harness.main(tmp_path, arguments)
+    assert left.value.code == 2
+
+
+def test_a_folder_that_is_not_of_a_run_is_never_touched(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root, out = bundle(tmp_path / "sim", ["good"]), tmp_path / "out"
+    out.mkdir()
+    (out / "trace.jsonl").write_text("mine")
+    assert sim(root, out) == 5
+    assert "--out" in capsys.readouterr().err
+    assert (out / "trace.jsonl").read_text() == "mine" and len(list(out.iterdir())) == 1
+
+
+def test_a_note_left_in_a_runs_folder_saves_it(tmp_path: Path) -> None:
+    with folder.RunFolder(tmp_path / "out") as path:
+        (path / "summary.json").write_text("{}")
+    (tmp_path / "out" / "notes.txt").write_text("mine")
+    with pytest.raises(folder.Foreign, match=r"notes\.txt"), folder.RunFolder(tmp_path / "out"):
+        pass
+    assert (tmp_path / "out" / "summary.json").exists()
+
+
+def test_a_new_run_begins_by_removing_the_old_ones_results(tmp_path: Path) -> None:
+    with folder.RunFolder(tmp_path / "out") as path:
+        (path / "summary.json").write_text("{}")
+        (path / "plots").mkdir()
+    with folder.RunFolder(tmp_path / "out") as path:
+        assert [p.name for p in path.iterdir()] == [folder.MARKER]
+        with pytest.raises(folder.Foreign, match="another run"), folder.RunFolder(tmp_path / "out"):
+            pass
+
+
+def test_a_full_disk_ends_the_run_with_one_message(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Full(trace.Poses):
+        def write(self, *_: Any) -> None:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "poses.jsonl")
+
+    monkeypatch.setattr(run, "Poses", Full)
+    root, out = bundle(tmp_path / "sim", ["good"]), tmp_path / "out"
+    assert sim(root, out) == 5
+    said = capsys.readouterr().err
+    assert "disk is full" in said and "Traceback" not in said
+    assert not (out / "summary.json").exists() and not (out / "fleet.key").exists()
+    assert no_process_left(root)
+
+
+def test_a_violation_is_in_the_trace(tmp_path: Path) -> None:
+    root, out = bundle(tmp_path / "sim", ["good", "dying"]), tmp_path / "out"
+    sim(root, out)
+    assert [r.what for r in records(out) if isinstance(r, Violation)] == ["ended"]

@@ -1,0 +1,163 @@
+"""Trace, summary, pictures and report, from canned records."""
+
+from __future__ import annotations
+
+import json
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from targets.sim import plots, report, summary, trace
+from targets.sim.pace import BURST, MOST_BEHIND, Pace
+from targets.sim.trace import End, Violation
+from tests.sim.canned import header, moving, outcome, write
+
+NAMES = ["alice", "bert", "<script>cleo"]
+STARTS = [(-4.0, -1.0, 0.0), (-1.0, 2.0, 0.0), (4.0, 1.0, 0.0)]
+ENDS = [(-4.0, -1.0, 1.0), (0.0, 0.0, 0.0), (4.0, 1.0, 1.0)]
+
+
+def rounds() -> list[dict[str, Any]]:
+    def one(number: int, **what: Any) -> dict[str, Any]:
+        usual = {"kind": "round", "t": number / 10 - 0.1, "pid": 1, "round": number, "late": 0.001}
+        return {**usual, "event": None, "skipped": None, "fault": None, "sensors": {}, **what}
+
+    fault = {"file": "a.koord", "line": 9, "reason": "<img src=x onerror=alert(1)>"}
+    return [
+        one(1, event="Move"),
+        one(2, event="Move", late=0.06),
+        one(3, skipped="not current: lacks alice", late=0.06),
+        one(4, skipped="not current: lacks bert", late=0.06),
+        one(7, event="Go"),  # 5 and 6 were slept through
+        one(8, event="Move", skipped="fault", fault=fault),
+        one(9, event="Move", skipped="fault", fault=fault),
+        one(200, event="Move"),  # after the mission's end
+    ]
+
+
+@pytest.fixture
+def canned(tmp_path: Path) -> Path:
+    marks: list[Violation | End] = [Violation(0.7, "fault", ("bert",), "a.koord:9: <b>"), End(10.0, "completed")]
+    return write(tmp_path / "trace.jsonl", header(NAMES), [*moving(STARTS, ENDS), *rounds()], marks)
+
+
+def test_the_summary_counts_what_the_trace_says(canned: Path) -> None:
+    found = summary.summarise(*trace.read(canned), outcome())
+    bert = found.robots[1]
+    assert bert.events == {"Move": 2, "Go": 1}
+    assert bert.skips == {"not current": 2}
+    assert (bert.rounds, bert.faults, bert.late_rounds) == (7, 2, 3)
+    assert bert.start == STARTS[1] and bert.final == ENDS[1]
+    assert bert.path_length == pytest.approx(5**0.5)
+    assert found.robots[0].path_length == pytest.approx(1.0)
+    assert found.verdict == "violated" and "bert" in found.why and "0.70 s" in found.why
+    assert found.min_separation is not None and found.min_separation.robots == ("alice", "bert")
+
+
+@pytest.mark.parametrize(
+    ("change", "verdict"),
+    [
+        ({"ended": "interrupted"}, "interrupted"),
+        ({"ended": "timeout", "started": False}, "not started"),
+        ({"ended": "stopped"}, "held"),
+        ({}, "held"),
+    ],
+)
+def test_verdicts(tmp_path: Path, change: dict[str, Any], verdict: str) -> None:
+    path = write(tmp_path / "trace.jsonl", header(NAMES), moving(STARTS, ENDS))
+    assert summary.summarise(*trace.read(path), outcome(**change)).verdict == verdict
+
+
+def test_the_summary_is_the_same_as_json_and_as_text(canned: Path) -> None:
+    found = summary.summarise(*trace.read(canned), outcome())
+    summary.write(found, canned.parent)
+    data = json.loads((canned.parent / "summary.json").read_text())
+    assert data["robots"][1]["events"] == {"Move": 2, "Go": 1}
+    text = (canned.parent / "summary.txt").read_text()
+    for part in ("VIOLATED", "bert", "Move 2", "0.800 m at 4.00 s", "real-time factor 0.998"):
+        assert part in text
+
+
+class Page(HTMLParser):
+    def __init__(self) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+
+def test_the_report_stands_alone_and_escapes_all_it_was_told(canned: Path) -> None:
+    found = summary.summarise(*trace.read(canned), outcome(last_lines={"bert": ["</pre><script>x</script>"]}))
+    pictures = plots.draw(plots.tracks(*trace.read(canned)), canned.parent / "plots")
+    lines = report.important(*trace.read(canned))
+    text = report.html(found, lines, pictures, {"command": "python3 'a & <b>'"})
+    page = Page()
+    page.feed(text)
+    tags = {tag for tag, _ in page.tags}
+    assert not tags & {"script", "link", "iframe", "b"}
+    images = [attributes["src"] or "" for tag, attributes in page.tags if tag == "img"]
+    assert len(images) == len(pictures) == 5
+    assert all(source.startswith("data:image/png;base64,") for source in images)
+    assert "http" not in text.replace("http-equiv", "")
+    assert not any(name.startswith("on") for _, attributes in page.tags for name in attributes)
+    assert text.index("Violated") < text.index("<table>")
+    assert "a &amp; &lt;b&gt;" in text
+
+
+def test_violations_are_told_however_much_else_there_is(tmp_path: Path) -> None:
+    noise = [{"kind": "log", "t": k / 1000, "pid": 0, "level": "warning", "message": str(k)} for k in range(1000)]
+    marks: list[Violation | End] = [Violation(9.0, "collision", ("alice", "bert"), "touched"), End(10.0, "completed")]
+    path = write(tmp_path / "trace.jsonl", header(NAMES), noise, marks)
+    lines = report.important(*trace.read(path))
+    assert len(lines) == report.MOST_LINES + 1 and lines[-1][2] == "collision"
+
+
+def test_a_run_that_never_began_has_pictures_too(tmp_path: Path) -> None:
+    path = write(tmp_path / "trace.jsonl", header(NAMES), [], [End(0.0, "timeout")])
+    assert len(plots.draw(plots.tracks(*trace.read(path)), tmp_path / "plots")) == 5
+
+
+def test_the_separation_over_time_is_that_of_the_closest_pair(tmp_path: Path) -> None:
+    path = write(tmp_path / "trace.jsonl", header(NAMES), moving(STARTS, ENDS))
+    times, smallest = plots.separation(plots.tracks(*trace.read(path)))
+    assert times[0] == -1.0 and smallest[0] == pytest.approx((3**2 + 3**2) ** 0.5)
+    assert smallest[-1] == pytest.approx((4**2 + 1 + 1) ** 0.5)
+
+
+def test_a_file_that_is_no_trace_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "trace.jsonl"
+    for text in ("", "{}\n", '{"kind":"pose","t":0,"pid":0,"position":[0,0,0],"yaw":0}\n', "\xff"):
+        path.write_text(text)
+        with pytest.raises(trace.BadTrace):
+            trace.read(path)
+    with pytest.raises(trace.BadTrace):
+        trace.read(tmp_path / "none")
+
+
+def test_following_an_agents_file_waits_for_whole_lines_and_passes_over_the_rest(tmp_path: Path) -> None:
+    path = tmp_path / "trace.jsonl"
+    tail = trace.Tail(path)
+    assert tail.read() == []
+    path.write_bytes(b'{"kind":"header","format":"koord-trace/1","robot":"a"}\nnonsense\n{"kind":"phase","ti')
+    assert tail.read() == [] and tail.malformed == 1
+    with path.open("ab") as file:
+        file.write(b'me":5.0,"phase":"starting"}\n')
+    assert tail.read() == [trace.Phase("starting", time=5.0)]
+
+
+def test_the_pace_keeps_absolute_ticks() -> None:
+    pace = Pace(100.0, 0.25)
+    assert pace.due(99.9) == 0
+    assert [pace.due(now) for now in (100.0, 100.1, 100.24, 100.25, 100.5, 100.9)] == [1, 0, 0, 1, 1, 1]
+    assert (pace.done, pace.late, pace.slip) == (4, 0, 0.0)
+
+
+def test_the_pace_catches_up_what_is_little_and_slips_what_is_much() -> None:
+    pace = Pace(0.0, 1 / 128)
+    assert pace.due(10 / 128) == 11 and pace.late == 9
+    assert pace.due(10.0) == BURST
+    assert pace.slip == pytest.approx(10.0 - 11 / 128 - MOST_BEHIND)
+    assert pace.factor(10.0) < 0.1

@@ -1,0 +1,152 @@
+"""The world and its bodies: repeatable, within their limits, solid."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from targets.sim import quadrotor
+from targets.sim.bodies import Vector
+from targets.sim.car import SimulatedCar
+from targets.sim.quadrotor import SimulatedQuadrotor
+from targets.sim.world import GRAVITY, World
+
+
+@pytest.fixture
+def world() -> Iterator[World]:
+    made = World()
+    yield made
+    made.close()
+
+
+def run(world: World, seconds: float, *steps: Callable[[], None]) -> None:
+    for _ in range(round(seconds * 240)):
+        for step in steps:
+            step()
+        world.step()
+
+
+def flown() -> list[object]:
+    """A scripted run with a collision in it."""
+    world = World()
+    quad = SimulatedQuadrotor(world, (0.0, 0.0, 0.0), 0.4)
+    car = SimulatedCar(world, (-2.0, 0.05, 0.0), 0.0, 0.33, 0.4)
+    other = SimulatedCar(world, (2.0, 0.0, 0.0), math.pi, 0.33, 0.4)
+    quad.motors(True)
+    seen: list[object] = []
+    for k in range(960):
+        quad.accelerate((math.sin(k / 50), 0.5, 0.6 if k < 300 else -0.4), 0.2)
+        car.drive(1.5, 0.05)
+        other.drive(1.5, 0.0)
+        for body in (quad, car, other):
+            body.step()
+        world.step()
+        seen.append((quad.state(), car.state(), other.state(), frozenset(world.contacts())))
+    world.close()
+    return seen
+
+
+def test_a_fresh_world_repeats_itself_to_the_last_bit() -> None:
+    assert flown() == flown()
+
+
+def test_a_quadrotor_without_motors_stays_down_and_falls(world: World) -> None:
+    low = SimulatedQuadrotor(world, (0.0, 0.0, 0.0), 0.0)
+    high = SimulatedQuadrotor(world, (3.0, 0.0, 20.0), 0.0)
+    for quad in (low, high):
+        quad.accelerate((1.0, 0.0, 3.0), 0.0)
+    run(world, 1.0, low.step, high.step)
+    assert low.state().position == pytest.approx((0.0, 0.0, 0.0), abs=0.005)
+    assert world.grounded(low.rigid) and not world.grounded(high.rigid)
+    assert -GRAVITY < high.state().velocity[2] < -0.9 * GRAVITY
+
+
+def test_a_quadrotor_follows_an_acceleration_after_a_lag(world: World) -> None:
+    quad = SimulatedQuadrotor(world, (0.0, 0.0, 5.0), 0.0)
+    quad.motors(True)
+    quad.accelerate((0.0, 0.0, 0.0), 0.0)
+    run(world, 1.0, quad.step)
+    quad.accelerate((1.0, -0.5, 0.0), 0.0)
+    run(world, 1 / 60, quad.step)
+    before = quad.state().velocity
+    assert math.hypot(before[0], before[1]) < 0.005  # it has not tilted yet
+    run(world, 1.0, quad.step)
+    vx, vy, vz = quad.state().velocity
+    assert 0.7 < vx < 1.0 and -0.5 < vy < -0.35  # 1 s less the lag and the air's drag
+    assert abs(vz - before[2]) < 0.1
+
+
+@pytest.mark.parametrize("asked", [(50.0, 0.0, 0.0), (0.0, -50.0, 30.0), (40.0, 40.0, -50.0)])
+def test_a_quadrotor_keeps_its_limits_whatever_is_asked(world: World, asked: Vector) -> None:
+    quad = SimulatedQuadrotor(world, (0.0, 0.0, 50.0), 0.0)
+    quad.motors(True)
+    quad.accelerate(asked, 90.0)
+    steepest = fastest = 0.0
+    for _ in range(480):
+        before = quad.state()
+        quad.step()
+        world.step()
+        after = quad.state()
+        steepest = max(steepest, math.acos(min(1.0, quad.rigid.motion().up[2])))
+        gained = [(b - a) * 240 for a, b in zip(before.velocity, after.velocity, strict=True)]
+        fastest = max(fastest, math.hypot(gained[0], gained[1], gained[2] + GRAVITY))
+    assert steepest < quadrotor.MAX_TILT + 0.1
+    assert fastest < 2.2 * GRAVITY + 4  # thrust and drag
+    assert abs(quad.state().yaw_rate) < quadrotor.MAX_YAW_RATE + 0.1
+
+
+def test_a_car_drives_the_bicycles_circle(world: World) -> None:
+    car = SimulatedCar(world, (1.0, 2.0, 0.0), 0.5, 0.33, 0.4)
+    assert car.state().position == pytest.approx((1.0, 2.0, 0.0), abs=1e-6)
+    car.drive(1.0, 0.3)
+    run(world, 2.0, car.step)
+    first, radius = car.state(), 0.33 / math.tan(0.3)
+    run(world, math.tau * radius, car.step)
+    assert math.dist(first.position, car.state().position) < 0.02
+    assert car.state().yaw_rate == pytest.approx(1 / radius, rel=0.01)
+    assert math.hypot(*car.state().velocity[:2]) == pytest.approx(1.0, rel=0.01)
+
+
+def test_a_car_needs_time_and_has_limits(world: World) -> None:
+    car = SimulatedCar(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4)
+    car.drive(100.0, 3.0)
+    run(world, 0.05, car.step)
+    assert 0.05 < car.state().velocity[0] < 0.5
+    car.drive(1.0, 3.0)
+    run(world, 3.0, car.step)
+    assert car.state().yaw_rate == pytest.approx(math.tan(0.4) / 0.33, rel=0.01)
+    car.drive(0.0, 0.0)
+    run(world, 2.0, car.step)
+    assert math.hypot(*car.state().velocity) < 0.01
+
+
+def test_a_command_that_is_no_number_is_a_mistake(world: World) -> None:
+    car = SimulatedCar(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4)
+    quad = SimulatedQuadrotor(world, (2.0, 0.0, 0.0), 0.0)
+    with pytest.raises(ValueError, match="speed"):
+        car.drive(math.nan, 0.0)
+    with pytest.raises(ValueError, match="acceleration"):
+        quad.accelerate((0.0, math.inf, 0.0), 0.0)
+
+
+def test_cars_do_not_drive_through_one_another(world: World) -> None:
+    car = SimulatedCar(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4)
+    parked = SimulatedCar(world, (1.0, 0.0, 0.0), 0.0, 0.33, 0.4)
+    car.drive(1.0, 0.0)
+    touched = False
+    for _ in range(600):
+        car.step()
+        parked.step()
+        world.step()
+        touched = touched or (car.rigid.number, parked.rigid.number) in world.contacts()
+    assert touched
+    assert parked.state().position[0] - car.state().position[0] > 0.45  # a car's length
+
+
+def test_a_car_on_its_side_has_no_wheels_on_the_floor(world: World) -> None:
+    car = SimulatedCar(world, (0.0, 0.0, 0.5), 0.0, 0.33, 0.4)  # dropped
+    car.drive(2.0, 0.0)
+    run(world, 0.1, car.step)
+    assert abs(car.state().velocity[0]) < 0.01
