@@ -9,10 +9,11 @@ from typing import Any
 import pytest
 
 from koordgen.runtime.clock import SystemClock
+from koordgen.runtime.platform import Sensed
 from koordgen.runtime.program import Event, Program, Stopped
 from koordgen.runtime.runner import Runner, interrupting
 from koordgen.runtime.values import Point
-from tests.runtime.fleet import Fleet
+from tests.runtime.fleet import FakePlatform, Fleet
 from tests.runtime.lineform import PROGRAM, State, effect
 from tests.runtime.reference import check_visibility
 
@@ -169,19 +170,31 @@ def test_one_robot_that_stopped_freezes_nobody() -> None:
     check_visibility(fleet)
 
 
+class Sticky(FakePlatform):
+    """Says one and the same of `reached`, whatever it was commanded."""
+
+    says = False
+
+    def sense(self, now: float) -> Sensed:
+        return Sensed({**super().sense(now).values, "Motion.reached": self.says}, self.seen)
+
+
 def test_reached_is_true_before_any_command_and_never_stale_after_one() -> None:
-    fleet = Fleet(n=3).boot_all()
+    fleet = Fleet(n=3)
+    body = Sticky(Point(1, 1, 0))
+    fleet.boot(0)
+    fleet.boot(1, body)
+    fleet.boot(2)
     bert = fleet.robots[1]
-    bert.platform.goal_reached = False
     fleet.run_rounds(1)
     assert bert.records[0].sensors["Motion.reached"] is True
-    command = bert.platform.commands[0][0]
-
-    bert.platform.fresh = False  # the platform's position is older than the command from now on
-    bert.platform.goal_reached = True
-    bert.platform.seen = command - 0.01
+    body.says, body.fresh = True, False  # judged by a position that is older than the command
+    body.seen = body.commands[0][0] - 0.01
     fleet.run(0.12)
     assert bert.records[1].sensors["Motion.reached"] is False
+    body.fresh = True  # polled several times a round, so the next sample is younger than the command before it
+    fleet.run(0.1)
+    assert bert.records[2].sensors["Motion.reached"] is True
 
 
 def test_actuators_begin_as_a_hold_and_read_back() -> None:

@@ -164,6 +164,16 @@ def test_a_robot_that_sleeps_goes_on_with_the_present_round() -> None:
     check_visibility(fleet)
 
 
+def test_a_robot_that_wakes_after_the_deadline_runs_no_event() -> None:
+    fleet = Fleet(n=1).boot_all()
+    fleet.run_rounds(5)
+    robot = fleet.robots[0]
+    robot.wake = fleet.time.time + 0.16  # within round 6, past its publish deadline
+    fleet.run(0.17)
+    assert robot.records[-1].round == 6 and robot.records[-1].skipped == "woke after the publish deadline"
+    assert robot.records[-1].fault is None
+
+
 def test_the_same_seed_gives_the_same_traces() -> None:
     def traces() -> list[bytes]:
         fleet = Fleet(seed=3, conditions=lossy(0.2)).boot_all()
