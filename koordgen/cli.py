@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import sys
 from typing import TYPE_CHECKING
 
@@ -31,9 +32,11 @@ class Failure(Exception):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit status."""
+    gc.disable()  # nothing here lives long enough to be collected, and trees have no cycles
     from koordgen.pipeline import Rejected
 
-    options = _parser().parse_args(arguments)
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    options = _parser(arguments).parse_args(arguments)
     try:
         return int(options.run(options))
     except Rejected as rejected:
@@ -52,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _internal(error)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(arguments: list[str]) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="koordgen", description="Compiles Koord programs to agents for robots.", allow_abbrev=False
     )
@@ -82,7 +85,7 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("file", metavar="FILE")
     command.set_defaults(run=_key)
 
-    for name, summary in _harnesses():
+    for name, summary in _harnesses(arguments):
         command = commands.add_parser(name, help=f"build and run: {summary}")
         command.add_argument("program", metavar="APP.koord")
         command.add_argument("--duration", metavar="S", type=float, help="seconds of mission, from its first round")
@@ -106,10 +109,10 @@ def _build_options(command: argparse.ArgumentParser, fleet_required: bool = Fals
     _format_option(command)
 
 
-def _harnesses() -> list[tuple[str, str]]:
+def _harnesses(arguments: list[str]) -> list[tuple[str, str]]:
     """Targets that run a whole fleet are commands. Their manifests are read only when such a command, or help, is
     asked for."""
-    if len(sys.argv) > 1 and sys.argv[1] in ("check", "dump", "build", "key"):
+    if arguments and arguments[0] in ("check", "dump", "build", "key"):
         return []
     from koordgen.bundle import manifest
 
@@ -130,16 +133,9 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _dump(options: argparse.Namespace) -> int:
-    if options.after == "parse":
-        from koordgen.pipeline import parse_file
-        from koordgen.syntax.printer import show as show_tree
+    from koordgen.pipeline import dump
 
-        print(show_tree(parse_file(options.program)[1]), end="")
-    else:
-        from koordgen.ir.printer import show
-        from koordgen.pipeline import check_file
-
-        print(show(check_file(options.program).program), end="")
+    print(dump(options.program, options.after), end="")
     return HOLDS
 
 
@@ -220,14 +216,17 @@ def _planned(options: argparse.Namespace, targets: list[str]) -> tuple[dict[str,
 
 
 def _params(given: list[str]) -> dict[str, Value]:
-    from koordgen.check.params import parse_value
+    from koordgen.check.params import BadParam, parse_value
 
     values = {}
     for text in given:
         name, equals, value = text.partition("=")
         if not equals:
             raise Failure(USAGE, f"--param {text}: NAME=VALUE is expected")
-        values[name] = parse_value(value)
+        try:
+            values[name] = parse_value(value)
+        except BadParam as error:
+            raise Failure(USAGE, f"--param {text}: {error}") from None
     return values
 
 

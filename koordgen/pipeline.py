@@ -71,6 +71,17 @@ def check_file(path: str) -> Checked:
     return Checked(source, program, tuple(found))
 
 
+def dump(path: str, after: str) -> str:
+    """The program as it stands after a pass, for people: "parse" or "check". Raises Rejected."""
+    if after == "parse":
+        from koordgen.syntax.printer import show as show_tree
+
+        return show_tree(parse_file(path)[1])
+    from koordgen.ir.printer import show
+
+    return show(check_file(path).program)
+
+
 def plan_file(
     path: str, wanted: Sequence[str], fleet_path: str | None, params: Mapping[str, Value]
 ) -> tuple[Checked, dict[str, Files]]:

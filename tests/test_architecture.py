@@ -32,7 +32,7 @@ FLOORS = {
     "fleet": BASE | {"located", "bundle"},
     "bundle": BASE | {"ir", "emit", "fleet"},
     "pipeline": BASE | {"located", "syntax", "ir", "check", "emit", "fleet", "bundle"},
-    "cli": BASE | {"pipeline", "bundle"},
+    "cli": BASE | {"pipeline", "bundle", "check"},
     "__main__": {"cli"},
     "__init__": set(),
     "runtime": set(),

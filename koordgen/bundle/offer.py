@@ -37,7 +37,9 @@ def _port(module: Module, port: Port, target: Target) -> Iterator[Diagnostic]:
         yield Diagnostic("B003", "error", message, port.span)
     elif name in other:
         right = "an actuator" if port.direction == "sensor" else "a sensor"
-        yield Diagnostic("B002", "error", f"{name} is {right} on target {target.name}, not a {port.direction}", port.span)
+        yield Diagnostic(
+            "B002", "error", f"{name} is {right} on target {target.name}, not a {port.direction}", port.span
+        )
     else:
         offered = ", ".join(sorted(n for n in same if n.startswith(f"{module.name}."))) or "none"
         message = f"target {target.name} offers no {port.direction} {name}"

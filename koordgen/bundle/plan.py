@@ -5,16 +5,18 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from koordgen import __version__
 from koordgen.bundle.manifest import Target
 from koordgen.bundle.write import SUMS, sums
 from koordgen.emit.program import interface_hash, program_hash, program_text
 from koordgen.emit.render import render
-from koordgen.fleet import Fleet, Robot
 from koordgen.ir.decl import Program
 from koordgen.node import Node
+
+if TYPE_CHECKING:  # reading YAML costs too much for builds that have no fleet
+    from koordgen.fleet import Fleet, Robot
 
 Files = dict[str, bytes]
 
@@ -86,7 +88,7 @@ def _harness(these: Ingredients, target: Target, agents: dict[str, Files]) -> Fi
         **these.common,
         **these.target_files[target.name],
         "__main__.py": render("main_harness.py", module=module, name=name).encode(),
-        "requirements.txt": _requirements(target),
+        "requirements.txt": _requirements(target, *(t for t in these.targets if t.kind == "agent")),
         "README.md": render(
             "README_harness.md", app=program.name, source=program.path, target=target.name, summary=target.summary,
             version=__version__, robots=robots,
@@ -103,8 +105,9 @@ def _finished(files: Files) -> Files:
     return {**files, SUMS: sums(files)}
 
 
-def _requirements(target: Target) -> bytes:
-    return "".join(f"{line}\n" for line in target.requirements).encode()
+def _requirements(*targets: Target) -> bytes:
+    lines = dict.fromkeys(line for target in targets for line in target.requirements)
+    return "".join(f"{line}\n" for line in lines).encode()
 
 
 def _json(value: Any) -> bytes:
@@ -170,9 +173,7 @@ def read_ingredients(
     common = {"koordgen/__init__.py": (package / "__init__.py").read_bytes()}
     common.update(_folder(package / "runtime", "koordgen/runtime"))
     common["targets/__init__.py"] = (targets[0].folder.parent / "__init__.py").read_bytes()
-    return Ingredients(
-        program, source, targets, fleet, common, {t.name: _target_files(t) for t in targets}
-    )
+    return Ingredients(program, source, targets, fleet, common, {t.name: _target_files(t) for t in targets})
 
 
 def _target_files(target: Target) -> Files:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import tempfile
 from collections.abc import Iterator, Mapping
 from hashlib import sha256
 from pathlib import Path
@@ -34,13 +33,17 @@ def sums(files: Mapping[str, bytes]) -> bytes:
 
 
 def write(bundles: Mapping[str, Mapping[str, bytes]], folder: Path) -> None:
-    """Write each bundle (name -> relative path -> bytes) as `folder/<name>/`, all or none.
-    Raises Foreign before anything was written, CannotWrite when the disk refuses."""
-    for name in bundles:
-        _must_be_ours(folder / name)
+    """Write each bundle (name -> relative path -> bytes) as `folder/<name>/`, all or none; one that stands there
+    already, byte for byte, is left as it is. Raises Foreign before anything was written, CannotWrite when the disk
+    refuses."""
+    standing = {name: _must_be_ours(folder / name) for name in bundles}
+    bundles = {name: files for name, files in bundles.items() if files[SUMS] != standing[name]}
+    if not bundles:
+        return
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        staging = Path(tempfile.mkdtemp(prefix=".building-", dir=folder))
+        staging = folder / f".building-{os.getpid()}"  # not tempfile: it would cost as much as all our own imports
+        staging.mkdir()
     except OSError as error:
         raise _refused(folder, error) from None
     try:
@@ -91,14 +94,16 @@ def _swap(staging: Path, folder: Path, names: list[str]) -> None:
         raise
 
 
-def _must_be_ours(folder: Path) -> None:
+def _must_be_ours(folder: Path) -> bytes | None:
+    """The SHA256SUMS of a whole, unchanged bundle of ours; None when there is none or a file of it is missing.
+    Raises Foreign."""
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         raise Foreign(f"{folder}: in the way, and not written by koordgen", "move it away, or choose another -o")
     if not folder.is_dir():
-        return
+        return None
     found = dict(_files(folder))
     if not found:
-        return
+        return None
     known = _known(folder)
     strange = sorted(p for p in found if p != SUMS and p not in known)
     changed = sorted(p for p in known if p in found and sha256(found[p].read_bytes()).hexdigest() != known[p])
@@ -109,6 +114,7 @@ def _must_be_ours(folder: Path) -> None:
                 f"{folder / paths[0]}{more}: {what}, and building would replace {folder}",
                 "move what you need out of that folder and delete it, or choose another with -o",
             )
+    return (folder / SUMS).read_bytes() if set(found) == {*known, SUMS} else None
 
 
 def _files(folder: Path) -> Iterator[tuple[str, Path]]:

@@ -55,9 +55,7 @@ def _port(name: str, type_: Scalar) -> e.Expr:
     return e.PortRead("Motion", name, type_, AT)
 
 
-def expressions(
-    type_: Scalar, depth: int = 3, temps: tuple[tuple[str, Scalar], ...] = ()
-) -> st.SearchStrategy[e.Expr]:
+def expressions(type_: Scalar, depth: int = 3, temps: tuple[tuple[str, Scalar], ...] = ()) -> st.SearchStrategy[e.Expr]:
     """Expressions of a type, at most so deep."""
     leaves = _leaves(type_, temps)
     if depth == 0:
@@ -67,7 +65,9 @@ def expressions(
         return st.deferred(lambda: expressions(of, depth - 1, temps))
 
     def binary(ops: list[str], left: Scalar, right: Scalar) -> st.SearchStrategy[e.Expr]:
-        return st.builds(lambda o, a, b: e.Binary(o, a, b, False, type_, AT), st.sampled_from(ops), sub(left), sub(right))
+        return st.builds(
+            lambda o, a, b: e.Binary(o, a, b, False, type_, AT), st.sampled_from(ops), sub(left), sub(right)
+        )
 
     def call(name: str, *args: Scalar) -> st.SearchStrategy[e.Expr]:
         return st.tuples(*(sub(a) for a in args)).map(lambda given: e.Builtin(name, given, type_, AT))
@@ -90,7 +90,9 @@ def expressions(
         case "bool":
             found += [sub(BOOL).map(lambda a: e.Unary("not", a, BOOL, AT))]
             found += [
-                st.builds(lambda o, a, b: e.Logic(o, a, b, BOOL, AT), st.sampled_from(["and", "or"]), sub(BOOL), sub(BOOL))
+                st.builds(
+                    lambda o, a, b: e.Logic(o, a, b, BOOL, AT), st.sampled_from(["and", "or"]), sub(BOOL), sub(BOOL)
+                )
             ]
             for of, ops in ((INT, "== != < <= > >="), (FLOAT, "== != < <= > >="), (POINT, "== !="), (BOOL, "== !=")):
                 found += [

@@ -94,3 +94,19 @@ def test_a_failed_rename_undoes_those_before(tmp_path: Path, monkeypatch: pytest
     assert (tmp_path / "alice/a").read_text() == "1"
     assert (tmp_path / "bert/a").read_text() == "1"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["alice", "bert"]
+
+
+def test_an_unchanged_bundle_is_left_as_it_stands(tmp_path: Path) -> None:
+    write({"alice": bundle(a="1"), "bert": bundle(a="1")}, tmp_path)
+    before = {name: (tmp_path / name).stat().st_ino for name in ("alice", "bert")}
+    write({"alice": bundle(a="1"), "bert": bundle(a="2")}, tmp_path)
+    after = {name: (tmp_path / name).stat().st_ino for name in ("alice", "bert")}
+    assert before["alice"] == after["alice"]
+    assert before["bert"] != after["bert"]
+
+
+def test_a_bundle_that_lost_a_file_is_made_whole(tmp_path: Path) -> None:
+    write({"alice": bundle(a="1", b="2")}, tmp_path)
+    (tmp_path / "alice/b").unlink()
+    write({"alice": bundle(a="1", b="2")}, tmp_path)
+    assert (tmp_path / "alice/b").read_text() == "2"
