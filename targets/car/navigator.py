@@ -14,6 +14,9 @@ from targets.car.tracker import Tracker
 STANDING = 0.05  # m/s or slower is standing
 FENCE_MARGIN = 0.05  # metres kept from the geofence, for tracking errors
 MOVED, MOVED_SHARE = 0.02, 0.05  # a target that moved by these metres and this share of its distance needs a new path
+# A manoeuvre that has begun is ended, if its goal is off by no more than this share of the distance: planned anew each
+# time the target moves, its changes of gear would recede for ever.
+COMMIT = 0.4
 ARC_REACH = 0.5  # metres: a target so near is first tried by a single arc
 STANDING_BY, FOLLOWING = 0.4, 1.5  # radii: as close as an arc has to come, from a stand and on the last stretch
 LOOKAHEAD = 0.4  # metres at which a moving target is steered for: pure pursuit of a nearer point sways
@@ -75,6 +78,7 @@ class Navigator:
         self._tracker = Tracker(limits, mpc)
         self._target: tuple[float, float] | None = None
         self._planned_for: tuple[float, float] | None = None
+        self._considered: tuple[float, float] | None = None  # for this one, that path was found good enough
         self._failed_for: tuple[float, float] | None = None
         self._arrival: float | None = None  # heading at the end of the present path
         self._retry_at = 0.0
@@ -182,8 +186,7 @@ class Navigator:
         if target is None:
             return False
         driving = not self._tracker.done and self._tracker.error <= OFF_PATH
-        # A change of gear, once near, is made: planned anew each time the target moves, it would recede for ever.
-        if driving and (self._tracker.turning_back or _same(self._planned_for, target, MOVED + MOVED_SHARE * away)):
+        if driving and _same(self._considered, target, MOVED + MOVED_SHARE * away):
             return True
         if _same(self._failed_for, target, MOVED) and now < self._retry_at:
             return False
@@ -204,7 +207,11 @@ class Navigator:
             self.progress = f"standing: no path inside the geofence leads to ({target[0]:.2f}, {target[1]:.2f})"
             self._failed_for, self._retry_at, self._arrival = target, now + RETRY, None
             return False
-        self._planned_for, self._failed_for = target, None
+        self._considered, self._failed_for = target, None
+        gears = [segment.direction for segment in path]
+        if driving and gears != [gear] and _same(self._planned_for, target, max(LEAVE * radius, COMMIT * away)):
+            return True
+        self._planned_for = target
         self._arrival = path[-1].poses[-1].yaw
         self._tracker.take(path)
         return True

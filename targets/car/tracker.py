@@ -19,7 +19,6 @@ BRAKING = 0.6  # ... and for braking: the rest is for errors
 APPROACH = 3.0  # 1/s: speed over distance in the last centimetres to a stop, or a lagging drive overshoots
 NEAR = 0.02  # metres before its end at which a segment counts as driven, when the car is
 SLOW = 0.05  # m/s or slower
-TURN_BACK = 0.10  # metres before a change of gear from which on it is certain
 LOOK_BACK, LOOK_AHEAD = 0.2, 0.6  # metres around the last place in which the present one is looked for
 
 
@@ -134,11 +133,6 @@ class Tracker:
     def last_stretch(self) -> bool:
         """Whether the segment that ends the path is being driven."""
         return len(self._tracks) == 1 and not self.done
-
-    @property
-    def turning_back(self) -> bool:
-        """Whether the car is about to stand and change gear."""
-        return len(self._tracks) > 1 and self._tracks[0].length - self._tracks[0].station < TURN_BACK
 
     @property
     def error(self) -> float:

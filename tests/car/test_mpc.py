@@ -121,6 +121,7 @@ def test_speed_falls_for_curves_and_to_zero_at_the_end() -> None:
 
     assert allowed(0.5) > 2.0
     assert allowed(5.0) == pytest.approx(math.sqrt(0.6 * 1.5), rel=0.01)
+    assert allowed(9.0) < 1.4, "it could not stop with what braking is planned for"
     assert allowed(9.95) < 0.35
     assert allowed(10.0) == 0.0
 

@@ -10,7 +10,7 @@ from itertools import pairwise
 import pytest
 
 from targets.car.bicycle import turning_radius
-from targets.car.planner import SPACING, Area, Planner, Segment
+from targets.car.planner import SPACING, Area, Planner, Segment, _segments
 from targets.car.settings import CarSettings
 
 RADIUS = CarSettings().planned_radius
@@ -69,6 +69,32 @@ def test_a_straight_way_is_driven_straight(planner: Planner) -> None:
     (part,) = planner.plan((0, 0, 0.3), (3 * math.cos(0.3), 3 * math.sin(0.3)))
     assert part.length == pytest.approx(3.0, abs=1e-3)
     assert max(abs(p.curvature) for p in part.poses) < 1e-3
+
+
+def test_a_goal_ahead_takes_one_turn_and_a_straight_line(planner: Planner) -> None:
+    for x, y in ((3.0, 1.0), (2.0, -2.0), (4.0, 0.3)):
+        (part,) = planner.plan((0, 0, 0), (x, y))
+        # The tangent from the goal to the turning circle, and the arc up to where it touches.
+        away = math.hypot(x, abs(y) - RADIUS)
+        straight = math.sqrt(away**2 - RADIUS**2)
+        arc = RADIUS * (math.atan2(x, RADIUS - abs(y)) - math.acos(RADIUS / away))
+        assert part.length == pytest.approx(straight + arc, abs=2e-3)
+
+
+def test_a_gear_change_beside_a_sample_leaves_no_sliver() -> None:
+    for beside in (0.0, 1e-9, 1e-6, 1e-4, 0.0499999, 0.049):
+        step = 0.05
+        cusp = 0.3 + beside
+        way = [i * step for i in range(13)]
+        points = [(s if s <= cusp else 2 * cusp - s, 0.0, 0.0) for s in way]
+        forward = [max(0.0, min(step, cusp - s)) if s < cusp else 0.0 for s in way[:-1]]
+        forward = [step if f > 0.9999999 * step else f for f in forward]
+        there, back = _segments(points, forward, step)
+        assert there.direction == 1 and back.direction == -1
+        assert there.length == pytest.approx(cusp, abs=2e-3)
+        assert there.length + back.length == pytest.approx(0.6, abs=4e-3)
+        for part in (there, back):
+            assert all(math.dist((a.x, a.y), (b.x, b.y)) > 5e-4 for a, b in pairwise(part.poses))
 
 
 def test_beside_the_car_takes_a_manoeuvre_with_both_gears(planner: Planner) -> None:

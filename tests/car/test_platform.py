@@ -179,6 +179,23 @@ def test_while_a_target_moves_steadily_the_car_stays_close_behind(step: float, g
     assert max(gaps) < gap
 
 
+@pytest.mark.parametrize(
+    ("x", "y", "dx", "dy"),
+    [(0.18, -0.67, -0.0082, 0.0008), (-0.36, -0.5, 0.0068, -0.0021), (-0.36, 0.69, 0.018, -0.005)],
+)
+def test_a_target_that_drifts_by_beside_is_not_chased_by_endless_changes_of_gear(
+    x: float, y: float, dx: float, dy: float
+) -> None:
+    world = World().begin()
+    nearest = math.inf
+    for _ in range(120):
+        x, y = x + dx, y + dy
+        world.go(x, y)
+        world.run(0.1)
+        nearest = min(nearest, world.distance(x, y))
+    assert nearest < 0.15
+
+
 def test_noise_does_not_wake_a_car_that_has_arrived_but_a_move_does() -> None:
     world = World().begin()
     world.go(1.0, 0.0)
@@ -233,6 +250,48 @@ def test_a_stale_position_brakes_it_and_it_goes_on_afterwards() -> None:
     world.station = station
     world.run(8.0)
     assert world.value("reached") is True
+
+
+def test_a_car_that_stands_at_its_target_without_a_fresh_position_has_not_reached_it() -> None:
+    world = World().begin()
+    world.go(1.0, 0.0)
+    world.run(4.0)
+    assert world.value("reached") is True
+    world.station = None
+    world.run(0.5)
+    assert world.value("reached") is False
+
+
+def test_a_device_that_takes_few_bytes_at_a_time_gets_whole_frames() -> None:
+    world = World().begin()
+    got: list[vesc.Message] = []
+    decoder = vesc.Decoder()
+
+    def few(data: bytes) -> int:
+        got.extend(decoder.feed(data[:11]))
+        return len(data[:11])
+
+    world.wire.write = few  # type: ignore[method-assign]
+    world.go(3.0, 0.0)
+    for k in range(20):
+        world.car.poll(world.now + k * 0.05)
+    assert len(got) > 15 and decoder.dropped == 0
+
+
+def test_a_device_that_takes_nothing_is_unready() -> None:
+    world = World().begin()
+    world.wire.write = lambda data: 0  # type: ignore[method-assign]
+    with pytest.raises(Unready, match="takes no commands"):
+        for k in range(30):
+            world.car.poll(world.now + k * 0.05)
+
+
+def test_it_stops_short_of_no_target_by_much_whatever_its_lag() -> None:
+    for lag, error in ((0.05, 0.03), (0.1, 0.03), (0.15, 0.03)):
+        world = World(TestBody(lag=lag), noise=0.0).begin()
+        world.go(2.5, 0.0)
+        world.run(6.0)
+        assert world.distance(2.5, 0.0) < error, lag
 
 
 def test_a_fault_of_the_motor_controller_brakes_it_and_is_told() -> None:
