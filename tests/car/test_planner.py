@@ -79,6 +79,7 @@ def test_a_goal_ahead_takes_one_turn_and_a_straight_line(planner: Planner) -> No
         straight = math.sqrt(away**2 - RADIUS**2)
         arc = RADIUS * (math.atan2(x, RADIUS - abs(y)) - math.acos(RADIUS / away))
         assert part.length == pytest.approx(straight + arc, abs=2e-3)
+        assert all(abs(p.curvature) < 1e-3 for p in part.poses[-10:])
 
 
 def test_a_gear_change_beside_a_sample_leaves_no_sliver() -> None:
