@@ -128,9 +128,13 @@ def _mark_times(axes: Any, found: Tracks) -> None:
     for t, text, colour in marks:
         if low <= t <= high:
             axes.axvline(t, color=colour, linewidth=1.0, linestyle=(0, (3, 3)), zorder=1)
-            side = "right" if t > low + 0.8 * (high - low) else "left" if t < low + 0.2 * (high - low) else "center"
-            where, line = (1.01, "bottom") if colour == GREY else (0.98, "top")
-            axes.text(t, where, text, color=colour, fontsize=9, ha=side, va=line, transform=axes.get_xaxis_transform())
+            right, left = t > low + 0.8 * (high - low), colour == RED or t < low + 0.2 * (high - low)
+            side = "right" if right else "left" if left else "center"
+            where, line, aside = (1.01, "bottom", 0) if colour == GREY else (0.98, "top", -4 if right else 4)
+            axes.annotate(
+                text, (t, where), xycoords=axes.get_xaxis_transform(), xytext=(aside, 0), textcoords="offset points",
+                color=colour, fontsize=9, ha=side, va=line,
+            )  # fmt: skip
 
 
 def _name_ends(axes: Any, found: Tracks, ends: list[tuple[float, int]], last: float) -> None:

@@ -167,7 +167,9 @@ def _verdict(outcome: Outcome, violations: list[Violation]) -> tuple[Verdict, st
 
 def told(violation: Violation) -> str:
     """A violation in one sentence."""
-    return f"at {violation.t:.2f} s {' and '.join(violation.robots)}: {violation.what}, {violation.detail}"
+    who = " and ".join(violation.robots)
+    verb = " " if violation.what in ("ended", "unrest") else f": {violation.what}, "
+    return f"at {violation.t:.2f} s {who}{verb}{violation.detail}"
 
 
 def write(summary: Summary, folder: Path) -> None:

@@ -147,10 +147,11 @@ class Agent:
             return "ended by itself before round 1"
         if status == 0 or (self.told and (status in GOOD_ENDS or self.phase.phase == "launched")):
             return None
-        how = f"ended with status {status}" if status >= 0 else f"was killed by {signal.Signals(-status).name}"
+        if status < 0:
+            return f"was killed by {signal.Signals(-status).name}"
         own = self.resting.detail if self.resting else self.last_error
         why = own.strip().splitlines()[-1:] or self.last_lines(1) or ["it said nothing"]
-        return f"{how}: {why[0]}"
+        return f"ended with status {status}: {why[0]}"
 
     def waiting_for(self) -> str:
         """Where it stands, in words."""

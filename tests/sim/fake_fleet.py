@@ -46,6 +46,8 @@ for round_ in range(1, 10_000):
     if how == "dying" and round_ == 5:
         print("Traceback\\nValueError: <b>ouch</b>", file=sys.stderr)
         sys.exit(70)
+    if how == "shot" and round_ == 5:
+        os.kill(os.getpid(), signal.SIGKILL)
     if how == "stopping" and round_ == 5:
         phase("resting", "all robots have stopped")
         sys.exit(0)
@@ -53,11 +55,13 @@ for round_ in range(1, 10_000):
 '''
 
 
-class Idle:
-    """A device that never commands its body; it tells the agent what to play."""
+class Telling:
+    """A device that never commands its body. It passes the robot's settings on as overrides, as a real device passes
+    its port: they tell the agent what to play."""
 
     def __init__(self, body: Any, context: DeviceContext) -> None:
-        self.overrides: Mapping[str, Any] = {}
+        self.context = context
+        self.overrides: Mapping[str, Any] = dict(context.settings)
 
     def step(self, now: float) -> None: ...
 
@@ -65,7 +69,7 @@ class Idle:
 
 
 def bundle(root: Path, how: list[str], starts: list[list[float]] | None = None, **settings: Any) -> Path:
-    """Write a sim bundle whose robots play `how`: good, dying, faulty, stopping, stubborn, unborn, waiting."""
+    """Write a sim bundle whose robots play `how`: good, dying, faulty, shot, stopping, stubborn, unborn, waiting."""
     places = starts or [[2.0 * pid, 0.0, 0.0] for pid in range(len(how))]
     for pid in range(len(how)):
         agent = root / "agents" / f"r{pid}"
@@ -87,13 +91,6 @@ def bundle(root: Path, how: list[str], starts: list[list[float]] | None = None, 
     }  # fmt: skip
     (root / "scenario.json").write_text(json.dumps(scenario))
     return root
-
-
-class Telling(Idle):
-    """Idle, and passes the robot's settings on as overrides, as a real device passes its port."""
-
-    def __init__(self, body: Any, context: DeviceContext) -> None:
-        self.overrides = dict(context.settings)
 
 
 def enlist() -> None:

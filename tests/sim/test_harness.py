@@ -15,8 +15,10 @@ from typing import Any
 import pytest
 
 from targets.sim import folder, harness, run, trace
+from targets.sim.scenario import load
+from targets.sim.stage import Stage
 from targets.sim.trace import Phase, Pose, Record, Round, Violation, read
-from tests.sim.fake_fleet import bundle, enlist
+from tests.sim.fake_fleet import Telling, bundle, enlist
 
 REPOSITORY = Path(__file__).parents[2]
 
@@ -279,7 +281,21 @@ def test_a_full_disk_ends_the_run_with_one_message(
     assert no_process_left(root)
 
 
-def test_a_violation_is_in_the_trace(tmp_path: Path) -> None:
-    root, out = bundle(tmp_path / "sim", ["good", "dying"]), tmp_path / "out"
-    sim(root, out)
-    assert [r.what for r in records(out) if isinstance(r, Violation)] == ["ended"]
+def test_an_agent_that_is_shot_is_in_the_trace(tmp_path: Path) -> None:
+    root, out = bundle(tmp_path / "sim", ["good", "shot"]), tmp_path / "out"
+    assert sim(root, out) == 3
+    (found,) = [record for record in records(out) if isinstance(record, Violation)]
+    assert (found.what, found.robots, found.detail) == ("ended", ("r1",), "was killed by SIGKILL")
+
+
+def test_devices_get_seeds_of_their_own_that_repeat(tmp_path: Path) -> None:
+    scenario = load(bundle(tmp_path / "sim", ["good", "good"]))
+
+    def seeds(seed: int) -> list[int]:
+        stage = Stage(scenario, seed, bytes(32))
+        found = [actor.device.context.seed for actor in stage.actors if isinstance(actor.device, Telling)]
+        stage.close()
+        return found
+
+    assert seeds(1) == seeds(1) != seeds(2)
+    assert len(set(seeds(1))) == 2
