@@ -96,7 +96,9 @@ def main() -> int:
     print(f"ratio build / imports  {found['build']:.2f}   (wanted: at most 1.5)")
     base = statistics.median(times["check"])
     for lines, taken in growth.items():
-        print(f"check {lines:6} lines: {taken * 1e3:8.1f} ms, {(taken - base) / lines * 1e6:6.1f} us a line over start-up")
+        print(
+            f"check {lines:6} lines: {taken * 1e3:8.1f} ms, {(taken - base) / lines * 1e6:6.1f} us a line over start-up"
+        )
     if arguments.json:
         figures = {"median_seconds": {n: statistics.median(v) for n, v in times.items()}, "ratios": found,
                    "check_seconds_by_lines": growth}  # fmt: skip

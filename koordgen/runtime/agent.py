@@ -11,13 +11,10 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import FrameType
-from typing import Any
-
-import msgspec
 
 from koordgen.runtime.clock import SystemClock
 from koordgen.runtime.layout import Layout, TooLarge
@@ -30,7 +27,7 @@ from koordgen.runtime.settings import BadSettings, Settings, load
 from koordgen.runtime.trace import Trace
 from koordgen.runtime.transport import CannotOpen, UdpTransport
 
-__all__ = ["Agent", "main", "parameters"]
+__all__ = ["Agent", "main"]
 
 INTERRUPTED = 130
 LONGEST_WAIT = 0.1  # seconds: how soon a signal is seen
@@ -46,12 +43,11 @@ def main(program: Program, platform_type: PlatformType, root: Path, argv: Sequen
     platform: Platform | None = None
     try:
         settings, key = _settings(root, arguments.settings, arguments.pid)
-        params = parameters(program, settings.params)
         Layout(program.shared, len(settings.peers))
         platform = platform_type(settings, key)
         if arguments.check:
             return _check(program, settings, platform)
-        return _run(program, settings, key, params, platform, quiet=arguments.quiet)
+        return _run(program, settings, key, platform, quiet=arguments.quiet)
     except (BadSettings, BadKey, TooLarge) as error:
         return _fail(str(error), "", WRONG_PROGRAM)
     except CannotOpen as error:
@@ -65,24 +61,6 @@ def main(program: Program, platform_type: PlatformType, root: Path, argv: Sequen
     finally:
         if platform is not None:
             platform.close()
-
-
-def parameters(program: Program, given: Mapping[str, Any]) -> dict[str, Any]:
-    """The program's params: as given (from JSON), otherwise their defaults. Raises BadSettings."""
-    known = {p.name: p for p in program.params}
-    for name in given:
-        if name not in known:
-            raise BadSettings(f"params: {program.name} has no param {name}; it has {', '.join(known) or 'none'}")
-    values: dict[str, Any] = {}
-    for name, param in known.items():
-        if name not in given:
-            values[name] = param.initial({})
-            continue
-        try:
-            values[name] = msgspec.convert(given[name], param.type)
-        except msgspec.ValidationError as error:
-            raise BadSettings(f"params: {name}: {error}") from None
-    return values
 
 
 def _arguments(program: Program, argv: Sequence[str]) -> argparse.Namespace | int:
@@ -135,7 +113,6 @@ def _run(
     program: Program,
     settings: Settings,
     key: bytes | None,
-    params: dict[str, Any],
     platform: Platform,
     quiet: bool,
 ) -> int:
@@ -150,7 +127,7 @@ def _run(
         trace = _open_trace(settings.trace)
         opened.callback(trace.close)
         agent = Agent(
-            program, settings, key, params, platform, clock, transport, trace, emit, os.urandom(8), limit=interrupting
+            program, settings, key, platform, clock, transport, trace, emit, os.urandom(8), limit=interrupting
         )
         signals = opened.enter_context(_Signals())
         seen = 0

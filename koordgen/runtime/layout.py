@@ -44,9 +44,9 @@ class Layout:
                 f"for {room}"
             )
 
-    def initial(self, params: Mapping[str, Any]) -> dict[str, Any]:
+    def initial(self) -> dict[str, Any]:
         """The shared variables before any `init`; an allread variable as the tuple of its slots."""
-        values = {v.name: v.initial(params) for v in self._shared}
+        values = {v.name: v.initial() for v in self._shared}
         return {
             name: (value,) * self.n_sys if slots else value
             for (name, value), slots in zip(values.items(), self.is_slots, strict=True)

@@ -7,9 +7,8 @@ a clock of its own.
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from typing import Any
 
 from koordgen.runtime.body import Body
 from koordgen.runtime.clock import Clock, FleetClock
@@ -43,7 +42,6 @@ class Agent:
         program: Program,
         settings: Settings,
         key: bytes | None,
-        params: Mapping[str, Any],
         platform: Platform,
         clock: Clock,
         transport: Transport,
@@ -54,7 +52,6 @@ class Agent:
         limit: Limit = unlimited,
     ) -> None:
         self._settings = settings
-        self._params = params
         self._platform = platform
         self._clock = clock
         self._transport = transport
@@ -67,7 +64,7 @@ class Agent:
         self._link = Link(program, settings, key, transport, clock, self._fleet_clock, boot, self._report)
         self._joining = Joining(self._link, self._layout, self._names)
         self._body = Body(program, platform, settings.geofence, lambda text: self._log("warning", text))
-        self._runner = Runner(program, params, settings.pid, len(self._names), clock, limit)
+        self._runner = Runner(program, settings.pid, len(self._names), clock, limit)
         self._guard = Guard(settings.safety, settings.geofence)
         self._verdict = Verdict("go")
         self._rounds: Rounds | None = None
@@ -185,7 +182,7 @@ class Agent:
         self._body.hold("joining", True, now)
         sensed = self._platform.sense(now)
         self._body.begin(sensed)
-        shared = self._layout.initial(self._params)
+        shared = self._layout.initial()
         frame = self._runner.frame(shared, self._body.sensors(sensed), self._body.actuators)
         done = self._runner.init(frame)
         if isinstance(done, Fault):
@@ -200,7 +197,7 @@ class Agent:
         mission = self._joining.mission
         if mission is None or self.phase != "joining":
             return
-        memory = Memory(self._layout, self._params, self._settings.pid, mission.inits)
+        memory = Memory(self._layout, self._settings.pid, mission.inits)
         self._fleet_clock.lock()
         self._rounds = Rounds(
             self._runner,

@@ -91,7 +91,7 @@ class _Statement:
 class Memory:
     """One robot's replica. `inits` are the round-0 closings of all robots, already read once by the same layout."""
 
-    def __init__(self, layout: Layout, params: Mapping[str, Any], pid: int, inits: Sequence[Closing]) -> None:
+    def __init__(self, layout: Layout, pid: int, inits: Sequence[Closing]) -> None:
         self._layout = layout
         self._pid = pid
         n = layout.n_sys
@@ -99,7 +99,7 @@ class Memory:
         self._statements = {p: _Statement([0] * n) for p in range(n) if p != pid}
         self._settled = 0
         self.applied = 0  # `shared` is S_{applied + 1}
-        self.shared: Mapping[str, Any] = layout.initial(params)
+        self.shared: Mapping[str, Any] = layout.initial()
         self.stopped: dict[int, int] = {}  # pid -> the round it stopped in
         self._apply([_Entry(c, layout.read(c) or ()) for c in sorted(inits, key=lambda c: c.author)], 0)
 

@@ -24,7 +24,6 @@ class Frame:
 
     pid: int
     n_sys: int
-    params: Mapping[str, Any]
     locals: Mapping[str, Any]
     shared: Mapping[str, Any]
     sensors: Mapping[str, Any]
@@ -108,13 +107,12 @@ class Cell(Generic[T]):
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """A param, local or shared variable: `type` is what msgspec decodes it as, `initial` computes its first value
-    from the params (a param's own default ignores them)."""
+    """A local or shared variable: `type` is what msgspec decodes it as, `initial` makes its first value."""
 
     name: str
-    kind: Literal["param", "local", "allread", "allwrite"]
+    kind: Literal["local", "allread", "allwrite"]
     type: Any
-    initial: Callable[[Mapping[str, Any]], Any]
+    initial: Callable[[], Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +143,6 @@ class Program:
     source: str
     program_hash: str
     interface_hash: str
-    params: tuple[Variable, ...]
     locals: tuple[Variable, ...]
     shared: tuple[Variable, ...]
     ports: tuple[Port, ...]
@@ -159,18 +156,19 @@ class Program:
 
 def choose(program: Program, frame: Frame) -> Event | Fault | None:
     """The first event in text order whose guard holds, or None. A guard that raises is a Fault."""
+    state = program.begin(frame)  # one for all: a guard writes nothing
     for event in program.events:
         try:
-            if event.guard(program.begin(frame)):
+            if event.guard(state):
                 return event
         except Exception as error:
             return _fault(program, error)
     return None
 
 
-def run(program: Program, effect: Callable[[Any], None], frame: Frame) -> Effects | Fault:
-    """Run one effect on a State of its own. Whatever it raises, and any value that must not leave the robot,
-    discards it whole."""
+def run(program: Program, effect: Callable[[Any], None], frame: Frame, line: int = 0) -> Effects | Fault:
+    """Run one effect, which stands on a Koord line, on a State of its own. Whatever it raises, and any value that must
+    not leave the robot, discards it whole."""
     state = program.begin(frame)
     stopped = False
     try:
@@ -182,7 +180,7 @@ def run(program: Program, effect: Callable[[Any], None], frame: Frame) -> Effect
     effects = program.end(state, stopped)
     for name, value in (*effects.shared.items(), *effects.actuators.items()):
         if not transmissible(value):
-            return Fault(program.source, 0, f"{name} would become {value!r}, which no robot may use")
+            return Fault(program.source, line, f"{name} would become {value!r}, which no robot may use")
     return effects
 
 

@@ -63,19 +63,16 @@ class Outcome:
 class Runner:
     """One program on one robot. `locals` change only when an event counts."""
 
-    def __init__(
-        self, program: Program, params: Mapping[str, Any], pid: int, n_sys: int, clock: Clock, limit: Limit
-    ) -> None:
+    def __init__(self, program: Program, pid: int, n_sys: int, clock: Clock, limit: Limit) -> None:
         self.program = program
-        self.params = params
-        self.locals: Mapping[str, Any] = {v.name: v.initial(params) for v in program.locals}
+        self.locals: Mapping[str, Any] = {v.name: v.initial() for v in program.locals}
         self._pid = pid
         self._n_sys = n_sys
         self._clock = clock
         self._limit = limit
 
     def frame(self, shared: Mapping[str, Any], sensors: Mapping[str, Any], actuators: Mapping[str, Any]) -> Frame:
-        return Frame(self._pid, self._n_sys, self.params, self.locals, shared, sensors, actuators)
+        return Frame(self._pid, self._n_sys, self.locals, shared, sensors, actuators)
 
     def init(self, frame: Frame) -> Effects | Fault:
         """Run the program's `init`; without one nothing is written."""
@@ -102,7 +99,7 @@ class Runner:
                 if isinstance(chosen, Fault):
                     return Outcome(fault=chosen)
                 event = chosen
-                done = run(self.program, event.effect, frame)
+                done = run(self.program, event.effect, frame, event.line)
         except Overrun:
             done = Fault(self.program.source, event.line if event else 0, LATE)
         name = event.name if event else None

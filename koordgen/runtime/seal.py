@@ -27,7 +27,10 @@ def load_key(path: Path) -> bytes:
         mode = path.stat().st_mode
         key = path.read_bytes()
     except OSError as error:
-        raise BadKey(f"{path}: {error.strerror or error}; make one with `koordgen key new {path}`") from None
+        raise BadKey(
+            f"{path}: {error.strerror or error}; copy the fleet's key there "
+            "(one for all its robots; `koordgen key new FILE` makes it)"
+        ) from None
     if mode & (stat.S_IRWXG | stat.S_IRWXO):
         raise BadKey(f"{path}: others may read it; run `chmod 600 {path}`")
     if len(key) != KEY_SIZE:

@@ -61,7 +61,6 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     application_id: int = 0  # tells apart fleets that share a network
     key_file: str | None = None  # 32 bytes, mode 0600; relative to the settings file
     insecure: bool = False  # run without a key, with a warning
-    params: dict[str, Any] = {}
     safety: Safety = Safety()
     body: dict[str, Any] = {}
     trace: str | None = None  # JSON lines, one a round

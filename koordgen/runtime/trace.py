@@ -36,7 +36,6 @@ class Record:
 Observe = Callable[[Record], None]
 
 
-
 class Trace:
     """Writes to `file`, each round at once; without a file it does nothing. `warn` is told when tracing ends early."""
 

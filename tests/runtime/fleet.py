@@ -158,7 +158,6 @@ class Fleet:
             program,
             settings(pid, self.n, self.delta, safety=self.safety, **changes),
             key,
-            {"gain": 0.5},
             body,
             self._clocks[pid],
             self.network.transport(pid),

@@ -12,7 +12,6 @@ class State:
     def __init__(self, frame: Frame) -> None:
         self.pid = frame.pid
         self.n_sys = frame.n_sys
-        self.gain = frame.params["gain"]
         self.position: Point = frame.sensors["Motion.position"]
         self.reached: bool = frame.sensors["Motion.reached"]
         self.target: Cell[Point] = Cell(frame.actuators["Motion.target"])
@@ -53,11 +52,10 @@ PROGRAM = Program(
     source="lineform.koord",
     program_hash="00112233445566aa",
     interface_hash="aabbccddeeff0011",
-    params=(Variable("gain", "param", float, lambda params: 0.5),),
-    locals=(Variable("count", "local", int, lambda params: 0),),
+    locals=(Variable("count", "local", int, lambda: 0),),
     shared=(
-        Variable("x", "allread", Point, lambda params: Point()),
-        Variable("last", "allwrite", int, lambda params: -1),
+        Variable("x", "allread", Point, lambda: Point()),
+        Variable("last", "allwrite", int, lambda: -1),
     ),
     ports=(
         Port("Motion.position", "sensor", Point),

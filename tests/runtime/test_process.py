@@ -154,8 +154,6 @@ def test_a_port_in_use_names_robot_and_address(bundles: list[Path], capsys: pyte
         ({"delta": "fast"}, "Expected `float`, got `str` - at `$.delta`"),
         ({"pid": 3}, "pid 3 is not among the 3 peers"),
         ({"wings": 2}, "unknown field `wings`"),
-        ({"params": {"gain": "much"}}, "params: gain: Expected `float`, got `str`"),
-        ({"params": {"gian": 1.0}}, "lineform has no param gian; it has gain"),
         ({"key_file": None}, "no key_file; a fleet without a key must say so: `insecure: true`"),
         ({"key_file": "other.key"}, "other.key: No such file"),
         ({"peers": [["a", "b"]]}, "Expected `object`, got `array` - at `$.peers[0]`"),

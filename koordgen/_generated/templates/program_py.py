@@ -57,7 +57,7 @@ def root(context, missing=missing):
     yield str((undefined(name='program_hash') if l_0_program_hash is missing else l_0_program_hash))
     yield '",\n    interface_hash="'
     yield str((undefined(name='interface_hash') if l_0_interface_hash is missing else l_0_interface_hash))
-    yield '",\n    params=(),\n    locals=(\n'
+    yield '",\n    locals=(\n'
     for l_1_v in (undefined(name='locals') if l_0_locals is missing else l_0_locals):
         _loop_vars = {}
         pass
@@ -65,7 +65,7 @@ def root(context, missing=missing):
         yield str(environment.getattr(l_1_v, 'name'))
         yield '", "local", '
         yield str(environment.getattr(l_1_v, 'type'))
-        yield ', lambda params: '
+        yield ', lambda: '
         yield str(environment.getattr(l_1_v, 'initial'))
         yield '),  # '
         yield str(environment.getattr(l_1_v, 'mark'))
@@ -81,7 +81,7 @@ def root(context, missing=missing):
         yield str(environment.getattr(l_1_v, 'kind'))
         yield '", '
         yield str(environment.getattr(l_1_v, 'type'))
-        yield ', lambda params: '
+        yield ', lambda: '
         yield str(environment.getattr(l_1_v, 'initial'))
         yield '),  # '
         yield str(environment.getattr(l_1_v, 'mark'))
@@ -118,4 +118,4 @@ def root(context, missing=missing):
     yield '    ),\n    begin=State,\n    end=State.effects,\n    file=__file__,\n    lines=LINES,\n)\n'
 
 blocks = {}
-debug_info = '1=20&5=23&7=25&10=29&11=31&12=37&15=39&16=41&17=47&21=51&25=53&26=55&27=57&28=59&31=61&32=65&36=75&37=79&41=91&42=95&45=103&47=105&48=109'
+debug_info = '1=20&5=23&7=25&10=29&11=31&12=37&15=39&16=41&17=47&21=51&25=53&26=55&27=57&28=59&30=61&31=65&35=75&36=79&40=91&41=95&44=103&46=105&47=109'
