@@ -64,6 +64,7 @@ def _parser(root: Path) -> argparse.ArgumentParser:
     parser.add_argument("--out", type=Path, metavar="DIR", help="what the run leaves, default run-<app>")
     parser.add_argument("--settings", type=Path, metavar="FILE", help="JSON object laid over the scenario's settings")
     parser.add_argument("--check", action="store_true", help="check the bundle and its packages; run nothing")
+    parser.add_argument("--invoked-as", metavar="TEXT", help="the command to name in the report, if not this one")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     return parser
 
@@ -136,7 +137,7 @@ def _report(root: Path, scenario: Scenario, folder: Path, options: argparse.Name
     if options.settings:
         command += ["--settings", str(options.settings)]
     reproduce = {
-        "command": shlex.join([*command, "--out", str(folder)]),
+        "command": options.invoked_as or shlex.join([*command, "--out", str(folder)]),
         "program": f"{scenario.source}, hash {scenario.program_hash}",
         "scenario": f"{FILE}, SHA-256 {hashlib.sha256((root / FILE).read_bytes()).hexdigest()}",
         "settings": ", ".join(f"{key} {value}" for key, value in sorted(scenario.harness.items())),

