@@ -82,7 +82,7 @@ def is_own(index: ir.Expr, c: Context) -> bool:
     if isinstance(index, ir.Pid) or c.flow is None or c.poisoned:
         return True
     value = term(index, c.flow)
-    return value is not None and linear.unsat((*c.flow.facts, linear.negate(linear.equal(value, _PID))))
+    return value is not None and _never(linear.negate(linear.equal(value, _PID)), c)
 
 
 def help_by_negation(c: Context) -> None:
@@ -92,7 +92,7 @@ def help_by_negation(c: Context) -> None:
     opposite = linear.negate(c.guard)
     if linear.unsat((opposite,)):
         return
-    if all(linear.unsat((opposite, *site.facts, site.bad)) for site in c.sites):
+    if all(linear.unsat((*linear.relevant((opposite, *site.facts), site.bad), site.bad)) for site in c.sites):
         text = c.guard_text if c.guard_text.startswith("(") and c.guard_text.endswith(")") else f"({c.guard_text})"
         for position in c.refuted:
             help = f"with `pre: not {text}` every index and divisor of this event would be right"
@@ -102,7 +102,13 @@ def help_by_negation(c: Context) -> None:
 def _holds_never(bad: Formula, c: Context) -> bool:
     assert c.flow is not None
     c.sites.append(Site(tuple(f for f in c.flow.facts if f is not c.guard), bad))
-    return linear.unsat((*c.flow.facts, bad))
+    return _never(bad, c)
+
+
+def _never(condition: Formula, c: Context) -> bool:
+    """Whether a condition cannot hold here."""
+    assert c.flow is not None
+    return linear.unsat((*linear.relevant(c.flow.facts, condition), condition))
 
 
 def _refuted(side: Formula, bad: Formula, value: Linear, c: Context) -> tuple[Example | None, bool]:
@@ -114,7 +120,7 @@ def _refuted(side: Formula, bad: Formula, value: Linear, c: Context) -> tuple[Ex
     example = linear.find((*c.flow.facts, side), c.defaults)
     if example is None:
         return None, False
-    return example, example.certain or linear.unsat((*c.flow.facts, linear.negate(bad)))
+    return example, example.certain or _never(linear.negate(bad), c)
 
 
 def _who(side: Formula, value: Linear, example: Example, c: Context) -> tuple[str, str]:
@@ -122,7 +128,7 @@ def _who(side: Formula, value: Linear, example: Example, c: Context) -> tuple[st
     assert c.flow is not None
     here = linear.constant(example.values[PID])
     for robot in (_LAST, here):
-        if linear.unsat((*c.flow.facts, side, linear.negate(linear.equal(_PID, robot)))):
+        if _never(linear.And((side, linear.negate(linear.equal(_PID, robot)))), c):
             return f"robot {linear.show(robot)}", _index(linear.substitute(value, PID, robot), value, example)
     return "a robot", _index(value, value, example)
 

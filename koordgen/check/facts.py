@@ -12,6 +12,10 @@ from koordgen.ir import stmt
 from koordgen.ir.types import BOOL, FLOAT, INT
 from koordgen.node import Node
 
+# To forget is always right; what is kept is bounded so that a long event costs no more a line than a short one.
+MOST_FACTS = 12
+MOST_VALUES = 20
+
 _MIRRORED = {"<": ">", "<=": ">=", ">": "<", ">=": "<=", "==": "==", "!=": "!="}
 
 
@@ -24,13 +28,20 @@ class Flow(Node):
 
     def knowing(self, condition: Formula) -> Flow:
         """This, and the condition holds."""
-        return self if condition == TRUE else Flow((*self.facts, condition), self.values)
+        if condition == TRUE:
+            return self
+        facts = self.facts if len(self.facts) < MOST_FACTS else (self.facts[0], *self.facts[2:])
+        return Flow((*facts, condition), self.values)
 
     def assigned(self, name: str, value: Linear | Formula | None) -> Flow:
         """After an assignment: what was known of the variable is gone, and its new value may be known."""
+        if not self.facts and not self.values and value is None:
+            return self
         facts = tuple(f for f in self.facts if not _mentions(f, name))
         values = {n: v for n, v in self.values.items() if n != name and not _mentions(v, name)}
         if value is not None and not _mentions(value, name):
+            if len(values) >= MOST_VALUES:
+                del values[next(iter(values))]
             values[name] = value
         return Flow(facts, values)
 

@@ -15,7 +15,7 @@ from typing import assert_never
 
 from koordgen.node import Node
 
-MOST_BRANCHES = 200
+MOST_BRANCHES = 100
 MOST_ROWS = 300
 MOST_EXAMPLES = 6000
 
@@ -153,6 +153,24 @@ def unsat(formulas: Iterable[Formula]) -> bool:
     return _closed([*formulas, *FLEET], [], {}, frozenset(), [MOST_BRANCHES])
 
 
+def relevant(facts: Iterable[Formula], about: Formula) -> tuple[Formula, ...]:
+    """Those facts that share variables with a condition, or with a fact that does: the others cannot help to refute it,
+    unless they refute themselves."""
+    names = set(variables(about))
+    left = [(fact, set(variables(fact))) for fact in facts]
+    kept: list[Formula] = []
+    grown = True
+    while grown:
+        grown = False
+        for item in list(left):
+            if names & item[1]:
+                left.remove(item)
+                kept.append(item[0])
+                names |= item[1]
+                grown = True
+    return tuple(kept)
+
+
 def _closed(
     pending: list[Formula], rows: list[Linear], facts: dict[object, bool], defined: frozenset[Var], budget: list[int]
 ) -> bool:
@@ -183,7 +201,13 @@ def _closed(
         return True
     if not open_:
         return False
-    chosen = open_.pop()
+    # The one with the fewest ways left, those apart that a known fact excludes.
+    ways = [
+        tuple(p for p in o.parts if not (isinstance(p, Fact) and facts.get(p.key, p.holds) != p.holds)) for o in open_
+    ]
+    least = min(range(len(ways)), key=lambda i: len(ways[i]))
+    chosen = Or(ways.pop(least))
+    open_ = [Or(w) for w in ways]
     for part in chosen.parts:
         budget[0] -= 1
         if budget[0] < 0 or not _closed([part, *open_], list(rows), dict(facts), defined, budget):
@@ -352,10 +376,12 @@ def find(formulas: Iterable[Formula], params: Mapping[str, int]) -> Example | No
     marks = {abs(c) for c in _constants(wanted) if abs(c) < 2**62} | {0}
     near = sorted({mark + d for mark in marks for d in (-1, 0, 1, 2)})
     possible: Example | None = None
-    sizes = dict.fromkeys([3, 4, 5, 2, 1, 6, 7, 8, *(n for n in near if n > 0)])
+    sizes = dict.fromkeys([3, 4, 5, 2, 1, *range(6, 25), *(n for n in near if n > 0)])
     tries = 0
-    for size in sizes:
-        for pid in dict.fromkeys(p for p in [*range(8), *range(size - 4, size), *near] if 0 <= p < size):
+    for position, size in enumerate(sizes):
+        if possible is not None and position >= 5:
+            return possible  # what is uncertain in small fleets seldom gets certain in larger ones
+        for pid in dict.fromkeys(p for p in [*range(24), *range(size - 4, size), *near] if 0 <= p < size):
             tries += 1
             if tries > MOST_EXAMPLES:
                 return possible

@@ -206,7 +206,7 @@ def _if(node: tree.If, c: Context) -> stmt.Stmt | None:
         if before is not None and held.type == BOOL:
             known = formula(held, before)
             c.flow = before.knowing(known)
-            if not c.poisoned and known != linear.UNKNOWN and linear.unsat(c.flow.facts):
+            if not c.poisoned and known != linear.UNKNOWN and _impossible(before, known):
                 c.warn(
                     "K043", f"this branch can never run: {c.text(branch.condition.span)} never holds here", branch.span
                 )
@@ -226,6 +226,10 @@ def _if(node: tree.If, c: Context) -> stmt.Stmt | None:
     for held, block, span in reversed(checked):
         result = stmt.If(held, block, orelse if result is None else (result,), span)
     return result
+
+
+def _impossible(before: Flow, condition: linear.Formula) -> bool:
+    return linear.unsat((*linear.relevant(before.facts, condition), condition))
 
 
 def _joined(ends: list[Flow | None]) -> Flow | None:

@@ -15,6 +15,8 @@ from koordgen.syntax import decl, expr, stmt
 
 Children = list[Any]  # of tokens (tuples of four), nodes, and blocks (tuples of statements)
 
+MOST_ELIFS = 100  # each becomes an `if` inside the `else` before it
+
 
 class Refused(Exception):
     """A rule whose children cannot be accepted."""
@@ -108,6 +110,9 @@ def if_(c: Children) -> stmt.If:
     first = stmt.Branch(c[1], c[3], _span(c[0], c[1]))
     orelse: stmt.Block = c[-1] if len(c) > 4 and type(c[-1]) is tuple else ()
     elifs = tuple(b for b in c[4:] if type(b) is stmt.Branch)
+    if len(elifs) > MOST_ELIFS:
+        message = f"more than {MOST_ELIFS} 'elif' follow one 'if'"
+        raise Refused(Diagnostic("K007", "error", message, elifs[MOST_ELIFS].span, help="split the chain"))
     return stmt.If((first, *elifs), orelse, first.span)
 
 

@@ -52,7 +52,9 @@ def explain(tokens: list[Token], position: int, states: list[int]) -> Diagnostic
         return Diagnostic("K008", "error", message, _behind(colon))
     if kind == "=" and expected & {"==", ")"} and "=" not in expected:
         if _first_of_line(tokens, position) in ("pre", "if", "elif"):
-            return Diagnostic("K001", "error", "'=' assigns and cannot stand in a condition", span, help="'==' compares")
+            return Diagnostic(
+                "K001", "error", "'=' assigns and cannot stand in a condition", span, help="'==' compares"
+            )
         return Diagnostic("K001", "error", "what stands before '=' cannot be assigned", span)
     if ":" in expected:
         place = _behind(before) if before is not None else span

@@ -9,7 +9,7 @@ from koordgen._generated.grammar import END, RULES, START, STATES
 from koordgen.diagnostics import Diagnostic, in_order
 from koordgen.node import Node
 from koordgen.source import Source
-from koordgen.syntax import build, decl
+from koordgen.syntax import build, decl, expr
 from koordgen.syntax.layout import Chunk, sections
 
 DEEPEST_TREE = 100
@@ -90,13 +90,15 @@ def _spliced(children: list[Any]) -> list[Any]:
 
 
 def _measure(section: Node) -> None:
-    """Refuses a tree whose depth would exhaust the passes that walk it recursively."""
+    """Refuses an expression whose depth would exhaust the passes that walk it recursively."""
     pending: list[tuple[Any, int]] = [(section, 0)]
     while pending:
         node, depth = pending.pop()
         if isinstance(node, tuple):
             pending.extend((child, depth) for child in node if isinstance(child, (Node, tuple)))
             continue
+        if isinstance(node, expr.Expr):
+            depth += len(node.rest) if isinstance(node, expr.Compare) else 1
         if depth > DEEPEST_TREE:
             message = f"this expression is nested more than {DEEPEST_TREE} deep"
             help = "give parts of it names of their own"
@@ -104,4 +106,4 @@ def _measure(section: Node) -> None:
         for field in type(node).__match_args__:
             child = getattr(node, field)
             if isinstance(child, (Node, tuple)) and field not in ("span", "type_span", "name_span"):
-                pending.append((child, depth + 1))
+                pending.append((child, depth))

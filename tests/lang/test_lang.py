@@ -69,8 +69,12 @@ def wanted(text: str) -> list[tuple[int, str, str, str]]:
 def test_finds_what_its_comments_say(case: Case) -> None:
     left = found(case.text)
     for line, severity, code, message in wanted(case.text):
-        match = [d for d in left if (d.span.line, d.severity, d.code) == (line, severity, code) and message in d.message]
-        assert match, f"line {line}: no {severity}[{code}] {message!r} in {[(d.span.line, d.code, d.message) for d in left]}"
+        match = [
+            d for d in left if (d.span.line, d.severity, d.code) == (line, severity, code) and message in d.message
+        ]
+        assert match, (
+            f"line {line}: no {severity}[{code}] {message!r} in {[(d.span.line, d.code, d.message) for d in left]}"
+        )
         left = [d for d in left if d is not match[0]]
     assert not left, [(d.span.line, d.code, d.message) for d in left]
 
