@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from koordgen.check import linear
 from koordgen.check.context import Context, Site
+from koordgen.check.decide import Example, find, relevant, unsat
 from koordgen.check.facts import nonzero, term
-from koordgen.check.linear import N_SYS, PID, Example, Formula, Linear
+from koordgen.check.linear import N_SYS, PID, Formula, Linear
 from koordgen.ir import expr as ir
 from koordgen.node import replace
 from koordgen.source import Span
@@ -90,9 +91,9 @@ def help_by_negation(c: Context) -> None:
     if not c.refuted or c.guard is None:
         return
     opposite = linear.negate(c.guard)
-    if linear.unsat((opposite,)):
+    if unsat((opposite,)):
         return
-    if all(linear.unsat((*linear.relevant((opposite, *site.facts), site.bad), site.bad)) for site in c.sites):
+    if all(unsat((*relevant((opposite, *site.facts), site.bad), site.bad)) for site in c.sites):
         text = c.guard_text if c.guard_text.startswith("(") and c.guard_text.endswith(")") else f"({c.guard_text})"
         for position in c.refuted:
             help = f"with `pre: not {text}` every index and divisor of this event would be right"
@@ -108,7 +109,7 @@ def _holds_never(bad: Formula, c: Context) -> bool:
 def _never(condition: Formula, c: Context) -> bool:
     """Whether a condition cannot hold here."""
     assert c.flow is not None
-    return linear.unsat((*linear.relevant(c.flow.facts, condition), condition))
+    return unsat((*relevant(c.flow.facts, condition), condition))
 
 
 def _refuted(side: Formula, bad: Formula, value: Linear, c: Context) -> tuple[Example | None, bool]:
@@ -117,7 +118,7 @@ def _refuted(side: Formula, bad: Formula, value: Linear, c: Context) -> tuple[Ex
     assert c.flow is not None
     if any(not isinstance(v, str) or (v not in (PID, N_SYS) and v not in c.defaults) for v in linear.variables(value)):
         return None, False
-    example = linear.find((*c.flow.facts, side), c.defaults)
+    example = find((*c.flow.facts, side), c.defaults)
     if example is None:
         return None, False
     return example, example.certain or _never(linear.negate(bad), c)

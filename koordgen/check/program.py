@@ -6,6 +6,7 @@ import os
 
 from koordgen.check import bounds, linear
 from koordgen.check.context import PREDEFINED, Context, Entity
+from koordgen.check.decide import unsat
 from koordgen.check.expr import check_expr, condition, fitting
 from koordgen.check.facts import Flow, formula, term
 from koordgen.check.stmt import check_block, default
@@ -202,9 +203,9 @@ def _event(node: ast.Event, hiding: ast.Event | None, c: Context) -> tuple[decl.
             labels=labels,
         )
     elif guard.type == BOOL and known != linear.UNKNOWN:
-        if linear.unsat((known,)):
+        if unsat((known,)):
             c.warn("K041", f"the event {node.name} can never run: its guard never holds", guards[0].condition.span)
-        always = linear.unsat((linear.negate(known),))
+        always = unsat((linear.negate(known),))
     c.place = "effect"
     c.poisoned = guard.type != BOOL
     c.sites, c.refuted = [], []

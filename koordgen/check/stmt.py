@@ -6,6 +6,7 @@ from typing import assert_never
 
 from koordgen.check import bounds, linear
 from koordgen.check.context import PREDEFINED, Context, Temp
+from koordgen.check.decide import relevant, unsat
 from koordgen.check.expr import arithmetic, check_expr, condition, fitting
 from koordgen.check.facts import Flow, formula, known_value, variable_of
 from koordgen.diagnostics import Label
@@ -229,7 +230,7 @@ def _if(node: tree.If, c: Context) -> stmt.Stmt | None:
 
 
 def _impossible(before: Flow, condition: linear.Formula) -> bool:
-    return linear.unsat((*linear.relevant(before.facts, condition), condition))
+    return unsat((*relevant(before.facts, condition), condition))
 
 
 def _joined(ends: list[Flow | None]) -> Flow | None:

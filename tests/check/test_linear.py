@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from koordgen.check import linear
+from koordgen.check.decide import find, unsat
 from koordgen.check.linear import (
     FALSE,
     N_SYS,
@@ -23,12 +24,10 @@ from koordgen.check.linear import (
     combine,
     constant,
     equal,
-    find,
     less,
     negate,
     scale,
     truth,
-    unsat,
     variable,
 )
 

@@ -155,9 +155,12 @@ def test_the_deepest_allowed_program_passes_all_passes() -> None:
 
 
 ODD = ["", "\n", "   ", "\t", "\0", "a", ":", "#", "\\", "\\\n", "x:\n", "pre:", '"', "'", "\ufeff",
-       "E:\n pre:\n", "🦊:\n", "using", "using M", "using M:", "param int k =", "E:\n  pre: 1e\n", "\r", "E:\n  pre: .\n",
+       "E:\n pre:\n", "🦊:\n", "using", "using M", "using M:", "param int k =",
+       "E:\n  pre: 1e\n",
+       "\r", "E:\n  pre: .\n",
        "(", ")", "([)]",
-       "9" * 5000, f"E:\n  pre: {'9' * 5000} > 0\n  eff: pass", "init:\n", "local:", "allread: int x[", "else:",
+       "9" * 5000, f"E:\n  pre: {'9' * 5000} > 0\n  eff: pass", "init:\n", "local:",
+       "allread: int x[", "else:",
        "  x = 3",
        "E: pre: True\n", "E: pre: True\n   eff: pass", "E:\n  pre: True\n  eff: pass\n stray", "x = 3"]  # fmt: skip
 
