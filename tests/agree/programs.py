@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 from hypothesis import strategies as st
@@ -13,11 +14,12 @@ from koordgen.ir.types import BOOL, FLOAT, INT, POINT, Scalar
 from koordgen.source import Span
 
 N_SYS = 3
+DIVISIONS = ("/", "//", "%")
 AT = Span(1, 1, 1, 2)
 VARIABLES = {"i": INT, "f": FLOAT, "b": BOOL, "p": POINT}
 ZERO: dict[Scalar, e.Expr] = {
-    INT: e.Const(0, INT, AT),
-    FLOAT: e.Const(0.0, FLOAT, AT),
+    INT: e.Const(2, INT, AT),
+    FLOAT: e.Const(1.5, FLOAT, AT),
     BOOL: e.Const(False, BOOL, AT),
     POINT: e.Builtin("Point", (e.Const(1.0, FLOAT, AT), e.Const(2.0, FLOAT, AT), e.Const(0.5, FLOAT, AT)), POINT, AT),
 }
@@ -27,8 +29,8 @@ PORTS = (
     d.Port("target", POINT, "actuator", AT),
 )
 
-ints = st.integers(0, 4) | st.sampled_from([2**31, 2**62, 10**30])
-floats = st.sampled_from([0.0, 0.5, 1.0, 2.5, 1e-3, 1e9, 1e308])
+ints = st.sampled_from([0, 1, 1, 2, 2, 3, 3, 4, 5, 6, 7, 8, 9, 2**62, 10**30])
+floats = st.sampled_from([0.0, 0.5, 0.5, 1.0, 1.0, 2.5, 2.5, 3.25, 4.0, 1e-3, 1e9, 1e308])
 
 
 def _leaves(type_: Scalar, temps: tuple[tuple[str, Scalar], ...]) -> st.SearchStrategy[e.Expr]:
@@ -55,6 +57,15 @@ def _port(name: str, type_: Scalar) -> e.Expr:
     return e.PortRead("Motion", name, type_, AT)
 
 
+def _indices(any_int: st.SearchStrategy[e.Expr]) -> st.SearchStrategy[e.Expr]:
+    """Indices that mostly name a robot: what is discarded shows little."""
+    pid: e.Expr = e.Pid(INT, AT)
+    constant = st.integers(0, N_SYS - 1).map(lambda v: e.Const(v, INT, AT))
+    within = any_int.map(lambda i: e.Binary("%", i, e.NSys(INT, AT), False, INT, AT))
+    return st.one_of(st.just(pid), constant, within, within, any_int)
+
+
+@cache  # strategies are costly to build and the same few are asked for again and again
 def expressions(type_: Scalar, depth: int = 3, temps: tuple[tuple[str, Scalar], ...] = ()) -> st.SearchStrategy[e.Expr]:
     """Expressions of a type, at most so deep."""
     leaves = _leaves(type_, temps)
@@ -66,7 +77,10 @@ def expressions(type_: Scalar, depth: int = 3, temps: tuple[tuple[str, Scalar], 
 
     def binary(ops: list[str], left: Scalar, right: Scalar) -> st.SearchStrategy[e.Expr]:
         return st.builds(
-            lambda o, a, b: e.Binary(o, a, b, False, type_, AT), st.sampled_from(ops), sub(left), sub(right)
+            lambda o, a, b: e.Binary(o, a, b, o not in DIVISIONS, type_, AT),
+            st.sampled_from(ops),
+            sub(left),
+            sub(right),
         )
 
     def call(name: str, *args: Scalar) -> st.SearchStrategy[e.Expr]:
@@ -76,7 +90,7 @@ def expressions(type_: Scalar, depth: int = 3, temps: tuple[tuple[str, Scalar], 
     found: list[st.SearchStrategy[e.Expr]] = [
         leaves,
         st.builds(lambda c, a, b: e.Conditional(c, a, b, type_, AT), sub(BOOL), sub(type_), sub(type_)),
-        sub(INT).map(lambda i: e.SlotRead(f"each_{name}", i, False, type_, AT)),
+        _indices(sub(INT)).map(lambda i: e.SlotRead(f"each_{name}", i, False, type_, AT)),
     ]
     match type_.name:
         case "int":
@@ -146,7 +160,12 @@ def blocks(
 def programs(draw: st.DrawFn) -> d.Program:
     """A program of one to three random events."""
     events = tuple(
-        d.Event(f"Event{i}", draw(expressions(BOOL, 2) | st.just(e.Const(True, BOOL, AT))), draw(blocks()), AT)
+        d.Event(
+            f"Event{i}",
+            draw(expressions(BOOL, 2)) if draw(st.integers(0, 2)) == 0 else e.Const(True, BOOL, AT),
+            draw(blocks()),
+            AT,
+        )
         for i in range(draw(st.integers(1, 3)))
     )
     return d.Program(
@@ -166,7 +185,7 @@ def programs(draw: st.DrawFn) -> d.Program:
 
 points = st.tuples(*[st.floats(-100, 100).map(lambda v: round(v, 3))] * 3)
 VALUES: dict[Scalar, st.SearchStrategy[Any]] = {
-    INT: st.integers(-5, 5) | st.sampled_from([2**62, -(2**63)]),
+    INT: st.integers(-5, 9) | st.sampled_from([1, 2, 3, 2**62, -(2**63)]),
     FLOAT: st.floats(-100, 100).map(lambda v: round(v, 3)) | st.sampled_from([1e300, -0.0]),
     BOOL: st.booleans(),
     POINT: points,
