@@ -1,4 +1,4 @@
-"""What the checker says of indices, against what happens: the executable meaning in every fleet of up to nine robots."""
+"""What the checker says of indices, against what happens: the executable meaning in fleets of up to nine robots."""
 
 from __future__ import annotations
 
