@@ -151,6 +151,8 @@ def _build(options: argparse.Namespace) -> int:
 
 
 def _harness(options: argparse.Namespace) -> int:
+    import shlex
+    import signal
     import subprocess
     import tempfile
     from pathlib import Path
@@ -159,16 +161,16 @@ def _harness(options: argparse.Namespace) -> int:
     _require_packages()
     passed = [f"--{key}={value}" for key in ("duration", "seed") if (value := getattr(options, key)) is not None]
     passed.append(f"--out={options.out or f'run-{app}'}")
+    passed.append(f"--invoked-as={shlex.join(['koordgen', *sys.argv[1:]])}")
     if options.quiet:
         passed.append("--quiet")
     with tempfile.TemporaryDirectory(prefix="koordgen-") as folder:
         _write({options.command: bundles[options.command]}, Path(folder))
         process = subprocess.Popen([sys.executable, f"{folder}/{options.command}", *passed])
-        while True:
-            try:
-                return process.wait()
-            except KeyboardInterrupt:  # the child got it as well: it ends its run and writes its report
-                continue
+        # The child ends its run and writes its report. It gets a terminal's Ctrl-C by itself, as we do.
+        signal.signal(signal.SIGINT, lambda *_: None)
+        signal.signal(signal.SIGTERM, lambda *_: process.terminate())
+        return process.wait()
 
 
 def _key(options: argparse.Namespace) -> int:

@@ -131,7 +131,7 @@ def _place(name: str, type_: Scalar) -> st.SearchStrategy[s.Place]:
 def blocks(
     draw: st.DrawFn, depth: int = 2, temps: tuple[tuple[str, Scalar], ...] = (), prefix: str = "t"
 ) -> tuple[s.Stmt, ...]:
-    """Blocks of one to three statements; names of temporaries are unique within an event, as the checker leaves them."""
+    """Blocks of one to three statements; temporaries have names that are unique within an event."""
     found: list[s.Stmt] = []
     for index in range(draw(st.integers(1, 3))):
         name, type_ = draw(st.sampled_from(sorted(VARIABLES.items())))
