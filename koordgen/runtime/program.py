@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
 
-from koordgen.runtime.values import transmissible
+from koordgen.runtime.values import INT_MAX, INT_MIN, transmissible
 
 T = TypeVar("T")
 
@@ -178,9 +178,14 @@ def run(program: Program, effect: Callable[[Any], None], frame: Frame, line: int
     except Exception as error:
         return _fault(program, error)
     effects = program.end(state, stopped)
+    for name, value in effects.locals.items():
+        # An int squared every round would soon hang the robot.
+        if isinstance(value, int) and not INT_MIN <= value <= INT_MAX:
+            return Fault(program.source, line, f"{name} would become an int beyond 64 bits, which no robot may use")
     for name, value in (*effects.shared.items(), *effects.actuators.items()):
         if not transmissible(value):
-            return Fault(program.source, line, f"{name} would become {value!r}, which no robot may use")
+            shown = "an int beyond 64 bits" if isinstance(value, int) else repr(value)  # it may have very many digits
+            return Fault(program.source, line, f"{name} would become {shown}, which no robot may use")
     return effects
 
 

@@ -188,6 +188,11 @@ def _number(value: Value) -> int | float:
     return value
 
 
+def may_stay(value: Value) -> bool:
+    """Whether a local variable may keep a value: ints of 64 bits (one squared every round would soon hang the robot)."""
+    return not isinstance(value, int) or -(2**63) <= value < 2**63
+
+
 def may_leave(value: Value) -> bool:
     """Whether a value may go to a port or to another robot: no NaN, no infinity, ints of 64 bits."""
     match value:

@@ -11,7 +11,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple, assert_never
 
 from koordgen.ir import decl, stmt
-from koordgen.semantics.eval import Discarded, Value, View, default, evaluate, holds, may_leave
+from koordgen.semantics.eval import Discarded, Value, View, default, evaluate, holds, may_leave, may_stay
 from koordgen.source import Span
 
 
@@ -182,6 +182,7 @@ class _Working:
         match place:
             case stmt.LocalPlace(name):
                 self.locals[name] = value
+                self.written["local", name] = span
             case stmt.TempPlace(name):
                 self.temps[name] = value
             case stmt.OwnSlot(name):
@@ -198,11 +199,12 @@ class _Working:
 
     def writes(self) -> Writes | Discarded:
         """What leaves the event at its end; a last value that no robot may use discards all of it."""
-        values: dict[str, dict[str, Value]] = {"slot": {}, "cell": {}, "port": {}}
+        values: dict[str, dict[str, Value]] = {"slot": {}, "cell": {}, "port": {}, "local": {}}
+        where: dict[str, Mapping[str, Value]] = {"cell": self.cells, "port": self.ports, "local": self.locals}
         for (kind, name), span in self.written.items():
-            where = {"cell": self.cells, "port": self.ports}
             value = self.slots[name][self.view.pid] if kind == "slot" else where[kind][name]
-            if not may_leave(value):
-                return Discarded(f"{name} would become {value!r}, which no robot may use", span)
+            if not (may_stay(value) if kind == "local" else may_leave(value)):
+                shown = "an int beyond 64 bits" if isinstance(value, int) else repr(value)
+                return Discarded(f"{name} would become {shown}, which no robot may use", span)
             values[kind][name] = value
         return Writes(self.locals, values["slot"], values["cell"], values["port"], self.stopped)

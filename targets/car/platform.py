@@ -1,7 +1,7 @@
 """The car behind the Motion ports: goes to points, holds, comes to rest. One polled state machine at 20 Hz.
 
-`Motion.position` and `Motion.pose` are of the middle of the rear axle, in local ENU, z = 0; that is also the point that
-comes to a target, whose z is ignored, and the point that the position feed must give.
+`Motion.position` is the middle of the rear axle, in local ENU, z = 0; that is also the point that comes to a target,
+whose z is ignored, and the point that the position feed must give.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 from koordgen.runtime.feed import Feed
 from koordgen.runtime.platform import Sensed, Unready
 from koordgen.runtime.settings import Settings
-from koordgen.runtime.values import Point, Pose
+from koordgen.runtime.values import Point
 from targets.car.drive import Drive
 from targets.car.estimator import Estimator
 from targets.car.links import DatagramLink, Links, RealLinks
@@ -202,7 +202,6 @@ class Car:
         speed = self._estimator.speed(now) or 0.0
         values = {
             "Motion.position": position,
-            "Motion.pose": Pose(position, state.yaw),
             "Motion.velocity": Point(speed * math.cos(state.yaw), speed * math.sin(state.yaw), 0.0),
             "Motion.reached": self._navigator is None or self._navigator.reached,
         }

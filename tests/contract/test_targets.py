@@ -65,7 +65,7 @@ def test_it_offers_motion_with_types_of_the_language(target: manifest.Target) ->
     assert target.sensors["Motion.position"] == "Point"
     assert target.actuators["Motion.target"] == "Point"
     assert {"Motion.reached"} <= set(target.sensors)
-    assert all(t in NAMED or t == "Pose" for t in (*target.sensors.values(), *target.actuators.values()))
+    assert all(t in NAMED for t in (*target.sensors.values(), *target.actuators.values()))
 
 
 @agents_by_name

@@ -50,7 +50,7 @@ def reads_beyond(s: State) -> None:
     [
         (half_done_then_raise, "lineform.koord:0: ZeroDivisionError: division by zero"),
         (writes_nan, "lineform.koord:21: Motion.target would become Point(x=nan"),
-        (writes_beyond_64_bits, "lineform.koord:21: last would become 9223372036854775808"),
+        (writes_beyond_64_bits, "lineform.koord:21: last would become an int beyond 64 bits"),
         (reads_beyond, "index 5 names no robot"),
     ],
 )
@@ -227,3 +227,15 @@ def test_a_monitor_that_fails_is_dropped() -> None:
     fleet.robots[0].agent._monitors.append(monitor)
     fleet.run_rounds(5)
     assert len([line for line in fleet.robots[0].lines if "a monitor failed" in line]) == 1
+
+
+def squares(s: State) -> None:
+    s.count = max(s.count, 3) ** 2
+
+
+def test_a_local_int_that_leaves_64_bits_is_a_fault() -> None:
+    fleet = Fleet(program=program(squares, lambda s: s.pid == 2)).boot_all()
+    fleet.run_rounds(9)
+    cleo = fleet.robots[2]
+    assert cleo.agent._runner.locals == {"count": 3**32}
+    assert "count would become an int beyond 64 bits" in str(cleo.records[-1].fault)

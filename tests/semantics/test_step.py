@@ -117,9 +117,23 @@ def test_what_fails_discards_the_event_whole(effect: str, reason: str) -> None:
 
 
 def test_ints_are_unbounded_inside_an_event_and_at_the_limit_outside() -> None:
-    state, _ = after(event("count = 9223372036854775807 + 1\ntotal = count - 1\nx[pid] = -count"))
+    state, _ = after(event("count = 9223372036854775807 + 1\ntotal = count - 1\nx[pid] = -count\ncount = 0"))
     assert state.store.cells["total"] == 2**63 - 1
     assert state.store.slots["x"] == (-(2**63),) * 3
+
+
+@pytest.mark.parametrize("variable", ["count", "total", "x[pid]"])
+def test_an_int_beyond_64_bits_is_no_last_value(variable: str) -> None:
+    state, steps = after(event(f"count = 9223372036854775807\n{variable} = count * count"))
+    assert all(isinstance(s.outcome, Discarded) for s in steps)
+    assert state.robots[0].locals["count"] == 0
+
+
+def test_a_very_long_int_is_told_without_its_digits() -> None:
+    squared = "\n".join(["count = count * count"] * 12)
+    _, steps = after(event(f"count = 1000000000000\n{squared}\ntotal = count"))
+    assert isinstance(steps[0].outcome, Discarded)
+    assert "an int beyond 64 bits" in steps[0].outcome.reason
 
 
 def test_an_infinite_value_that_is_overwritten_does_no_harm() -> None:
