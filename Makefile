@@ -6,22 +6,19 @@ PY := $(VENV)/bin/python
 STAMP := $(VENV)/.ready
 QUIET := PIP_DISABLE_PIP_VERSION_CHECK=1
 
-.PHONY: demo test lint slow bench generated wheel lock clean
+.PHONY: demo test lint slow bench generated lock clean
 
 demo: $(STAMP)
 	$(PY) -m koordgen sim examples/lineform/lineform.koord --fleet examples/lineform/fleet.yaml \
 	  --duration 30 --seed 1 --out build/demo
 	$(PY) examples/lineform/verdict.py build/demo
 
-test: $(STAMP)
-	$(PY) -m koordgen.syntax.generate --check
-	$(PY) -m koordgen.emit.generate --check
-	$(VENV)/bin/ruff check .
-	$(VENV)/bin/mypy koordgen targets tests benchmarks examples
+test: lint
 	$(PY) -m pytest -m "not slow"
 
 lint: $(STAMP)
 	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy koordgen targets tests benchmarks examples
 
 slow: $(STAMP)
@@ -35,9 +32,6 @@ bench: $(STAMP)
 generated: $(STAMP)
 	$(PY) -m koordgen.syntax.generate
 	$(PY) -m koordgen.emit.generate
-
-wheel: $(STAMP)
-	$(PY) -m build --wheel
 
 $(STAMP): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' || \

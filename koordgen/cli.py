@@ -292,6 +292,7 @@ def _internal(error: Exception) -> int:
 
     traceback.print_exception(error)
     _say(
-        f"internal error: {error}\n  this is a mistake of koordgen, not of your program: please report it with the above"
+        f"internal error: {error}\n"
+        "  this is a mistake of koordgen, not of your program: please report it with the above"
     )
     return INTERNAL

@@ -40,8 +40,11 @@ def _text(node: ir.Expr, names: Names) -> tuple[str, int]:
             read = f"s.{names.ports[module, port]}"
             return read if (module, port) in names.sensors else f"{read}.value", _ATOM
         case ir.Widen(operand):
-            if isinstance(operand, ir.Const):
-                return repr(float(operand.value)), _SIGN if operand.value < 0 else _ATOM
+            match operand:
+                case ir.Const(value):
+                    return repr(float(value)), _ATOM
+                case ir.Unary("-", ir.Const(value)):
+                    return f"-{float(value)!r}", _SIGN
             return f"float({text(operand, names)})", _ATOM
         case ir.Unary(op, operand):
             return (

@@ -189,7 +189,8 @@ def _number(value: Value) -> int | float:
 
 
 def may_stay(value: Value) -> bool:
-    """Whether a local variable may keep a value: ints of 64 bits (one squared every round would soon hang the robot)."""
+    """Whether a local variable may keep a value: ints of 64 bits (one that is squared every round would
+    soon hang the robot)."""
     return not isinstance(value, int) or -(2**63) <= value < 2**63
 
 

@@ -76,9 +76,7 @@ class Planner:
         self._spaces = (base.DubinsStateSpace(radius), base.ReedsSheppStateSpace(radius))
         self._states = [[space.allocState() for _ in range(3)] for space in self._spaces]
 
-    def plan(
-        self, start: Triple, goal: Point2, gear: int = 0, arrival: float | None = None
-    ) -> list[Segment]:
+    def plan(self, start: Triple, goal: Point2, gear: int = 0, arrival: float | None = None) -> list[Segment]:
         """The cheapest path found from a pose (x, y, yaw) to a point, or [] when every one leaves the area.
 
         `gear` is the direction in which the car rolls (0: it stands): starting the other way is priced. `arrival`,
@@ -143,9 +141,7 @@ class Planner:
                 yield bearing + side * aside
                 yield bearing - side * aside + math.pi
 
-    def _sample(
-        self, kind: int, start: Triple, goal: Triple, length: float
-    ) -> list[Segment]:
+    def _sample(self, kind: int, start: Triple, goal: Triple, length: float) -> list[Segment]:
         """The curve as segments; [] when a piece is too short to be told from its neighbours."""
         steps = max(16, math.ceil(length / SPACING))
         step = length / steps
@@ -159,9 +155,7 @@ class Planner:
             forward.append((step + along) / 2)
         return _segments(points, forward, step)
 
-    def _points(
-        self, kind: int, start: Triple, goal: Triple, steps: int
-    ) -> list[Triple]:
+    def _points(self, kind: int, start: Triple, goal: Triple, steps: int) -> list[Triple]:
         begin, end, at = self._states[kind]
         interpolate = self._spaces[kind].interpolate
         _put(begin, *start)

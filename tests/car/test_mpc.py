@@ -25,9 +25,7 @@ def mpc() -> Mpc:
     return Mpc(LIMITS)
 
 
-def curve(
-    bend: Callable[[float], float], length: float, direction: int = 1, start: State | None = None
-) -> Segment:
+def curve(bend: Callable[[float], float], length: float, direction: int = 1, start: State | None = None) -> Segment:
     """A segment with the curvature `bend(station)`."""
     at = start or State(0.0, 0.0, 0.0)
     poses = [PathPose(at.x, at.y, at.yaw, bend(0.0))]

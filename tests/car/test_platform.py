@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import random
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
-import tomllib
 
 from koordgen.runtime.platform import Platform, Unready
 from koordgen.runtime.values import Point

@@ -65,8 +65,14 @@ def test_dump(after: str, capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.parametrize(
     ("content", "words"),
-    [(None, "No such file"), (b"\xff\xfe", "not UTF-8"), (b"", "error"), (b"using Motion\n", "error"), (b"\0", "error")],
-)  # fmt: skip
+    [
+        (None, "No such file"),
+        (b"\xff\xfe", "not UTF-8"),
+        (b"", "error"),
+        (b"using Motion\n", "error"),
+        (b"\0", "error"),
+    ],
+)
 def test_unusable_programs(
     tmp_path: Path, content: bytes | None, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

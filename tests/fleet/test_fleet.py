@@ -42,7 +42,7 @@ def test_the_example_is_right() -> None:
 
 
 def test_safety_defaults_are_the_runtimes() -> None:
-    assert fleet.SAFETY == {f: getattr(Safety(), f) for f in Safety.__struct_fields__}
+    assert {f: getattr(Safety(), f) for f in Safety.__struct_fields__} == fleet.SAFETY
 
 
 GOOD = """\

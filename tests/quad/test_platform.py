@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import random
+import tomllib
 from pathlib import Path
 from typing import get_args, get_type_hints
 
 import msgspec
 import pytest
-import tomllib
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.platform import Platform, Unready

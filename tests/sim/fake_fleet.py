@@ -12,7 +12,7 @@ from typing import Any
 from targets.sim import harness, stage
 from targets.sim.bodies import DeviceContext
 
-AGENT = '''
+AGENT = """
 import json, os, signal, sys, time
 settings = json.load(open(sys.argv[sys.argv.index("--settings") + 1]))
 how, pid = settings["body"]["how"], settings["body"]["pid"]
@@ -52,7 +52,7 @@ for round_ in range(1, 10_000):
         phase("resting", "all robots have stopped")
         sys.exit(0)
     time.sleep(0.1)
-'''
+"""
 
 
 class Telling:

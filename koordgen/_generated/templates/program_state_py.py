@@ -25,6 +25,9 @@ def root(context, missing=missing):
         yield str(l_1_mark)
         yield '\n'
     l_1_name = l_1_type = l_1_value = l_1_mark = missing
+    if (undefined(name='params') if l_0_params is missing else l_0_params):
+        pass
+        yield '\n'
     yield '\nclass State:\n    """What one event of '
     yield str((undefined(name='name') if l_0_name is missing else l_0_name))
     yield ' sees on one robot, and what it has written so far."""\n\n    def __init__(self, frame: Frame) -> None:\n        self.pid = frame.pid\n        self.n_sys = frame.n_sys\n'
@@ -112,18 +115,18 @@ def root(context, missing=missing):
         yield str(l_1_attribute)
         yield '.value\n'
     l_1_port = l_1_attribute = l_1_type = l_1_direction = missing
-    yield '        return Effects({'
-    l_1_loop = missing
-    for l_1_v, l_1_loop in LoopContext((undefined(name='locals') if l_0_locals is missing else l_0_locals), undefined):
+    yield '        kept: dict[str, Any] = {'
+    for l_1_v in (undefined(name='locals') if l_0_locals is missing else l_0_locals):
         _loop_vars = {}
         pass
-        yield '"'
+        yield '\n            "'
         yield str(environment.getattr(l_1_v, 'name'))
         yield '": self.'
         yield str(environment.getattr(l_1_v, 'attribute'))
-        yield str((', ' if (not environment.getattr(l_1_loop, 'last')) else cond_expr_undefined("the inline if-expression on line 41 in 'program_state.py' evaluated to false and no else section was defined.")))
-    l_1_loop = l_1_v = missing
-    yield '}, shared, actuators, stopped)\n'
+        yield ','
+    l_1_v = missing
+    yield str(('\n        }' if (undefined(name='locals') if l_0_locals is missing else l_0_locals) else '}'))
+    yield '\n        return Effects(kept, shared, actuators, stopped)\n'
 
 blocks = {}
-debug_info = '1=16&2=19&6=29&11=31&12=34&13=37&15=46&18=53&19=56&20=59&22=68&25=75&26=79&33=87&34=91&35=93&37=100&38=108&39=110&41=117'
+debug_info = '1=16&2=19&4=28&9=32&14=34&15=37&16=40&18=49&21=56&22=59&23=62&25=71&28=78&29=82&36=90&37=94&38=96&40=103&41=111&42=113&45=119&46=128'
