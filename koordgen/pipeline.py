@@ -85,10 +85,11 @@ def dump(path: str, after: str) -> str:
 def plan_file(
     path: str, wanted: Sequence[str], fleet_path: str | None, params: Mapping[str, Value]
 ) -> tuple[Checked, dict[str, Files]]:
-    """check, fleet, params, verify, ports, plan: the bundles of one build, in memory. `wanted` are names of targets
+    """check, fleet, params, verify, ports, budget, plan: the bundles of one build, in memory. `wanted` are names of targets
     that exist. Raises Rejected, BadParam, ManifestError."""
     from koordgen import resources
     from koordgen.bundle import manifest
+    from koordgen.bundle.budget import check_budget
     from koordgen.bundle.offer import check_ports
     from koordgen.bundle.plan import plan, read_ingredients
     from koordgen.check.params import with_params
@@ -107,7 +108,7 @@ def plan_file(
     used = tuple(targets[name] for name in sorted(needed))
     program = with_params(checked.program, given)
     verify(program)
-    wrong = check_ports(program, used)
+    wrong = [*check_ports(program, used), *(check_budget(program, len(fleet.robots)) if fleet else ())]
     if wrong:
         raise Rejected([(checked.source, d) for d in wrong])
     source = Path(path).read_bytes()
