@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
 
 from koordgen.bundle import manifest
+from koordgen.check import check
+from koordgen.diagnostics import CATALOGUE
+from koordgen.source import Source
+from koordgen.syntax.parse import parse
 
 PAGE = (Path(__file__).parents[2] / "docs/targets.md").read_text(encoding="utf-8")
 
@@ -38,3 +43,26 @@ def test_nothing_is_documented_that_is_not_there() -> None:
     known = {row for name in manifest.available() for row in rows(manifest.load(name))}
     documented = {line for line in PAGE.splitlines() if line.startswith("| `")}
     assert documented == known
+
+
+def test_every_code_is_documented() -> None:
+    root = Path(__file__).parents[2]
+    page = (root / "docs/errors.md").read_text(encoding="utf-8")
+    documented = dict(re.findall(r"^\| ([KFB]\d{3}) \| (.+) \|$", page, re.MULTILINE))
+    used = {
+        code
+        for path in (root / "koordgen").rglob("*.py")
+        for code in re.findall(r'"([FB]\d{3})"', path.read_text(encoding="utf-8"))
+    }
+    assert set(documented) == used | set(CATALOGUE)
+    assert {code: documented[code] for code in CATALOGUE} == CATALOGUE
+
+
+def test_the_language_pages_example_is_right() -> None:
+    page = (Path(__file__).parents[2] / "docs/language.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"```koord\n(.*?)```", page, re.DOTALL)
+    tree, found = parse(Source("docs/language.md", example))
+    assert tree is not None, found
+    program, found = check(tree, Source("docs/language.md", example))
+    assert program is not None, found
+    assert found == []
