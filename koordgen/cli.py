@@ -32,11 +32,19 @@ class Failure(Exception):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit status."""
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    collecting = gc.isenabled()
     gc.disable()  # nothing here lives long enough to be collected, and trees have no cycles
+    try:
+        return _run(_parser(arguments).parse_args(arguments))
+    finally:
+        if collecting:
+            gc.enable()
+
+
+def _run(options: argparse.Namespace) -> int:
     from koordgen.pipeline import Rejected
 
-    arguments = sys.argv[1:] if arguments is None else list(arguments)
-    options = _parser(arguments).parse_args(arguments)
     try:
         return int(options.run(options))
     except Rejected as rejected:
