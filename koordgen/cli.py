@@ -122,7 +122,7 @@ def _harnesses(arguments: list[str]) -> list[tuple[str, str]]:
     asked for."""
     if arguments and arguments[0] in ("check", "dump", "build", "key"):
         return []
-    from koordgen.bundle import manifest
+    from koordgen import manifest
 
     return [(t.name, t.summary) for t in map(manifest.load, manifest.available()) if t.kind == "harness"]
 
@@ -200,7 +200,7 @@ def _key(options: argparse.Namespace) -> int:
 
 
 def _targets(text: str) -> list[str]:
-    from koordgen.bundle import manifest
+    from koordgen import manifest
 
     wanted = [name.strip() for name in text.split(",") if name.strip()]
     unknown = [name for name in wanted if name not in manifest.available()]
@@ -211,8 +211,8 @@ def _targets(text: str) -> list[str]:
 
 
 def _planned(options: argparse.Namespace, targets: list[str]) -> tuple[dict[str, dict[str, bytes]], str]:
-    from koordgen.bundle.manifest import ManifestError
     from koordgen.check.params import BadParam
+    from koordgen.manifest import ManifestError
     from koordgen.pipeline import plan_file
 
     try:
@@ -256,7 +256,7 @@ def _require_packages() -> None:
     import re
     from importlib.metadata import PackageNotFoundError, version
 
-    from koordgen.bundle import manifest
+    from koordgen import manifest
 
     missing = set()
     for target in map(manifest.load, manifest.available()):

@@ -6,8 +6,8 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from koordgen.bundle.manifest import SETTING_TYPES, Setting, Target
 from koordgen.located import Reader, Report, YamlNode
+from koordgen.manifest import SETTING_TYPES, Setting, Target
 from koordgen.node import Node
 from koordgen.source import Source
 

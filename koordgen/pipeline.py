@@ -16,10 +16,10 @@ from koordgen.syntax import decl as tree
 from koordgen.syntax.parse import parse
 
 if TYPE_CHECKING:
-    from koordgen.bundle.manifest import Target
     from koordgen.bundle.plan import Files
     from koordgen.check.params import Value
     from koordgen.fleet import Fleet
+    from koordgen.manifest import Target
 
 
 class Rejected(Exception):
@@ -87,8 +87,7 @@ def plan_file(
 ) -> tuple[Checked, dict[str, Files]]:
     """check, fleet, params, verify, ports, budget, plan: the bundles of one build, in memory. `wanted` are names of targets
     that exist. Raises Rejected, BadParam, ManifestError."""
-    from koordgen import resources
-    from koordgen.bundle import manifest
+    from koordgen import manifest, resources
     from koordgen.bundle.budget import check_budget
     from koordgen.bundle.offer import check_ports
     from koordgen.bundle.plan import plan, read_ingredients

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import msgspec
 
-from koordgen import resources
-from koordgen.bundle import manifest
+from koordgen import manifest, resources
 from koordgen.bundle.plan import Files, plan, read_ingredients
 from koordgen.fleet import Fleet, read
 from koordgen.pipeline import check_file

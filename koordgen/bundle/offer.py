@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from koordgen.bundle.manifest import Target
 from koordgen.diagnostics import Diagnostic
 from koordgen.ir.decl import Module, Port, Program
+from koordgen.manifest import Target
 
 
 def check_ports(program: Program, targets: Iterable[Target]) -> list[Diagnostic]:

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from koordgen import __version__
-from koordgen.bundle.manifest import Target
 from koordgen.bundle.write import SUMS, sums
 from koordgen.emit.program import interface_hash, program_hash, program_text
 from koordgen.emit.render import render
 from koordgen.ir.decl import Program
+from koordgen.manifest import Target
 from koordgen.node import Node
 
 if TYPE_CHECKING:  # reading YAML costs too much for builds that have no fleet

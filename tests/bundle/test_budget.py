@@ -48,7 +48,7 @@ def test_the_wire_format_is_the_hashed_one() -> None:
 @pytest.mark.parametrize("n_sys", [1, 2, 5, 16, 60, 90, 128])
 def test_both_give_the_same_verdict(n_sys: int) -> None:
     verdicts = set()
-    for points in range(0, 38):
+    for points in range(38):
         checked = program(points, "allwrite:\n  int a\n  bool b\n  float c\n")
         fits = not check_budget(checked, n_sys)
         assert fits == robots_verdict(checked, n_sys), points

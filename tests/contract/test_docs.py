@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.bundle import manifest
+from koordgen import manifest
 from koordgen.check import check
 from koordgen.diagnostics import CATALOGUE
 from koordgen.source import Source

@@ -12,8 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from koordgen import fleet
-from koordgen.bundle import manifest
+from koordgen import fleet, manifest
 from koordgen.ir.types import NAMED
 from koordgen.runtime.platform import Platform
 from koordgen.runtime.settings import Settings

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from koordgen import fleet
-from koordgen.bundle import manifest
+from koordgen import fleet, manifest
 from koordgen.runtime.settings import Safety
 from koordgen.source import Source, Span
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from koordgen import fleet, resources
-from koordgen.bundle import manifest
+from koordgen import manifest
 from koordgen.bundle.plan import Files, plan, read_ingredients
 from koordgen.pipeline import check_file
 from koordgen.source import Source
