@@ -85,8 +85,8 @@ def dump(path: str, after: str) -> str:
 def plan_file(
     path: str, wanted: Sequence[str], fleet_path: str | None, params: Mapping[str, Value]
 ) -> tuple[Checked, dict[str, Files]]:
-    """check, fleet, params, verify, ports, budget, plan: the bundles of one build, in memory. `wanted` are names of targets
-    that exist. Raises Rejected, BadParam, ManifestError."""
+    """check, fleet, params, verify, ports, budget, plan: the bundles of one build, in memory. `wanted` are
+    names of targets that exist. Raises Rejected, BadParam, ManifestError."""
     from koordgen import manifest, resources
     from koordgen.bundle.budget import check_budget
     from koordgen.bundle.offer import check_ports
