@@ -11,6 +11,7 @@ from koordgen import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
+    from typing import TextIO
 
     from koordgen.check.params import Value
     from koordgen.diagnostics import Diagnostic
@@ -88,6 +89,10 @@ def _parser(arguments: list[str]) -> argparse.ArgumentParser:
     _build_options(command)
     command.set_defaults(run=_build)
 
+    command = commands.add_parser("explain", help="tell more of a code, with a wrong and a right example")
+    command.add_argument("code", metavar="CODE", nargs="?", help="for example K030; without one, all codes are listed")
+    command.set_defaults(run=_explain)
+
     command = commands.add_parser("key", help="make a fleet's key")
     command.add_argument("action", choices=("new",))
     command.add_argument("file", metavar="FILE")
@@ -106,7 +111,8 @@ def _parser(arguments: list[str]) -> argparse.ArgumentParser:
 
 
 def _format_option(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--format", choices=("text", "json"), default="text", help="of diagnostics (default: text)")
+    help = "of diagnostics (default: text)"
+    command.add_argument("--format", choices=("text", "json", "sarif"), default="text", help=help)
 
 
 def _build_options(command: argparse.ArgumentParser, fleet_required: bool = False) -> None:
@@ -120,7 +126,7 @@ def _build_options(command: argparse.ArgumentParser, fleet_required: bool = Fals
 def _harnesses(arguments: list[str]) -> list[tuple[str, str]]:
     """Targets that run a whole fleet are commands. Their manifests are read only when such a command, or help, is
     asked for."""
-    if arguments and arguments[0] in ("check", "dump", "build", "key"):
+    if arguments and arguments[0] in ("check", "dump", "build", "explain", "key"):
         return []
     from koordgen import manifest
 
@@ -131,12 +137,7 @@ def _check(options: argparse.Namespace) -> int:
     from koordgen.pipeline import check_file
 
     checked = check_file(options.program)
-    if options.format == "json":
-        from koordgen.diagnostics import to_json
-
-        print(to_json((checked.source, d) for d in checked.noticed))
-    else:
-        _tell([(checked.source, d) for d in checked.noticed])
+    _tell([(checked.source, d) for d in checked.noticed], options)
     return HOLDS
 
 
@@ -154,7 +155,7 @@ def _build(options: argparse.Namespace) -> int:
     folder = Path(options.out) / app
     _write(bundles, folder)
     for name, files in bundles.items():
-        print(f"{folder / name}  {len(files)} files")
+        print(f"{folder / name}  {len(files)} files", file=_output(options))
     return HOLDS
 
 
@@ -174,11 +175,30 @@ def _harness(options: argparse.Namespace) -> int:
         passed.append("--quiet")
     with tempfile.TemporaryDirectory(prefix="koordgen-") as folder:
         _write({options.command: bundles[options.command]}, Path(folder))
-        process = subprocess.Popen([sys.executable, f"{folder}/{options.command}", *passed])
+        process = subprocess.Popen([sys.executable, f"{folder}/{options.command}", *passed], stdout=_output(options))
         # The child ends its run and writes its report. It gets a terminal's Ctrl-C by itself, as we do.
         signal.signal(signal.SIGINT, lambda *_: None)
         signal.signal(signal.SIGTERM, lambda *_: process.terminate())
         return process.wait()
+
+
+def _explain(options: argparse.Namespace) -> int:
+    from koordgen.diagnostics import CATALOGUE
+
+    if options.code is None:
+        print("\n".join(f"{code}  {title}" for code, title in CATALOGUE.items()))
+        return HOLDS
+    code = options.code.upper()
+    if code not in CATALOGUE:
+        from difflib import get_close_matches
+
+        near = get_close_matches(code, CATALOGUE, 1)
+        help = f"did you mean {near[0]}? " if near else ""
+        raise Failure(USAGE, f"no code {options.code!r}", f"{help}`koordgen explain` lists all codes")
+    from koordgen.explain import explanation, show
+
+    print(show(explanation(code)))
+    return HOLDS
 
 
 def _key(options: argparse.Namespace) -> int:
@@ -221,7 +241,7 @@ def _planned(options: argparse.Namespace, targets: list[str]) -> tuple[dict[str,
         raise Failure(USAGE, str(error)) from None
     except ManifestError as error:
         raise Failure(SURROUNDINGS, str(error), "the target's folder is damaged; install koordgen anew") from None
-    _tell([(checked.source, d) for d in checked.noticed])
+    _tell([(checked.source, d) for d in checked.noticed], options)
     return bundles, checked.program.name
 
 
@@ -272,23 +292,34 @@ def _require_packages() -> None:
 
 
 def _show(rejected: Rejected, options: argparse.Namespace) -> None:
-    if getattr(options, "format", "text") == "json":
+    _tell(rejected.found, options)
+    codes = [d.code for _, d in rejected.found if d.severity == "error"]
+    if options.format == "text":
+        _say(f"{len(codes)} error{'s' if len(codes) != 1 else ''}; `koordgen explain {codes[0]}` tells more")
+
+
+def _tell(found: Collection[tuple[Source, Diagnostic]], options: argparse.Namespace) -> None:
+    """All that a command has to say of the user's files, once: for machines a document, even when it is nothing."""
+    if options.format == "json":
         from koordgen.diagnostics import to_json
 
-        print(to_json(rejected.found))
-        return
-    _tell(rejected.found)
-    errors = sum(d.severity == "error" for _, d in rejected.found)
-    _say(f"{errors} error{'s' if errors != 1 else ''}")
+        print(to_json(found), flush=True)
+    elif options.format == "sarif":
+        from pathlib import Path
+
+        from koordgen.sarif import to_sarif
+
+        print(to_sarif(found, Path.cwd()), flush=True)
+    elif found:
+        from koordgen.diagnostics import render
+
+        for source, diagnostic in found:
+            _say(render(diagnostic, source))
 
 
-def _tell(found: Collection[tuple[Source, Diagnostic]]) -> None:
-    if not found:
-        return
-    from koordgen.diagnostics import render
-
-    for source, diagnostic in found:
-        _say(render(diagnostic, source))
+def _output(options: argparse.Namespace) -> TextIO | None:
+    """Where a command's own words go: aside when a document for machines has standard output, which None means."""
+    return None if options.format == "text" else sys.stderr
 
 
 def _say(text: str) -> None:

@@ -1,4 +1,4 @@
-"""What the compiler tells its user: diagnostics as data, their catalogue, and their two renderings.
+"""What the compiler tells its user: diagnostics as data, their catalogue, their rendering for people and as JSON.
 
 Only the command line prints. A mistake of the user is a Diagnostic; a mistake of the compiler is an InternalError.
 """
@@ -13,7 +13,8 @@ from koordgen.source import Source, Span
 
 Severity = Literal["error", "warning", "note"]
 
-# code -> title. A code's meaning never changes; a code that is given up is never used again.
+# code -> title, the only place of titles. K: the program. F: files, the fleet file above all. B: building for a target.
+# A code's meaning never changes; a code that is given up is never used again.
 CATALOGUE: dict[str, str] = {
     "K001": "something else is expected here",
     "K002": "unexpected character",
@@ -48,6 +49,19 @@ CATALOGUE: dict[str, str] = {
     "K041": "event can never run",
     "K042": "event is hidden by an earlier one",
     "K043": "statement can never run",
+    "F001": "not YAML",
+    "F002": "unknown key",
+    "F003": "missing key",
+    "F004": "wrong type of value",
+    "F005": "value out of range, or of another form",
+    "F006": "given twice: a key, a robot's name, an address",
+    "F007": "unknown target",
+    "F100": "a file cannot be read",
+    "F101": "a file is not UTF-8",
+    "B001": "the target offers no such module",
+    "B002": "the target offers no such port",
+    "B003": "the target's port has another type",
+    "B004": "a round's writes do not fit in a datagram",
 }
 
 

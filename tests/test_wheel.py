@@ -24,7 +24,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return next(folder.glob("koordgen-*.whl"))
 
 
-def test_it_carries_templates_targets_and_runtime(wheel: Path) -> None:
+def test_it_carries_templates_targets_runtime_and_explanations(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
     assert {
         "koordgen/_data/templates/program.py.j2",
@@ -34,6 +34,9 @@ def test_it_carries_templates_targets_and_runtime(wheel: Path) -> None:
         "koordgen/_data/targets/__init__.py",
         "koordgen/runtime/agent.py",
         "koordgen/_generated/grammar.py",
+        "koordgen/explain/K.md",
+        "koordgen/explain/F.md",
+        "koordgen/explain/B.md",
     } <= names
     assert not [n for n in names if n.startswith(("tests/", "benchmarks/")) or n.endswith(".pyc")]
 

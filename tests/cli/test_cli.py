@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from koordgen.cli import main
+from koordgen.diagnostics import CATALOGUE
 
 ROOT = Path(__file__).parents[2]
 LINEFORM = ROOT / "examples/lineform/lineform.koord"
@@ -55,6 +56,46 @@ def test_check_json(printed: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert found
     keys = {"code", "severity", "message", "file", "line", "column", "end_line", "end_column", "help"}
     assert all(set(d) == keys and d["file"] == str(printed) for d in found)
+
+
+WARNED = LINEFORM.read_text() + "Never:\n  pre: pid < 0\n  eff: pass\n"
+
+
+@pytest.mark.parametrize("format", ["json", "sarif"])
+def test_standard_output_is_one_document_also_of_a_build_that_passes(format: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.koord"
+    path.write_text(WARNED)
+    out = tmp_path / "out"
+    done = koordgen("build", path, "--target", "quad", "-o", out, "--format", format)
+    assert done.returncode == 0
+    document = json.loads(done.stdout)
+    found = document["diagnostics"] if format == "json" else document["runs"][0]["results"]
+    assert [d["ruleId" if format == "sarif" else "code"] for d in found] == ["K041"]
+    assert str(out / "a/quad") in done.stderr
+
+
+def test_explain_lists_all_codes(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["explain"]) == 0
+    assert capsys.readouterr().out.splitlines() == [f"{code}  {title}" for code, title in CATALOGUE.items()]
+
+
+@pytest.mark.parametrize("code", ["K030", "k030"])
+def test_explain_a_code(code: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["explain", code]) == 0
+    told = capsys.readouterr().out
+    assert told.startswith("K030: index names no robot\n\n")
+    assert "\n    TargetUpdate:\n" in told
+    assert "```" not in told
+
+
+@pytest.mark.parametrize(
+    ("code", "words"), [("K30", "did you mean K030?"), ("wing", "lists all codes"), ("", "no code ''")]
+)
+def test_explain_an_unknown_code(code: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["explain", code]) == 2
+    told = capsys.readouterr()
+    assert words in told.err
+    assert told.out == ""
 
 
 @pytest.mark.parametrize("after", ["parse", "check"])
@@ -144,7 +185,8 @@ def test_a_fleet_file_with_mistakes(tmp_path: Path, capsys: pytest.CaptureFixtur
     told = capsys.readouterr().err
     assert f"{fleet}:3:1: error[F002]" in told
     assert "already robot 0's" in told
-    assert "2 errors" in told
+    assert told.endswith("2 errors; `koordgen explain F002` tells more\n")
+    assert told.count("koordgen explain") == 1
     assert not (tmp_path / "out").exists()
 
 
@@ -235,7 +277,7 @@ def test_check_imports_nothing_heavy() -> None:
     code = (
         "import sys; from koordgen.cli import main; status = main(['check', sys.argv[1]]);"
         "print(sorted(set(sys.modules) & {'jinja2', 'yaml', 'json', 'numpy', 'msgspec', 'z3', 'casadi', 'ompl',"
-        " 'pybullet', 'pymavlink', 'tomllib'})); sys.exit(status)"
+        " 'pybullet', 'pymavlink', 'tomllib', 'koordgen.explain', 'koordgen.sarif'})); sys.exit(status)"
     )
     done = subprocess.run([sys.executable, "-c", code, str(LINEFORM)], capture_output=True, text=True, cwd=ROOT)
     assert (done.returncode, done.stdout.strip()) == (0, "[]"), done.stderr
@@ -245,7 +287,7 @@ def test_build_imports_no_robot_package(tmp_path: Path) -> None:
     code = (
         "import sys; from koordgen.cli import main; status = main(['build', sys.argv[1], '--target', 'quad,car',"
         " '-o', sys.argv[2]]); print(sorted(set(sys.modules) & {'numpy', 'msgspec', 'z3', 'casadi', 'ompl',"
-        " 'pybullet', 'pymavlink', 'yaml'}), file=sys.stderr); sys.exit(status)"
+        " 'pybullet', 'pymavlink', 'yaml', 'koordgen.explain', 'koordgen.sarif'}), file=sys.stderr); sys.exit(status)"
     )
     done = subprocess.run(
         [sys.executable, "-c", code, str(LINEFORM), str(tmp_path)], capture_output=True, text=True, cwd=ROOT

@@ -52,10 +52,11 @@ def test_every_code_is_documented() -> None:
     used = {
         code
         for path in (root / "koordgen").rglob("*.py")
+        if path.name != "diagnostics.py"
         for code in re.findall(r'"([FB]\d{3})"', path.read_text(encoding="utf-8"))
     }
-    assert set(documented) == used | set(CATALOGUE)
-    assert {code: documented[code] for code in CATALOGUE} == CATALOGUE
+    assert documented == CATALOGUE
+    assert used == {code for code in CATALOGUE if not code.startswith("K")}
 
 
 def test_the_language_pages_example_is_right() -> None:

@@ -1,0 +1,66 @@
+"""What each code means, at length, with a wrong and a right example: the Markdown files beside this one, by letter.
+
+A section is headed by its code alone (titles stand in the catalogue) and has this form: what the rule is, why it
+matters on robots, a line and a wrong example, a line and a right one. `tests/explain` runs every example.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+from koordgen.diagnostics import CATALOGUE, InternalError
+from koordgen.node import Node
+
+_FENCE = "```"
+
+
+class Explanation(Node):
+    """The text of one code. `markdown` is its section without the heading; `wrong` and `right` are its examples,
+    `wrong_note` and `right_note` the lines that lead to them."""
+
+    code: str
+    title: str
+    markdown: str
+    wrong_note: str
+    wrong: str
+    right_note: str
+    right: str
+
+
+def explanation(code: str) -> Explanation:
+    """The text of a code of the catalogue. Raises KeyError for any other."""
+    title = CATALOGUE[code]
+    section = _sections(code[0]).get(code, "")
+    parts = section.split(f"\n{_FENCE}")
+    if len(parts) != 5:
+        raise InternalError(f"the explanation of {code} is not of the form it must have")
+    before, wrong, between, right, _ = parts
+    return Explanation(code, title, section, before.split("\n")[-1], _listing(wrong), between.strip(), _listing(right))
+
+
+def show(found: Explanation) -> str:
+    """For a terminal: the title, and the section with its listings indented instead of fenced."""
+    lines = [f"{found.code}: {found.title}", ""]
+    inside = False
+    for line in found.markdown.split("\n"):
+        if line.startswith(_FENCE):
+            inside = not inside
+            lines.append("")
+        elif inside:
+            lines.append(f"    {line}".rstrip(" "))
+        elif line or lines[-1]:
+            lines.append(line)
+    return "\n".join(lines).rstrip("\n")
+
+
+def _listing(part: str) -> str:
+    """What follows the opening fence's language."""
+    return part.partition("\n")[2] + "\n"
+
+
+@cache
+def _sections(letter: str) -> dict[str, str]:
+    text = Path(__file__).with_name(f"{letter}.md").read_text(encoding="utf-8")
+    sections = (section.partition("\n") for section in text.split("\n## ")[1:])
+    return {code: body.strip("\n") for code, _, body in sections}

@@ -1,0 +1,131 @@
+"""Every code is explained, in one form, and every example does what its explanation says."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from koordgen import explain, fleet, manifest
+from koordgen.bundle.budget import check_budget
+from koordgen.bundle.offer import check_ports
+from koordgen.check import check
+from koordgen.cli import main
+from koordgen.diagnostics import CATALOGUE
+from koordgen.explain import Explanation, explanation, show
+from koordgen.ir.decl import Program
+from koordgen.pipeline import Rejected, read_source
+from koordgen.source import Source, Span
+from koordgen.syntax.parse import parse
+
+FOLDER = Path(explain.__file__).parent
+
+
+def codes(*letters: str) -> list[str]:
+    return [code for code in CATALOGUE if code.startswith(letters)]
+
+
+def of_program(text: str) -> tuple[Program | None, list[str]]:
+    tree, found = parse(Source("example.koord", text))
+    program = None
+    if tree is not None:
+        program, more = check(tree, Source("example.koord", text))
+        found = found + more
+    return program, [d.code for d in found]
+
+
+def examples(found: Explanation) -> Iterator[tuple[str, str, set[str]]]:
+    """Each example with the line that leads to it and the codes that it must give."""
+    yield found.wrong_note, found.wrong, {found.code}
+    yield found.right_note, found.right, set()
+
+
+def test_the_files_hold_the_catalogue_in_its_order_and_no_titles() -> None:
+    headed = []
+    for letter in "KFB":
+        text = (FOLDER / f"{letter}.md").read_text(encoding="utf-8")
+        headed += re.findall(r"^## (.*)$", text, re.MULTILINE)
+    assert headed == list(CATALOGUE)
+
+
+@pytest.mark.parametrize("code", CATALOGUE)
+def test_an_explanation_has_its_parts(code: str) -> None:
+    found = explanation(code)
+    rule, robots, *rest = found.markdown.split("\n\n")
+    assert len(rule) > 40
+    assert robots.startswith("On robots: ")
+    assert len(robots) > 60
+    assert [part.split("\n")[0] for part in rest if part.startswith(("Wrong", "Right"))] == [
+        found.wrong_note, found.right_note,
+    ]  # fmt: skip
+    assert all(note.endswith(":") for note in (found.wrong_note, found.right_note))
+    shown = show(found)
+    assert shown.startswith(f"{code}: {CATALOGUE[code]}\n\n{rule}")
+    assert all(f"    {line}\n" in f"{shown}\n" for line in (found.wrong + found.right).splitlines())
+    assert max(map(len, shown.splitlines())) <= 80, "fits a terminal"
+
+
+def test_a_code_that_is_not() -> None:
+    with pytest.raises(KeyError):
+        explanation("K000")
+
+
+@pytest.mark.parametrize("code", codes("K"))
+def test_examples_of_programs(code: str) -> None:
+    for note, text, wanted in examples(explanation(code)):
+        assert set(of_program(text)[1]) == wanted, note
+
+
+@pytest.mark.parametrize("code", codes("F00"))
+def test_examples_of_fleet_files(code: str) -> None:
+    targets = {name: manifest.load(name) for name in manifest.available()}
+    for note, text, wanted in examples(explanation(code)):
+        found: list[str] = []
+
+        def report(code: str, message: str, span: Span, help: str, found: list[str] = found) -> None:
+            found.append(code)
+
+        read = fleet.read(Source("fleet.yaml", text), targets, {}, report)
+        assert set(found) == wanted, note
+        assert (read is None) == bool(wanted)
+
+
+def test_examples_of_a_file_that_cannot_be_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("lineform.koord").write_text(explanation("F101").right, encoding="utf-8")
+    for _, text, wanted in examples(explanation("F100")):
+        assert main(shlex.split(text)[1:]) == (1 if wanted else 0)
+        assert ("error[F100]" in capsys.readouterr().err) == bool(wanted)
+
+
+def test_examples_of_an_encoding(tmp_path: Path) -> None:
+    path = tmp_path / "a.koord"
+    found = explanation("F101")
+    assert "Latin-1" in found.wrong_note
+    assert "UTF-8" in found.right_note
+    path.write_text(found.wrong, encoding="latin-1")
+    with pytest.raises(Rejected) as rejected:
+        read_source(str(path))
+    assert [d.code for _, d in rejected.value.found] == ["F101"]
+    path.write_text(found.right, encoding="utf-8")
+    assert of_program(read_source(str(path)).text)[1] == []
+
+
+@pytest.mark.parametrize("code", codes("B"))
+def test_examples_of_builds(code: str) -> None:
+    found = explanation(code)
+    target = re.search(r"--target (\w+)", found.wrong_note)
+    robots = re.search(r"of (\d+) robots", found.wrong_note)
+    assert target or robots, "says what it is built for"
+    for note, text, wanted in examples(found):
+        program, before = of_program(text)
+        assert program is not None
+        assert before == []
+        told = check_ports(program, [manifest.load(target[1])] if target else [])
+        told += check_budget(program, int(robots[1]) if robots else 1)
+        assert {d.code for d in told} == wanted, note
