@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import select
 import socket
 import termios
@@ -67,8 +68,11 @@ class SerialLink:
             raise self._lost(error) from None
 
     def write(self, data: bytes) -> int:
+        # Not by pyserial: as long as the device takes nothing, its non-blocking write spins and never returns.
         try:
-            return int(self._port.write(data) or 0)
+            return os.write(self._port.fileno(), data)
+        except BlockingIOError:
+            return 0
         except self._gone as error:
             raise self._lost(error) from None
 

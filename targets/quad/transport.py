@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import os
 import socket
 from typing import Any, Protocol
 
@@ -163,6 +164,7 @@ class Serial:
     def __init__(self, device: str, baud: int) -> None:
         self._device, self._baud = device, baud
         self._retry = float("-inf")
+        self._unsent = b""
         self._port: Any = self._opened()
 
     def _opened(self) -> Any:
@@ -189,7 +191,7 @@ class Serial:
     def _drop(self) -> None:
         with contextlib.suppress(OSError):
             self._port.close()
-        self._port = None
+        self._port, self._unsent = None, b""
 
     def answer(self, source: Address | None) -> None:
         pass
@@ -197,10 +199,19 @@ class Serial:
     def send(self, data: bytes) -> bool:
         if self._port is None:
             return False
+        if self._unsent:
+            self._unsent = self._unsent[self._write(self._unsent) :]
+        written = 0 if self._unsent else self._write(data)
+        if written:
+            self._unsent = data[written:]  # what was cut goes first, or its half would spoil the next; no more is kept
+        return written > 0
+
+    def _write(self, data: bytes) -> int:
+        # Not by pyserial: as long as the device takes nothing, its non-blocking write spins and never returns.
         try:
-            return bool(self._port.write(data) == len(data))
-        except (OSError, TypeError):  # SerialTimeoutException, an OSError: the buffer is full
-            return False
+            return os.write(self._port.fileno(), data)
+        except (OSError, TypeError):
+            return 0
 
     def close(self) -> None:
         if self._port is not None:

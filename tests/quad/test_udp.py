@@ -1,9 +1,13 @@
-"""The one test with real sockets and the real clock: agent and simulated autopilot over loopback."""
+"""Real sockets, a real pseudo-terminal and the real clock: agent and simulated autopilot over loopback."""
 
 from __future__ import annotations
 
+import os
+import pty
+import signal
 import socket
 import time
+import tty
 
 import pytest
 
@@ -82,3 +86,32 @@ def test_tcp_comes_back_after_a_break() -> None:
     refused = opened("tcp:127.0.0.1:1")
     assert refused.receive(0.0) == [] and refused.receive(2.0) == []
     refused.close()
+
+
+def test_a_serial_device_that_takes_nothing_blocks_nobody_and_gets_whole_frames_later() -> None:
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    link = opened(f"serial:{os.ttyname(slave)}:115200")
+    before = signal.signal(signal.SIGALRM, _hung)
+    try:
+        signal.alarm(5)
+        frames = [bytes([i % 251]) * 61 for i in range(2000)]
+        taken = [frame for frame in frames if link.send(frame)]
+        assert 0 < len(taken) < 1000
+        signal.alarm(5)
+        got = os.read(master, 65536)
+        while not link.send(b"last"):
+            got += os.read(master, 65536)
+        while not got.endswith(b"last"):
+            got += os.read(master, 65536)
+        assert got == b"".join(taken) + b"last"
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+        link.close()
+        os.close(master)
+        os.close(slave)
+
+
+def _hung(number: int, frame: object) -> None:
+    raise KeyboardInterrupt("it hangs")
