@@ -42,11 +42,13 @@ def interrupting(seconds: float) -> Iterator[None]:
             raise Overrun("out of time")
 
     before = signal.signal(signal.SIGALRM, ring)
-    signal.setitimer(signal.ITIMER_REAL, max(1e-4, seconds), 0.05)  # again, should a bare `except` keep the first
-    try:
-        yield
+    try:  # the timer may ring at any step from its start on: every one must lead to its end
+        try:
+            signal.setitimer(signal.ITIMER_REAL, max(1e-4, seconds), 0.05)  # again, should a bare `except` keep the first
+            yield
+        finally:
+            armed = False
     finally:
-        armed = False
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
 

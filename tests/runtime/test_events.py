@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -11,7 +13,7 @@ import pytest
 from koordgen.runtime.clock import SystemClock
 from koordgen.runtime.platform import Sensed
 from koordgen.runtime.program import Event, Program, Stopped
-from koordgen.runtime.runner import Runner, interrupting
+from koordgen.runtime.runner import Overrun, Runner, interrupting
 from koordgen.runtime.values import Point
 from tests.runtime.fleet import FakePlatform, Fleet
 from tests.runtime.lineform import PROGRAM, State, effect
@@ -131,6 +133,22 @@ def test_an_event_that_never_ends_is_interrupted(endless: Callable[[State], None
     assert "publish deadline" in str(outcome.fault)
     assert clock.now() - began < 0.5
     assert runner.locals == {"count": 0}
+
+
+def test_a_timer_that_rings_while_it_is_set_ends_with_its_event(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a busy host: the process is put off within the system call that starts the timer."""
+
+    def put_off(which: int, seconds: float, again: float = 0.0) -> None:
+        set_timer(which, seconds, again)
+        until = time.monotonic() + 0.002
+        while time.monotonic() < until:
+            pass
+
+    set_timer, before = signal.setitimer, signal.getsignal(signal.SIGALRM)
+    monkeypatch.setattr(signal, "setitimer", put_off)
+    with pytest.raises(Overrun), interrupting(0.0):
+        raise AssertionError("the event begins")
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0) and signal.getsignal(signal.SIGALRM) == before
 
 
 def stops_when_line_is_reached(s: State) -> None:
