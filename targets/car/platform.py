@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 from koordgen.runtime.feed import Feed
@@ -99,7 +100,13 @@ class Car:
 
     def poll(self, now: float) -> None:
         self._now = now
-        drive = self._read(now)
+        try:
+            drive = self._read(now)
+        except Unready:
+            if self._drive is not None:
+                with suppress(Unready):  # what we no longer hear may still hear us
+                    self._drive.brake(now)
+            raise
         if now < self._next_control - SLACK:
             return
         self._next_control = max(self._next_control, now) + STEP

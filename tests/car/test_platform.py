@@ -408,6 +408,23 @@ def test_a_motor_controller_that_falls_silent_is_unready() -> None:
         world.run(4.0)
 
 
+def test_a_car_that_no_longer_hears_its_motor_controller_brakes_it_all_the_same() -> None:
+    world = World(max_speed=2.0).begin()
+    world.go(5.5, 0.0)
+    world.run(1.5)
+    lost = 0
+    for _ in range(100):
+        world.physics(0.05)
+        world.wire.to_agent = b""  # the cable's one direction is broken
+        try:
+            world.car.poll(world.now)
+        except Unready:
+            lost += 1
+            world.car.rest(world.now)
+            assert vesc.encode(vesc.Brake(10.0)) in world.wire.to_drive
+    assert lost > 30 and standing(world)
+
+
 def test_check_looks_and_moves_nothing() -> None:
     world = World()
     lines = world.car.check()
