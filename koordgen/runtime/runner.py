@@ -44,7 +44,8 @@ def interrupting(seconds: float) -> Iterator[None]:
     before = signal.signal(signal.SIGALRM, ring)
     try:  # the timer may ring at any step from its start on: every one must lead to its end
         try:
-            signal.setitimer(signal.ITIMER_REAL, max(1e-4, seconds), 0.05)  # again, should a bare `except` keep the first
+            # ... and again, should a bare `except` keep the first.
+            signal.setitimer(signal.ITIMER_REAL, max(1e-4, seconds), 0.05)
             yield
         finally:
             armed = False
