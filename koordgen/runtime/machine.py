@@ -74,6 +74,7 @@ class Agent:
         self._counted: dict[str, int] = {}
         self._known_restarts = 0
         self._resting_since = 0.0
+        self._served = 0.0  # when the platform's `poll` last went well
         self._asked_to_end = False
         self._started = False
         self._lost = False
@@ -157,7 +158,7 @@ class Agent:
         if self.phase in ("resting", "rested"):
             self._platform.rest(now)
         self._platform.poll(now)
-        self._failures = 0
+        self._served, self._failures = now, 0
         match self.phase:
             case "starting":
                 self._say(self._platform.progress)
@@ -169,12 +170,13 @@ class Agent:
                 self._judge(now)
             case "resting" if self._platform.rested:
                 self._enter("rested", "")
-            case "resting" if self._lost:
-                self._give_up(now)
+        self._end_when_rested()
+        return self._next_body
+
+    def _end_when_rested(self) -> None:
         if self.phase == "rested":
             over = self._rounds is None or self._rounds.over
             self.done = self._asked_to_end or over or self._broken
-        return self._next_body
 
     def _begin_joining(self, now: float) -> None:
         """The body is ready: hold, and run `init` once."""
@@ -239,10 +241,12 @@ class Agent:
         self._enter("resting", why)
 
     def _give_up(self, now: float) -> None:
-        """A body that is lost for good is tried for a while; one that never began to serve has nothing to end."""
+        """A body that is lost for good is tried for a while, one that serves again for as long as it takes; one that
+        never began to serve has nothing to end."""
+        self._end_when_rested()
         if not self._started:
             self.done = True
-        elif now - self._resting_since > LOST_BODY:
+        elif self.phase == "resting" and now - max(self._resting_since, self._served) > LOST_BODY:
             self._log("error", f"the body did not come to rest within {LOST_BODY:.0f} s")
             self.done = True
 

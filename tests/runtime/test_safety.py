@@ -118,6 +118,44 @@ def test_a_lost_body_is_brought_to_rest_or_given_up() -> None:
     assert robot.done() and robot.agent.status == 5
 
 
+def test_a_body_that_serves_again_is_waited_for_however_long_it_takes_to_rest() -> None:
+    """A quad that a failsafe brings home: the process must not end before it has landed."""
+
+    class Slow(FakePlatform):
+        @property
+        def rested(self) -> bool:
+            return self.resting is not None and self.now - self.resting >= 25.0
+
+    fleet = Fleet(n=1)
+    robot = fleet.boot(0, Slow(Point()))
+    fleet.run_rounds(5)
+    robot.platform.raises = Unready("the autopilot is in RTL")
+    fleet.run(1.0)
+    robot.platform.raises = None
+    fleet.run(23.0)
+    assert robot.agent.phase == "resting" and not robot.done()
+    fleet.run(3.0)
+    assert robot.done() and robot.agent.status == 5 and robot.agent.phase == "rested"
+    assert "did not come to rest" not in "".join(robot.lines)
+
+
+def test_a_rested_robot_whose_body_is_switched_off_still_serves_until_it_is_told_to_end() -> None:
+    fleet = Fleet(n=2).boot_all()
+    fleet.run_rounds(5)
+    bert = fleet.robots[1]
+    bert.platform.raises = Unready("a pilot took over")
+    fleet.run(0.1)
+    bert.platform.raises = None
+    fleet.run(0.5)
+    assert bert.agent.phase == "rested"
+    bert.platform.raises = Unready("switched off")
+    fleet.run(30.0)
+    assert not bert.done() and fleet.robots[0].records[-1].skipped == "no event enabled"
+    bert.agent.end("SIGTERM")
+    fleet.run(0.1)
+    assert bert.done() and bert.agent.status == 5 and "did not come to rest" not in "".join(bert.lines)
+
+
 def test_a_body_that_cannot_start_is_done_at_once() -> None:
     class Absent(FakePlatform):
         def start(self, now: float) -> None:
