@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import select
 import signal
 import sys
 import traceback
@@ -15,6 +16,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import FrameType
+from typing import TextIO
 
 from koordgen.runtime.clock import SystemClock
 from koordgen.runtime.layout import Layout, TooLarge
@@ -31,6 +33,7 @@ __all__ = ["Agent", "main"]
 
 INTERRUPTED = 130
 LONGEST_WAIT = 0.1  # seconds: how soon a signal is seen
+PIECE = 200  # characters that a pipe or terminal takes whole when it says that it takes any
 
 PlatformType = Callable[[Settings, bytes | None], Platform]
 
@@ -144,14 +147,18 @@ def _run(
 
 
 class _Signals:
-    """SIGINT and SIGTERM, counted inside the block; the third raises KeyboardInterrupt wherever the process is."""
+    """SIGINT, SIGTERM and SIGHUP, counted inside the block; the third raises KeyboardInterrupt wherever the process is.
+    A terminal that closed counts once, however often it is told; under `nohup` it stays ignored."""
 
     def __init__(self) -> None:
         self.count = 0
         self.name = ""
 
     def __enter__(self) -> _Signals:
-        self._before = {number: signal.signal(number, self._take) for number in (signal.SIGINT, signal.SIGTERM)}
+        numbers = [signal.SIGINT, signal.SIGTERM]
+        if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+            numbers.append(signal.SIGHUP)
+        self._before = {number: signal.signal(number, self._take) for number in numbers}
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -159,6 +166,8 @@ class _Signals:
             signal.signal(number, handler)
 
     def _take(self, number: int, frame: FrameType | None) -> None:
+        if number == signal.SIGHUP and self.count:
+            return
         self.count += 1
         self.name = signal.Signals(number).name
         if self.count > 2:
@@ -187,6 +196,21 @@ def _say(level: str, text: str) -> None:
 
 
 def _print(line: str) -> None:
-    """To standard error, if there still is one: a closed terminal must not stop a flying robot."""
+    """To standard error, as far as it takes it at once: neither a closed terminal nor one that is halted (Ctrl-S, a
+    broken ssh connection) must stop the control loop of a flying robot."""
+    text = line + "\n"
     with suppress(OSError, ValueError):
-        print(line, file=sys.stderr, flush=True)
+        for at in range(0, len(text), PIECE):
+            if not _takes(sys.stderr):
+                return
+            sys.stderr.write(text[at : at + PIECE])
+            sys.stderr.flush()
+
+
+def _takes(stream: TextIO) -> bool:
+    """Whether a piece can be written without waiting."""
+    try:
+        number = stream.fileno()
+    except (OSError, ValueError):  # no file at all
+        return True
+    return bool(select.select([], [number], [], 0.0)[1])

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import socket
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -126,6 +127,64 @@ def test_a_third_signal_ends_at_once(bundles: list[Path], started: list[subproce
             said += line
         process.send_signal(signal.SIGTERM)
     assert process.wait(timeout=5) == 130
+
+
+def ends_with(folder: Path) -> list[str]:
+    """Its phases, when it came to an end by itself."""
+    lines = map(json.loads, (folder / "trace.jsonl").read_text().splitlines())
+    return [t["phase"] for t in lines if t["kind"] == "phase"]
+
+
+def wait_until_joining(folder: Path) -> None:
+    limit = time.monotonic() + 10
+    while time.monotonic() < limit:
+        if (folder / "trace.jsonl").exists() and '"joining"' in (folder / "trace.jsonl").read_text():
+            return
+        time.sleep(0.05)
+    raise AssertionError("it never became ready")
+
+
+def test_a_closed_terminal_brings_it_to_rest(bundles: list[Path], started: list[subprocess.Popen[str]]) -> None:
+    process = start(bundles[0], started)
+    wait_until_joining(bundles[0])
+    for _ in range(4):  # a shell and the kernel may each tell of it, more than once
+        process.send_signal(signal.SIGHUP)
+        time.sleep(0.02)
+    _, errors = process.communicate(timeout=5)
+    assert process.returncode == 0, errors
+    assert ends_with(bundles[0])[-2:] == ["resting", "rested"]
+
+
+def test_nohup_keeps_it_going(bundles: list[Path], started: list[subprocess.Popen[str]]) -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        process = start(bundles[0], started)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    wait_until_joining(bundles[0])
+    process.send_signal(signal.SIGHUP)
+    time.sleep(0.3)
+    assert process.poll() is None and "resting" not in ends_with(bundles[0])
+
+
+def test_a_terminal_that_takes_nothing_holds_up_nobody(
+    bundles: list[Path], started: list[subprocess.Popen[str]]
+) -> None:
+    read, write = os.pipe()
+    os.set_blocking(write, False)
+    with suppress(BlockingIOError):
+        while True:
+            os.write(write, bytes(4096))
+    os.set_blocking(write, True)
+    process = subprocess.Popen([sys.executable, MAIN, str(bundles[0])], stderr=write, text=True)
+    started.append(process)
+    try:
+        wait_until_joining(bundles[0])
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(timeout=5) == 0
+    finally:
+        os.close(read)
+        os.close(write)
 
 
 def run(folder: Path, *arguments: str) -> int:
