@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -93,13 +94,21 @@ def load(path: Path, overrides: Path | None = None, pid: int | None = None) -> S
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        value = json.loads(path.read_text(encoding="utf-8"))
+        value = json.loads(path.read_text(encoding="utf-8"), parse_float=_finite, parse_constant=_finite)
     except OSError as error:
         raise BadSettings(f"{path}: {error.strerror or error}") from None
     except ValueError as error:
         raise BadSettings(f"{path}: not JSON: {error}") from None
     if not isinstance(value, dict):
         raise BadSettings(f"{path}: a JSON object is expected")
+    return value
+
+
+def _finite(text: str) -> float:
+    """A threshold that is not a number would never be passed, and no fence would hold."""
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text} is not a finite number")
     return value
 
 

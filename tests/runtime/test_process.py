@@ -227,6 +227,16 @@ def test_wrong_settings_are_status_1(
     assert message in said and said.startswith("error: ")
 
 
+@pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999"])
+def test_settings_that_are_not_finite_are_refused(
+    bundles: list[Path], capsys: pytest.CaptureFixture[str], number: str
+) -> None:
+    over = bundles[0].parent / "over.json"
+    over.write_text(f'{{"safety": {{"position_lost": {number}}}}}')
+    assert run(bundles[0], "--check", "--settings", str(over)) == 1
+    assert "over.json: not JSON: " in (said := capsys.readouterr().err) and f"{number} is not a finite number" in said
+
+
 def test_a_key_others_may_read_is_refused(bundles: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
     (bundles[0] / "fleet.key").chmod(0o644)
     assert run(bundles[0], "--check") == 1
