@@ -65,6 +65,7 @@ class Motion:
             self._station = self._lifted(position)
         if self._holding and self._pause is None:
             self._pause = self._lifted(position)
+            self._carrot.drop()  # it ran ahead of the vehicle: to walk it back would take as long as the way did
         seconds = SPACING if self._sent is None else now - self._sent
         carrot = self._carrot.step(self._pause or self._goal or self._station, position, seconds)
         link.send(setpoint(link.vehicle, self._frame, self._fence, carrot))

@@ -71,6 +71,20 @@ def test_a_whole_life() -> None:
     assert rig.wire.closed
 
 
+@pytest.mark.parametrize(("speed", "overshoot"), [(1.0, 0.55), (2.0, 1.1)])
+def test_a_hold_brakes_at_once(speed: float, overshoot: float) -> None:
+    """Where the vehicle is, not where the setpoint that ran ahead of it can be walked back from."""
+    rig = Rig(max_speed=speed)
+    rig.fly()
+    rig.go(-5.5, -2.0)
+    assert rig.run(3.0, lambda: rig.body.velocity[0] < -0.95 * speed)
+    here, far = at(rig), [0.0]
+    rig.quad.hold(True, rig.now)
+    rig.watch = lambda: far.append(distance(at(rig), here))
+    rig.run(5.0)
+    assert max(far) < overshoot and far[-1] < 0.1
+
+
 def test_what_is_sent_on_the_way() -> None:
     """Setpoints at 20 Hz, position only, GLOBAL_INT, none before the take-off's height; our heartbeat once a second."""
     rig = Rig()
