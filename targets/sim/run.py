@@ -108,7 +108,7 @@ class Run:
             agent.launch(overrides(robots, ports, body, self._key_file, agent.trace_file), self._scenario.delta)
         self._pace = Pace(time.monotonic(), STEP)
         timeout = launched + self._scenario.number("start_timeout", START_TIMEOUT)
-        self._progress.say(f"{len(robots)} robots are starting")
+        self._progress.say("1 robot is starting" if len(robots) == 1 else f"{len(robots)} robots are starting")
         ended = self._until(lambda now: self._before_start(now, timeout))
         zero = launched if self._zero is None else self._zero
         waiting = {agent.robot.name: agent.waiting_for() for agent in self.agents} if ended else {}
