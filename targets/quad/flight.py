@@ -1,13 +1,14 @@
 """The life of a flight, from the first heartbeat to the motors' stop: a polled state machine over one link.
 
-Each step is believed only when telemetry shows it, and asked for again until then. After take-off a mode that is not
-ours means that a pilot or a failsafe took the vehicle: it is never taken back.
+Each step is believed only when telemetry shows it, and asked for again until then. Once it is armed, a mode that is
+not ours means that a pilot or a failsafe took the vehicle: it is never taken back.
 """
 
 from __future__ import annotations
 
 import enum
 import math
+from typing import NoReturn
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -19,6 +20,8 @@ from targets.quad.telemetry import GUIDED, LAND, RETURNS, Streams, Telemetry, fi
 
 SILENCE = 30.0  # seconds without a heartbeat after which the vehicle counts as gone for good
 AT_HEIGHT = 0.3  # metres below the flight height at which the climb counts as done
+BY_HAND = 5.0  # seconds after arming; ArduPilot itself disarms for want of a take-off after 10 (DISARM_DELAY)
+BLIND = 3.0  # seconds without a position after which a climb is given up
 STILL = 0.1  # m/s; in LAND mode a vehicle that is slower has touched down
 PATIENCE = 5.0  # seconds on the ground after which we disarm, where the autopilot's own landing does not
 _ON_GROUND = mavlink.MAV_LANDED_STATE_ON_GROUND
@@ -159,11 +162,14 @@ class Flight:
         state = self._telemetry
         if not state.armed and not self._airborne:
             said = self._link.reasons(self._since)
-            self._enter(Phase.ARMING, now, f"disarmed before take-off{': ' if said else ''}{said}; arming again")
+            words = f"disarmed before take-off{': ' if said else ''}{said}"
+            if now - self._since < BY_HAND:
+                raise Unready(words, "a person or a failsafe did; see that all is well and start the agent anew")
+            self._enter(Phase.ARMING, now, f"{words}; arming again")
         elif self._airborne:
             self._rise(now)
         elif state.mode != GUIDED:
-            self._enter(Phase.SWITCHING, now, f"the autopilot fell back to {state.mode_name}; asking again")
+            self._leave_to_them()
         elif state.position is None or not state.fresh(now) or state.time is None or state.time < self._since + 0.3:
             pass  # home, which the take-off's height counts from, has just been set anew
         elif state.flying:
@@ -180,6 +186,9 @@ class Flight:
         self._keep(now)
         self._doing = f"climbing to {self._height:g} m"
         if state.position is None or not state.fresh(now):
+            lost = now - (state.time or self._since)
+            if lost > BLIND:
+                raise Unready(f"no position for {lost:.1f} s while climbing", "look at the positioning source")
             return
         height, climb = state.position.z, self._height - self._climb_from
         stopped = abs(state.velocity.z) < STILL and height - self._climb_from > 0.5 * climb
@@ -197,11 +206,14 @@ class Flight:
             said = self._link.reasons(now - 10.0)
             raise Unready(f"the autopilot disarmed in flight{': ' if said else ''}{said}")
         if self._telemetry.mode != GUIDED:
-            self._taken = True
-            raise Unready(
-                f"the autopilot is in {self._telemetry.mode_name}: a pilot or a failsafe took over",
-                "the agent leaves it to them",
-            )
+            self._leave_to_them()
+
+    def _leave_to_them(self) -> NoReturn:
+        self._taken = True
+        raise Unready(
+            f"the autopilot is in {self._telemetry.mode_name}: a pilot or a failsafe took over",
+            "the agent leaves it to them",
+        )
 
     def rest(self, now: float) -> None:
         """Begin to land. Idempotent. A vehicle that was never commanded, not a copter perhaps, or flown by a pilot, is

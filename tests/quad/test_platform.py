@@ -379,6 +379,50 @@ def test_a_pilot_who_takes_over_is_left_alone() -> None:
     assert not sent(rig, mavlink.MAVLINK_MSG_ID_COMMAND_LONG) and rig.autopilot.copter.mode == 5
 
 
+def test_a_person_who_disarms_before_take_off_is_not_overruled() -> None:
+    rig = Rig()
+    assert rig.autopilot is not None
+    copter = rig.autopilot.copter
+    rig.wire.meddle = lambda data, down: None if not down and told(data) == 76 and copter.armed else data  # no take-off
+    rig.quad.start(rig.now)
+    assert rig.run(10.0, lambda: copter.armed)
+    rig.run(2.0)
+    copter.disarm(force=False)
+    with pytest.raises(Unready, match="disarmed before take-off"):
+        rig.run(2.0)
+    rig.wire.meddle = lambda data, down: data
+    rig.quad.rest(rig.now)
+    rig.watch = lambda: None if not copter.armed else pytest.fail("armed again")
+    assert rig.run(5.0, lambda: rig.quad.rested)
+
+
+def test_a_pilot_who_takes_over_before_take_off_is_left_alone() -> None:
+    rig = Rig()
+    assert rig.autopilot is not None
+    copter = rig.autopilot.copter
+    rig.wire.meddle = lambda data, down: None if not down and told(data) == 76 and copter.armed else data
+    rig.quad.start(rig.now)
+    assert rig.run(10.0, lambda: copter.armed)
+    rig.run(1.0)
+    copter._enter(0, rig.body.state().position, rig.now)  # STABILIZE, at the remote control
+    rig.wire.meddle = lambda data, down: data
+    with pytest.raises(Unready, match="STABILIZE: a pilot or a failsafe"):
+        rig.run(2.0)
+    rig.quad.rest(rig.now)
+    assert rig.run(2.0, lambda: rig.quad.rested) and copter.mode == 0 and at(rig).z < 0.01
+
+
+def test_a_climb_without_a_position_ends_in_a_landing() -> None:
+    rig = Rig(flight_height=3.0)
+    rig.quad.start(rig.now)
+    assert rig.run(20.0, lambda: at(rig).z > 0.3)
+    rig.wire.meddle = lambda data, down: None if down and told(data) == 33 else data
+    with pytest.raises(Unready, match="no position for"):
+        rig.run(6.0)
+    rig.quad.rest(rig.now)
+    assert rig.run(20.0, lambda: rig.quad.rested) and at(rig).z == 0.0
+
+
 def test_a_failsafe_landing_is_waited_for() -> None:
     rig = Rig()
     rig.fly()
