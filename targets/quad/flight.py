@@ -127,6 +127,9 @@ class Flight:
         state = self._telemetry
         if state.position is None or not state.fresh(now) or state.landed is None or state.mode is None:
             return
+        if self._link.crowded(now):
+            self._doing = f"another autopilot sends to {self._url}: waiting until only this robot's does"
+            return
         if state.flying:
             if state.mode == GUIDED:
                 self._enter(Phase.FLYING, now, "flying already: taking over without a take-off")

@@ -18,6 +18,7 @@ from targets.quad.transport import Transport
 GROUND_STATION = 255  # MAV_GCS_SYSID: only from this system do heartbeats hold off the autopilot's GCS failsafe
 COMPONENT = mavlink.MAV_COMP_ID_MISSIONPLANNER
 LOST = 2.0  # seconds without a heartbeat
+GONE = 5.0  # seconds without one of another autopilot's
 RESULTS = {
     mavlink.MAV_RESULT_ACCEPTED: "accepted",
     mavlink.MAV_RESULT_TEMPORARILY_REJECTED: "rejected for now",
@@ -56,6 +57,7 @@ class Link:
         self._packer = mavlink.MAVLink(None, srcSystem=GROUND_STATION, srcComponent=COMPONENT)
         self._source: object = None
         self._greeted = -math.inf
+        self._other = -math.inf  # when another autopilot's last heartbeat came
         self._asked: dict[int, Asked] = {}
         self._parts: tuple[int, int, str] = (0, 0, "")
         self.rejected = self._framer.rejected
@@ -68,16 +70,23 @@ class Link:
         """Whether the vehicle's heartbeat is fresh."""
         return self.heard is not None and now - self.heard <= LOST
 
+    def crowded(self, now: float) -> bool:
+        """Whether another autopilot speaks on this link, by its system id or address: which is ours is not known."""
+        return now - self._other <= GONE
+
     def receive(self, now: float) -> list[Message]:
         """The vehicle's messages that have arrived, in order."""
         messages = []
         for data, source in self._transport.receive(now):
-            if self._source is not None and source != self._source and self.alive(now):
+            strange = self._source is not None and source != self._source and self.alive(now)
+            if strange:
                 self._count("another address")  # while the vehicle speaks, nobody else does in its name
-                continue
             decode = self._framer.datagram if self._transport.datagrams else self._framer.stream
             for message in decode(data):
-                if self._from_vehicle(message):
+                if strange or not self._from_vehicle(message):
+                    if self.vehicle is not None and _is_autopilot(message):
+                        self._other = now
+                else:
                     self._source = source
                     self._transport.answer(source)
                     self._note(message, now)
@@ -182,3 +191,11 @@ class Link:
 
     def close(self) -> None:
         self._transport.close()
+
+
+def _is_autopilot(message: Message) -> bool:
+    return bool(
+        message.get_msgId() == mavlink.MAVLINK_MSG_ID_HEARTBEAT
+        and message.autopilot != mavlink.MAV_AUTOPILOT_INVALID
+        and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1
+    )

@@ -96,6 +96,20 @@ def test_while_the_vehicle_speaks_no_other_address_does_in_its_name() -> None:
     assert len(link.receive(5.0)) == 1
 
 
+def test_a_second_autopilot_on_the_link_is_noticed_and_forgotten_when_it_is_gone() -> None:
+    for second, source in ((heartbeat(system=2), ("127.0.0.1", 1)), (heartbeat(), ("10.0.0.9", 5))):
+        wire = Wire()
+        link = Link(wire)
+        wire.inject(heartbeat())
+        wire.inject(heartbeat(system=255, autopilot=mavlink.MAV_AUTOPILOT_INVALID))
+        wire.inject(heartbeat(component=154, autopilot=0))  # a gimbal of the vehicle's own
+        link.receive(0.0)
+        assert not link.crowded(0.0)
+        wire.down.append((second, source))
+        link.receive(1.0)
+        assert link.crowded(1.0) and link.crowded(4.0) and not link.crowded(7.0)
+
+
 def test_long_texts_are_put_together() -> None:
     wire = Wire()
     link = Link(wire)

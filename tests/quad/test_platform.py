@@ -137,6 +137,18 @@ def test_a_refused_arming_shows_the_autopilots_words() -> None:
     assert rig.run(15.0, lambda: rig.quad.ready)
 
 
+def test_no_take_off_while_two_autopilots_answer() -> None:
+    """Which of them is this robot's? To fly the wrong one is worse than not to fly."""
+    rig = Rig()
+    rig.quad.start(rig.now)
+    rig.watch = lambda: rig.wire.inject(heartbeat(system=2))
+    rig.run(10.0)
+    assert "another autopilot" in rig.quad.progress
+    assert rig.autopilot is not None and not rig.autopilot.copter.armed
+    rig.watch = lambda: None
+    assert rig.run(20.0, lambda: rig.quad.ready)
+
+
 def test_a_mode_that_is_lost_after_boot_is_asked_again() -> None:
     rig = Rig(boot=0.0)
     rig.quad.start(rig.now)
