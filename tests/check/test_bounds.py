@@ -42,7 +42,7 @@ statements = st.one_of(
     st.builds("if {}: count = {}".format, conditions, terms),
     st.builds("on = {}".format, conditions),
 )
-HEAD = "param int k = 1\nallread: int x[N_SYS]\nlocal: int count = 2\n  bool on = True\n"
+HEAD = "param int k = 1\nallread: int x[N_SYS]\nallwrite: int fog\nlocal: int count = 2\n  bool on = True\n"
 
 
 def outcomes(text: str) -> tuple[set[str], bool]:
@@ -52,8 +52,8 @@ def outcomes(text: str) -> tuple[set[str], bool]:
     assert tree is not None, found
     last = text.count("\n")
     codes = {d.code for d in check(tree, source)[1] if d.span.line == last}
-    # An error leaves no program to run: the same one with the check left to run time.
-    hidden = text.replace("= x[", "= x[count * count * 0 + ")
+    # An error leaves no program to run: the same one with the check left to run time, by a zero that only runs know.
+    hidden = text.replace("= x[", "= x[fog * fog + ")
     tree, _ = parse(Source("t.koord", hidden))
     assert tree is not None
     program, found = check(tree, Source("t.koord", hidden))
