@@ -25,6 +25,7 @@ PUBLISH = 0.5  # of delta: when a round's closing leaves at the latest
 SLOTS = 5  # moments in a round at which what is missing is asked for
 FIRST_SLOT = 3  # ... from this one on the present round's closings, before it the last round's
 LINGER = 20  # rounds after all have stopped
+WOKE_LATE = "woke after the publish deadline"
 
 
 @dataclass(slots=True)
@@ -45,7 +46,7 @@ class Counters:
     faults: int = 0
     discarded: int = 0  # faults by the publish deadline
     asked: int = 0  # times that missing closings were asked for
-    in_a_row: int = 0  # rounds without current state until now
+    in_a_row: int = 0  # rounds until now without current state or time for an event
 
 
 class Rounds:
@@ -159,7 +160,7 @@ class Rounds:
                 return
             reason = f"not current: lacks {', '.join(self.lacking)}"
         elif overdue:
-            reason = "woke after the publish deadline"
+            reason = WOKE_LATE
         elif self._memory.crowded:
             reason = f"not current: {self._names[self._memory.laggard]} lags behind"
         elif (bad := finite(sensors)) is not None:
@@ -167,7 +168,7 @@ class Rounds:
         else:
             reason = unready
         lagging = reason is not None and reason.startswith("not current")
-        self.counters.in_a_row = self.counters.in_a_row + 1 if lagging else 0
+        self.counters.in_a_row = self.counters.in_a_row + 1 if lagging or reason == WOKE_LATE else 0
         self._body.hold("not current", lagging, now)
         if reason is not None:
             self.counters.skipped += 1

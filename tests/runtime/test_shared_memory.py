@@ -171,6 +171,17 @@ def test_a_robot_that_wakes_after_the_deadline_runs_no_event() -> None:
     robot.wake = fleet.time.time + 0.16  # within round 6, past its publish deadline
     fleet.run(0.17)
     assert robot.records[-1].round == 6 and robot.records[-1].skipped == "woke after the publish deadline"
+
+
+def test_a_robot_that_wakes_late_again_and_again_says_so() -> None:
+    fleet = Fleet(n=1).boot_all()
+    fleet.run_rounds(5)
+    robot = fleet.robots[0]
+    fleet.run(0.065)
+    for _ in range(12):
+        robot.wake = fleet.time.time + 0.095
+        fleet.run(0.1)
+    assert len([line for line in robot.lines if "10 rounds in a row woke after the publish deadline" in line]) == 1
     assert robot.records[-1].fault is None
 
 
