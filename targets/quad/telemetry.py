@@ -44,6 +44,7 @@ RATES = {
 # Their absence proves nothing: the one comes only while there is a target, the other always, only too seldom. They are
 # asked for again every two seconds, whatever comes.
 _OCCASIONAL = (mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT, mavlink.MAVLINK_MSG_ID_HEARTBEAT)
+VOUCHED = 2.0  # seconds for which a report of the estimate's state holds
 LONG_AGO = 2000  # ms, more than a message may be late
 
 
@@ -82,6 +83,7 @@ class Telemetry:
         self._boot: int | None = None  # ms, the vehicle's clock in the newest message
         self._earlier: int | None = None  # ... in a last one that was older than that
         self._ekf: int | None = None
+        self._ekf_time = -math.inf
         self.restarts = 0
         self.mode: int | None = None
         self.mode_time = -math.inf
@@ -106,7 +108,7 @@ class Telemetry:
             case mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE:
                 self.landed = message.landed_state or None
             case mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT:
-                self._ekf = message.flags
+                self._ekf, self._ekf_time = message.flags, now
             case mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT:
                 if math.isfinite(message.alt):  # always AMSL here, whatever frame was asked for
                     place = self._frame.enu(message.lat_int * 1e-7, message.lon_int * 1e-7, message.alt)
@@ -115,7 +117,7 @@ class Telemetry:
     def _take_position(self, message: Message, now: float) -> None:
         if not self._news(message.time_boot_ms):
             return
-        if (message.lat == 0 and message.lon == 0) or not self._estimating:
+        if (message.lat == 0 and message.lon == 0) or not self._estimating(now):
             return
         latitude, longitude = message.lat * 1e-7, message.lon * 1e-7
         self.amsl, self.relative = message.alt * 1e-3, message.relative_alt * 1e-3
@@ -143,10 +145,9 @@ class Telemetry:
         self.restarts += 1
         self._ekf = self.landed = self.position = self.time = self.followed = None
 
-    @property
-    def _estimating(self) -> bool:
+    def _estimating(self, now: float) -> bool:
         """Whether the EKF knows where it is, as ArduPilot itself decides it (Copter::ekf_has_absolute_position)."""
-        if self._ekf is None:
+        if self._ekf is None or now - self._ekf_time > VOUCHED:
             return False
         absolute = bool(self._ekf & mavlink.EKF_POS_HORIZ_ABS)
         if self.armed:

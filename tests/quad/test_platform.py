@@ -236,6 +236,18 @@ def test_an_estimate_that_broke_down_is_not_a_position() -> None:
     assert time is not None and time <= broken
 
 
+def test_a_position_that_no_estimate_vouches_for_any_more_grows_stale() -> None:
+    rig = Rig()
+    rig.fly()
+    rig.wire.meddle = lambda data, down: None if down and told(data) == 193 else data
+    silent = rig.now
+    rig.run(4.0)
+    time = rig.quad.sense(rig.now).time
+    assert time is not None and time <= silent + 2.5
+    rig.wire.meddle = lambda data, down: data
+    assert rig.run(3.0, lambda: rig.quad.ready)
+
+
 def test_repeated_and_overtaken_positions_are_not_fresh() -> None:
     rig = Rig()
     rig.fly()
