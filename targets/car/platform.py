@@ -26,7 +26,9 @@ STALE = 0.3  # seconds without a sample of the position feed: brake
 WAIT_FOR_DRIVE, WAIT_FOR_FEED = 5.0, 60.0  # seconds until Unready; a base station may be started after the robots
 BLIND_BRAKING = 1.5  # seconds of braking after which a car whose speed nobody measures counts as standing
 STILL = 0.3  # seconds at standstill that make a rest
-DATAGRAMS_A_POLL = 64  # a flood must not keep the control loop from its work
+# All that a socket buffers, or a position that waits behind a flood would be taken for new; and no more than is done in
+# a few milliseconds.
+DATAGRAMS_A_POLL = 512
 SLACK = 0.005  # seconds: polls that come at the period's pace, but for jitter, each run the controller
 _CHECK_STEP, _CHECK_STEPS = 0.05, 60
 
