@@ -70,7 +70,7 @@ def divisor_proved(divisor: ir.Expr, span: Span, c: Context) -> bool:
                 robot, _ = _who(bad, value, example, c)
                 message = f"{robot} divides by {text}, which is 0 ({_example(example, value)})"
             else:
-                message = f"this divides by {text}, which is 0"
+                message = "this divides by 0" if text == "0" else f"this divides by {text}, which is 0"
             c.error("K032", message, span)
             return False
     help = f"'if {text} != 0:' around it shows that it is not"

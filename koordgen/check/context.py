@@ -108,7 +108,9 @@ class Context:
             return f"did you mean '{meant[name]}'?"
         from difflib import get_close_matches
 
-        for close in get_close_matches(name, known, 1, 0.6) or [k for k in known if k.lower() == name.lower()]:
+        # In a short name one letter is much: sin is not min.
+        nearness = 0.6 if len(name) > 3 else 0.75
+        for close in get_close_matches(name, known, 1, nearness) or [k for k in known if k.lower() == name.lower()]:
             return f"did you mean '{close}'?"
         return ""
 

@@ -14,6 +14,13 @@ from koordgen.source import Span
 from koordgen.syntax import expr as ast
 
 _NUMBERS = (INT, FLOAT)
+_FUNCTIONS = f"the functions are {', '.join(BUILTINS)}"
+_NO_FUNCTIONS = {
+    "int": "a float never becomes an int; '//' of two ints gives an int",
+    "float": "an int becomes a float by itself",
+    "len": "N_SYS is the number of robots",
+    "print": _FUNCTIONS,  # no Point was meant
+}
 _OTHER_WORDS = {"true": "True", "false": "False", "numAgents": "N_SYS", "numBots": "N_SYS", "self": "pid", "null": "0"}
 
 
@@ -65,7 +72,11 @@ def fitting(value: ir.Expr, type_: Scalar, what: str, c: Context) -> ir.Expr:
     value = widened(value, type_)
     if value.type == type_ or POISON in (value.type, type_):
         return value
-    return c.error("K012", f"{what} is {_a(type_)}, not {_a(value.type)}", value.span)
+    help = ""
+    if (type_, value.type) == (INT, FLOAT):
+        divides = isinstance(value, ir.Binary) and value.op == "/"
+        help = "'/' gives a float; '//' of two ints gives an int" if divides else "a float never becomes an int"
+    return c.error("K012", f"{what} is {_a(type_)}, not {_a(value.type)}", value.span, help)
 
 
 def _a(type_: Scalar) -> str:
@@ -171,12 +182,15 @@ def _call(node: ast.Call, c: Context) -> ir.Expr:
     args = [check_expr(arg, c) for arg in node.args]
     if not isinstance(node.function, ast.Name):
         help = "ports that are called, and methods, come later"
+        if isinstance(node.function, ast.Attribute) and node.function.name in BUILTINS:
+            help = f"write {node.function.name}(...)"
         return c.error("K003", "this call is not supported by this version yet", node.span, help)
     name = node.function.name
     if name not in BUILTINS:
         if name in c.entities or c.temp(name) is not None:
             return c.error("K017", f"{name} is not a function", node.function.span)
-        return c.error("K010", f"{name} is not defined", node.function.span, c.nearest(name, list(BUILTINS)))
+        help = _NO_FUNCTIONS.get(name) or c.nearest(name, list(BUILTINS)) or _FUNCTIONS
+        return c.error("K010", f"{name} is not defined", node.function.span, help)
     wanted = {"Point": 3, "distance": 2, "abs": 1, "sqrt": 1, "min": 2, "max": 2}[name]
     if len(args) != wanted:
         plural = "" if wanted == 1 else "s"
@@ -202,7 +216,8 @@ def _unary(node: ast.Unary, c: Context) -> ir.Expr:
     if operand.type == POISON:
         return operand
     if operand.type not in allowed:
-        return c.error("K012", f"'{node.op}' does not apply to {_a(operand.type)}", node.span)
+        help = "compare it: '== 0'" if node.op == "not" and operand.type in _NUMBERS else ""
+        return c.error("K012", f"'{node.op}' does not apply to {_a(operand.type)}", node.span, help)
     return ir.Unary(node.op, operand, operand.type, node.span)
 
 

@@ -17,6 +17,7 @@ from koordgen.ir.types import BOOL, FLOAT, INT, POINT, POISON, Scalar
 from koordgen.source import Span
 from koordgen.syntax import expr as ast
 from koordgen.syntax import stmt as tree
+from koordgen.syntax.mistake import LATER_TYPES
 
 Target = tuple[stmt.Place, Scalar, ir.Expr]  # where to write, of what type, and how it is read
 
@@ -171,6 +172,8 @@ def _declare(node: tree.Declare, c: Context) -> stmt.Stmt | None:
     type_ = c.type_named(node.type, node.type_span)
     value = default(type_, node.span) if node.value is None else check_expr(node.value, c)
     value = fitting(value, type_, node.name, c)
+    if type_ == POISON and node.type not in LATER_TYPES and node.value is None:
+        return None  # `assert b`, `del n`: no declaration was meant
     earlier = c.temp(node.name)
     known = c.entities.get(node.name)
     if earlier is not None or node.name in c.entities or node.name in PREDEFINED:

@@ -14,6 +14,13 @@ LATER_TYPES = frozenset(
 
 _MODERN = {"&&": "and", "||": "or", "!": "not"}
 _LATER_MARKS = {"[": "a list", "{": "a set", "**": "a power", "->": "a function's type", "STRING": "a string"}
+_NO_MARKS = {
+    ";": "write each statement on a line of its own",
+    "&": "write 'and'",
+    "|": "write 'or'",
+    "~": "write 'not'",
+    "?": "write 'a if condition else b'",
+}
 _EXPRESSION = {"NAME", "INT", "FLOAT", "True", "False", "(", "-"}
 _OPERATORS = {"+", "-", "*", "/", "//", "%", "==", "!=", "<", "<=", ">", ">=", "and", "or", "if", ".", "[", "("}
 _MADE = {name for name, _, _ in RULES}  # symbols that are no tokens
@@ -39,7 +46,7 @@ def explain(tokens: list[Token], position: int, states: list[int]) -> Diagnostic
         return later
     if kind == "BAD":
         shown = text if text.isprintable() else f"U+{ord(text):04X}"
-        return Diagnostic("K002", "error", f"unexpected character '{shown}'", span)
+        return Diagnostic("K002", "error", f"unexpected character '{shown}'", span, help=_NO_MARKS.get(text, ""))
     if kind in _MODERN:
         message = f"'{text}' is not supported by this version yet"
         return Diagnostic("K003", "error", message, span, help=f"write '{_MODERN[text]}'")
@@ -58,7 +65,8 @@ def explain(tokens: list[Token], position: int, states: list[int]) -> Diagnostic
         return Diagnostic("K001", "error", "what stands before '=' cannot be assigned", span)
     if ":" in expected:
         place = _behind(before) if before is not None else span
-        return Diagnostic("K001", "error", f"expected ':' {_after(tokens, position)}", place)
+        help = _missing_colon(tokens, position)
+        return Diagnostic("K001", "error", f"expected ':' {_after(tokens, position)}", place, help=help)
     if kind in KEYWORDS and expected == {"NAME"}:
         help = f"'{text}' is a word of the language; choose another name"
         return Diagnostic("K001", "error", f"expected a name, found '{text}'", span, help=help)
@@ -67,7 +75,31 @@ def explain(tokens: list[Token], position: int, states: list[int]) -> Diagnostic
     message = f"expected {_list(expected)}, found {_found(token)}"
     if before is not None and before[1] and (len(expected) <= 3 or expected >= _EXPRESSION):
         message = f"expected {_list(expected)} after '{before[1]}', found {_found(token)}"
-    return Diagnostic("K001", "error", message, span)
+    return Diagnostic("K001", "error", message, span, help=_habit(tokens, position, expected))
+
+
+def _missing_colon(tokens: list[Token], position: int) -> str:
+    """What may have been meant where a header is expected: `else if`, or a variable outside of any section."""
+    if position and tokens[position - 1][0] == "else" and tokens[position][0] == "if":
+        return "write 'elif'"
+    start = _line_start(tokens, position)
+    rest = [token[0] for token in tokens[start : position + 2]]
+    if rest[:2] == ["NAME", "="] or rest[:3] == ["NAME", "NAME", "="]:
+        return "a variable is declared under 'local:', 'allread:' or 'allwrite:'"
+    return ""
+
+
+def _habit(tokens: list[Token], position: int, expected: set[str]) -> str:
+    """How Koord has what one writes otherwise in Python."""
+    kind, text, _, _ = tokens[position]
+    if kind == "," and ")" in expected:
+        return "a point is written Point(x, y, z)"
+    if text == "is" and "==" in expected:
+        return "'==' compares"
+    before = tokens[position - 1] if position else None
+    if expected == {"NAME"} and kind in ("=", "NEWLINE") and before is not None and before[0] == "NAME":
+        return f"a type stands before the name: int {before[1]}"
+    return ""
 
 
 def _later(tokens: list[Token], position: int) -> Diagnostic | None:
@@ -81,6 +113,8 @@ def _later(tokens: list[Token], position: int) -> Diagnostic | None:
             return _unsupported(f"the type {word[1]}", word)
     if kind in _LATER_MARKS:
         return _unsupported(_LATER_MARKS[kind], tokens[position])
+    if kind == "'" and position and tokens[position - 1][0] != "NAME":  # behind a name it is a prime
+        return _unsupported("a string", tokens[position])
     return None
 
 

@@ -1,0 +1,99 @@
+"""What one writes by the habit of Python or C is met by a help that says how Koord has it."""
+
+from __future__ import annotations
+
+import pytest
+
+from koordgen.diagnostics import Diagnostic
+from tests.lang.test_lang import found
+
+PROGRAM = """\
+using Motion:
+  sensors: Point position
+  actuators: Point target
+local:
+  int n
+  float f
+  bool b
+{declared}
+Go:
+  pre: {guard}
+  eff:
+    {line}
+"""
+
+
+def sole(line: str = "n = 1", guard: str = "b", declared: str = "") -> Diagnostic:
+    """The only thing found in a program with this line."""
+    (only,) = found(PROGRAM.format(line=line, guard=guard, declared=declared))
+    return only
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "help"),
+    [
+        ("Motion.target = (1, 2, 3)", "K001", "Point(x, y, z)"),
+        ("Motion.target = (n + 1, f, 3)", "K001", "Point(x, y, z)"),
+        ("n = 1; f = 2", "K002", "each statement on a line of its own"),
+        ("b = b & b", "K002", "write 'and'"),
+        ("b = b | b", "K002", "write 'or'"),
+        ("f = b ? 1 : 2", "K002", "a if condition else b"),
+        ("n = n / 2", "K012", "'//'"),
+        ("n /= 2", "K012", "'//'"),
+        ("n = N_SYS / 2 + 1", "K012", "never becomes an int"),
+        ("n = 1.5", "K012", "never becomes an int"),
+        ("b = not n", "K012", "== 0"),
+        ("f = round(2.5)", "K010", "the functions are"),
+        ("n = len(f)", "K010", "N_SYS"),
+        ("n = int(f)", "K010", "never becomes an int"),
+        ("f = float(n)", "K010", "by itself"),
+        ("f = dist(Motion.position, Motion.target)", "K010", "distance"),
+        ("f = sin(f)", "K010", "the functions are"),
+        ("f = math.sqrt(2)", "K003", "write sqrt(...)"),
+        ("print(n)", "K010", "the functions are"),
+        ("b = n is None", "K001", "'=='"),
+    ],
+)
+def test_a_statement(line: str, code: str, help: str) -> None:
+    told = sole(line)
+    assert told.code == code
+    assert help in told.help, told
+
+
+def test_else_if_is_elif() -> None:
+    told = sole("if b: n = 1\n    else if n == 1: n = 2")
+    assert (told.code, told.help) == ("K001", "write 'elif'")
+
+
+@pytest.mark.parametrize("declared", ["local: k = 3", "param k = 3", "local: k"])
+def test_a_type_stands_before_the_name(declared: str) -> None:
+    told = sole(declared=declared)
+    assert told.code == "K001"
+    assert "int k" in told.help, told
+
+
+@pytest.mark.parametrize("declared", ["k = 3", "int k = 3", "Point home = Point(0, 0, 1)"])
+def test_a_variable_is_declared_in_a_section(declared: str) -> None:
+    told = sole(declared=declared)
+    assert told.code == "K001"
+    assert "under 'local:'" in told.help, told
+
+
+def test_a_string_in_single_quotes_is_a_string() -> None:
+    told = sole("f = 'fast'")
+    assert (told.code, told.message) == ("K003", "a string is not supported by this version yet")
+
+
+@pytest.mark.parametrize("line", ["assert b", "del n", "global n"])
+def test_what_has_no_type_is_told_once(line: str) -> None:
+    assert sole(line).code == "K016"
+
+
+def test_a_constant_zero_is_told_without_itself() -> None:
+    assert sole("n = 5 // 0").message == "this divides by 0"
+    assert sole("n = 5 // (2 - 2)").message == "this divides by (2 - 2), which is 0"
+
+
+@pytest.mark.parametrize("name", ["inf", "sin"])
+def test_no_far_fetched_guess(name: str) -> None:
+    assert "did you mean" not in sole(f"f = {name}").help
