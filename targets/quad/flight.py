@@ -220,8 +220,10 @@ class Flight:
 
     def rest(self, now: float) -> None:
         """Begin to land. Idempotent. A vehicle that was never commanded, not a copter perhaps, or flown by a pilot, is
-        left as it is."""
-        if self.phase in (Phase.CONNECTING, Phase.ESTIMATING):
+        left as it is; unless it flies in GUIDED, for an agent before us that is no more."""
+        state = self._telemetry
+        orphan = state.flying and state.mode == GUIDED and not self._link.crowded(now)
+        if self.phase is Phase.CONNECTING or (self.phase is Phase.ESTIMATING and not orphan):
             self._enter(Phase.RESTED, now, "nothing was moved")
         elif self.phase is not Phase.RESTED and self.phase is not Phase.LANDING:
             self._enter(Phase.LANDING, now, "landing")

@@ -487,6 +487,22 @@ def test_a_new_agent_takes_over_in_flight() -> None:
     assert rig.run(10.0, rig.reached)
 
 
+def test_a_new_agent_that_is_ended_before_it_takes_over_lands_what_nobody_else_flies() -> None:
+    for crowded in (False, True):
+        rig = Rig()
+        rig.fly()
+        rig.quad = rig.agent()
+        rig.wire.meddle = lambda data, down: None if down and told(data) == 33 else data  # no position: it waits
+        rig.quad.start(rig.now)
+        if crowded:
+            rig.watch = lambda rig=rig: rig.wire.inject(heartbeat(system=2))  # type: ignore[misc]
+        rig.run(3.0)
+        assert not rig.quad.ready
+        rig.quad.rest(rig.now)
+        assert rig.run(20.0, lambda rig=rig: rig.quad.rested)  # type: ignore[misc]
+        assert (at(rig).z > 1.0) == crowded  # it may be another robot's
+
+
 def test_a_new_agent_does_not_grab_a_vehicle_that_a_pilot_flies() -> None:
     rig = Rig()
     rig.fly()
