@@ -70,9 +70,12 @@ def _parser(root: Path) -> argparse.ArgumentParser:
 
 
 def _seconds(text: str) -> float:
-    value = float(text)
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
     if not (math.isfinite(value) and value > 0):
-        raise ValueError
+        raise argparse.ArgumentTypeError(f"{text} is no time to run for; give seconds, more than 0")
     return value
 
 

@@ -117,6 +117,22 @@ def _check(path: Path, root: Path, scenario: Scenario) -> None:
             raise BadScenario(f"{path}: {robot.name}'s bundle {robot.bundle} is not there", "build the bundle again")
         if not all(map(math.isfinite, (*robot.start.position, robot.start.yaw))):
             raise BadScenario(f"{path}: {robot.name}'s start is not finite")
+    _check_starts(scenario)
+
+
+def _check_starts(scenario: Scenario) -> None:
+    """Before minutes are spent on a fleet that cannot start: all stand in the geofence, and no two in one place."""
+    hint = "give it another start in the fleet file"
+    taken: dict[Vector, str] = {}
+    for robot in scenario.robots:
+        place = robot.start.position
+        shown = f"({', '.join(f'{v:g}' for v in place)})"
+        fence = zip(scenario.geofence.lo, place, scenario.geofence.hi, strict=True)
+        if not all(min(lo, hi) <= v <= max(lo, hi) for lo, v, hi in fence):
+            raise BadScenario(f"{robot.name} starts at {shown}, outside the geofence", hint)
+        other = taken.setdefault(place, robot.name)
+        if other != robot.name:
+            raise BadScenario(f"{robot.name} starts where {other} does, at {shown}", hint)
 
 
 def _laid_over(harness: dict[str, Any], path: Path) -> dict[str, Any]:

@@ -214,6 +214,29 @@ def test_a_robot_that_cannot_be_simulated_is_refused(tmp_path: Path, field: str,
     assert sim(root, tmp_path / "out") == 1
 
 
+@pytest.mark.parametrize(
+    ("starts", "said"),
+    [
+        ([[0.0, 0.0, 0.0], [20.0, 0.0, 0.0]], "r1 starts at (20, 0, 0), outside the geofence"),
+        ([[0.0, 0.0, 0.0], [1.0, 0.0, -0.6]], "outside the geofence"),
+        ([[1.0, 2.0, 0.0], [1.0, 2.0, 0.0]], "r1 starts where r0 does, at (1, 2, 0)"),
+    ],
+)
+def test_a_start_that_cannot_be_is_refused_at_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], starts: list[list[float]], said: str
+) -> None:
+    assert sim(bundle(tmp_path / "sim", ["good", "good"], starts), tmp_path / "out") == 1
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["0", "-3", "nan", "inf", "soon"])
+def test_a_duration_is_a_time(tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str) -> None:
+    with pytest.raises(SystemExit) as left:
+        sim(bundle(tmp_path / "sim", ["good"]), tmp_path / "out", f"--duration={text}")
+    assert left.value.code == 2
+    assert f"{text} is no time to run for; give seconds, more than 0" in capsys.readouterr().err
+
+
 def test_settings_are_laid_over_and_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     root, given = bundle(tmp_path / "sim", ["good", "good"]), tmp_path / "given.json"
     given.write_text('{"min_separation": 2.5}')
