@@ -161,7 +161,11 @@ def _address(reader: Reader, node: YamlNode | None) -> tuple[str, int]:
     if not found or not 1 <= int(found[2]) <= 65535:
         reader.report("F005", f"address {text!r} is not HOST:PORT", node, "for example 192.168.1.20:47100")
         return "", 0
-    return found[1].strip("[]"), int(found[2])
+    host = found[1].strip("[]")
+    if host in ("0.0.0.0", "::"):
+        reader.report("F005", f"nothing can be sent to {host}", node, "name the address at which the peers reach it")
+        return "", 0
+    return host, int(found[2])
 
 
 def _target(reader: Reader, node: YamlNode | None, targets: Mapping[str, Target]) -> Target | None:

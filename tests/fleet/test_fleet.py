@@ -78,6 +78,8 @@ robots:
         (("target: car", "target: sim"), "F007", 9, 13, "there are: car, quad"),
         (("127.0.0.1:47101", "127.0.0.1"), "F005", 10, 14, "not HOST:PORT"),
         (("127.0.0.1:47101", "127.0.0.1:99999"), "F005", 10, 14, "not HOST:PORT"),
+        (("127.0.0.1:47101", "0.0.0.0:47101"), "F005", 10, 14, "at which the peers reach it"),
+        (("127.0.0.1:47101", "'[::]:47101'"), "F005", 10, 14, "at which the peers reach it"),
         (("47101\n", "47101\n    settings: {wheelbse: 0.3}\n"), "F002", 11, 16, "did you mean 'wheelbase'"),
         (("47101\n", "47101\n    settings: {wheelbase: 99}\n"), "F005", 11, 27, "0.05 to 5"),
         (("delta: 0.1", "delta: 0.1\ndelta: 0.2"), "F006", 2, 1, "stands twice"),
