@@ -175,11 +175,26 @@ def _harness(options: argparse.Namespace) -> int:
         passed.append("--quiet")
     with tempfile.TemporaryDirectory(prefix="koordgen-") as folder:
         _write({options.command: bundles[options.command]}, Path(folder))
-        process = subprocess.Popen([sys.executable, f"{folder}/{options.command}", *passed], stdout=_output(options))
-        # The child ends its run and writes its report. It gets a terminal's Ctrl-C by itself, as we do.
-        signal.signal(signal.SIGINT, lambda *_: None)
-        signal.signal(signal.SIGTERM, lambda *_: process.terminate())
-        return process.wait()
+        # The child ends its run and writes its report; asked again, it ends at once. In a group of its own it is asked
+        # once, whether a signal comes to us alone or, like a terminal's Ctrl-C, to all of our group.
+        started: list[subprocess.Popen[bytes]] = []
+        early: list[int] = []
+
+        def pass_on(number: int, _: object) -> None:
+            asked = signal.SIGTERM if number == signal.SIGHUP else number
+            started[0].send_signal(asked) if started else early.append(asked)
+
+        for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(each) != signal.SIG_IGN:  # nohup
+                signal.signal(each, pass_on)
+        command = [sys.executable, f"{folder}/{options.command}", *passed]
+        started.append(subprocess.Popen(command, stdout=_output(options), process_group=0))
+        for asked in early:
+            started[0].send_signal(asked)
+        status = started[0].wait()
+    if status < 0:
+        raise Failure(SURROUNDINGS, f"the run was killed by {signal.Signals(-status).name}; it left no report")
+    return status
 
 
 def _explain(options: argparse.Namespace) -> int:
