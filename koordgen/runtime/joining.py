@@ -17,6 +17,14 @@ from koordgen.runtime.wire import Closing, Hello, epoch_of
 
 PERIOD = 0.2  # seconds between two Hellos to the same robot
 LEAD = 1.0  # seconds from the proposal to round 1: five Hellos from every robot that has heard it
+# Why a robot that does send may not be heard, by the reason its datagrams are dropped for.
+_UNHEARD = {
+    "not authentic": "datagrams come that were sealed with another key than ours",
+    "another application": "datagrams come with another application_id than ours",
+    "another format version": "datagrams come from the bundle of another koordgen version",
+    "another interface": "a robot runs another program",
+    "another program": "a robot runs another program",
+}
 LONGEST_LEAD = 60.0  # seconds; a start further ahead was never proposed by one of ours
 
 
@@ -133,7 +141,9 @@ class Joining:
         if elsewhere:
             parts.append(f"{', '.join(elsewhere)} in a mission that began before this start: end it first")
         if silent:
-            parts.append(f"waiting for {', '.join(silent)}, not heard yet")
+            reasons = dict.fromkeys(text for reason, text in _UNHEARD.items() if self._link.rejected.get(reason))
+            why = f" ({'; '.join(reasons)})" if reasons else ""
+            parts.append(f"waiting for {', '.join(silent)}, not heard yet{why}")
         if unready:
             parts.append(f"waiting for {', '.join(unready)} to get ready")
         if deaf and not silent and not unready:

@@ -347,3 +347,32 @@ def test_a_robot_with_another_program_is_named() -> None:
     for pid in (0, 2):
         said = [line for line in fleet.robots[pid].lines if "robot bert runs another program" in line]
         assert len(said) == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"key": bytes(32)}, "sealed with another key"),
+        ({"key": None, "insecure": True}, "sealed with another key"),
+        ({"application_id": 7}, "another application_id"),
+        ({"program": replace(PROGRAM, program_hash="ffffffffffffffff")}, "another program"),
+    ],
+)
+def test_the_waiting_say_why_a_robot_that_sends_is_not_heard(change: dict[str, Any], told: str) -> None:
+    fleet = Fleet(n=2)
+    fleet.boot(0)
+    fleet.boot(1, **change)
+    fleet.run(3.0)
+    for robot in fleet.robots.values():
+        said = [line for line in robot.lines if "not heard yet" in line]
+        assert told in said[-1]
+        assert len(said) <= 2, "once more at most, when the reason is known"
+
+
+def test_silence_is_given_no_reason() -> None:
+    fleet = Fleet(n=2)
+    fleet.boot(0)
+    fleet.run(3.0)
+    assert [line.rpartition("waiting ")[2] for line in fleet.robots[0].lines if "waiting" in line] == [
+        "for bert, not heard yet"
+    ]
