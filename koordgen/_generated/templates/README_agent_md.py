@@ -55,7 +55,7 @@ def root(context, missing=missing):
     yield str((undefined(name='program_hash') if l_0_program_hash is missing else l_0_program_hash))
     yield ', interface '
     yield str((undefined(name='interface_hash') if l_0_interface_hash is missing else l_0_interface_hash))
-    yield ': robots whose hashes differ refuse one another.\nKeep clear of the robot while it runs: it moves as soon as all robots of the fleet are there.\n'
+    yield ': robots whose hashes differ refuse one another.\nKeep clear of the robot from its start: one that flies takes off at once, whoever else is there, and hovers. All robots\nfollow the program as soon as the whole fleet is there.\n'
 
 blocks = {}
 debug_info = '1=22&3=26&12=34&13=37&14=44&23=51&25=53&28=55'
