@@ -38,7 +38,7 @@ class Fleet(Node):
     delta: float
     origin: dict[str, float]
     geofence: dict[str, list[float]]
-    key: str
+    key: str  # file name; empty without one
     insecure: bool
     params: dict[str, Any]
     safety: dict[str, float]
@@ -62,6 +62,7 @@ def read(source: Source, targets: Mapping[str, Target], params: Mapping[str, str
     top = reader.table(reader.document(), "the fleet file", ["delta", "origin", "geofence", "robots"], optional)
     origin = reader.table(top.get("origin"), "origin", ["latitude", "longitude", "altitude"], [])
     corner = reader.table(top.get("geofence"), "geofence", ["lo", "hi"], [])
+    insecure = bool(reader.scalar(top.get("insecure"), "insecure", bool))
     fleet = Fleet(
         application_id=reader.number(top.get("application_id"), "application_id", 0, 65535, int) or 0,
         delta=reader.number(top.get("delta"), "delta", 0.005, 60.0),
@@ -71,8 +72,8 @@ def read(source: Source, targets: Mapping[str, Target], params: Mapping[str, str
             "altitude": reader.number(origin.get("altitude"), "altitude (metres)", -1000, 10000),
         },
         geofence=_geofence(reader, corner),
-        key=_key(reader, top.get("key")),
-        insecure=bool(reader.scalar(top.get("insecure"), "insecure", bool)),
+        key=_key(reader, top.get("key"), insecure),
+        insecure=insecure,
         params=_params(reader, top.get("params"), params),
         safety=_safety(reader, top.get("safety")),
         robots=_robots(reader, top.get("robots"), targets),
@@ -88,12 +89,14 @@ def _geofence(reader: Reader, corner: dict[str, YamlNode]) -> dict[str, list[flo
     return {"lo": lo or [], "hi": hi or []}
 
 
-def _key(reader: Reader, node: YamlNode | None) -> str:
+def _key(reader: Reader, node: YamlNode | None, insecure: bool) -> str:
     """The key's file name; the key itself is put beside the settings by hand and never enters a bundle."""
     name: str | None = reader.scalar(node, "key", str)
     if name and node is not None and ("/" in name or "\\" in name or name.startswith(".")):
         reader.report("F005", f"key is a file name without folders, not {name!r}", node)
-    return name or "fleet.key"
+    if insecure and node is not None:
+        reader.report("F005", "a fleet has a key or is insecure, not both", node, "leave one of the two out")
+    return "" if insecure else name or "fleet.key"
 
 
 def _params(reader: Reader, node: YamlNode | None, known: Mapping[str, str]) -> dict[str, Any]:

@@ -167,6 +167,16 @@ def test_build_with_a_fleet_holds_the_same_bytes_under_sim(tmp_path: Path) -> No
         subprocess.run(["sha256sum", "--quiet", "-c", "SHA256SUMS"], cwd=app / robot, check=True)
 
 
+def test_an_insecure_fleet_needs_no_key(tmp_path: Path) -> None:
+    fleet = tmp_path / "fleet.yaml"
+    fleet.write_text(FLEET.read_text() + "\ninsecure: true\n")
+    assert main(["build", str(LINEFORM), "--target", "quad", "--fleet", str(fleet), "-o", str(tmp_path)]) == 0
+    alice = tmp_path / "lineform/alice"
+    assert "key" not in (alice / "README.md").read_text()
+    settings = json.loads((alice / "settings.json").read_text())
+    assert (settings["key_file"], settings["insecure"]) == (None, True)
+
+
 def test_two_builds_are_the_same_bytes_whatever_the_hash_seed(tmp_path: Path) -> None:
     for seed in ("1", "2"):
         out = tmp_path / seed

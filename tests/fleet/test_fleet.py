@@ -84,6 +84,7 @@ robots:
         (("47101\n", "47101\n    settings: {wheelbase: 99}\n"), "F005", 11, 27, "0.05 to 5"),
         (("delta: 0.1", "delta: 0.1\ndelta: 0.2"), "F006", 2, 1, "stands twice"),
         (("delta: 0.1", "key: ../fleet.key\ndelta: 0.1"), "F005", 1, 6, "without folders"),
+        (("delta: 0.1", "key: my.key\ninsecure: true\ndelta: 0.1"), "F005", 1, 6, "not both"),
         (("delta: 0.1", "delta: [0.1"), "F001", 2, 7, "not YAML"),
         (("delta: 0.1", "sim: {boot: later}\ndelta: 0.1"), "F004", 1, 13, "boot must be"),
         (("delta: 0.1", "params: {margn: 1}\ndelta: 0.1"), "F002", 1, 10, "did you mean 'margin'"),
