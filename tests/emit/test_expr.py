@@ -1,0 +1,54 @@
+"""Parentheses in generated expressions: what Python reads back is the tree that was printed."""
+
+from __future__ import annotations
+
+import ast
+from itertools import product
+
+import pytest
+
+from koordgen.emit.expr import text
+from koordgen.emit.names import Names
+from koordgen.ir import expr as ir
+from koordgen.ir.decl import Program
+from koordgen.ir.types import INT
+from koordgen.source import Span
+
+AT = Span(1, 1, 1, 2)
+NAMES = Names(Program("p", "p.koord", (), (), (), (), (), ()))
+A, B, C = (ir.Const(v, INT, AT) for v in (5, 7, 9))
+OPERATORS = ("+", "-", "*", "/", "//", "%", "and", "or", "==", "<")
+
+
+def node(op: str, left: ir.Expr, right: ir.Expr) -> ir.Expr:
+    match op:
+        case "and" | "or":
+            return ir.Logic(op, left, right, INT, AT)
+        case "==" | "<":
+            return ir.Compare(op, left, right, INT, AT)
+        case _:
+            return ir.Binary(op, left, right, True, INT, AT)
+
+
+def same(printed: str, spelled: str) -> bool:
+    return ast.dump(ast.parse(printed, mode="eval")) == ast.dump(ast.parse(spelled, mode="eval"))
+
+
+@pytest.mark.parametrize(("outer", "inner"), list(product(OPERATORS, OPERATORS)))
+def test_nested_on_either_side(outer: str, inner: str) -> None:
+    right = text(node(outer, A, node(inner, B, C)), NAMES)
+    left = text(node(outer, node(inner, A, B), C), NAMES)
+    spelled_left = f"(5 {inner} 7) {outer} 9"
+    assert same(right, f"5 {outer} (7 {inner} 9)"), right
+    # `a and b and c` is one node to Python, however it is nested; it means the same.
+    assert same(left, spelled_left) or (outer == inner and outer in ("and", "or")), left
+
+
+@pytest.mark.parametrize("op", OPERATORS)
+def test_under_a_sign_a_not_and_a_condition(op: str) -> None:
+    inner = node(op, A, B)
+    assert same(text(ir.Unary("-", inner, INT, AT), NAMES), f"-(5 {op} 7)")
+    assert same(text(ir.Unary("not", inner, INT, AT), NAMES), f"not (5 {op} 7)")
+    chosen = ir.Conditional(inner, A, B, INT, AT)
+    assert same(text(node(op, chosen, C), NAMES), f"(5 if 5 {op} 7 else 7) {op} 9")
+    assert same(text(ir.Coordinate(inner, "x", INT, AT), NAMES), f"(5 {op} 7).x")
