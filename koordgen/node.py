@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Any, TypeVar, dataclass_transform
 
 N = TypeVar("N", bound="Node")
+_APART = ("span", "capacity")
 
 
 class _NodeMeta(type):
@@ -34,7 +35,8 @@ class _NodeMeta(type):
 @dataclass_transform(frozen_default=True)
 class Node(metaclass=_NodeMeta):
     """Base of every tree node. No node subclasses another; a field called `span` (where the node stands in
-    the source) takes no part in equality and hash, so that trees compare by what they say."""
+    the source) takes no part in equality and hash, so that trees compare by what they say; nor does `capacity`
+    (how much a variable of a type may hold)."""
 
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError(f"{type(self).__name__} is immutable")
@@ -43,7 +45,7 @@ class Node(metaclass=_NodeMeta):
         raise AttributeError(f"{type(self).__name__} is immutable")
 
     def _key(self) -> tuple[object, ...]:
-        return tuple(getattr(self, f) for f in type(self).__match_args__ if f != "span")  # type: ignore[attr-defined]
+        return tuple(getattr(self, f) for f in type(self).__match_args__ if f not in _APART)  # type: ignore[attr-defined]
 
     def __eq__(self, other: Any) -> bool:
         return type(self) is type(other) and self._key() == other._key()

@@ -2,31 +2,45 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Literal
 
 from koordgen.check.facts import Flow
 from koordgen.check.linear import Formula
-from koordgen.diagnostics import Diagnostic, Label, Severity
-from koordgen.ir.decl import Local, Module, Param, Shared
+from koordgen.diagnostics import Diagnostic, Edit, Label, Severity
+from koordgen.ir.builtins import CONSTANTS, FUNCTIONS
+from koordgen.ir.decl import (
+    ExternFunction,
+    ExternType,
+    Function,
+    Local,
+    Module,
+    Param,
+    Record,
+    Shared,
+    SpecFunction,
+)
 from koordgen.ir.expr import Const, Expr
-from koordgen.ir.types import NAMED, POISON, Scalar
+from koordgen.ir.stmt import Let
+from koordgen.ir.types import GENERIC, NAMED, POISON, Type
 from koordgen.node import Node
 from koordgen.source import Source, Span
-from koordgen.syntax.mistake import LATER_TYPES
 
-Entity = Param | Module | Shared | Local
-# Where an expression stands decides what it may read.
-Place = Literal["constant", "init", "guard", "effect"]
+# A Function's block is empty until its body has been checked: its signature is known to all bodies before.
+Entity = Param | Module | Shared | Local | Record | ExternType | Function | ExternFunction | SpecFunction
+# Where an expression stands decides what it may read: `constant` (literals, params), `init`, `guard`, `effect`,
+# `function` (parameters, params), `contract` (parameters, params, `result`), `property` (everything, by robot),
+# `assume` (one module's ports, primed or not, params, pid).
+Place = Literal["constant", "init", "guard", "effect", "function", "contract", "property", "assume"]
 
-BUILTINS = ("Point", "distance", "abs", "min", "max", "sqrt")
-PREDEFINED = ("pid", "N_SYS", "ID", *BUILTINS, *NAMED)
+PREDEFINED = ("pid", "N_SYS", "ID", *FUNCTIONS, *CONSTANTS, *NAMED, *GENERIC, "range", "Queue", "Set", "Map")
 
 
 class Temp(Node):
-    """A variable of a block: `unique` is its name in the IR."""
+    """A variable of a block, a loop, a quantifier, or a parameter: `unique` is its name in the IR."""
 
     unique: str
-    type: Scalar
+    type: Type
     span: Span
 
 
@@ -38,13 +52,16 @@ class Site(Node):
 
 
 class Context:
-    """Mutable; one for a program. What belongs to one event is set anew by `enter`."""
+    """Mutable; one for a program. What belongs to one event (or function, or property) is set anew by `enter`."""
 
     def __init__(self, source: Source) -> None:
         self.source = source
         self.found: list[Diagnostic] = []
         self.entities: dict[str, Entity | None] = {}  # None: declared, but wrongly; its uses are no new mistakes
+        self.types: dict[str, Type | None] = {}  # records and extern types by name; None: declared wrongly
         self.defaults: dict[str, int] = {}  # "param k" -> its default, for examples
+        self.calls: dict[str, set[str]] = {}  # function -> the functions it calls
+        self.broken: frozenset[str] = frozenset()  # names that stand in what could not be read
         self.enter("constant")
 
     def enter(self, place: Place) -> None:
@@ -59,6 +76,13 @@ class Context:
         self.sites: list[Site] = []
         self.refuted: list[int] = []  # where in `found` the errors about sites are
         self.read_shared: set[str] = set()
+        self.function = ""  # the `fun` whose body this is
+        self.result: Type | None = None  # its result type; None: not known yet (2020 dialect)
+        self.module = ""  # the module whose assumption this is
+        self.loops = 0  # how many loops stand around
+        self.atomic = 0  # how many `atomic` blocks stand around
+        self.transaction = False  # the event contains `atomic` somewhere
+        self.hoisted: list[Let] = []  # what must be evaluated before the statement that is being checked
 
     def error(self, code: str, message: str, span: Span, help: str = "", labels: tuple[Label, ...] = ()) -> Expr:
         """Report a mistake; what stands there becomes poison."""
@@ -68,10 +92,20 @@ class Context:
     def warn(self, code: str, message: str, span: Span, help: str = "", labels: tuple[Label, ...] = ()) -> None:
         self.report("warning", code, message, span, help, labels)
 
+    def modern(self, old: str, new: str, span: Span, edits: tuple[Edit, ...] | None = None) -> None:
+        """Note a spelling of the 2020 dialect; `edits` modernise it (left out: `new` in its place)."""
+        edits = (Edit(span, new),) if edits is None else edits
+        message = f"{old} is the 2020 dialect's spelling of {new}"
+        self.found.append(Diagnostic("K050", "note", message, span, (), "`koordgen fmt --upgrade` rewrites it", edits))
+
     def report(
         self, severity: Severity, code: str, message: str, span: Span, help: str, labels: tuple[Label, ...]
     ) -> None:
         self.found.append(Diagnostic(code, severity, message, span, labels, help))
+
+    def poison(self, span: Span) -> Expr:
+        """What stands where something wrong has been reported already."""
+        return Const(0, POISON, span)
 
     def temp(self, name: str) -> Temp | None:
         for scope in reversed(self.scopes):
@@ -87,22 +121,12 @@ class Context:
         self.minted.add(unique)
         return unique
 
-    def type_named(self, name: str, span: Span) -> Scalar:
-        """The type that a name means; POISON after reporting that it means none."""
-        if name in NAMED:
-            return NAMED[name]
-        if name in LATER_TYPES:
-            self.error("K003", f"the type {name} is not supported by this version yet", span)
-        else:
-            self.error("K016", f"{name} is not a type", span, self.nearest(name, [*NAMED, *LATER_TYPES], _OTHER_WORDS))
-        return POISON
-
     def text(self, span: Span) -> str:
         """What the user wrote at a place, on its first line."""
         line = self.source.line(span.line)
         return line[span.column - 1 : span.end_column - 1] if span.end_line == span.line else line[span.column - 1 :]
 
-    def nearest(self, name: str, known: list[str], meant: dict[str, str] | None = None) -> str:
+    def nearest(self, name: str, known: Iterable[str], meant: dict[str, str] | None = None) -> str:
         """A help that names what may have been meant; empty when nothing comes near."""
         if meant and name in meant:
             return f"did you mean '{meant[name]}'?"
@@ -117,6 +141,3 @@ class Context:
     def visible(self) -> list[str]:
         """All names that can be read here."""
         return [*(n for scope in self.scopes for n in scope), *self.entities, *PREDEFINED]
-
-
-_OTHER_WORDS = {"boolean": "bool", "pos": "Point", "double": "float", "real": "float", "integer": "int"}

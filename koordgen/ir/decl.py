@@ -6,7 +6,7 @@ from typing import Literal
 
 from koordgen.ir.expr import Expr
 from koordgen.ir.stmt import Block
-from koordgen.ir.types import Scalar
+from koordgen.ir.types import RecordType, Type
 from koordgen.node import Node
 from koordgen.source import Span
 
@@ -15,17 +15,79 @@ class Param(Node):
     """`param float margin = 0.5`: a constant of the build; `default` reads nothing but other literals."""
 
     name: str
-    type: Scalar
+    type: Type
     default: Expr
     span: Span
 
 
-class Port(Node):
-    """One sensor or actuator of a module."""
+class Record(Node):
+    """`def Task:`; `defaults` are the fields' constant first values, in order."""
+
+    type: RecordType
+    defaults: tuple[Expr, ...]
+    span: Span
+
+
+class Parameter(Node):
+    """A function's parameter, by the unique name that its body reads (TempRead)."""
 
     name: str
-    type: Scalar
-    direction: Literal["sensor", "actuator"]
+    type: Type
+
+
+class Function(Node):
+    """`fun`: pure; its body reads its parameters, constants of the build and what it calls. Functions stand behind
+    those that they call."""
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    result: Type
+    block: Block
+    span: Span
+
+
+class ExternFunction(Node):
+    """`extern fun`, implemented in Python: gets copies, must be pure. Contracts read the parameters; `ensures` also
+    `result`."""
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    result: Type
+    requires: tuple[Expr, ...]
+    ensures: tuple[Expr, ...]
+    span: Span
+
+
+class ExternType(Node):
+    """`extern type Ticket`: a class of that name in the Python file."""
+
+    name: str
+    span: Span
+
+
+class SpecFunction(Node):
+    """`spec fun`: a name that only properties use; axioms say what is known of it."""
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    result: Type
+    span: Span
+
+
+class Port(Node):
+    """One port of a module. A callable port has the type PathPlanner, a stream the type stream."""
+
+    name: str
+    type: Type
+    direction: Literal["sensor", "actuator", "callable", "stream"]
+    span: Span
+
+
+class Assumption(Node):
+    """`assume formula` of a module: holds of every robot separately, over that module's ports (primed: at any moment of
+    the following delta), params and pid."""
+
+    formula: Expr
     span: Span
 
 
@@ -34,6 +96,7 @@ class Module(Node):
 
     name: str
     ports: tuple[Port, ...]
+    assumptions: tuple[Assumption, ...]
     span: Span
 
 
@@ -43,7 +106,7 @@ class Shared(Node):
 
     name: str
     kind: Literal["allread", "allwrite"]
-    type: Scalar
+    type: Type
     initial: Expr
     span: Span
 
@@ -52,28 +115,47 @@ class Local(Node):
     """A variable of the robot's own."""
 
     name: str
-    type: Scalar
+    type: Type
     initial: Expr
     span: Span
 
 
 class Event(Node):
-    """`guard` has no effects; `effect` takes place as a whole or not at all."""
+    """`guard` has no effects; `effect` takes place as a whole or not at all. `lock`: of an event that contains `atomic`
+    the index of its group of shared variables in `Program.locks`; None of a plain event."""
 
     name: str
     guard: Expr
     effect: Block
+    lock: int | None
+    span: Span
+
+
+class Property(Node):
+    """`initially`, `invariant NAME`, `axiom NAME`: over the global store, every robot's locals and ports."""
+
+    kind: Literal["initially", "invariant", "axiom"]
+    name: str
+    formula: Expr
     span: Span
 
 
 class Program(Node):
-    """A checked program. `path` is the source's file name without its folders (bundles quote it)."""
+    """A checked program. `path` is the source's file name without its folders (bundles quote it). `locks`: groups of
+    shared variables that occur together in atomic events; no two groups share one."""
 
     name: str
     path: str
+    records: tuple[Record, ...]
+    extern_types: tuple[ExternType, ...]
+    functions: tuple[Function, ...]
+    externs: tuple[ExternFunction, ...]
+    specs: tuple[SpecFunction, ...]
     params: tuple[Param, ...]
     modules: tuple[Module, ...]
     shared: tuple[Shared, ...]
     locals: tuple[Local, ...]
+    locks: tuple[tuple[str, ...], ...]
     init: Block
     events: tuple[Event, ...]
+    properties: tuple[Property, ...]

@@ -1,9 +1,13 @@
-"""Typed statements. A block is a tuple of them."""
+"""Typed statements. A block is a tuple of them.
+
+What changes a part of a value arrives as an assignment of the whole: `a[i] = v` as `a := updated(a, i, v)`. `atomic`
+blocks are inlined: an event that contains one is a transaction as a whole.
+"""
 
 from __future__ import annotations
 
 from koordgen.ir.expr import Expr
-from koordgen.ir.types import Scalar
+from koordgen.ir.types import Type
 from koordgen.node import Node
 from koordgen.source import Span
 
@@ -34,7 +38,7 @@ class PortPlace(Node):
 
 
 class TempPlace(Node):
-    """A variable declared inside the event."""
+    """A variable declared inside the event or function."""
 
     name: str
 
@@ -54,7 +58,7 @@ class Let(Node):
     """`Point goal = value`: a variable that lives to the end of its block."""
 
     name: str
-    type: Scalar
+    type: Type
     value: Expr
     span: Span
 
@@ -68,11 +72,59 @@ class If(Node):
     span: Span
 
 
+class For(Node):
+    """Runs over the value of `values` as it is at the start. One name takes each element (of a Map: each key); several
+    names take the items of each element, a tuple of that length. The names live in the block."""
+
+    names: tuple[str, ...]
+    types: tuple[Type, ...]
+    values: Expr
+    block: Block
+    span: Span
+
+
+class While(Node):
+    """`while condition:`"""
+
+    condition: Expr
+    block: Block
+    span: Span
+
+
+class Break(Node):
+    """Leaves the innermost loop."""
+
+    span: Span
+
+
+class Continue(Node):
+    """Goes on with the innermost loop."""
+
+    span: Span
+
+
+class Return(Node):
+    """A function's result; only in functions, every way through one ends in it."""
+
+    value: Expr
+    span: Span
+
+
+class Emit(Node):
+    """`Log.stdout << a << b`: one line of text to a stream, the items' texts joined, when the event counts.
+    The items are strings (the checker puts `str` around numbers and bools, and shows a Point as `(x, y, z)`)."""
+
+    module: str
+    port: str
+    items: tuple[Expr, ...]
+    span: Span
+
+
 class Stop(Node):
     """`stop`: the event ends here; once it counts, the robot holds for good."""
 
     span: Span
 
 
-Stmt = Assign | Let | If | Stop
+Stmt = Assign | Let | If | For | While | Break | Continue | Return | Emit | Stop
 Block = tuple[Stmt, ...]

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
 
+from koordgen.runtime.containers import OutOfRange
 from koordgen.runtime.values import INT_MAX, INT_MIN, transmissible
 
 T = TypeVar("T")
@@ -51,10 +52,6 @@ class Fault:
 
     def __str__(self) -> str:
         return f"{self.file}:{self.line}: {self.reason}"
-
-
-class OutOfRange(Exception):
-    """An index that names no robot; indices never count from the end."""
 
 
 class Stopped(Exception):

@@ -1,8 +1,12 @@
-"""Koord's values on a robot: a Point is three metres in the local ENU frame, a Pose adds yaw in radians."""
+"""Koord's values on a robot: a Point is three metres in the local ENU frame, a Pose adds yaw in radians.
+
+Every value is immutable: numbers, strings, tuples and the frozen Structs of here, of gridmap.py and of the program.
+"""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import msgspec
 
@@ -32,11 +36,34 @@ class Point(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=
         return Point(-self.x, -self.y, -self.z)
 
 
-class Pose(msgspec.Struct, frozen=True, array_like=True, gc=False):
+class Pose(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
     """A position and a heading: yaw in radians, counter-clockwise from east."""
 
-    position: Point
+    position: Point = Point()
     yaw: float = 0.0
+
+
+class Grid(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
+    """A cell of the plane's lattice: the square from (x * size, y * size), `size` metres wide, upper edges excluded."""
+
+    x: int = 0
+    y: int = 0
+    size: float = 1.0
+
+
+class Scan(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
+    """One turn of a planar lidar. `angles` in radians, counter-clockwise from the robot's heading; `ranges` in metres,
+    one for each angle; a ray that met nothing has `max_range`, never infinity."""
+
+    angles: tuple[float, ...] = ()
+    ranges: tuple[float, ...] = ()
+    max_range: float = 0.0
+
+
+class Opaque(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
+    """A value of an extern type: MessagePack of the user's own class, b"" until one has been made."""
+
+    data: bytes = b""
 
 
 def distance(p: Point, q: Point) -> float:
@@ -48,15 +75,46 @@ INT_MIN, INT_MAX = -(2**63), 2**63 - 1
 
 
 def transmissible(value: object) -> bool:
-    """Whether a value may go to a port or to another robot: no NaN, no infinity, ints of 64 bits."""
+    """Whether a value may go to a port or to another robot: at no depth NaN, infinity, an int beyond 64 bits, text
+    that is not Unicode, or anything that is no Koord value. A list of its own instead of recursion: no nesting can
+    exhaust the stack (what a typed decoder yields is as deep as its static type, and no deeper)."""
+    pending: list[Any] = [value]
+    for item in pending:  # grows meanwhile
+        kind = type(item)
+        if kind is float:
+            if not math.isfinite(item):
+                return False
+        elif kind is tuple:
+            pending.extend(item)
+        elif kind is Point:
+            pending += (item.x, item.y, item.z)
+        elif isinstance(item, msgspec.Struct):
+            if not kind.__struct_config__.frozen:
+                return False
+            pending.extend(msgspec.structs.astuple(item))
+        elif not _plain(item):
+            return False
+    return True
+
+
+def _plain(value: object) -> bool:
+    """The same for what has no parts; floats and ints of other libraries are subclasses."""
     match value:
-        case bool():
+        case bool() | bytes():
             return True
         case int():
             return INT_MIN <= value <= INT_MAX
         case float():
             return math.isfinite(value)
-        case Point():
-            return math.isfinite(value.x) and math.isfinite(value.y) and math.isfinite(value.z)
+        case str():
+            return value.isascii() or _encodable(value)
         case _:
             return False
+
+
+def _encodable(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:  # a lone surrogate, as from badly decoded bytes of a device
+        return False
+    return True

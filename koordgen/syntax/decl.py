@@ -8,22 +8,30 @@ from koordgen.node import Node
 from koordgen.source import Span
 from koordgen.syntax.expr import Expr
 from koordgen.syntax.stmt import Block
+from koordgen.syntax.types import TypeExpr
 
 
 class Port(Node):
-    """`Type name` under `sensors` or `actuators`."""
+    """`Type name` under `sensors`, under `actuators`, or directly under `using`; its span is the name's."""
 
-    type: str
-    type_span: Span
+    type: TypeExpr
     name: str
     span: Span
 
 
 class Ports(Node):
-    """A `sensors:` or `actuators:` block."""
+    """A `sensors:` or `actuators:` block; a port directly under `using` stands in a block of its own whose direction
+    is empty (a callable port or a stream)."""
 
-    direction: Literal["sensor", "actuator"]
+    direction: Literal["sensor", "actuator", ""]
     ports: tuple[Port, ...]
+    span: Span
+
+
+class Assume(Node):
+    """`assume formula` under `using`; its span is the word's."""
+
+    formula: Expr
     span: Span
 
 
@@ -31,27 +39,27 @@ class Using(Node):
     """`using Name:`; its span is the header's."""
 
     name: str
-    groups: tuple[Ports, ...]
+    items: tuple[Ports | Assume, ...]
     span: Span
 
 
 class Param(Node):
-    """`param Type name = default`; its span is the name's."""
+    """`param Type name max 8 = default`; its span is the name's."""
 
-    type: str
-    type_span: Span
+    type: TypeExpr
     name: str
+    capacities: tuple[Expr, ...]
     default: Expr
     span: Span
 
 
 class Variable(Node):
-    """`Type name[size] = initial`, size and initial optional; its span is the name's."""
+    """`Type name[size] max 16, 8 = initial`, all but the first two optional; its span is the name's."""
 
-    type: str
-    type_span: Span
+    type: TypeExpr
     name: str
     size: Expr | None
+    capacities: tuple[Expr, ...]
     initial: Expr | None
     span: Span
 
@@ -61,6 +69,79 @@ class Variables(Node):
 
     kind: Literal["allread", "allwrite", "local"]
     variables: tuple[Variable, ...]
+    span: Span
+
+
+class RecordDef(Node):
+    """`def Task:` with its fields; its span is the name's."""
+
+    name: str
+    fields: tuple[Variable, ...]
+    span: Span
+
+
+class Parameter(Node):
+    """`Type name` or `Type name[N_SYS]` among the parameters of a function; its span is the name's."""
+
+    type: TypeExpr
+    name: str
+    size: Expr | None
+    span: Span
+
+
+class Function(Node):
+    """`fun name(parameters) -> Type:`; its span is the name's. `def fun` of the 2020 dialect names no result and has
+    the `def_span` of its `def`."""
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    result: TypeExpr | None
+    block: Block
+    def_span: Span | None
+    span: Span
+
+
+class Contract(Node):
+    """`requires: formula` or `ensures: formula` under an extern function; its span is the word's."""
+
+    kind: Literal["requires", "ensures"]
+    formula: Expr
+    span: Span
+
+
+class ExternFunction(Node):
+    """`extern fun name(parameters) -> Type`, contracts indented under it after a colon; its span is the name's."""
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    result: TypeExpr
+    contracts: tuple[Contract, ...]
+    span: Span
+
+
+class ExternType(Node):
+    """`extern type Name`; its span is the name's."""
+
+    name: str
+    span: Span
+
+
+class SpecFunction(Node):
+    """`spec fun name(parameters) -> Type`; its span is the name's."""
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    result: TypeExpr
+    span: Span
+
+
+class Property(Node):
+    """`initially: formula` (its name is empty), `invariant NAME: formula`, `axiom NAME: formula`; its span is the
+    name's, or the word's where there is none."""
+
+    kind: Literal["initially", "invariant", "axiom"]
+    name: str
+    formula: Expr
     span: Span
 
 
@@ -93,10 +174,20 @@ class Event(Node):
     span: Span
 
 
-Section = Using | Param | Variables | Init | Event
+class BrokenSection(Node):
+    """A section of which nothing could be read; it has been reported. `names` are the names that stand in it."""
+
+    names: tuple[str, ...]
+    span: Span
+
+
+Section = (
+    Using | Param | Variables | RecordDef | Function | ExternFunction | ExternType | SpecFunction | Property | Init
+    | Event | BrokenSection
+)  # fmt: skip
 
 
 class Program(Node):
-    """All that could be read of a text."""
+    """All that was read of a text; what could not be read is in it as broken nodes."""
 
     sections: tuple[Section, ...]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from koordgen.node import Node
 from koordgen.source import Span
-from koordgen.syntax.expr import Expr
+from koordgen.syntax.expr import Expr, Name
+from koordgen.syntax.types import TypeExpr
 
 
 class Assign(Node):
@@ -19,8 +20,7 @@ class Assign(Node):
 class Declare(Node):
     """`Type name = value`; without a value it is the type's default."""
 
-    type: str
-    type_span: Span
+    type: TypeExpr
     name: str
     name_span: Span
     value: Expr | None
@@ -43,10 +43,63 @@ class If(Node):
     span: Span
 
 
+class For(Node):
+    """`for a, b in values:`; its span is the header's."""
+
+    names: tuple[Name, ...]
+    values: Expr
+    block: Block
+    span: Span
+
+
+class CountedFor(Node):
+    """`for i = first, last:` of the 2020 dialect: `last` is included."""
+
+    name: Name
+    first: Expr
+    last: Expr
+    block: Block
+    span: Span
+
+
+class While(Node):
+    """`while condition:`; its span is the header's."""
+
+    condition: Expr
+    block: Block
+    span: Span
+
+
+class Atomic(Node):
+    """`atomic:`; its span is the word's."""
+
+    block: Block
+    span: Span
+
+
 class Evaluate(Node):
-    """An expression that stands alone."""
+    """An expression that stands alone: a call, or what goes to a stream (`Log.stdout << a << b`)."""
 
     value: Expr
+    span: Span
+
+
+class Return(Node):
+    """`return value`"""
+
+    value: Expr
+    span: Span
+
+
+class Break(Node):
+    """`break`"""
+
+    span: Span
+
+
+class Continue(Node):
+    """`continue`"""
+
     span: Span
 
 
@@ -62,5 +115,15 @@ class Stop(Node):
     span: Span
 
 
-Stmt = Assign | Declare | If | Evaluate | Pass | Stop
+class BrokenStmt(Node):
+    """A statement that could not be read; it has been reported. `names` are the names that stand in it."""
+
+    names: tuple[str, ...]
+    span: Span
+
+
+Stmt = (
+    Assign | Declare | If | For | CountedFor | While | Atomic | Evaluate | Return | Break | Continue | Pass | Stop
+    | BrokenStmt
+)  # fmt: skip
 Block = tuple[Stmt, ...]
