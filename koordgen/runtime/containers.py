@@ -15,10 +15,17 @@ from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from operator import itemgetter
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar, overload
+
+
+class Key(Protocol):
+    """What can be an element of a set or a key of a map."""
+
+    def __lt__(self, other: Any, /) -> bool: ...
+
 
 T = TypeVar("T")
-K = TypeVar("K")
+K = TypeVar("K", bound=Key)
 V = TypeVar("V")
 
 MAX_EXPONENT = 1024
@@ -122,7 +129,7 @@ def _index(xs: Sequence[Any], i: int) -> int:
 
 
 def set_of(values: Iterable[K]) -> tuple[K, ...]:
-    return tuple(sorted(set(values)))  # type: ignore[type-var]  # elements are ordered, which no TypeVar says
+    return tuple(sorted(set(values)))
 
 
 def is_set(t: tuple[Any, ...]) -> bool:
@@ -158,7 +165,7 @@ def difference(s: tuple[K, ...], t: tuple[K, ...]) -> tuple[K, ...]:
 
 
 def _place(s: tuple[K, ...], v: K) -> int:
-    return bisect_left(s, v)  # type: ignore[type-var]  # elements are ordered, which no TypeVar says
+    return bisect_left(s, v)
 
 
 # Maps
@@ -221,6 +228,10 @@ def _found(m: tuple[tuple[K, V], ...], k: K) -> int:
 # Numbers
 
 
+@overload
+def power(a: int, b: int) -> int: ...
+@overload
+def power(a: float, b: float) -> float: ...
 def power(a: float, b: float) -> float:
     """a ** b; an int when both are. ValueError for ints with a negative exponent, or with one above MAX_EXPONENT unless
     the base is -1, 0 or 1, and where floats have no real power; OverflowError where the float would be infinite."""
