@@ -76,8 +76,16 @@ class Label(Node):
     text: str
 
 
+class Edit(Node):
+    """What stands at `span` is to be replaced by `text`; an empty span is a place to insert at."""
+
+    span: Span
+    text: str
+
+
 class Diagnostic(Node):
-    """One finding. `message` stands alone, without the source line beside it; `help` says what to write instead."""
+    """One finding. `message` stands alone, without the source line beside it; `help` says what to write instead.
+    All `edits` together repair or modernise; they do not overlap."""
 
     code: str
     severity: Severity
@@ -85,6 +93,7 @@ class Diagnostic(Node):
     span: Span
     labels: tuple[Label, ...] = ()
     help: str = ""
+    edits: tuple[Edit, ...] = ()
 
 
 def in_order(found: Iterable[Diagnostic]) -> list[Diagnostic]:
@@ -120,21 +129,28 @@ def _excerpt(span: Span, mark: str, text: str, source: Source, width: int) -> li
 
 
 def to_json(found: Iterable[tuple[Source, Diagnostic]]) -> str:
-    """`{"diagnostics": [{code, severity, message, file, line, column, end_line, end_column, help}]}`"""
+    """`{"diagnostics": [{code, severity, message, file, line, column, end_line, end_column, help}]}`; one that can be
+    repaired has `edits` as well: `[{line, column, end_line, end_column, text}]`."""
     import json
 
-    listed = [
-        {
-            "code": d.code,
-            "severity": d.severity,
-            "message": d.message,
-            "file": source.path,
-            "line": d.span.line,
-            "column": d.span.column,
-            "end_line": d.span.end_line,
-            "end_column": d.span.end_column,
-            "help": d.help,
-        }
-        for source, d in found
-    ]
-    return json.dumps({"diagnostics": listed}, indent=2)
+    return json.dumps({"diagnostics": [as_data(source, d) for source, d in found]}, indent=2)
+
+
+def as_data(source: Source, diagnostic: Diagnostic) -> dict[str, object]:
+    """One diagnostic as JSON has it."""
+    d = diagnostic
+    data: dict[str, object] = {
+        "code": d.code,
+        "severity": d.severity,
+        "message": d.message,
+        "file": source.path,
+        **_place(d.span),
+        "help": d.help,
+    }
+    if d.edits:
+        data["edits"] = [{**_place(edit.span), "text": edit.text} for edit in d.edits]
+    return data
+
+
+def _place(span: Span) -> dict[str, int]:
+    return {"line": span.line, "column": span.column, "end_line": span.end_line, "end_column": span.end_column}

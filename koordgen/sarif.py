@@ -49,17 +49,27 @@ def _result(source: Source, d: Diagnostic, rule: int, folder: Path) -> dict[str,
         result["relatedLocations"] = [
             {**_location(source, label.span, folder), "message": {"text": _literal(label.text)}} for label in d.labels
         ]
+    if d.edits:
+        replacements = [
+            {"deletedRegion": _region(edit.span), "insertedContent": {"text": edit.text}} for edit in d.edits
+        ]
+        change = {"artifactLocation": {"uri": _uri(source.path, folder)}, "replacements": replacements}
+        result["fixes"] = [{"description": {"text": _literal(d.help or d.message)}, "artifactChanges": [change]}]
     return result
 
 
 def _location(source: Source, span: Span, folder: Path) -> dict[str, Any]:
-    region = {
+    artifact = {"uri": _uri(source.path, folder)}
+    return {"physicalLocation": {"artifactLocation": artifact, "region": _region(span)}}
+
+
+def _region(span: Span) -> dict[str, int]:
+    return {
         "startLine": span.line,
         "startColumn": span.column,
         "endLine": span.end_line,
         "endColumn": span.end_column,
     }
-    return {"physicalLocation": {"artifactLocation": {"uri": _uri(source.path, folder)}, "region": region}}
 
 
 def _uri(path: str, folder: Path) -> str:
