@@ -29,9 +29,9 @@ class Setting(Node):
 
 class Target(Node):
     """One target. `kind` "agent" runs one robot (`entry` is its Platform class), "harness" a whole fleet on one host
-    (`entry` is its main function), both as "module:name". `sensors` and `actuators` are keyed by "Module.port" and
-    say the Koord type. `simulation` names the body and the device that stand in for the real ones; `also` the other
-    targets whose files this one's code imports."""
+    (`entry` is its main function), both as "module:name". `sensors`, `actuators` and `callables` are keyed by
+    "Module.port" and say the Koord type. `simulation` names the body and the device that stand in for the real ones; `also` the other
+    folders of targets/ whose files this one's code imports."""
 
     name: str
     summary: str
@@ -40,6 +40,7 @@ class Target(Node):
     requirements: tuple[str, ...]
     sensors: dict[str, str]
     actuators: dict[str, str]
+    callables: dict[str, str]
     settings: dict[str, Setting]
     simulation: dict[str, str]
     also: tuple[str, ...]
@@ -48,7 +49,7 @@ class Target(Node):
     @property
     def modules(self) -> set[str]:
         """The modules that a program may use on this target."""
-        return {name.partition(".")[0] for name in (*self.sensors, *self.actuators)}
+        return {name.partition(".")[0] for name in (*self.sensors, *self.actuators, *self.callables)}
 
 
 def available() -> list[str]:
@@ -80,7 +81,7 @@ def _target(raw: dict[str, Any], path: Path) -> Target:
         raise ValueError(f"api is {raw['api']}, this koordgen offers {API}")
     if raw["kind"] not in ("agent", "harness"):
         raise ValueError(f"kind is {raw['kind']!r}; it is 'agent' or 'harness'")
-    ports: dict[str, dict[str, str]] = {"sensors": {}, "actuators": {}}
+    ports: dict[str, dict[str, str]] = {"sensors": {}, "actuators": {}, "callables": {}}
     for module, directions in raw.get("modules", {}).items():
         for direction, offered in directions.items():
             ports[direction].update({f"{module}.{port}": koord_type for port, koord_type in offered.items()})
@@ -92,6 +93,7 @@ def _target(raw: dict[str, Any], path: Path) -> Target:
         requirements=tuple(raw["requirements"]),
         sensors=ports["sensors"],
         actuators=ports["actuators"],
+        callables=ports["callables"],
         settings={key: _setting(key, value) for key, value in raw.get("settings", {}).items()},
         simulation=raw.get("simulation", {}),
         also=tuple(raw.get("also", ())),

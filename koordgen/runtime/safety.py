@@ -39,7 +39,7 @@ def clamp(box: Box, p: Point) -> Point:
 
 
 def clamped(box: Box, actuators: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """The actuators with every Point (also within a list) moved into the box, and the names of those that were."""
+    """The actuators with every Point (also within a list or tuple) moved into the box, and the names of those that were."""
     moved: dict[str, Any] = {name: _into(box, value) for name, value in actuators.items()}
     return moved, [name for name, value in moved.items() if value != actuators[name]]
 
@@ -92,6 +92,6 @@ def _corners(box: Box) -> tuple[tuple[float, float, float], tuple[float, float, 
 def _into(box: Box, value: Any) -> Any:
     if isinstance(value, Point):
         return clamp(box, value)
-    if isinstance(value, list):
-        return [_into(box, v) for v in value]
+    if isinstance(value, tuple):
+        return tuple(_into(box, v) for v in value)
     return value

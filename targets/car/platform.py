@@ -13,14 +13,17 @@ from typing import Any
 
 from koordgen.runtime.feed import Feed
 from koordgen.runtime.platform import Sensed, Unready
+from koordgen.runtime.safety import inside
 from koordgen.runtime.settings import Settings
-from koordgen.runtime.values import Point
+from koordgen.runtime.values import Point, Pose
 from targets.car.drive import Drive
 from targets.car.estimator import Estimator
 from targets.car.links import DatagramLink, Links, RealLinks
 from targets.car.mpc import STEP
 from targets.car.navigator import STANDING, Navigator
 from targets.car.settings import decode
+from targets.planning.planner import Planner
+from targets.planning.route import Route
 
 STALE = 0.3  # seconds without a sample of the position feed: brake
 WAIT_FOR_DRIVE, WAIT_FOR_FEED = 5.0, 60.0  # seconds until Unready; a base station may be started after the robots
@@ -29,6 +32,7 @@ STILL = 0.3  # seconds at standstill that make a rest
 # All that a socket buffers, or a position that waits behind a flood would be taken for new; and no more than is done in
 # a few milliseconds.
 DATAGRAMS_A_POLL = 512
+PASSED = 0.4  # metres from a point on the way at which the car makes for the next: the last alone is met exactly
 SLACK = 0.005  # seconds: polls that come at the period's pace, but for jitter, each run the controller
 _CHECK_STEP, _CHECK_STEPS = 0.05, 60
 
@@ -47,6 +51,8 @@ class Car:
         self._datagrams: DatagramLink | None = None
         self._drive: Drive | None = None
         self._navigator: Navigator | None = None
+        self._route = Route()
+        self._planner: Planner | None = None  # made when first called: most programs have no use for it
         self._now = 0.0
         self._started = 0.0
         self._next_control = -math.inf
@@ -158,11 +164,20 @@ class Car:
             navigator.watch(self._estimator.state, standing and self._fresh(now), now)
             drive.brake(now)
             return
+        self._follow(navigator)
         command = navigator.step(self._estimator.state, standing, now)
         if command is None:
             drive.brake(now)
         else:
             drive.go(command, now)
+
+    def _follow(self, navigator: Navigator) -> None:
+        """Make for the next point of a path when one on the way has been passed."""
+        goal, state = self._route.goal, self._estimator.state
+        if goal is None or self._route.last or math.dist((state.x, state.y), (goal.x, goal.y)) >= PASSED:
+            return
+        if (following := self._route.passed()) is not None:
+            navigator.go_to((following.x, following.y))
 
     def _obstacle(self, drive: Drive, now: float) -> str:
         """What forbids driving now, in words; "" when nothing does."""
@@ -211,15 +226,35 @@ class Car:
         speed = self._estimator.speed(now) or 0.0
         values = {
             "Motion.position": position,
+            "Motion.pose": Pose(position, state.yaw),
             "Motion.velocity": Point(speed * math.cos(state.yaw), speed * math.sin(state.yaw), 0.0),
-            "Motion.reached": self._navigator is None or self._navigator.reached,
+            "Motion.reached": self._navigator is None or (self._navigator.reached and self._route.last),
         }
         return Sensed(values, self._feed.time)
 
     def command(self, actuators: Mapping[str, Any], now: float) -> None:
-        target = actuators.get("Motion.target")
-        if isinstance(target, Point) and self._navigator is not None:
-            self._navigator.go_to((target.x, target.y))
+        if self._navigator is None:
+            return
+        if "Motion.target" in actuators:
+            self._go((actuators["Motion.target"],), self._navigator)
+        if "Motion.path" in actuators:
+            self._go(actuators["Motion.path"], self._navigator)
+
+    def _go(self, points: tuple[Point, ...], navigator: Navigator) -> None:
+        if not self._route.take(points):
+            return
+        state, goal = self._estimator.state, self._route.goal
+        navigator.go_to((state.x, state.y) if goal is None else (goal.x, goal.y))
+
+    def call(self, port: str, args: tuple[Any, ...]) -> Any:
+        """See Platform. `Motion.planner(goal, obstacles)`: a goal that is not on the ground is infeasible."""
+        goal, obstacles = args[0], args[1] if len(args) > 1 else ()
+        if goal.z != 0.0 or not inside(self._fence, goal):
+            return ()
+        if self._planner is None:
+            self._planner = Planner(self._fence, self._settings.clearance)
+        state = self._estimator.state
+        return self._planner.plan(Point(state.x, state.y, 0.0), goal, obstacles)
 
     def hold(self, on: bool, now: float) -> None:
         self._holding = on

@@ -1,4 +1,4 @@
-"""Where the vehicle is to be: the program's target, the pause, the waiting place; steering there and `reached`."""
+"""Where the vehicle is to be: the program's target or path, the pause, the waiting place; steering; `reached`."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from koordgen.runtime.platform import Unready
 from koordgen.runtime.safety import clamp
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point, distance, transmissible
+from targets.planning.route import Route
 from targets.quad.link import Link
 from targets.quad.setpoint import Carrot, setpoint
 from targets.quad.telemetry import Telemetry
@@ -27,7 +28,7 @@ class Motion:
         self._frame, self._fence, self._height = frame, fence, height
         self._radius, self._dwell, self._speed = radius, dwell, max_speed
         self._carrot = Carrot(max_speed)
-        self._goal: Point | None = None  # what was commanded last
+        self._route = Route()  # what was commanded last
         self._station: Point | None = None  # where to be while nothing was commanded
         self._pause: Point | None = None  # where to be while holding
         self._holding = False
@@ -38,14 +39,16 @@ class Motion:
         self.followed = False  # whether the autopilot was seen to follow the setpoints, and still does
         self.refused = 0  # targets that were not finite
 
-    def command(self, target: Point) -> None:
-        """Go there, in a straight line. The target that is already being approached changes nothing."""
-        if not transmissible(target):
+    def command(self, points: tuple[Point, ...]) -> None:
+        """Go there, straight from each point to the next; a target is a path of one point, none is: stay here. What
+        is being followed already changes nothing."""
+        if not transmissible(points):
             self.refused += 1
             return
-        goal = self._lifted(target)
-        if goal != self._goal:
-            self._goal, self._near, self.reached = goal, None, False
+        if self._route.take(tuple(map(self._lifted, points))):
+            self._near, self.reached = None, not points
+            if not points:
+                self._station = None
 
     def hold(self, on: bool) -> None:
         """Pause where the vehicle is then, or resume."""
@@ -67,7 +70,10 @@ class Motion:
             self._pause = self._lifted(position)
             self._carrot.drop()  # it ran ahead of the vehicle: to walk it back would take as long as the way did
         seconds = SPACING if self._sent is None else now - self._sent
-        carrot = self._carrot.step(self._pause or self._goal or self._station, position, seconds)
+        goal = self._pause or self._route.goal or self._station
+        carrot = self._carrot.step(goal, position, seconds)
+        if carrot == self._route.goal and self._pause is None:
+            self._route.passed()
         link.send(setpoint(link.vehicle, self._frame, self._fence, carrot))
         self._sent = now
         self._watch(link, state, carrot, now)
@@ -95,10 +101,11 @@ class Motion:
 
     def _judge(self, position: Point, velocity: Point, now: float) -> None:
         """`reached`: within the radius and standing still for the dwell; from then on, until a new target comes."""
-        if self.reached or self._goal is None:
+        goal = self._route.goal
+        if self.reached or goal is None or not self._route.last:
             return
         speed = math.hypot(velocity.x, velocity.y, velocity.z)
-        if distance(position, self._goal) > self._radius or speed > STANDING:
+        if distance(position, goal) > self._radius or speed > STANDING:
             self._near = None
             return
         self._near = now if self._near is None else self._near

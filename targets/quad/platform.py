@@ -1,7 +1,7 @@
 """A multicopter behind an ArduPilot autopilot: the Motion ports of a program, served over MAVLink 2.
 
 `Motion.position` and `velocity` are the autopilot's estimate; `target` is approached in a straight line at `max_speed`
-and at `flight_height` or above; `reached` means arrived and standing still.
+and at `flight_height` or above, the points of a `path` one after the other; `reached` means arrived and standing still.
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ import msgspec
 
 from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.platform import Sensed, Unready
-from koordgen.runtime.safety import clamp
+from koordgen.runtime.safety import clamp, inside
 from koordgen.runtime.settings import BadSettings, Settings
 from koordgen.runtime.values import Point
+from targets.planning.planner import Planner
 from targets.quad.check import checked
 from targets.quad.flight import Flight, Phase
 from targets.quad.link import Link
@@ -33,6 +34,7 @@ class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     max_speed: Annotated[float, msgspec.Meta(ge=0.1, le=15.0)] = 1.0
     reached_radius: Annotated[float, msgspec.Meta(ge=0.01, le=5.0)] = 0.15
     reached_dwell: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 0.3
+    clearance: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.5
 
 
 class Quad:
@@ -68,6 +70,7 @@ class Quad:
         self._connect, self._clock, self._sleep = connect, clock, sleep
         self._link: Link | None = None
         self._flight: Flight | None = None
+        self._planner: Planner | None = None  # made when first called: most programs have no use for it
         self._now = 0.0
 
     def check(self) -> list[str]:
@@ -129,9 +132,21 @@ class Quad:
         return Sensed(values, state.time)
 
     def command(self, actuators: Mapping[str, Any], now: float) -> None:
-        """See Platform. A target that is not finite is refused, counted and shown in `progress`."""
+        """See Platform. What is not finite is refused, counted and shown in `progress`."""
         if "Motion.target" in actuators:
-            self._motion.command(actuators["Motion.target"])
+            self._motion.command((actuators["Motion.target"],))
+        if "Motion.path" in actuators:
+            self._motion.command(actuators["Motion.path"])
+
+    def call(self, port: str, args: tuple[Any, ...]) -> Any:
+        """See Platform. `Motion.planner(goal, obstacles)`: one on the ground or outside the fence is infeasible."""
+        goal, obstacles = args[0], args[1] if len(args) > 1 else ()
+        position = self._telemetry.position
+        if position is None or goal.z <= 0.0 or not inside(self._fence, goal):
+            return ()
+        if self._planner is None:
+            self._planner = Planner(self._fence, self._body.clearance)
+        return self._planner.plan(position, goal, obstacles)
 
     def hold(self, on: bool, now: float) -> None:
         """See Platform."""
