@@ -85,7 +85,7 @@ def mark_occupied(m: GridMap, g: Grid) -> GridMap:
 def merge(a: GridMap, b: GridMap) -> GridMap:
     """What a and b know together, over the smallest window that holds both; cells of neither are unknown. ValueError
     for two resolutions, and for a window of more than MAX_CELLS cells."""
-    if not a.width or a == b:
+    if not a.width:
         return b
     if not b.width:
         return a

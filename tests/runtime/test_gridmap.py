@@ -155,6 +155,7 @@ def test_an_area_is_never_empty_whatever_rounding_does() -> None:
         (Point(0, 0), Point(1e9, 1e9), 0.001),
         (Point(1e300, 0), Point(2e300, 1), 1e300 / 2**62),
         (Point(2.0**62, 0), Point(2.0**62 + 1024, 1), 0.25),
+        (Point(0, -(2.0**62)), Point(1, -(2.0**62) + 1024), 0.25),
     ],
 )
 def test_no_area_discards(lo: Point, hi: Point, size: float) -> None:
