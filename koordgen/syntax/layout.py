@@ -11,58 +11,46 @@ import re
 from koordgen.diagnostics import Diagnostic, Label
 from koordgen.source import Source, Span
 
-# type (a literal's own text, or NAME INT FLOAT NEWLINE INDENT DEDENT STRING BAD $END), text, line, column
+# type (a literal's own text, or NAME GENERIC INT FLOAT STRING NEWLINE INDENT DEDENT BAD $END), text, line, column
 Token = tuple[str, str, int, int]
 
 DEEPEST_BRACKETS = 100
 DEEPEST_BLOCKS = 30
 
-# Words of the whole language, also those whose meaning this version lacks: they never become names.
+# Words of the language: they never become names.
 KEYWORDS = frozenset(
     (
-        "using",
-        "sensors",
-        "actuators",
-        "param",
-        "allread",
-        "allwrite",
-        "local",
-        "init",
-        "pre",
-        "eff",
-        "if",
-        "elif",
-        "else",
-        "pass",
-        "stop",
-        "and",
-        "or",
-        "not",
-        "True",
-        "False",
-    )
-)
-LATER = frozenset(
-    (
-        "atomic", "for", "while", "in", "break", "continue", "return", "def", "fun", "extern", "spec", "axiom",
-        "invariant", "initially", "assume", "forall", "exists",
+        "using", "sensors", "actuators", "assume", "param", "allread", "allwrite", "local", "init", "pre", "eff",
+        "def", "fun", "extern", "spec", "axiom", "invariant", "initially", "forall", "exists",
+        "if", "elif", "else", "for", "while", "break", "continue", "return", "atomic", "pass", "stop",
+        "and", "or", "not", "in", "True", "False",
     )
 )  # fmt: skip
+GENERICS = frozenset(("List", "Map", "Set", "Queue"))
+_SOFT = frozenset(("max", "type", "requires", "ensures"))  # words of the language in one place each, names elsewhere
+_WORDS = KEYWORDS | GENERICS | _SOFT
 
 _TOKEN = re.compile(
     r"(?P<NAME>[A-Za-z_][A-Za-z0-9_]*)"
     r"|(?P<SPACE>[ \t]+)"
     r"|(?P<NEWLINE>\n)"
-    r"|(?P<FLOAT>[0-9]+\.[0-9]+(?:[eE][+-]?[0-9]+)?|[0-9]+[eE][+-]?[0-9]+|\.[0-9]+(?:[eE][+-]?[0-9]+)?)"
-    r"|(?P<INT>[0-9]+)"
-    r"|(?P<MARK>//=|\*\*|[-+*/%]=|//|[=!<>]=|&&|\|\||->|[-+*/%<>=:.,()\[\]{}!'])"
+    r"|(?P<FLOAT>(?:[0-9]+\.[0-9]+(?:[eE][+-]?[0-9]+)?|[0-9]+[eE][+-]?[0-9]+|\.[0-9]+(?:[eE][+-]?[0-9]+)?)"
+    r"(?![A-Za-z0-9_]))"
+    r"|(?P<INT>[0-9]+(?![A-Za-z_0-9]))"
+    r"|(?P<STRING>\"[^\"\\\n]*(?:\\.[^\"\\\n]*)*\"|(?<![A-Za-z0-9_\])'])'[^'\\\n]*(?:\\.[^'\\\n]*)*')"
+    r"|(?P<MARK>//=|\*\*=?|[-+*/%]=|//|<<|[=!<>]=|&&|\|\||->|[-+*/%<>=:.,()\[\]{}!]|(?<=[A-Za-z0-9_\])'])')"
     r"|(?P<COMMENT>\#[^\n]*)"
     r"|(?P<CONTINUED>\\[ \t]*\n)"
-    r'|(?P<STRING>"[^"\n]*")'
-    r"|(?P<BAD>.)"
+    r"|(?P<BAD>[0-9][A-Za-z0-9_.]*|[\"'][^\n]*|.)"
 )
+# What begins a line that no bracket reaches: the one before was not closed.
+_BEGINS = re.compile(
+    r"[ ]*(?:using|sensors|actuators|assume|param|allread|allwrite|local|init|pre|eff|def|fun|extern|spec|axiom"
+    r"|invariant|initially|elif|while|break|continue|return|atomic|pass|stop)\b"
+    r"|[A-Za-z_][A-Za-z0-9_]*[ \t]*:[ \t]*(?:[\n#]|pre\b|eff\b)"
+)
+_GOES_ON = frozenset(("and", "or", "&&", "||"))  # no line begins with one
 _CLOSES = {")": "(", "]": "[", "}": "{"}
-_WORDS = KEYWORDS | LATER
 
 
 class Chunk:
@@ -107,7 +95,7 @@ class _Layout:
                 continue
             column = match.start() - line_start + 1
             if kind == "NEWLINE" or kind == "CONTINUED":
-                if kind == "NEWLINE" and not self.brackets:
+                if kind == "NEWLINE" and (not self.brackets or self._abandoned(text, match.end())):
                     if not fresh:
                         self._end_line(line, column, first)
                     fresh, indent, tab = True, 0, -1
@@ -116,18 +104,20 @@ class _Layout:
             token = match[0]
             if fresh:
                 fresh = False
-                self._start_line(line, indent, tab)
-                first = len(self.chunk.tokens)
+                if token not in _GOES_ON or not self._goes_on(indent):
+                    self._start_line(line, indent, tab)
+                    first = len(self.chunk.tokens)
             if kind == "MARK":
                 if token in "()[]{}":
                     self._bracket((token, token, line, column))
                 kind = token
             elif kind == "NAME" and token in _WORDS:
-                kind = token
+                kind = self._word(token)
+            elif kind == "BAD" and token[0] in "\"'":
+                kind, token = self._open_string(token, line, column)
             self.chunk.tokens.append((str(kind), token, line, column))
         if self.brackets:
-            bracket = self.brackets[0]
-            self._report("K006", f"'{bracket[1]}' is never closed", bracket[2], bracket[3])
+            self._never_closed()
         if not fresh:
             self._end_line(line, len(text) - line_start + 1, first)
         self._end_chunk(line, 1)
@@ -180,6 +170,49 @@ class _Layout:
             if opened[1] != _CLOSES[text]:
                 label = Label(Span(opened[2], opened[3], opened[2], opened[3] + 1), "opened here")
                 self._report("K006", f"'{text}' does not close '{opened[1]}'", line, column, labels=(label,))
+
+    def _abandoned(self, text: str, position: int) -> bool:
+        """Whether what follows a line end shows that the open brackets were forgotten; they are told then."""
+        if _BEGINS.match(text, position) is None:
+            return False
+        self._never_closed()
+        self.brackets.clear()
+        return True
+
+    def _never_closed(self) -> None:
+        bracket = self.brackets[0]
+        self._report("K006", f"'{bracket[1]}' is never closed", bracket[2], bracket[3])
+
+    def _goes_on(self, indent: int) -> bool:
+        """Whether a line that begins with `and` or `or` belongs to the one before; its end is taken back then."""
+        tokens = self.chunk.tokens
+        if not tokens or indent == 0 or indent < self.indents[-1]:
+            return False
+        tokens.pop()
+        return True
+
+    def _word(self, text: str) -> str:
+        """The type of the token of a word of the language."""
+        if text in KEYWORDS:
+            return text
+        if text in GENERICS:
+            return "GENERIC"
+        tokens = self.chunk.tokens
+        last = tokens[-1][0] if tokens else ""
+        if text == "max":  # behind `Type name` or `Type name[size]`
+            before = tokens[-2][0] if len(tokens) > 1 else ""
+            meant = before != "[" if last == "]" else last == "NAME" and before in ("NAME", ">", "]", ")")
+        elif text == "type":
+            meant = last == "extern"
+        else:  # the contracts of an extern function
+            meant = last in ("INDENT", "NEWLINE", "DEDENT", ":") and tokens[0][0] == "extern"
+        return text if meant else "NAME"
+
+    def _open_string(self, text: str, line: int, column: int) -> tuple[str, str]:
+        """A string that its line does not close is told here: it may hide closing brackets."""
+        self._report("K001", "this string is not closed", line, column, f"a string ends with {text[0]} on its line")
+        self.brackets.clear()
+        return "STRING", text
 
     def _report(
         self, code: str, message: str, line: int, column: int, help: str = "", labels: tuple[Label, ...] = ()

@@ -5,7 +5,8 @@ from __future__ import annotations
 from koordgen._generated.grammar import RULES, STATES
 from koordgen.diagnostics import Diagnostic
 from koordgen.source import Span
-from koordgen.syntax.layout import KEYWORDS, LATER, Token
+from koordgen.syntax.layout import KEYWORDS, Token
+LATER = frozenset()
 
 # Types of the full language; `Point` and the numbers are there already.
 LATER_TYPES = frozenset(

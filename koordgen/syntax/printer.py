@@ -6,7 +6,7 @@ from typing import Any
 
 from koordgen.node import Node
 
-_PLACES = ("span", "type_span", "name_span")
+_PLACES = ("span", "name_span", "op_span", "def_span")
 
 
 def show(tree: Node) -> str:

@@ -1,0 +1,45 @@
+"""What the builders of all constructs share: refusals, places, and picking nodes among a rule's children."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from koordgen.diagnostics import Diagnostic
+from koordgen.source import Span
+
+Children = list[Any]  # of tokens (tuples of four), nodes, and blocks (tuples of statements)
+
+
+class Refused(Exception):
+    """A rule whose children cannot be accepted."""
+
+    def __init__(self, diagnostic: Diagnostic) -> None:
+        super().__init__(diagnostic.message)
+        self.diagnostic = diagnostic
+
+
+def refused(code: str, message: str, span: Span, help: str = "") -> Refused:
+    """To be raised."""
+    return Refused(Diagnostic(code, "error", message, span, help=help))
+
+
+def token_span(token: tuple[str, str, int, int]) -> Span:
+    """Where a token stands."""
+    _, text, line, column = token
+    return Span(line, column, line, column + len(text))
+
+
+def reach(first: Any, last: Any) -> Span:
+    """From the beginning of one token or node to the end of another."""
+    if type(first) is tuple:
+        line, column = first[2], first[3]
+    else:
+        line, column = first.span.line, first.span.column
+    if type(last) is tuple:
+        return Span(line, column, last[2], last[3] + len(last[1]))
+    return Span(line, column, last.span.end_line, last.span.end_column)
+
+
+def nodes(children: Children) -> tuple[Any, ...]:
+    """The children that are neither tokens nor blocks."""
+    return tuple(c for c in children if type(c) is not tuple)
