@@ -1,4 +1,4 @@
-"""docs/targets.md says what the manifests say, row by row."""
+"""The pages say what is there: targets as their manifests have them, codes, and examples that compile."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from pathlib import Path
 import pytest
 
 from koordgen import manifest
-from koordgen.check import check
 from koordgen.diagnostics import CATALOGUE
-from koordgen.source import Source
-from koordgen.syntax.parse import parse
+from tests.lang.test_lang import found, wanted
 
+LANGUAGE = (Path(__file__).parents[2] / "docs/language.md").read_text(encoding="utf-8")
 PAGE = (Path(__file__).parents[2] / "docs/targets.md").read_text(encoding="utf-8")
 
 
@@ -20,7 +19,11 @@ def rows(target: manifest.Target) -> list[str]:
     """The table rows that document a target's ports and settings."""
     ports = [
         f"| `{name}` | {direction} | `{koord_type}` |"
-        for direction, offered in (("sensor", target.sensors), ("actuator", target.actuators))
+        for direction, offered in (
+            ("sensor", target.sensors),
+            ("actuator", target.actuators),
+            ("callable", target.callables),
+        )
         for name, koord_type in offered.items()
     ]
     settings = []
@@ -59,11 +62,15 @@ def test_every_code_is_documented() -> None:
     assert used == {code for code in CATALOGUE if not code.startswith("K")}
 
 
-def test_the_language_pages_example_is_right() -> None:
-    page = (Path(__file__).parents[2] / "docs/language.md").read_text(encoding="utf-8")
-    (example,) = re.findall(r"```koord\n(.*?)```", page, re.DOTALL)
-    tree, found = parse(Source("docs/language.md", example))
-    assert tree is not None, found
-    program, found = check(tree, Source("docs/language.md", example))
-    assert program is not None, found
-    assert found == []
+EXAMPLES = re.findall(r"^```koord\n(.*?)^```$", LANGUAGE, re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.parametrize("number", range(len(EXAMPLES)))
+def test_an_example_of_the_language_page_does_what_it_says(number: int) -> None:
+    text = EXAMPLES[number]
+    missed = wanted(text)
+    for diagnostic in found(text):
+        match = [w for w in missed if w[:3] == (diagnostic.span.line, diagnostic.severity, diagnostic.code)]
+        assert match, (diagnostic.span.line, diagnostic.code, diagnostic.message)
+        missed.remove(match[0])
+    assert not missed
