@@ -89,6 +89,14 @@ def _parser(arguments: list[str]) -> argparse.ArgumentParser:
     _build_options(command)
     command.set_defaults(run=_build)
 
+    command = commands.add_parser("fmt", help="format programs in place")
+    command.add_argument("files", metavar="FILE", nargs="+", help="`-` reads standard input, writes standard output")
+    command.add_argument("--check", action="store_true", help="write nothing; status 1 when a file would change")
+    command.add_argument("--diff", action="store_true", help="like --check, and show what would change")
+    command.add_argument("--upgrade", action="store_true", help="rewrite the 2020 dialect as well")
+    command.add_argument("--format", choices=("text", "json"), default="text", help="of what is told (default: text)")
+    command.set_defaults(run=_fmt)
+
     command = commands.add_parser("explain", help="tell more of a code, with a wrong and a right example")
     command.add_argument("code", metavar="CODE", nargs="?", help="for example K030; without one, all codes are listed")
     command.set_defaults(run=_explain)
@@ -126,7 +134,7 @@ def _build_options(command: argparse.ArgumentParser, fleet_required: bool = Fals
 def _harnesses(arguments: list[str]) -> list[tuple[str, str]]:
     """Targets that run a whole fleet are commands. Their manifests are read only when such a command, or help, is
     asked for."""
-    if arguments and arguments[0] in ("check", "dump", "build", "explain", "key"):
+    if arguments and arguments[0] in ("check", "dump", "build", "fmt", "explain", "key"):
         return []
     from koordgen import manifest
 
@@ -195,6 +203,22 @@ def _harness(options: argparse.Namespace) -> int:
     if status < 0:
         raise Failure(SURROUNDINGS, f"the run was killed by {signal.Signals(-status).name}; it left no report")
     return status
+
+
+def _fmt(options: argparse.Namespace) -> int:
+    from koordgen.format.files import format_file, output
+    from koordgen.pipeline import Rejected
+
+    dry = options.check or options.diff
+    results = [format_file(path, options.upgrade, write=not dry) for path in options.files]
+    sys.stdout.buffer.write(output(results, options.format, options.check, options.diff))
+    mistakes = [(r.source, d) for r in results for d in r.mistakes]
+    if mistakes and options.format == "text":
+        _show(Rejected(mistakes), options)
+    refused = [r.refused for r in results if r.refused]
+    if refused:
+        raise Failure(SURROUNDINGS, "; ".join(refused), "what could not be written stands as it was")
+    return WRONG if mistakes or (dry and any(r.changed for r in results)) else HOLDS
 
 
 def _explain(options: argparse.Namespace) -> int:
