@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cached_property
 from typing import Literal
 
 from koordgen.check.facts import Flow
@@ -25,6 +26,7 @@ from koordgen.ir.stmt import Let
 from koordgen.ir.types import GENERIC, NAMED, POISON, Type
 from koordgen.node import Node
 from koordgen.source import Source, Span
+from koordgen.syntax import decl as ast
 
 # A Function's block is empty until its body has been checked: its signature is known to all bodies before.
 Entity = Param | Module | Shared | Local | Record | ExternType | Function | ExternFunction | SpecFunction
@@ -54,14 +56,15 @@ class Site(Node):
 class Context:
     """Mutable; one for a program. What belongs to one event (or function, or property) is set anew by `enter`."""
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: Source, program: ast.Program | None = None) -> None:
         self.source = source
+        self.program = program
         self.found: list[Diagnostic] = []
+        self.owners: dict[str, Node] = {}  # a name -> the node that declares it, before it is an entity
         self.entities: dict[str, Entity | None] = {}  # None: declared, but wrongly; its uses are no new mistakes
         self.types: dict[str, Type | None] = {}  # records and extern types by name; None: declared wrongly
         self.defaults: dict[str, int] = {}  # "param k" -> its default, for examples
         self.calls: dict[str, set[str]] = {}  # function -> the functions it calls
-        self.broken: frozenset[str] = frozenset()  # names that stand in what could not be read
         self.enter("constant")
 
     def enter(self, place: Place) -> None:
@@ -76,6 +79,7 @@ class Context:
         self.sites: list[Site] = []
         self.refuted: list[int] = []  # where in `found` the errors about sites are
         self.read_shared: set[str] = set()
+        self.written_shared: set[str] = set()
         self.function = ""  # the `fun` whose body this is
         self.result: Type | None = None  # its result type; None: not known yet (2020 dialect)
         self.module = ""  # the module whose assumption this is
@@ -83,6 +87,13 @@ class Context:
         self.atomic = 0  # how many `atomic` blocks stand around
         self.transaction = False  # the event contains `atomic` somewhere
         self.hoisted: list[Let] = []  # what must be evaluated before the statement that is being checked
+
+    @cached_property
+    def broken(self) -> frozenset[str]:
+        """Names that stand in what could not be read: what it may have meant to declare is no second mistake."""
+        from koordgen.check.walk import broken_names
+
+        return broken_names(self.program) if self.program is not None else frozenset()
 
     def error(self, code: str, message: str, span: Span, help: str = "", labels: tuple[Label, ...] = ()) -> Expr:
         """Report a mistake; what stands there becomes poison."""

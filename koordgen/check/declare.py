@@ -1,0 +1,209 @@
+"""Records, params and variables: their types first, so that they may stand in any order, then their first values."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Literal
+
+from koordgen.check.context import Context
+from koordgen.check.expr import check_expr, fitting
+from koordgen.check.facts import Flow, term
+from koordgen.check.names import enter, owns, unique
+from koordgen.check.stmt import default
+from koordgen.check.types import bounded, dialect_element, excess, per_robot, resolve
+from koordgen.check.walk import nodes
+from koordgen.diagnostics import Edit
+from koordgen.ir import decl, expr
+from koordgen.ir.types import INT, POISON, ExternType, RecordType, Type
+from koordgen.source import Span
+from koordgen.syntax import decl as ast
+from koordgen.syntax import expr as tree
+from koordgen.syntax import types as written
+
+Kind = Literal["allread", "allwrite", "local"]
+
+
+def extern_types(sections: Iterable[ast.ExternType], c: Context) -> tuple[decl.ExternType, ...]:
+    for node in sections:
+        if owns(node.name, node, c):
+            enter(node.name, node, decl.ExternType(node.name, node.span), c)
+            c.types[node.name] = ExternType(node.name) if c.entities[node.name] is not None else None
+    return tuple([decl.ExternType(node.name, node.span) for node in sections])
+
+
+def record_types(sections: list[ast.RecordDef], c: Context) -> list[ast.RecordDef]:
+    """Makes the records' types known. The records that have one, each behind those that its fields hold."""
+    from koordgen.check.graph import ordered
+
+    for node in sections:
+        c.types[node.name] = None
+    owned = {node.name: node for node in sections if owns(node.name, node, c)}
+    order, cycles = ordered({name: _held(node) for name, node in owned.items()})
+    for cycle in cycles:
+        way = f" (it holds {', which holds '.join([*cycle[1:], cycle[0]])})" if len(cycle) > 1 else ""
+        help = "a record holds values, not references; an index into a list can stand for one"
+        c.error("K055", f"the record {cycle[0]} contains itself{way}", owned[cycle[0]].span, help)
+    inside = {name for cycle in cycles for name in cycle}
+    room: dict[str, tuple[int, int]] = {}
+    sound = []
+    for name in [n for n in order if n not in inside]:
+        type_ = _record_type(owned[name], room, c)
+        c.types[name] = type_ if c.entities.get(name, c) is not None else None
+        enter(name, owned[name], decl.Record(type_, (), owned[name].span) if type_ else None, c)
+        if type_ is not None:
+            sound.append(owned[name])
+    for node in sections:
+        if node.name in inside:
+            c.entities[node.name] = None
+        if node.name in inside or not owns(node.name, node, c):
+            _record_type(node, room, c)
+    return sound
+
+
+_MOST_PARTS, _DEEPEST = 1000, 20  # of one record, those of the records in it included
+
+
+def _held(node: ast.RecordDef) -> list[str]:
+    return [part.name for field in node.fields for part in nodes(field.type) if isinstance(part, written.NamedType)]
+
+
+def _record_type(node: ast.RecordDef, room: dict[str, tuple[int, int]], c: Context) -> RecordType | None:
+    fields: list[tuple[str, Type]] = []
+    seen: dict[str, Span] = {}
+    for field in node.fields:
+        type_ = bounded(resolve(field.type, c), field.capacities, False, c)
+        _no_size(field, "in a record", c)
+        if unique(field.name, f"fields of {node.name}", field.span, seen, c):
+            fields.append((field.name, type_))
+    inner = [room[name] for name in _held(node) if name in room]
+    parts, depth = len(fields) + sum(p for p, _ in inner), 1 + max((d for _, d in inner), default=0)
+    room[node.name] = parts, depth
+    if parts > _MOST_PARTS or depth > _DEEPEST:
+        much = f"more than {_MOST_PARTS} parts" if parts > _MOST_PARTS else f"records more than {_DEEPEST} deep"
+        c.error("K007", f"the record {node.name} holds {much}", node.span, "hold less in one record")
+        return None
+    return None if any(t == POISON for _, t in fields) else RecordType(node.name, tuple(fields))
+
+
+def record_defaults(sections: list[ast.RecordDef], c: Context) -> tuple[decl.Record, ...]:
+    """The records with their fields' first values, in the order given."""
+    records = []
+    for node in sections:
+        entity = c.entities[node.name]
+        if not isinstance(entity, decl.Record):
+            continue
+        types = dict(entity.type.fields)
+        first = {field.name: field for field in reversed(node.fields)}
+        defaults = [_initial(first[n], first[n].initial, t, c, _NO_PARAM_IN_FIELD) for n, t in types.items()]
+        record = decl.Record(entity.type, tuple(defaults), node.span)
+        enter(node.name, node, record, c)
+        records.append(record)
+    return tuple(records)
+
+
+_NO_PARAM_IN_FIELD = "a field's first value cannot depend on a param"
+_NO_PARAM_IN_PARAM = "a param's default cannot depend on another param"
+
+
+def param_types(sections: list[ast.Param], c: Context) -> None:
+    for node in sections:
+        type_ = bounded(resolve(node.type, c), node.capacities, True, c)
+        blank = c.poison(node.span)
+        enter(node.name, node, None if type_ == POISON else decl.Param(node.name, type_, blank, node.span), c)
+
+
+def param_defaults(sections: list[ast.Param], c: Context) -> tuple[decl.Param, ...]:
+    params = []
+    for node in sections:
+        entity = c.entities.get(node.name)
+        type_ = entity.type if isinstance(entity, decl.Param) and owns(node.name, node, c) else POISON
+        value = _initial(node, node.default, type_, c, _NO_PARAM_IN_PARAM)
+        param = decl.Param(node.name, type_, value, node.span)
+        params.append(param)
+        if type_ == POISON:
+            continue
+        enter(node.name, node, param, c)
+        known = term(value, Flow()) if value.type == INT else None
+        if known is not None and not known.terms:
+            c.defaults[f"param {node.name}"] = known.constant
+    return tuple(params)
+
+
+Typed = list[tuple[ast.Variable, Kind, Type]]
+
+
+def variable_types(sections: Iterable[ast.Variables], c: Context) -> Typed:
+    """Makes the variables known, still without their first values."""
+    typed: Typed = []
+    for section in sections:
+        kind = section.kind
+        for node in section.variables:
+            type_ = _variable_type(node, kind, c)
+            typed.append((node, kind, type_))
+            if type_ == POISON:
+                enter(node.name, node, None, c)
+            elif kind == "local":
+                enter(node.name, node, decl.Local(node.name, type_, c.poison(node.span), node.span), c)
+            else:
+                enter(node.name, node, decl.Shared(node.name, kind, type_, c.poison(node.span), node.span), c)
+    return typed
+
+
+def _variable_type(node: ast.Variable, kind: Kind, c: Context) -> Type:
+    type_ = node.type
+    if kind != "allread":
+        _no_size(node, f"under '{kind}:'", c)
+    elif node.size is not None:
+        if not per_robot(node.size, c) and not isinstance(node.size, tree.Broken):
+            _not_per_robot(node, node.size.span, c)
+    elif isinstance(type_, written.GenericType) and type_.name == "[]":
+        element = dialect_element(type_.args[0], c)
+        new = f"{element} {node.name}[N_SYS]"
+        place = Span(type_.span.line, type_.span.column, node.span.end_line, node.span.end_column)
+        if element != POISON:
+            c.modern(c.text(place), new, place, (Edit(place, new),))
+        return bounded(element, node.capacities, False, c)
+    else:
+        _not_per_robot(node, node.span, c)
+    return bounded(resolve(type_, c), node.capacities, kind == "local", c)
+
+
+def _not_per_robot(node: ast.Variable, span: Span, c: Context) -> None:
+    message = f"an allread variable has one value for each robot: {node.name}[N_SYS]"
+    c.error("K017", message, span, f"write {c.text(node.type.span)} {node.name}[N_SYS]")
+
+
+def _no_size(node: ast.Variable, where: str, c: Context) -> None:
+    if node.size is not None and not isinstance(node.size, tree.Broken):
+        help = f"write List<{c.text(node.type.span)}> {node.name}"
+        c.error("K017", f"an array {where} is a list: {node.name} takes no size", node.size.span, help)
+
+
+def variable_initials(typed: Typed, c: Context) -> tuple[tuple[decl.Shared, ...], tuple[decl.Local, ...]]:
+    shared: list[decl.Shared] = []
+    locals_: list[decl.Local] = []
+    for node, kind, type_ in typed:
+        initial = _initial(node, node.initial, type_, c)
+        if kind == "local":
+            locals_.append(decl.Local(node.name, type_, initial, node.span))
+        else:
+            shared.append(decl.Shared(node.name, kind, type_, initial, node.span))
+    return tuple(shared), tuple(locals_)
+
+
+def _initial(
+    node: ast.Variable | ast.Param, value: tree.Expr | None, type_: Type, c: Context, no_params: str = ""
+) -> expr.Expr:
+    """A first value: literals, builtins, and params unless a message says why not."""
+    if value is None:
+        return c.poison(node.span) if type_ == POISON else default(type_, node.span, c)
+    c.enter("constant")
+    if no_params and not isinstance(value, tree.Literal):
+        for part in nodes(value):
+            if isinstance(part, tree.Name) and isinstance(c.entities.get(part.name), decl.Param):
+                return c.error("K025", no_params, part.span)
+    initial = fitting(check_expr(value, c, type_), type_, node.name, c)
+    too_much = excess(initial, type_)
+    if too_much:
+        c.error("K053", f"the first value of {node.name} has {too_much}", value.span, "declare more room with 'max'")
+    return initial

@@ -1,0 +1,83 @@
+"""Events: a guard, what it tells the effect, and whether the event can ever run."""
+
+from __future__ import annotations
+
+from koordgen.check import bounds, linear
+from koordgen.check.context import Context
+from koordgen.check.decide import unsat
+from koordgen.check.expr import condition
+from koordgen.check.facts import formula
+from koordgen.check.names import unique
+from koordgen.check.stmt import check_block
+from koordgen.check.walk import statements
+from koordgen.diagnostics import Label
+from koordgen.ir import decl
+from koordgen.ir.types import BOOL
+from koordgen.source import Span
+from koordgen.syntax import decl as ast
+from koordgen.syntax.stmt import Atomic, Block
+
+
+def events(written: list[ast.Event], c: Context) -> list[tuple[decl.Event, Atomic | None]]:
+    """The events, still without their locks, each with its first `atomic` if it has one."""
+    found: list[tuple[decl.Event, Atomic | None]] = []
+    names: dict[str, Span] = {}
+    hiding: ast.Event | None = None
+    for node in written:
+        unique(node.name, "events", node.span, names, c)
+        clauses = _clauses(node, c)
+        if clauses is None:
+            continue
+        guard, effect = clauses
+        atomic = _first_atomic(effect.block)
+        event, always = _event(node, guard, effect, atomic is not None, hiding, c)
+        found.append((event, atomic))
+        if always and hiding is None:
+            hiding = node
+    return found
+
+
+def _clauses(node: ast.Event, c: Context) -> tuple[ast.Guard, ast.Effect] | None:
+    guards = [g for g in node.clauses if isinstance(g, ast.Guard)]
+    effects = [e for e in node.clauses if isinstance(e, ast.Effect)]
+    for clauses, word in ((guards, "pre"), (effects, "eff")):
+        if len(clauses) != 1:
+            many = "no" if not clauses else "more than one"
+            span = clauses[1].span if clauses else node.span
+            c.error("K019", f"the event {node.name} has {many} '{word}:'", span, f"each event has one '{word}:'")
+    return (guards[0], effects[0]) if guards and effects else None
+
+
+def _first_atomic(block: Block) -> Atomic | None:
+    found = [statement for statement in statements(block) if isinstance(statement, Atomic)]
+    return min(found, key=lambda a: (a.span.line, a.span.column)) if found else None
+
+
+def _event(
+    node: ast.Event, pre: ast.Guard, eff: ast.Effect, transaction: bool, hiding: ast.Event | None, c: Context
+) -> tuple[decl.Event, bool]:
+    """The event, and whether its guard always holds."""
+    c.enter("guard")
+    c.transaction = transaction
+    assert c.flow is not None
+    guard = condition(pre.condition, c, "a guard")
+    known = formula(guard, c.flow) if guard.type == BOOL else linear.UNKNOWN
+    sound, always = not c.refuted, False
+    if hiding is not None:
+        label = Label(hiding.span, "always enabled, and earlier")
+        message = f"the event {node.name} can never run: {hiding.name} is always chosen first"
+        c.warn("K042", message, node.span, labels=(label,))
+    elif guard.type == BOOL and known != linear.UNKNOWN:
+        if unsat((known,)):
+            c.warn("K041", f"the event {node.name} can never run: its guard never holds", pre.condition.span)
+        always = unsat((linear.negate(known),))
+    c.place = "effect"
+    c.poisoned = guard.type != BOOL
+    c.sites, c.refuted = [], []
+    c.guard = known
+    c.guard_text = c.text(pre.condition.span)
+    c.flow = c.flow.knowing(known)
+    effect = check_block(eff.block, c)
+    if sound:
+        bounds.help_by_negation(c)
+    return decl.Event(node.name, guard, effect, None, node.span), always
