@@ -31,6 +31,7 @@ bench: $(STAMP)
 # Parser tables and compiled templates are checked in, because building them at each start costs more than all else.
 generated: $(STAMP)
 	$(PY) -m koordgen.syntax.generate
+	$(PY) -m koordgen.syntax.page
 	$(PY) -m koordgen.emit.generate
 
 $(STAMP): requirements.lock pyproject.toml

@@ -29,13 +29,14 @@ FLOORS = {
     "syntax": BASE,
     "ir": BASE,
     "check": BASE | {"syntax", "ir"},
-    "semantics": BASE | {"ir"},
+    "format": BASE | {"syntax"},
+    "semantics": BASE | {"ir", "runtime"},  # the robots' own values and geometry
     "emit": BASE | {"ir"},
     "manifest": {"node", "resources"},
     "fleet": BASE | {"located", "manifest"},
     "bundle": BASE | {"ir", "emit", "manifest", "fleet"},
     "pipeline": BASE | {"syntax", "ir", "check", "emit", "manifest", "fleet", "bundle"},
-    "cli": BASE | {"pipeline", "bundle", "check", "manifest", "explain", "sarif"},
+    "cli": BASE | {"pipeline", "bundle", "check", "manifest", "explain", "sarif", "format"},
     "__main__": {"cli"},
     "__init__": set(),
     "runtime": set(),
@@ -118,6 +119,6 @@ def test_files_and_functions_keep_to_their_size() -> None:
         assert path.read_text(encoding="utf-8").count("\n") <= 80, path
 
 
-@pytest.mark.parametrize("generator", ["koordgen.syntax.generate", "koordgen.emit.generate"])
+@pytest.mark.parametrize("generator", ["koordgen.syntax.generate", "koordgen.syntax.page", "koordgen.emit.generate"])
 def test_what_is_generated_is_fresh(generator: str) -> None:
     subprocess.run([sys.executable, "-m", generator, "--check"], cwd=ROOT, check=True)
