@@ -29,7 +29,7 @@ in `\\`; INDENT and DEDENT stand where lines begin to be deeper and cease to be.
 | GENERIC | `List`, `Map`, `Set`, `Queue` |
 | INT | digits, not beginning with 0 unless it is 0; at most 2^63 - 1 |
 | FLOAT | `1.5`, `.5`, `1e-3`, `2.5E+6` |
-| STRING | `"..."` or `'...'` on one line, with `\\"`, `\\'`, `\\\\`, `\\n`, `\\t`; behind a name, `]`, `)`, `'` is a prime |
+| STRING | `"..."` or `'...'` on a line; `\\"`, `\\'`, `\\\\`, `\\n`, `\\t`; behind a name, `]`, `)`, `'` is a prime |
 """
 _RULE = re.compile(r"^\??(_?[a-z][a-z_]*)(\{item\})?: (.*)$", re.DOTALL)
 
