@@ -11,7 +11,7 @@ from pathlib import Path
 
 from koordgen.diagnostics import Diagnostic, as_data
 from koordgen.format import formatted
-from koordgen.node import Node
+from koordgen.node import Node, replace
 from koordgen.source import Source, Span
 from koordgen.syntax.parse import parse
 
@@ -19,14 +19,18 @@ STDIN = "-"
 
 
 class Result(Node):
-    """What became of one file. `after` is its text as it should be (as it is, when there are `mistakes`); `refused`
-    says why it could not be written, empty when it was or when nothing had to be."""
+    """What became of one file. `before` is its text, byte order mark and line ends included, `after` the same as it
+    should be; both are empty when there are `mistakes`. `refused` says why it could not be written."""
 
     source: Source
-    after: str
-    changed: bool
-    mistakes: tuple[Diagnostic, ...] = ()
+    mistakes: tuple[Diagnostic, ...]
+    before: str = ""
+    after: str = ""
     refused: str = ""
+
+    @property
+    def changed(self) -> bool:
+        return self.before != self.after
 
 
 def format_file(path: str, upgrade: bool, write: bool) -> Result:
@@ -37,15 +41,15 @@ def format_file(path: str, upgrade: bool, write: bool) -> Result:
         source = Source(path, raw.decode("utf-8-sig"))
     except OSError as error:
         problem = Diagnostic("F100", "error", f"cannot be read: {error.strerror or error}", start)
-        return Result(Source(path, ""), "", False, (problem,))
+        return Result(Source(path, ""), (problem,))
     except UnicodeDecodeError as error:
         line = raw[: error.start].count(b"\n") + 1
         problem = Diagnostic("F101", "error", f"byte {error.start} is not UTF-8", Span(line, 1, line, 2))
-        return Result(Source(path, ""), "", False, (problem,))
+        return Result(Source(path, ""), (problem,))
     tree, found = parse(source)
     mistakes = tuple(d for d in found if d.severity == "error")
     if mistakes:
-        return Result(source, source.text, False, mistakes)
+        return Result(source, mistakes)
     modern = source
     if upgrade:
         from koordgen.format.upgrade import upgraded
@@ -53,16 +57,13 @@ def format_file(path: str, upgrade: bool, write: bool) -> Result:
         modern = upgraded(source)
         tree, _ = parse(modern)
     after = formatted(modern, tree)
-    data = after.encode()
-    if data == raw:
-        return Result(source, after, False)
-    refused = ""
-    if write and path != STDIN:
+    result = Result(source, (), raw.decode(), after)
+    if result.changed and write and path != STDIN:
         try:
-            _replace(path, data)
+            _replace(path, after.encode())
         except OSError as error:
-            refused = f"{path}: {error.strerror or error}"
-    return Result(source, after, True, refused=refused)
+            return replace(result, refused=f"{path}: {error.strerror or error}")
+    return result
 
 
 def output(results: Iterable[Result], format: str, check: bool, diff: bool) -> bytes:
@@ -103,8 +104,12 @@ def _difference(result: Result) -> str:
     from difflib import unified_diff
 
     path = result.source.path
-    old, new = ([f"{line}\n" for line in text.split("\n")] for text in (result.source.text, result.after))
-    return "".join(unified_diff(old, new, path, f"{path} (formatted)"))
+    return "".join(unified_diff(_lines(result.before), _lines(result.after), path, f"{path} (formatted)"))
+
+
+def _lines(text: str) -> list[str]:
+    *lines, last = text.split("\n")
+    return [f"{line}\n" for line in lines] + [f"{last}\n\\ No newline at end of file\n"] * bool(last)
 
 
 def _replace(path: str, data: bytes) -> None:
