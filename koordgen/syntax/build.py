@@ -5,7 +5,9 @@ a number or an escape that does not exist, a tuple of one, a chain too long, an 
 """
 
 from koordgen.syntax.build_base import Refused as Refused
+from koordgen.syntax.build_base import refused as refused
 from koordgen.syntax.build_base import token_span as token_span
+from koordgen.syntax.build_broken import *  # noqa: F403
 from koordgen.syntax.build_decl import *  # noqa: F403
 from koordgen.syntax.build_expr import *  # noqa: F403
 from koordgen.syntax.build_stmt import *  # noqa: F403

@@ -58,7 +58,9 @@ def declare(c: Children) -> stmt.Declare:
     return stmt.Declare(as_type(c[0]), c[1][1], token_span(c[1]), value, reach(c[0], c[-1]))
 
 
-def evaluate(c: Children) -> stmt.Evaluate:
+def evaluate(c: Children) -> stmt.Evaluate | stmt.BrokenStmt:
+    if type(c[0]) is expr.Broken:
+        return stmt.BrokenStmt(c[0].names, c[0].span)
     return stmt.Evaluate(c[0], c[0].span)
 
 

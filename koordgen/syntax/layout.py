@@ -54,28 +54,27 @@ _CLOSES = {")": "(", "]": "[", "}": "{"}
 
 
 class Chunk:
-    """The tokens of one section, `$END` last; `sound` when the layout found no fault in it, `long` when a
-    line of it is long enough to hold a tree too deep."""
+    """The tokens of one section, `$END` last, INDENT and DEDENT paired; `faults` of its layout, each at a token of
+    it; `long` when a line of it is long enough to hold a tree too deep."""
 
-    __slots__ = ("long", "sound", "tokens")
+    __slots__ = ("faults", "long", "tokens")
 
     def __init__(self) -> None:
         self.tokens: list[Token] = []
-        self.sound = True
+        self.faults: list[Diagnostic] = []
         self.long = False
 
 
-def sections(source: Source) -> tuple[list[Chunk], list[Diagnostic]]:
-    """All sections of a text, and the mistakes of its layout."""
+def sections(source: Source) -> list[Chunk]:
+    """All sections of a text."""
     layout = _Layout()
     layout.read(source.text)
-    return layout.chunks, layout.found
+    return layout.chunks
 
 
 class _Layout:
     def __init__(self) -> None:
         self.chunks: list[Chunk] = []
-        self.found: list[Diagnostic] = []
         self.chunk = Chunk()
         self.indents = [0]
         self.brackets: list[Token] = []
@@ -125,7 +124,6 @@ class _Layout:
     def _start_line(self, line: int, indent: int, tab: int) -> None:
         if tab >= 0:
             self._report("K004", "a tab stands in the indentation", line, tab + 1, "indent with spaces")
-            return
         if indent == 0:
             self._end_chunk(line, 1)
         elif indent > self.indents[-1]:
@@ -139,7 +137,8 @@ class _Layout:
                 levels = ", ".join(map(str, self.indents))
                 help = f"the blocks around this line stand at {levels} spaces"
                 self._report("K005", f"{indent} spaces match no enclosing block", line, indent + 1, help)
-                self.indents.append(indent)
+                self.indents.append(indent)  # the innermost block goes on here
+                break
             self.chunk.tokens.append(("DEDENT", "", line, indent + 1))
 
     def _end_line(self, line: int, column: int, first: int) -> None:
@@ -217,7 +216,5 @@ class _Layout:
     def _report(
         self, code: str, message: str, line: int, column: int, help: str = "", labels: tuple[Label, ...] = ()
     ) -> None:
-        if self.chunk.sound:  # what follows in this section may be an echo
-            span = Span(line, column, line, column + 1)
-            self.found.append(Diagnostic(code, "error", message, span, labels, help))
-        self.chunk.sound = False
+        span = Span(line, column, line, column + 1)
+        self.chunk.faults.append(Diagnostic(code, "error", message, span, labels, help))

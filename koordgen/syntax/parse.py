@@ -1,86 +1,95 @@
-"""Text -> syntax tree: runs the generated LALR(1) tables over the layout's tokens, one section at a time."""
+"""Text -> syntax tree: runs the generated LALR(1) tables over the layout's tokens, one section at a time.
+
+The driver does not walk the tables: it walks what they come to, worked out when first needed and kept. A chain of
+rules that only pass a value on (`NAME` is an atom, is a postfix, ... is an expression: twelve rules) is one step.
+"""
 
 from __future__ import annotations
 
 import gc
+from collections.abc import Callable, Sequence
 from typing import Any
 
-from koordgen._generated.grammar import END, RULES, START, STATES
+from koordgen._generated.grammar import BROKEN, END, RULES, SPLICING, START, STATES
 from koordgen.diagnostics import Diagnostic, in_order
 from koordgen.node import Node
-from koordgen.source import Source
-from koordgen.syntax import build, decl, expr
-from koordgen.syntax.layout import Chunk, sections
+from koordgen.source import Source, Span
+from koordgen.syntax import build, decl, expr, stmt, types
+from koordgen.syntax.layout import DEEPEST_BLOCKS, sections
 
 DEEPEST_TREE = 100
 
-# (symbol, length, function or None) by rule.
-_RULES = tuple((symbol, length, getattr(build, action) if action else None) for symbol, length, action in RULES)
+
+class Stuck(Exception):
+    """No rule goes on at `tokens[position]`."""
+
+    def __init__(self, position: int) -> None:
+        super().__init__(position)
+        self.position = position
 
 
-def parse(source: Source) -> tuple[decl.Program | None, list[Diagnostic]]:
-    """The tree of a text, or None with what is wrong: at most one mistake for each section of it."""
-    collecting = gc.isenabled()
-    gc.disable()  # a tree has no cycles; collecting while it grows doubles the time of a long program
-    try:
-        chunks, found = sections(source)
-        read = []
-        for chunk in chunks:
-            if chunk.sound:
-                try:
-                    read.append(_section(chunk))
-                except build.Refused as refused:
-                    found.append(refused.diagnostic)
-    finally:
-        if collecting:
-            gc.enable()
-    return (None if found else decl.Program(tuple(read))), in_order(found)
+def planned(state: int, symbol: str) -> int | None:
+    """What the tables say; None where nothing goes on."""
+    return STATES[state].get(symbol) if symbol != "BROKEN" else BROKEN.get(state)
 
 
-def _section(chunk: Chunk) -> Any:
-    states = [START]
-    values: list[Any] = []
-    for position, token in enumerate(chunk.tokens):
-        symbol = token[0]
-        while True:
-            action = STATES[states[-1]].get(symbol)
-            if action is None:
-                from koordgen.syntax.mistake import explain
+class _Row(dict[str, Any]):
+    """What a state does at a symbol: an int to shift to that state, a tuple `(length, make, after)` to reduce, None
+    where it is stuck or has come to the end."""
 
-                raise build.Refused(explain(chunk.tokens, position, states))
-            if action >= 0:
-                states.append(action)
-                values.append(token)
-                break
-            name, length, make = _RULES[-action - 1]
-            if make is not None:
-                children = values[-length:]
-                del states[-length:], values[-length:]
-                values.append(make(_spliced(children)))
-            elif length == 1 and name[0] != "_":  # passes its only child on
-                del states[-1]
-            else:
-                children = values[-length:]
-                del states[-length:], values[-length:]
-                values.append(_spliced(children))
-            state = STATES[states[-1]][name]
-            states.append(state)
-            if state == END and symbol == "$END":
-                section = values[0]
-                if chunk.long:
-                    _measure(section)
-                return section
-    raise AssertionError("a section ends with $END")
+    __slots__ = ("state",)
+
+    def __init__(self, state: int) -> None:
+        self.state = state
+
+    def __missing__(self, symbol: str) -> Any:
+        code = planned(self.state, symbol)
+        action = code if code is None or code >= 0 else _reduction(-code - 1, symbol)
+        self[symbol] = action
+        return action
+
+
+class _After(dict[int, Any]):
+    """By the state below what was reduced to `made`: the state and the action at which the next symbol `ahead` finds
+    the parser, when all rules that only pass the value on are through."""
+
+    __slots__ = ("ahead", "made")
+
+    def __init__(self, made: str, ahead: str) -> None:
+        self.made = made
+        self.ahead = ahead
+
+    def __missing__(self, below: int) -> Any:
+        state = STATES[below][self.made]
+        while (action := _ROWS[state][self.ahead]).__class__ is tuple and action[1] is None:
+            state = STATES[below][action[2].made]
+        self[below] = state, action
+        return state, action
+
+
+_ROWS = [_Row(state) for state in range(len(STATES))]
+_AFTER: dict[tuple[str, str], _After] = {}
+
+
+def _reduction(rule: int, ahead: str) -> tuple[int, Any, _After]:
+    made, length, action = RULES[rule]
+    after = _AFTER.get((made, ahead))
+    if after is None:
+        after = _AFTER[made, ahead] = _After(made, ahead)
+    make: Callable[[list[Any]], Any] | None = getattr(build, action) if action else None
+    if make is None:
+        return length, (None if length == 1 else _spliced), after
+    return length, (_splicing(make) if rule in SPLICING else make), after
+
+
+def _splicing(make: Callable[[list[Any]], Any]) -> Callable[[list[Any]], Any]:
+    return lambda children: make(_spliced(children))
 
 
 def _spliced(children: list[Any]) -> list[Any]:
     """The lists that `_rules` made, dissolved; the first one is used further, so that long blocks stay linear."""
-    for child in children:
-        if type(child) is list:
-            break
-    else:
-        return children
-    result: list[Any] = children[0] if type(children[0]) is list else [children[0]]
+    first = children[0]
+    result: list[Any] = first if type(first) is list else [first]
     for child in children[1:]:
         if type(child) is list:
             result.extend(child)
@@ -89,21 +98,87 @@ def _spliced(children: list[Any]) -> list[Any]:
     return result
 
 
-def _measure(section: Node) -> None:
-    """Refuses an expression whose depth would exhaust the passes that walk it recursively."""
-    pending: list[tuple[Any, int]] = [(section, 0)]
+def run(tokens: Sequence[Any]) -> Any:
+    """The node of a section, from its tokens. Raises Stuck, and Refused for what only the builders see."""
+    rows = _ROWS
+    state = START
+    states = [state]
+    values: list[Any] = []
+    for position, token in enumerate(tokens):
+        action = rows[state][token[0]]
+        while action.__class__ is tuple:
+            length, make, after = action
+            if length == 1:
+                states.pop()
+                if make is not None:
+                    values[-1] = make(values[-1:])
+            else:
+                children = values[-length:]
+                del values[-length:], states[-length:]
+                values.append(make(children))
+            state, action = after[states[-1]]
+            states.append(state)
+        if action is None:
+            if state != END:
+                raise Stuck(position)
+            return values[0]
+        state = action
+        states.append(state)
+        values.append(token)
+    raise AssertionError("a section ends with $END")
+
+
+def parse(source: Source) -> tuple[decl.Program, list[Diagnostic]]:
+    """The tree of a text and what is wrong with it. What could not be read stands in the tree as broken nodes, and
+    the text is right when nothing was found."""
+    collecting = gc.isenabled()
+    gc.disable()  # a tree has no cycles; collecting while it grows doubles the time of a long program
+    try:
+        chunks = sections(source)
+        read: list[Any] = []
+        found: list[Diagnostic] = []
+        for chunk in chunks:
+            try:
+                read.append(None if chunk.faults else section(chunk.tokens, chunk.long))
+            except (Stuck, build.Refused):
+                read.append(None)
+            if read[-1] is None:
+                from koordgen.syntax.recover import recovered
+
+                read[-1] = recovered(chunk, found)
+    finally:
+        if collecting:
+            gc.enable()
+    return decl.Program(tuple(read)), in_order(found)
+
+
+def section(tokens: Sequence[Any], long: bool) -> Any:
+    """The node of a section. Raises Stuck and Refused."""
+    node = run(tokens)
+    if long:
+        measure(node)
+    return node
+
+
+def measure(section: Node) -> None:
+    """Refuses what is nested so deeply that it would exhaust the passes that walk it recursively: expressions and
+    types, and blocks on one line (`while a: while b: ...`)."""
+    pending: list[tuple[Any, int, int]] = [(section, 0, 0)]
     while pending:
-        node, depth = pending.pop()
+        node, blocks, depth = pending.pop()
         if isinstance(node, tuple):
-            pending.extend((child, depth) for child in node if isinstance(child, (Node, tuple)))
+            pending.extend((child, blocks, depth) for child in node if isinstance(child, (Node, tuple)))
             continue
-        if isinstance(node, expr.Expr):
+        if isinstance(node, (expr.Expr, types.TypeExpr)):
             depth += len(node.rest) if isinstance(node, expr.Compare) else 1
+        elif isinstance(node, (stmt.If, stmt.For, stmt.CountedFor, stmt.While, stmt.Atomic)):
+            blocks += 1
+        if blocks > DEEPEST_BLOCKS:
+            raise build.refused("K007", f"blocks are nested more than {DEEPEST_BLOCKS} deep", node.span)
         if depth > DEEPEST_TREE:
             message = f"this expression is nested more than {DEEPEST_TREE} deep"
-            help = "give parts of it names of their own"
-            raise build.Refused(Diagnostic("K007", "error", message, node.span, help=help))
+            raise build.refused("K007", message, node.span, "give parts of it names of their own")
         for field in type(node).__match_args__:
             child = getattr(node, field)
-            if isinstance(child, (Node, tuple)) and field not in ("span", "type_span", "name_span"):
-                pending.append((child, depth))
+            if isinstance(child, (Node, tuple)) and type(child) is not Span:
+                pending.append((child, blocks, depth))
