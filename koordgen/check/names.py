@@ -16,8 +16,8 @@ _FUNCTIONS = (ast.Function, ast.ExternFunction, ast.SpecFunction)
 
 
 def claim(program: ast.Program, c: Context) -> None:
-    """Gives each name to its first declaration in the text. A second one is reported; where the two differ, nobody knows
-    what the uses mean, and they are no more mistakes."""
+    """Gives each name to its first declaration in the text. A second one is reported; where the two differ, nobody
+    knows what the uses mean, and they are no more mistakes."""
     kinds: dict[str, str] = {}  # of the variables
     for section in program.sections:
         match section:

@@ -43,13 +43,13 @@ _DEEPEST = 20  # of types within types
 def resolve(node: tree.TypeExpr, c: Context, port: bool = False) -> Type:
     """The type that is meant; POISON where it is none, which has been reported then. Its capacities are those of shared
     variables. Only a port may be a PathPlanner or a stream."""
-    if type(node) is tree.NamedType:
+    if isinstance(node, tree.NamedType):
         return _named(node.name, node.span, c, port)
     return _composed(node, c, 0)
 
 
 def _resolve(node: tree.TypeExpr, c: Context, depth: int) -> Type:
-    if type(node) is tree.NamedType:
+    if isinstance(node, tree.NamedType):
         return _named(node.name, node.span, c, False)
     return _composed(node, c, depth + 1)
 
@@ -66,7 +66,7 @@ def _named(name: str, span: Span, c: Context, port: bool) -> Type:
     if name in _DIALECT:
         c.modern(name, _DIALECT[name], span)
         return NAMED[_DIALECT[name]]
-    if name in c.broken or name in c.owners and c.entities.get(name, c) is None:
+    if name in c.broken:
         return POISON
     if name in ("Rect", "Ball"):
         c.error("K017", f"a {name} is a region, not a value", span, "it stands on the right of 'in'")

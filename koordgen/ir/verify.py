@@ -3,214 +3,272 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from math import isfinite
 from typing import assert_never
 
-from koordgen.diagnostics import InternalError
 from koordgen.ir import decl, expr, stmt
-from koordgen.ir.types import BOOL, FLOAT, INT, POINT, Scalar
+from koordgen.ir.types import (
+    BALL,
+    BOOL,
+    PLANNER,
+    POISON,
+    RECT,
+    STREAM,
+    STRING,
+    ExternType,
+    MapOf,
+    PerRobot,
+    RecordType,
+    Scalar,
+    Sequence,
+    Sized,
+    TupleOf,
+    Type,
+    is_key,
+)
+from koordgen.ir.verify_expr import Expressions
+from koordgen.ir.verify_type import must
 from koordgen.source import Span
-
-_NUMBERS = (INT, FLOAT)
-_SIGNATURES: dict[str, tuple[tuple[Scalar, ...], Scalar]] = {
-    "Point": ((FLOAT, FLOAT, FLOAT), POINT),
-    "distance": ((POINT, POINT), FLOAT),
-    "sqrt": ((FLOAT,), FLOAT),
-}
 
 
 def verify(program: decl.Program) -> None:
-    """Raises InternalError when types disagree, a name is not resolved, a temp is out of scope or an operator is
-    none of the IR's."""
-    _distinct("variable", [*program.params, *program.modules, *program.shared, *program.locals])
-    _distinct("event", program.events)
+    """Raises InternalError when types disagree, a name is not resolved, a temp is out of scope, an operator is none of
+    the IR's, something stands where it has no place, or a transaction's variables are not those of its lock."""
     walk = _Walk(program)
-    for param in program.params:
-        walk.constant(param.default, param.type, params=False)
-    variables: list[decl.Shared | decl.Local] = [*program.shared, *program.locals]
-    for variable in variables:
-        walk.constant(variable.initial, variable.type, params=True)
-    walk.block(program.init, {})
+    walk.declarations()
+    walk.functions()
+    walk.enter("init")
+    walk.block(program.init)
     for event in program.events:
-        walk.lets = set()
-        walk.typed(event.guard, BOOL, {})
-        walk.block(event.effect, {})
+        walk.event(event)
+    for module in program.modules:
+        for assumption in module.assumptions:
+            walk.enter("assume")
+            walk.module = module.name
+            walk.typed(assumption.formula, BOOL)
+    for property_ in program.properties:
+        walk.enter("property")
+        walk.typed(property_.formula, BOOL)
 
 
-def _distinct(what: str, named: Iterable[decl.Param | decl.Module | decl.Shared | decl.Local | decl.Event]) -> None:
-    seen: set[str] = set()
-    for item in named:
-        _must(item.name not in seen, f"two {what}s are called {item.name}", item.span)
-        seen.add(item.name)
+class _Walk(Expressions):
+    def declarations(self) -> None:
+        p = self.program
+        named: list[tuple[str, Span]] = [(r.type.name, r.span) for r in p.records]
+        for group in (p.extern_types, p.functions, p.externs, p.specs, p.params, p.modules, p.shared, p.locals):
+            named += [(item.name, item.span) for item in group]
+        _distinct("declaration", named)
+        _distinct("event", [(e.name, e.span) for e in p.events])
+        _distinct("property", [(q.name, q.span) for q in p.properties if q.name])
+        for record in p.records:
+            must(len(record.defaults) == len(record.type.fields), "a record lacks defaults", record.span)
+            for value, (_, type_) in zip(record.defaults, record.type.fields, strict=True):
+                self.variable("literal", type_, value, record.span)
+        for param in p.params:
+            self.variable("literal", param.type, param.default, param.span)
+        variables: tuple[decl.Shared | decl.Local, ...] = (*p.shared, *p.locals)
+        for variable in variables:
+            self.variable("constant", variable.type, variable.initial, variable.span)
+        for module in p.modules:
+            _distinct("port", [(port.name, port.span) for port in module.ports])
+            for port in module.ports:
+                special = {"callable": PLANNER, "stream": STREAM}.get(port.direction)
+                must(special is None or port.type == special, f"{port.name} is a {port.type}", port.span)
+                if special is None:
+                    self.plain(port.type, port.span)
+        self.locks()
 
+    def variable(self, place: str, type_: Type, value: expr.Expr, span: Span) -> None:
+        self.plain(type_, span)
+        self.enter(place)
+        self.typed(value, type_)
 
-def _must(holds: bool, message: str, span: Span) -> None:
-    if not holds:
-        raise InternalError(f"IR at {span.line}:{span.column}: {message}")
+    def plain(self, type_: Type, span: Span) -> None:
+        """That values of a type may be stored: no port, region or poison, keys of a type with an order, capacities."""
+        match type_:
+            case Scalar():
+                must(type_ not in (POISON, PLANNER, STREAM, RECT, BALL), f"a value of type {type_}", span)
+            case Sized(name, capacity):
+                must(capacity > 0, f"a {name} of capacity {capacity}", span)
+            case Sequence(name, element, capacity):
+                must(name in ("List", "Queue", "Set") and capacity > 0, f"{type_} of {capacity}", span)
+                must(name != "Set" or is_key(element), f"{type_}", span)
+                self.plain(element, span)
+            case MapOf(key, value, capacity):
+                must(is_key(key) and capacity > 0, f"{type_} of {capacity}", span)
+                self.plain(value, span)
+            case TupleOf(items):
+                must(len(items) > 1, "a tuple of one", span)
+                for item in items:
+                    self.plain(item, span)
+            case RecordType(name):
+                must(self.records.get(name) == type_, f"no record {name}", span)
+            case ExternType(name):
+                must(name in self.extern_types, f"no extern type {name}", span)
+            case PerRobot():
+                must(False, f"a value of type {type_}", span)
+            case _:
+                assert_never(type_)
 
+    def locks(self) -> None:
+        at = Span(1, 1, 1, 1)
+        _distinct("locked variable", [(name, at) for group in self.program.locks for name in group])
+        declared = {v.name for v in self.program.shared}
+        for group in self.program.locks:
+            must(bool(group) and declared.issuperset(group), f"a lock of {', '.join(group) or 'nothing'}", at)
 
-Temps = dict[str, Scalar]
+    def functions(self) -> None:
+        callees: set[str] = set()
+        for function in self.program.functions:
+            self.callees = callees  # those before it
+            self.enter("function")
+            self.parameters(function.parameters, function.span)
+            self.plain(function.result, function.span)
+            self.result = function.result
+            self.block(function.block)
+            must(_returns(function.block), f"{function.name} can end without a result", function.span)
+            callees.add(function.name)
+        for extern in self.program.externs:
+            self.enter("contract")
+            self.parameters(extern.parameters, extern.span)
+            self.plain(extern.result, extern.span)
+            for formula in extern.requires:
+                self.typed(formula, BOOL)
+            must("result" not in self.temps, f"a parameter of {extern.name} is called result", extern.span)
+            self.temps["result"] = extern.result
+            for formula in extern.ensures:
+                self.typed(formula, BOOL)
+        for spec in self.program.specs:
+            self.enter("contract")
+            self.parameters(spec.parameters, spec.span)
+            self.plain(spec.result, spec.span)
 
+    def parameters(self, parameters: tuple[decl.Parameter, ...], span: Span) -> None:
+        for parameter in parameters:
+            type_ = parameter.type
+            self.plain(type_.element if isinstance(type_, PerRobot) else type_, span)
+            self.declare(parameter.name, type_, span)
 
-class _Walk:
-    def __init__(self, program: decl.Program) -> None:
-        self.params = {p.name: p.type for p in program.params}
-        self.locals = {v.name: v.type for v in program.locals}
-        self.slots = {v.name: v.type for v in program.shared if v.kind == "allread"}
-        self.cells = {v.name: v.type for v in program.shared if v.kind == "allwrite"}
-        self.ports = {(m.name, p.name): p for m in program.modules for p in m.ports}
-        self.lets: set[str] = set()  # every Let of the event so far
-        self.only_params: bool | None = None  # in a constant: whether params may be read
+    def event(self, event: decl.Event) -> None:
+        self.enter("guard")
+        self.typed(event.guard, BOOL)
+        self.place = "effect"
+        self.block(event.effect)
+        if event.lock is not None:
+            locks = self.program.locks
+            must(0 <= event.lock < len(locks), f"no lock {event.lock}", event.span)
+            must(self.shared.issubset(locks[event.lock]), f"{event.name} uses more than its lock", event.span)
 
-    def constant(self, node: expr.Expr, type_: Scalar, params: bool) -> None:
-        self.only_params = params
-        self.typed(node, type_, {})
-        self.only_params = None
+    # Statements
 
-    def block(self, block: stmt.Block, outer: Temps) -> None:
-        temps = dict(outer)
+    def block(self, block: stmt.Block) -> None:
+        own = []
         for statement in block:
             match statement:
                 case stmt.Assign(place, value, span):
-                    self.typed(value, self.place(place, temps, span), temps)
+                    self.typed(value, self.target(place, span))
                 case stmt.Let(name, type_, value, span):
-                    self.typed(value, type_, temps)
-                    _must(name not in self.lets, f"{name} is declared twice in one event", span)
-                    self.lets.add(name)
-                    temps[name] = type_
+                    self.typed(value, type_)
+                    self.plain(type_, span)
+                    self.declare(name, type_, span)
+                    own.append(name)
                 case stmt.If(condition, then, orelse):
-                    self.typed(condition, BOOL, temps)
-                    self.block(then, temps)
-                    self.block(orelse, temps)
-                case stmt.Stop():
-                    pass
+                    self.typed(condition, BOOL)
+                    self.block(then)
+                    self.block(orelse)
+                case stmt.For():
+                    self.loop(statement)
+                case stmt.While(condition, inner):
+                    self.typed(condition, BOOL)
+                    self.loops += 1
+                    self.block(inner)
+                    self.loops -= 1
                 case _:
-                    assert_never(statement)
+                    self.simple(statement)
+        for name in own:
+            del self.temps[name]
 
-    def place(self, place: stmt.Place, temps: Temps, span: Span) -> Scalar:
+    def loop(self, node: stmt.For) -> None:
+        element = self.element(node.values)
+        if len(node.names) > 1:
+            pairs = isinstance(element, TupleOf) and element.items == node.types
+            must(pairs, f"a {element} for {len(node.names)} names", node.span)
+        else:
+            must((element,) == node.types, f"a {element} for a {node.types[0]}", node.span)
+        for name, type_ in zip(node.names, node.types, strict=True):
+            self.declare(name, type_, node.span)
+        self.loops += 1
+        self.block(node.block)
+        self.loops -= 1
+        for name in node.names:
+            del self.temps[name]
+
+    def simple(self, node: stmt.Stmt) -> None:
+        match node:
+            case stmt.Break(span) | stmt.Continue(span):
+                must(self.loops > 0, "outside a loop", span)
+            case stmt.Return(value, span):
+                must(self.place == "function" and self.result is not None, "a return outside a function", span)
+                assert self.result is not None
+                self.typed(value, self.result)
+            case stmt.Stop(span):
+                must(self.place in ("init", "effect"), f"a stop in a {self.place}", span)
+            case stmt.Emit(module, port, items, span):
+                must(self.place in ("init", "effect"), f"output in a {self.place}", span)
+                found = self.ports.get((module, port))
+                must(found is not None and found.direction == "stream", f"{module}.{port} is no stream", span)
+                for item in items:
+                    self.typed(item, STRING)
+            case stmt.Assign() | stmt.Let() | stmt.If() | stmt.For() | stmt.While():
+                raise AssertionError("these are the block's")
+            case _:
+                assert_never(node)
+
+    def target(self, place: stmt.Place, span: Span) -> Type:
+        must(isinstance(place, stmt.TempPlace) or self.place in ("init", "effect"), f"a write in a {self.place}", span)
         match place:
             case stmt.LocalPlace(name):
-                return _known(self.locals, name, span)
+                return self.known(self.locals, name, span)
             case stmt.OwnSlot(name):
-                return _known(self.slots, name, span)
+                self.shared.add(name)
+                return self.known(self.slots, name, span)
             case stmt.SharedPlace(name):
-                return _known(self.cells, name, span)
+                self.shared.add(name)
+                return self.known(self.cells, name, span)
             case stmt.TempPlace(name):
-                return _known(temps, name, span)
+                return self.known(self.temps, name, span)
             case stmt.PortPlace(module, port):
                 found = self.ports.get((module, port))
-                _must(found is not None and found.direction == "actuator", f"{module}.{port} is no actuator", span)
+                must(found is not None and found.direction == "actuator", f"{module}.{port} is no actuator", span)
                 assert found is not None
                 return found.type
             case _:
                 assert_never(place)
 
-    def typed(self, node: expr.Expr, type_: Scalar, temps: Temps) -> None:
-        found = self.type_of(node, temps)
-        _must(node.type == found, f"a node of type {node.type} yields {found}", node.span)
-        _must(found == type_, f"a {type_} is wanted, not a {found}", node.span)
 
-    def type_of(self, node: expr.Expr, temps: Temps) -> Scalar:
-        """The type that a node must carry, from its parts."""
-        span = node.span
-        if self.only_params is not None and isinstance(node, _VARIABLE):
-            _must(False, "a constant reads a variable", span)
-        match node:
-            case expr.Const(value):
-                _must(not isinstance(value, float) or isfinite(value), "a literal is not finite", span)
-                return BOOL if isinstance(value, bool) else INT if isinstance(value, int) else FLOAT
-            case expr.Pid() | expr.NSys():
-                return INT
-            case expr.ParamRead(name):
-                _must(self.only_params is not False, "a param's default reads a param", span)
-                return _known(self.params, name, span)
-            case expr.LocalRead(name):
-                return _known(self.locals, name, span)
-            case expr.TempRead(name):
-                return _known(temps, name, span)
-            case expr.SharedRead(name):
-                return _known(self.cells, name, span)
-            case expr.SlotRead(name, index):
-                self.typed(index, INT, temps)
-                return _known(self.slots, name, span)
-            case expr.PortRead(module, port):
-                _must((module, port) in self.ports, f"no port {module}.{port}", span)
-                return self.ports[module, port].type
+def _distinct(what: str, named: Iterable[tuple[str, Span]]) -> None:
+    seen: set[str] = set()
+    for name, span in named:
+        must(name not in seen, f"two {what}s are called {name}", span)
+        seen.add(name)
+
+
+def _returns(block: stmt.Block) -> bool:
+    """Whether every way through a block ends in a `return`, or in a loop that nothing leaves."""
+    for statement in block:
+        match statement:
+            case stmt.Return():
+                return True
+            case stmt.If(_, then, orelse) if _returns(then) and _returns(orelse):
+                return True
+            case stmt.While(expr.Const(True), inner) if not _breaks(inner):
+                return True
             case _:
-                return self.operation(node, temps)
-
-    def operation(self, node: expr.Expr, temps: Temps) -> Scalar:
-        span = node.span
-        match node:
-            case expr.Widen(operand):
-                self.typed(operand, INT, temps)
-                return FLOAT
-            case expr.Unary(op, operand):
-                self.typed(operand, operand.type, temps)
-                _must(
-                    operand.type in ((BOOL,) if op == "not" else (INT, FLOAT, POINT)), f"{op} on {operand.type}", span
-                )
-                _must(op in ("-", "not"), f"no operator {op}", span)
-                return operand.type
-            case expr.Binary(op, left, right, proved):
-                self.typed(left, left.type, temps)
-                self.typed(right, right.type, temps)
-                _must(op in ("/", "//", "%") or proved, f"{op} needs no proof", span)
-                return _binary(op, left.type, right.type, span)
-            case expr.Compare(op, left, right):
-                self.typed(left, right.type, temps)
-                self.typed(right, left.type, temps)
-                ordered = op in ("<", "<=", ">", ">=") and left.type in _NUMBERS
-                _must(ordered or op in ("==", "!="), f"{op} on {left.type}", span)
-                return BOOL
-            case expr.Logic(op, left, right):
-                _must(op in ("and", "or"), f"no operator {op}", span)
-                self.typed(left, BOOL, temps)
-                self.typed(right, BOOL, temps)
-                return BOOL
-            case expr.Conditional(condition, then, orelse):
-                self.typed(condition, BOOL, temps)
-                self.typed(then, orelse.type, temps)
-                self.typed(orelse, then.type, temps)
-                return then.type
-            case expr.Coordinate(operand, axis):
-                self.typed(operand, POINT, temps)
-                _must(axis in ("x", "y", "z"), f"no axis {axis}", span)
-                return FLOAT
-            case expr.Builtin(name, args):
-                return self.builtin(name, args, span, temps)
-            case _:
-                raise InternalError(f"IR at {span.line}:{span.column}: {type(node).__name__} is no operation")
-
-    def builtin(self, name: str, args: tuple[expr.Expr, ...], span: Span, temps: Temps) -> Scalar:
-        if name in _SIGNATURES:
-            wanted, result = _SIGNATURES[name]
-        else:
-            _must(name in ("abs", "min", "max") and len(args) > 0, f"no builtin {name}", span)
-            result = args[0].type
-            _must(result in _NUMBERS, f"{name} of {result}", span)
-            wanted = (result,) if name == "abs" else (result, result)
-        _must(len(args) == len(wanted), f"{name} of {len(args)} arguments", span)
-        for arg, type_ in zip(args, wanted, strict=True):
-            self.typed(arg, type_, temps)
-        return result
+                pass
+    return False
 
 
-_VARIABLE = (
-    expr.Pid, expr.NSys, expr.LocalRead, expr.TempRead, expr.SlotRead, expr.SharedRead, expr.PortRead
-)  # fmt: skip
-
-
-def _binary(op: str, left: Scalar, right: Scalar, span: Span) -> Scalar:
-    if left == right and left in _NUMBERS and op in ("+", "-", "*", "/", "//", "%"):
-        return FLOAT if op == "/" else left
-    if op in ("+", "-") and left == right == POINT:
-        return POINT
-    if (op in ("*", "/") and (left, right) == (POINT, FLOAT)) or (op == "*" and (left, right) == (FLOAT, POINT)):
-        return POINT
-    raise InternalError(f"IR at {span.line}:{span.column}: {left} {op} {right}")
-
-
-def _known(declared: dict[str, Scalar], name: str, span: Span) -> Scalar:
-    _must(name in declared, f"{name} is not declared", span)
-    return declared[name]
+def _breaks(block: stmt.Block) -> bool:
+    """Whether a block may leave the loop around it."""
+    return any(
+        isinstance(s, stmt.Break) or (isinstance(s, stmt.If) and (_breaks(s.then) or _breaks(s.orelse))) for s in block
+    )
