@@ -2,32 +2,79 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import assert_never
 
 from koordgen.ir import decl, expr, stmt
+from koordgen.ir.types import MapOf, Sequence, Sized, TupleOf, Type
 
 
 def show(program: decl.Program) -> str:
-    """The whole program, one declaration or statement a line. `?` after an index or an operator marks a check at
-    run time; `int -> float` stands where a value is widened."""
+    """The whole program, one declaration or statement a line. `?` after an index, a slice or an operator marks a check
+    at run time; `int -> float` stands where a value is widened; `max` tells a variable's capacities."""
     lines = [f"program {program.name} ({program.path})"]
+    lines += [f"extern type {type_.name}" for type_ in program.extern_types]
+    for record in program.records:
+        lines.append(f"record {record.type.name}")
+        fields = zip(record.type.fields, record.defaults, strict=True)
+        lines += [f"  {_variable(name, type_)} = {_expr(value)}" for (name, type_), value in fields]
     for param in program.params:
-        lines.append(f"param {param.name}: {param.type} = {_expr(param.default)}")
+        lines.append(f"param {_variable(param.name, param.type)} = {_expr(param.default)}")
+    for function in program.functions:
+        lines += [f"fun {_signature(function)}", *_block(function.block, "  ")]
+    for extern in program.externs:
+        lines.append(f"extern fun {_signature(extern)}")
+        lines += [f"  requires {_expr(formula)}" for formula in extern.requires]
+        lines += [f"  ensures {_expr(formula)}" for formula in extern.ensures]
+    lines += [f"spec fun {_signature(spec)}" for spec in program.specs]
     for module in program.modules:
         lines.append(f"module {module.name}")
-        lines += [f"  {port.direction} {port.name}: {port.type}" for port in module.ports]
+        lines += [f"  {port.direction} {_variable(port.name, port.type)}" for port in module.ports]
+        lines += [f"  assume {_expr(assumption.formula)}" for assumption in module.assumptions]
     for shared in program.shared:
         size = "[N_SYS]" if shared.kind == "allread" else ""
-        lines.append(f"{shared.kind} {shared.name}: {shared.type}{size} = {_expr(shared.initial)}")
+        lines.append(f"{shared.kind} {_variable(shared.name, shared.type, size)} = {_expr(shared.initial)}")
     for local in program.locals:
-        lines.append(f"local {local.name}: {local.type} = {_expr(local.initial)}")
+        lines.append(f"local {_variable(local.name, local.type)} = {_expr(local.initial)}")
+    lines += [f"lock {index}: {', '.join(group)}" for index, group in enumerate(program.locks)]
     if program.init:
         lines.append("init")
         lines += _block(program.init, "  ")
     for event in program.events:
-        lines += [f"event {event.name}", f"  when {_expr(event.guard)}", *_block(event.effect, "  ")]
+        lock = "" if event.lock is None else f" under lock {event.lock}"
+        lines += [f"event {event.name}{lock}", f"  when {_expr(event.guard)}", *_block(event.effect, "  ")]
+    for property_ in program.properties:
+        lines.append(f"{' '.join((property_.kind, property_.name)).strip()}: {_expr(property_.formula)}")
     return "\n".join(lines) + "\n"
+
+
+def _variable(name: str, type_: Type, size: str = "") -> str:
+    most = list(_capacities(type_))
+    return f"{name}: {type_}{size}{' max ' if most else ''}{', '.join(map(str, most))}"
+
+
+def _capacities(type_: Type) -> Iterator[int]:
+    """In pre-order."""
+    match type_:
+        case Sized(_, capacity):
+            yield capacity
+        case Sequence(_, element, capacity):
+            yield capacity
+            yield from _capacities(element)
+        case MapOf(key, value, capacity):
+            yield capacity
+            yield from _capacities(key)
+            yield from _capacities(value)
+        case TupleOf(items):
+            for item in items:
+                yield from _capacities(item)
+        case _:
+            pass
+
+
+def _signature(function: decl.Function | decl.ExternFunction | decl.SpecFunction) -> str:
+    parameters = ", ".join(f"{p.name}: {p.type}" for p in function.parameters)
+    return f"{function.name}({parameters}) -> {function.result}"
 
 
 def _block(block: stmt.Block, indent: str) -> Iterator[str]:
@@ -37,10 +84,25 @@ def _block(block: stmt.Block, indent: str) -> Iterator[str]:
                 yield f"{indent}{_place(place)} := {_expr(value)}"
             case stmt.Let(name, type_, value):
                 yield f"{indent}let {name}: {type_} = {_expr(value)}"
-            case stmt.Stop():
-                yield f"{indent}stop"
             case stmt.If():
                 yield from _if(statement, indent)
+            case stmt.For(names, types, values, inner):
+                declared = ", ".join(f"{name}: {type_}" for name, type_ in zip(names, types, strict=True))
+                yield f"{indent}for {declared} in {_expr(values)}"
+                yield from _block(inner, indent + "  ")
+            case stmt.While(condition, inner):
+                yield f"{indent}while {_expr(condition)}"
+                yield from _block(inner, indent + "  ")
+            case stmt.Return(value):
+                yield f"{indent}return {_expr(value)}"
+            case stmt.Emit(module, port, items):
+                yield f"{indent}{module}.{port} << {_list(items)}"
+            case stmt.Break():
+                yield f"{indent}break"
+            case stmt.Continue():
+                yield f"{indent}continue"
+            case stmt.Stop():
+                yield f"{indent}stop"
             case _:
                 assert_never(statement)
 
@@ -71,35 +133,88 @@ def _place(place: stmt.Place) -> str:
             assert_never(place)
 
 
+def _list(items: Iterable[expr.Expr]) -> str:
+    return ", ".join([_expr(item) for item in items])
+
+
 def _expr(node: expr.Expr) -> str:
     """Every operator in its own parentheses: the tree as it is."""
     match node:
         case expr.Const(value):
             return repr(value)
+        case (
+            expr.ParamRead(name)
+            | expr.LocalRead(name)
+            | expr.TempRead(name)
+            | expr.SharedRead(name)
+            | expr.SlotsRead(name)
+        ):
+            return name
         case expr.Pid():
             return "pid"
         case expr.NSys():
             return "N_SYS"
-        case expr.ParamRead(name) | expr.LocalRead(name) | expr.TempRead(name) | expr.SharedRead(name):
-            return name
+        case expr.Ids():
+            return "ID"
         case expr.SlotRead(name, index, proved):
-            return f"{name}[{_expr(index)}]{'' if proved else '?'}"
-        case expr.PortRead(module, port):
-            return f"{module}.{port}"
+            return f"{name}[{_expr(index)}]{_doubt(proved)}"
+        case expr.PortRead(module, port, primed):
+            return f"{module}.{port}{_prime(primed)}"
+        case expr.LocalOf(name, robot):
+            return f"{name}[{_expr(robot)}]"
+        case expr.PortOf(module, port, robot):
+            return f"{module}.{port}[{_expr(robot)}]"
         case expr.Widen(operand):
             return f"(int -> float {_expr(operand)})"
         case expr.Unary(op, operand):
             return f"({op}{' ' if op == 'not' else ''}{_expr(operand)})"
         case expr.Binary(op, left, right, proved):
-            return f"({_expr(left)} {op}{'' if proved else '?'} {_expr(right)}: {node.type})"
+            return f"({_expr(left)} {op}{_doubt(proved)} {_expr(right)}: {node.type})"
         case expr.Compare(op, left, right) | expr.Logic(op, left, right):
             return f"({_expr(left)} {op} {_expr(right)})"
+        case expr.Contains(item, values):
+            return f"({_expr(item)} in {_expr(values)})"
         case expr.Conditional(condition, then, orelse):
             return f"({_expr(then)} if {_expr(condition)} else {_expr(orelse)}: {node.type})"
-        case expr.Coordinate(operand, axis):
-            return f"{_expr(operand)}.{axis}"
-        case expr.Builtin(name, args):
-            call = f"{name}({', '.join(_expr(a) for a in args)})"
-            return f"({call}: {node.type})" if name in ("abs", "min", "max") else call  # those keep ints
+        case expr.Quantified(kind, name, domain, body):
+            return f"({kind} {name} in {_expr(domain)}: {_expr(body)})"
+        case expr.Range(start, stop, step):
+            return f"range({_expr(start)}, {_expr(stop)}, {step})"
         case _:
-            assert_never(node)
+            return _compound(node)
+
+
+def _compound(node: expr.Expr) -> str:
+    """What is made of parts, and calls."""
+    match node:
+        case expr.Make(items, type_):
+            return f"{type_}{{{_list(items)}}}"
+        case expr.Field(operand, name):
+            return f"{_expr(operand)}.{name}"
+        case expr.Item(operand, index):
+            return f"{_expr(operand)}[{index}]"
+        case expr.At(operand, index, proved):
+            return f"{_expr(operand)}[{_expr(index)}]{_doubt(proved)}"
+        case expr.Slice(operand, start, stop, proved):
+            bounds = ":".join("" if bound is None else _expr(bound) for bound in (start, stop))
+            return f"{_expr(operand)}[{bounds}]{_doubt(proved)}"
+        case expr.With(operand, name, value):
+            return f"({_expr(operand)} with {name} = {_expr(value)})"
+        case expr.Builtin(name, args):
+            # Of these the name alone does not tell the type.
+            several = name in ("abs", "min", "max", "sum", "first", "last", "map_at", "get")
+            return f"({name}({_list(args)}): {node.type})" if several else f"{name}({_list(args)})"
+        case expr.Call(name, args) | expr.ExternCall(name, args):
+            return f"{name}({_list(args)})"
+        case expr.PortCall(module, port, args):
+            return f"{module}.{port}({_list(args)})"
+        case _:
+            raise AssertionError(f"{type(node).__name__} is no expression")
+
+
+def _doubt(proved: bool) -> str:
+    return "" if proved else "?"
+
+
+def _prime(primed: bool) -> str:
+    return "'" if primed else ""
