@@ -116,7 +116,7 @@ def _replace(path: str, data: bytes) -> None:
     """Put `data` in the place of a file's content by a rename; behind a symbolic link, of its target's. OSError leaves
     all as it was."""
     target = os.path.realpath(path)
-    status = os.stat(target)
+    status = os.stat(path)
     if not stat.S_ISREG(status.st_mode):
         raise OSError("is not a regular file")
     if not status.st_mode & 0o222 or not os.access(target, os.W_OK):  # a rename would not ask, nor would root be asked

@@ -1,0 +1,81 @@
+"""Edits, and the upgrade of the 2020 dialect by those that the checker proposes."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from koordgen.diagnostics import Diagnostic, Edit, InternalError
+from koordgen.format import upgrade
+from koordgen.format.edits import applied, compatible
+from koordgen.source import Source, Span
+
+TEXT = "one two\nthree\n\nfour"
+
+
+def edit(line: int, column: int, end_line: int, end_column: int, text: str) -> Edit:
+    return Edit(Span(line, column, end_line, end_column), text)
+
+
+def test_edits_are_made_in_any_order() -> None:
+    edits = [edit(1, 5, 1, 8, "2"), edit(4, 1, 4, 5, "vier"), edit(1, 1, 1, 4, ""), edit(2, 6, 4, 1, " und ")]
+    wanted = " 2\nthree und vier"
+    assert applied(TEXT, edits) == applied(TEXT, reversed(edits)) == wanted
+    assert applied(TEXT, []) == TEXT
+
+
+def test_insertions_at_one_place_keep_their_order_and_touch_replacements() -> None:
+    edits = [edit(1, 1, 1, 4, "1"), edit(1, 1, 1, 1, "("), edit(1, 1, 1, 1, "["), edit(1, 4, 1, 4, ")")]
+    assert applied(TEXT, edits) == "([1) two\nthree\n\nfour"
+    assert applied("", [edit(1, 1, 1, 1, "a")]) == "a"
+
+
+def test_edits_that_overlap_are_refused() -> None:
+    with pytest.raises(ValueError, match="line 1"):
+        applied(TEXT, [edit(1, 1, 1, 5, ""), edit(1, 4, 1, 8, "")])
+
+
+def test_a_notes_edits_are_taken_whole_or_left() -> None:
+    def note(*edits: Edit) -> Diagnostic:
+        return Diagnostic("K050", "note", "", edits[0].span, edits=edits)
+
+    first = edit(1, 1, 1, 4, "1")
+    last = edit(4, 1, 4, 5, "4")
+    notes = [note(first), note(edit(1, 3, 1, 5, ""), edit(2, 1, 2, 1, "no")), note(last)]
+    assert compatible(notes) == [first, last]
+
+
+def fake_check(meaning: str = r"\s+") -> object:
+    """A checker that proposes `true` -> `True`, and `T[]` -> `List<T>` one level at a time, as overlapping edits; two
+    programs that differ in what `meaning` matches mean the same."""
+
+    def check(tree: object, source: Source) -> tuple[object, list[Diagnostic]]:
+        found = []
+        for match in re.finditer(r"\btrue\b|\w+(?:<\w+>)?\[\]|\w+\[\]\[\]", source.text):
+            span = source.span(*match.span())
+            text = "True" if match[0] == "true" else f"List<{match[0][:-2]}>"
+            found.append(Diagnostic("K050", "note", "", span, edits=(Edit(span, text),)))
+        found.append(Diagnostic("K040", "warning", "", Span(1, 1, 1, 2), edits=(edit(1, 1, 1, 2, "wrong"),)))
+        return re.sub(meaning, "", source.text), found
+
+    return check
+
+
+def test_the_checkers_edits_are_made_until_there_are_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(upgrade, "check", fake_check(r"[\s\[\]<>]|List|(?i:true)"))
+    source = Source("a.koord", "local:\n  int[][] a\n  bool b = true and true\n")
+    assert upgrade.upgraded(source).text == "local:\n  List<List<int>> a\n  bool b = True and True\n"
+
+
+def test_an_upgrade_that_changes_the_meaning_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(upgrade, "check", fake_check())
+    with pytest.raises(InternalError, match=r"a\.koord would change its meaning"):
+        upgrade.upgraded(Source("a.koord", "local: bool b = true\n"))
+
+
+def test_an_upgrade_that_breaks_the_program_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    broken = Diagnostic("K050", "note", "", Span(1, 1, 1, 2), edits=(edit(1, 1, 1, 2, "("),))
+    monkeypatch.setattr(upgrade, "check", lambda tree, source: (None, [broken]))
+    with pytest.raises(InternalError, match=r"a\.koord cannot be read"):
+        upgrade.upgraded(Source("a.koord", "local: int b\n"))
