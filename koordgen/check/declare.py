@@ -6,10 +6,9 @@ from collections.abc import Iterable
 from typing import Literal
 
 from koordgen.check.context import Context
-from koordgen.check.expr import check_expr, fitting
+from koordgen.check.base import check_expr, default, fitting
 from koordgen.check.facts import Flow, term
 from koordgen.check.names import enter, owns, unique
-from koordgen.check.stmt import default
 from koordgen.check.types import bounded, dialect_element, excess, per_robot, resolve
 from koordgen.check.walk import nodes
 from koordgen.diagnostics import Edit

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Literal
 
 from koordgen.check.context import Context
-from koordgen.check.expr import condition
+from koordgen.check.base import condition
 from koordgen.check.names import enter, owns
 from koordgen.check.types import bounded, resolve
 from koordgen.diagnostics import Label
