@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Literal
 
-from koordgen.check.context import Context
 from koordgen.check.base import check_expr, default, fitting
+from koordgen.check.context import Context
 from koordgen.check.facts import Flow, term
 from koordgen.check.names import enter, owns, unique
 from koordgen.check.types import bounded, dialect_element, excess, per_robot, resolve

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from koordgen.check import bounds, linear
+from koordgen.check.base import condition
 from koordgen.check.context import Context
 from koordgen.check.decide import unsat
-from koordgen.check.base import condition
 from koordgen.check.facts import formula
 from koordgen.check.names import unique
 from koordgen.check.stmt import check_block

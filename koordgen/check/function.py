@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from koordgen.check.context import PREDEFINED, Context, Temp
 from koordgen.check.base import condition
+from koordgen.check.context import PREDEFINED, Context, Temp
 from koordgen.check.graph import ordered
 from koordgen.check.names import enter, owns, unique
 from koordgen.check.stmt import check_block

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Literal
 
-from koordgen.check.context import Context
 from koordgen.check.base import condition
+from koordgen.check.context import Context
 from koordgen.check.names import enter, owns
 from koordgen.check.types import bounded, resolve
 from koordgen.diagnostics import Label

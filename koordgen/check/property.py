@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from koordgen.check.context import Context
 from koordgen.check.base import condition
+from koordgen.check.context import Context
 from koordgen.check.names import unique
 from koordgen.ir import decl
 from koordgen.source import Span
