@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 from koordgen.syntax import decl
@@ -95,7 +96,7 @@ def _parameters(c: Children) -> tuple[decl.Parameter, ...]:
 
 def _result(c: Children) -> Any:
     """The type behind `->`, if there is one."""
-    for mark, node in zip(c, c[1:], strict=False):
+    for mark, node in pairwise(c):
         if type(mark) is tuple and mark and mark[0] == "->":
             return node
     return None

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+from koordgen.source import Span
 from koordgen.syntax import expr, types
 from koordgen.syntax.build_base import Children, nodes, reach, refused, token_span
 
+_FOREIGN = frozenset(("let", "var", "const", "auto", "import", "from"))  # `let x = 3` reads as a declaration
+
 
 def named_type(c: Children) -> types.NamedType:
-    return types.NamedType(c[0][1], token_span(c[0]))
+    return _named(c[0][1], token_span(c[0]))
+
+
+def _named(name: str, span: Span) -> types.NamedType:
+    if name in _FOREIGN:
+        from koordgen.syntax.habits import FOREIGN
+
+        raise refused("K001", f"Koord has no '{name}'", span, FOREIGN[name])
+    return types.NamedType(name, span)
 
 
 def generic(c: Children) -> types.GenericType:
@@ -31,7 +42,7 @@ def as_type(node: types.TypeExpr | expr.Expr) -> types.TypeExpr:
         case types.NamedType() | types.GenericType() | types.TupleType() | types.BrokenType():
             return node
         case expr.Name():
-            return types.NamedType(node.name, node.span)
+            return _named(node.name, node.span)
         case expr.Tuple():
             return types.TupleType(tuple(map(as_type, node.items)), node.span)
         case expr.Broken():

@@ -36,7 +36,7 @@ _TOKEN = re.compile(
     r"|(?P<NEWLINE>\n)"
     r"|(?P<FLOAT>(?:[0-9]+\.[0-9]+(?:[eE][+-]?[0-9]+)?|[0-9]+[eE][+-]?[0-9]+|\.[0-9]+(?:[eE][+-]?[0-9]+)?)"
     r"(?![A-Za-z0-9_]))"
-    r"|(?P<INT>[0-9]+(?![A-Za-z_0-9]))"
+    r"|(?P<INT>[0-9]+(?![A-Za-z0-9_]|\.[0-9]))"
     r"|(?P<STRING>\"[^\"\\\n]*(?:\\.[^\"\\\n]*)*\"|(?<![A-Za-z0-9_\])'])'[^'\\\n]*(?:\\.[^'\\\n]*)*')"
     r"|(?P<MARK>//=|\*\*=?|[-+*/%]=|//|<<|[=!<>]=|&&|\|\||->|[-+*/%<>=:.,()\[\]{}!]|(?<=[A-Za-z0-9_\])'])')"
     r"|(?P<COMMENT>\#[^\n]*)"
@@ -46,9 +46,11 @@ _TOKEN = re.compile(
 # What begins a line that no bracket reaches: the one before was not closed.
 _BEGINS = re.compile(
     r"[ ]*(?:using|sensors|actuators|assume|param|allread|allwrite|local|init|pre|eff|def|fun|extern|spec|axiom"
-    r"|invariant|initially|elif|while|break|continue|return|atomic|pass|stop)\b"
+    r"|invariant|initially|elif|for|while|break|continue|return|atomic|pass|stop)\b"
+    r"|[ ]*(?:if\b[^\n]*|else[ \t]*):[ \t]*(?:[\n#])"
     r"|[A-Za-z_][A-Za-z0-9_]*[ \t]*:[ \t]*(?:[\n#]|pre\b|eff\b)"
 )
+_NO_BRACES = "a block stands in no braces: its header ends with ':' and its lines are indented"
 _GOES_ON = frozenset(("and", "or", "&&", "||"))  # no line begins with one
 _CLOSES = {")": "(", "]": "[", "}": "{"}
 
@@ -163,7 +165,7 @@ class _Layout:
             if len(self.brackets) == DEEPEST_BRACKETS + 1:
                 self._report("K007", f"brackets are nested more than {DEEPEST_BRACKETS} deep", line, column)
         elif not self.brackets:
-            self._report("K006", f"'{text}' closes nothing", line, column)
+            self._report("K006", f"'{text}' closes nothing", line, column, _NO_BRACES if text == "}" else "")
         else:
             opened = self.brackets.pop()
             if opened[1] != _CLOSES[text]:
@@ -180,7 +182,9 @@ class _Layout:
 
     def _never_closed(self) -> None:
         bracket = self.brackets[0]
-        self._report("K006", f"'{bracket[1]}' is never closed", bracket[2], bracket[3])
+        _, text, line, column = bracket
+        help = _NO_BRACES if text == "{" and self.chunk.tokens[-1] == bracket else ""
+        self._report("K006", f"'{text}' is never closed", line, column, help)
 
     def _goes_on(self, indent: int) -> bool:
         """Whether a line that begins with `and` or `or` belongs to the one before; its end is taken back then."""

@@ -4,136 +4,143 @@ from __future__ import annotations
 
 from koordgen._generated.grammar import RULES, STATES
 from koordgen.diagnostics import Diagnostic
-from koordgen.source import Span
+from koordgen.syntax.habits import HABITS, headers
 from koordgen.syntax.layout import KEYWORDS, Token
-LATER = frozenset()
+from koordgen.syntax.spelling import misspelt
+from koordgen.syntax.spot import Spot, behind, place, shown
 
-# Types of the full language; `Point` and the numbers are there already.
-LATER_TYPES = frozenset(
-    ("string", "List", "Map", "Set", "Queue", "Pose", "GridMap", "Grid", "Scan", "PathPlanner", "stream")
-)
-
-_MODERN = {"&&": "and", "||": "or", "!": "not"}
-_LATER_MARKS = {"[": "a list", "{": "a set", "**": "a power", "->": "a function's type", "STRING": "a string"}
-_NO_MARKS = {
-    ";": "write each statement on a line of its own",
-    "&": "write 'and'",
-    "|": "write 'or'",
-    "~": "write 'not'",
-    "?": "write 'a if condition else b'",
-}
-_EXPRESSION = {"NAME", "INT", "FLOAT", "True", "False", "(", "-"}
-_OPERATORS = {"+", "-", "*", "/", "//", "%", "==", "!=", "<", "<=", ">", ">=", "and", "or", "if", ".", "[", "("}
+_EXPRESSION = {"NAME", "INT", "FLOAT", "STRING", "True", "False", "(", "[", "{", "-", "not", "forall", "exists"}
+_STATEMENT = {
+    "GENERIC", "if", "for", "while", "atomic", "return", "break", "continue", "pass", "stop",
+}  # fmt: skip
+_SECTION = {
+    "using", "param", "allread", "allwrite", "local", "def", "fun", "extern", "spec", "axiom", "invariant", "initially",
+    "init", "NAME",
+}  # fmt: skip
+_OPERATORS = {
+    "+", "-", "*", "/", "//", "%", "**", "<<", "==", "!=", "<", "<=", ">", ">=", "and", "or", "not", "in", "if", ".",
+    "[", "(", "'",
+}  # fmt: skip
+_AUGMENTED = {"+=", "-=", "*=", "/=", "//=", "%=", "**="}
+_UNSAID = {"!", "&&", "||"}  # the 2020 dialect is understood, not proposed
+_CONDITIONS = {
+    "pre", "if", "elif", "while", "assume", "requires", "ensures", "invariant", "initially", "axiom", "return",
+}  # fmt: skip
 _MADE = {name for name, _, _ in RULES}  # symbols that are no tokens
 _WORDS = {
     "NAME": "a name",
+    "GENERIC": "a type",
     "NEWLINE": "the end of the line",
     "INDENT": "an indented line",
     "DEDENT": "the end of the block",
     "$END": "the end of the section",
     "INT": "a number",
     "FLOAT": "a number",
+    "STRING": "a string",
 }
 
 
 def explain(tokens: list[Token], position: int, states: list[int]) -> Diagnostic:
-    """The diagnostic for `tokens[position]`, at which the parser with this stack of states cannot go on."""
-    kind, text, line, column = token = tokens[position]
-    before = tokens[position - 1] if position else None
-    span = Span(line, column, line, column + max(1, len(text)))
-    expected = _acceptable(states)
-    later = _later(tokens, position)
-    if later is not None:
-        return later
-    if kind == "BAD":
-        shown = text if text.isprintable() else f"U+{ord(text):04X}"
-        return Diagnostic("K002", "error", f"unexpected character '{shown}'", span, help=_NO_MARKS.get(text, ""))
-    if kind in _MODERN:
-        message = f"'{text}' is not supported by this version yet"
-        return Diagnostic("K003", "error", message, span, help=f"write '{_MODERN[text]}'")
-    if kind == "INDENT":
+    """The diagnostic for `tokens[position]`, with which the parser cannot go on.
+
+    `states` is its stack when `tokens[:position]` were read, before any rule was applied because of the refused token:
+    an LALR parser applies rules first and sees afterwards that the token does not fit, and by then what else would
+    have fitted is lost.
+    """
+    spot = Spot(tokens, position, _acceptable(states))
+    for rule in (*HABITS, _indentation, _equals, misspelt, headers, _colon, _taken, _one_formula):
+        told = rule(spot)
+        if told is not None:
+            return told
+    return _expected(spot)
+
+
+def _indentation(spot: Spot) -> Diagnostic | None:
+    if spot.kind == "INDENT":
         help = "only what belongs to a block stands deeper than the line before"
-        return Diagnostic("K008", "error", "unexpected indentation", span, help=help)
-    if expected == {"INDENT"} and position > 1:
-        colon = tokens[position - 2]
-        message = f"expected an indented block {_after(tokens, position - 2)}"
-        return Diagnostic("K008", "error", message, _behind(colon))
-    if kind == "=" and expected & {"==", ")"} and "=" not in expected:
-        if _first_of_line(tokens, position) in ("pre", "if", "elif"):
-            return Diagnostic(
-                "K001", "error", "'=' assigns and cannot stand in a condition", span, help="'==' compares"
-            )
-        return Diagnostic("K001", "error", "what stands before '=' cannot be assigned", span)
-    if ":" in expected:
-        place = _behind(before) if before is not None else span
-        help = _missing_colon(tokens, position)
-        return Diagnostic("K001", "error", f"expected ':' {_after(tokens, position)}", place, help=help)
-    if kind in KEYWORDS and expected == {"NAME"}:
-        help = f"'{text}' is a word of the language; choose another name"
-        return Diagnostic("K001", "error", f"expected a name, found '{text}'", span, help=help)
-    if kind in ("NEWLINE", "DEDENT", "$END") and before is not None and before[0] not in ("NEWLINE", "DEDENT"):
-        span = _behind(before)
-    message = f"expected {_list(expected)}, found {_found(token)}"
-    if before is not None and before[1] and (len(expected) <= 3 or expected >= _EXPRESSION):
-        message = f"expected {_list(expected)} after '{before[1]}', found {_found(token)}"
-    return Diagnostic("K001", "error", message, span, help=_habit(tokens, position, expected))
-
-
-def _missing_colon(tokens: list[Token], position: int) -> str:
-    """What may have been meant where a header is expected: `else if`, or a variable outside of any section."""
-    if position and tokens[position - 1][0] == "else" and tokens[position][0] == "if":
-        return "write 'elif'"
-    start = _line_start(tokens, position)
-    rest = [token[0] for token in tokens[start : position + 2]]
-    if rest[:2] == ["NAME", "="] or rest[:3] == ["NAME", "NAME", "="]:
-        return "a variable is declared under 'local:', 'allread:' or 'allwrite:'"
-    return ""
-
-
-def _habit(tokens: list[Token], position: int, expected: set[str]) -> str:
-    """How Koord has what one writes otherwise in Python."""
-    kind, text, _, _ = tokens[position]
-    if kind == "," and ")" in expected:
-        return "a point is written Point(x, y, z)"
-    if text == "is" and "==" in expected:
-        return "'==' compares"
-    before = tokens[position - 1] if position else None
-    if expected == {"NAME"} and kind in ("=", "NEWLINE") and before is not None and before[0] == "NAME":
-        return f"a type stands before the name: int {before[1]}"
-    return ""
-
-
-def _later(tokens: list[Token], position: int) -> Diagnostic | None:
-    """A construct of the full language that this version lacks."""
-    kind, text, _, _ = tokens[position]
-    if kind in LATER:
-        return _unsupported(f"'{text}'", tokens[position])
-    for place in range(_line_start(tokens, position), position + 1):
-        word = tokens[place]
-        if word[1] in LATER_TYPES and (place == position or tokens[place + 1][0] in ("<", "NAME")):
-            return _unsupported(f"the type {word[1]}", word)
-    if kind in _LATER_MARKS:
-        return _unsupported(_LATER_MARKS[kind], tokens[position])
-    if kind == "'" and position and tokens[position - 1][0] != "NAME":  # behind a name it is a prime
-        return _unsupported("a string", tokens[position])
+        return spot.error("unexpected indentation", help, code="K008")
+    if spot.expected == {"INDENT"} and spot.position > 1:
+        colon = spot.tokens[spot.position - 2]
+        message = f"expected an indented block {_after(spot.tokens, spot.position - 2)}"
+        return spot.error(message, span=behind(colon), code="K008")
     return None
 
 
-def _line_start(tokens: list[Token], position: int) -> int:
-    """Where in `tokens` the logical line begins."""
-    while position and tokens[position - 1][0] not in ("NEWLINE", "INDENT", "DEDENT"):
-        position -= 1
-    return position
+def _equals(spot: Spot) -> Diagnostic | None:
+    """`=` where nothing is assigned."""
+    if spot.kind != "=" or "==" not in spot.expected:
+        return None
+    if any(token[0] == "=" or token[0] in _AUGMENTED for token in spot.head) and not spot.bracket:
+        help = "write one assignment a line"
+        return spot.error("an assignment has no value and cannot stand in another one", help)
+    if spot.bracket or _governing(spot) in _CONDITIONS:
+        return spot.error("'=' assigns and cannot stand in a condition", "'==' compares")
+    return spot.error("what stands before '=' cannot be assigned", span=place(spot.head[0], spot.head[-1]))
 
 
-def _first_of_line(tokens: list[Token], position: int) -> str:
-    return tokens[_line_start(tokens, position)][0]
+def _governing(spot: Spot) -> str:
+    """The word that says what the line is: its first, or that of the header above a deeper line."""
+    tokens, start = spot.tokens, spot.start
+    for token in reversed(spot.head):  # `E: pre: a = 3` begins with another word
+        if token[0] in _CONDITIONS:
+            return token[0]
+    if start > 2 and [token[0] for token in tokens[start - 3 : start]] == [":", "NEWLINE", "INDENT"]:
+        above = Spot(tokens, start - 3, set())
+        return above.first[0]
+    return spot.first[0]
 
 
-def _unsupported(what: str, token: Token) -> Diagnostic:
-    _, text, line, column = token
-    span = Span(line, column, line, column + len(text))
-    return Diagnostic("K003", "error", f"{what} is not supported by this version yet", span)
+def _colon(spot: Spot) -> Diagnostic | None:
+    """A header without its colon."""
+    if ":" not in spot.expected or spot.bracket:
+        return None
+    if spot.expected != {":"} and any(token[0] == ":" for token in spot.rest):
+        return None  # the colon is there: something else is wrong before it
+    span = behind(spot.before) if spot.before is not None else spot.span
+    help = ""
+    header = spot.tokens[-1] if spot.ends else (spot.rest or [spot.first])[-1]
+    deeper = any(token[0] == "INDENT" for token in spot.tokens[: spot.position + 2])
+    if spot.start == 0 and spot.first[0] == "NAME" and header[0] != ":" and not deeper:
+        help = _outside(spot)
+    return spot.error(f"expected ':' {_after(spot.tokens, spot.position)}", help, span)
+
+
+def _outside(spot: Spot) -> str:
+    """What may have been meant by a line at the left margin that is no header."""
+    kinds = [token[0] for token in spot.tokens[: spot.position + 2]]
+    if kinds[:2] == ["NAME", "="] or kinds[:2] == ["NAME", "NAME"]:
+        return "a variable is declared under 'local:', 'allread:' or 'allwrite:'"
+    return "a statement stands under 'init:' or an event's 'eff:'"
+
+
+def _taken(spot: Spot) -> Diagnostic | None:
+    """A word of the language where a name is to be."""
+    word = spot.kind in KEYWORDS or spot.kind == "GENERIC" or (spot.kind == spot.text and spot.text.isalpha())
+    if not word:
+        return None
+    named = spot.expected == {"NAME"} or (
+        "NAME" in spot.expected and (spot.next in ("=", "NEWLINE", "[", ")") or spot.next in _AUGMENTED)
+    )
+    if named and not (spot.kind == "GENERIC" and spot.next == "["):
+        help = f"'{spot.text}' is a word of the language; choose another name"
+        return spot.error(f"expected a name, found '{spot.text}'", help)
+    return None
+
+
+def _one_formula(spot: Spot) -> Diagnostic | None:
+    """A second line under `pre:` or the header of a property."""
+    if spot.expected == {"DEDENT"}:
+        return spot.error("a condition is one expression", "join conditions with 'and' or 'or'")
+    return None
+
+
+def _expected(spot: Spot) -> Diagnostic:
+    found = f"found '{shown(spot.text)}'" if spot.text else f"found {_WORDS.get(spot.kind, spot.kind)}"
+    after = f" after '{shown(spot.before[1])}'" if spot.before is not None and spot.before[1] else ""
+    help = ""
+    if spot.ends and spot.wants_expression and spot.before_is(*_OPERATORS, "=", "||", "&&", *_AUGMENTED):
+        help = "a line goes on after '\\', inside brackets, or where the next one begins with 'and' or 'or'"
+    return spot.error(f"expected {_list(spot.expected)}{after}, {found}", help)
 
 
 def _acceptable(states: list[int]) -> set[str]:
@@ -142,16 +149,19 @@ def _acceptable(states: list[int]) -> set[str]:
 
 
 def _accepts(states: list[int], symbol: str) -> bool:
-    stack = list(states)
+    top: list[int] = []
+    kept = len(states)  # the stack is the first `kept` states, then `top`: it may be too long to copy
     while True:
-        action = STATES[stack[-1]].get(symbol)
+        action = STATES[top[-1] if top else states[kept - 1]].get(symbol)
         if action is None:
             return False
         if action >= 0:
             return True
         name, length, _ = RULES[-action - 1]
-        del stack[len(stack) - length :]
-        stack.append(STATES[stack[-1]][name])
+        of_top = min(length, len(top))
+        del top[len(top) - of_top :]
+        kept -= length - of_top
+        top.append(STATES[top[-1] if top else states[kept - 1]][name])
 
 
 def _after(tokens: list[Token], position: int) -> str:
@@ -159,32 +169,46 @@ def _after(tokens: list[Token], position: int) -> str:
     first = position
     while first and tokens[first - 1][0] not in ("NEWLINE", "INDENT", "DEDENT", ":"):
         first -= 1
+        if tokens[first][0] in ("forall", "exists"):
+            return f"after the values of '{tokens[first][0]}'"
     words = [t[1] for t in tokens[first:position] if t[1]]
     if not words:
         return f"after '{tokens[position - 1][1]}'" if position and tokens[position - 1][1] else "here"
-    if words[0] in ("if", "elif") and len(words) > 2:
+    if words[0] in ("if", "elif", "while") and len(words) > 1:
         return f"after the condition of '{words[0]}'"
-    return f"after '{' '.join(words[:2])}'"
-
-
-def _behind(token: Token) -> Span:
-    _, text, line, column = token
-    return Span(line, column + len(text), line, column + len(text) + 1)
-
-
-def _found(token: Token) -> str:
-    return _WORDS.get(token[0], f"'{token[1]}'") if not token[1] else f"'{token[1]}'"
+    if words[0] == "for" and len(words) > 2:
+        return "after the values of 'for'"
+    if words[0] in ("fun", "extern") and len(words) > 2:
+        return "after the type of the result"
+    return f"after '{shown(' '.join(words[:2]))}'"
 
 
 def _list(expected: set[str]) -> str:
+    """The acceptable tokens in words: what they begin first, then the marks; never many."""
+    expected = expected - _UNSAID
     groups = []
-    if expected >= _EXPRESSION:
-        groups.append("a statement" if "pass" in expected else "an expression")
-        expected = expected - _EXPRESSION - {"not", "pass", "stop", "if"}
-    if len(expected & _OPERATORS) > 3:
+    if "using" in expected:
+        groups.append("a section")
+        expected = expected - _SECTION
+    if "pass" in expected:
+        groups.append("a statement")
+        expected = expected - _EXPRESSION - _STATEMENT
+    if {"NAME", "INT", "("} <= expected:
+        groups.append("an expression")
+        expected = expected - _EXPRESSION - {"GENERIC"}
+    if {"NAME", "GENERIC"} <= expected:
+        groups.append("a type")
+        expected = expected - {"NAME", "GENERIC", "("}
+    if {"+", "=="} <= expected:
         groups.append("an operator")
         expected = expected - _OPERATORS
-    groups += [_WORDS.get(symbol, f"'{symbol}'") for symbol in sorted(expected)]
+        expected = expected - _AUGMENTED if "=" in expected else expected
+        expected = expected - {"NAME"}
+    if len(expected) > 1:
+        expected = expected - {"[", "max"}  # what may always follow is not what is missed
+    if "in" in expected:
+        expected = expected - {"="}  # of the 2020 dialect
+    groups += [_WORDS.get(symbol, f"'{symbol}'") for symbol in sorted(expected, key=lambda s: (s in _WORDS, s))]
     groups = list(dict.fromkeys(groups))
     if len(groups) > 4:
         groups = [*groups[:4], "..."]

@@ -1,0 +1,405 @@
+"""What one writes by the habit of Python, C or the language of 2020, and how Koord has it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+from koordgen.diagnostics import Diagnostic
+from koordgen.syntax.spot import Spot, place, shown
+
+_CHARACTERS = {
+    ";": "write each statement on a line of its own, without ';'",
+    "&": "write 'and'",
+    "|": "write 'or'",
+    "~": "write 'not'",
+    "?": "write 'a if condition else b'",
+    "^": "a power is written '**'",
+    "\u201c": 'a string stands in straight quotes: "..."',
+    "\u201d": 'a string stands in straight quotes: "..."',
+    "\u2018": "a string stands in straight quotes: '...'",
+    "\u2019": "a string stands in straight quotes: '...'",
+    "\u2013": "write '-'",
+    "\u2212": "write '-'",
+    "\u00d7": "write '*'",
+    "\u00b7": "write '*'",
+    "\u2264": "write '<='",
+    "\u2265": "write '>='",
+    "\u2260": "write '!='",
+    "\u2192": "write '->'",
+    "\u2227": "write 'and'",
+    "\u2228": "write 'or'",
+    "\u00ac": "write 'not'",
+    "\u2200": "write 'forall'",
+    "\u2203": "write 'exists'",
+    "\u2208": "write 'in'",
+    "\u00a0": "write an ordinary space",
+    "\\": "a '\\' that continues a line is the last of it",
+}
+_EXCEPTIONS = "an event in which something fails is discarded as a whole"
+_WHILE = "write 'while condition:'"
+_CASES = "write a chain of if, elif, else"
+_RECORD = "a record is written 'def Name:', its fields below: Type field"
+_FUNCTION = "a function is written 'fun name(Type x) -> Type:'"
+# A word at which, or behind which, one is lost -> how Koord has it.
+FOREIGN = {
+    "import": "a function written in Python is declared: extern fun name(Type x) -> Type",
+    "from": "a function written in Python is declared: extern fun name(Type x) -> Type",
+    "include": "a function written in Python is declared: extern fun name(Type x) -> Type",
+    "class": _RECORD,
+    "struct": _RECORD,
+    "record": _RECORD,
+    "function": _FUNCTION,
+    "func": _FUNCTION,
+    "fn": _FUNCTION,
+    "lambda": "give the function a name: fun name(Type x) -> Type:",
+    "try": _EXCEPTIONS,
+    "except": _EXCEPTIONS,
+    "catch": _EXCEPTIONS,
+    "finally": _EXCEPTIONS,
+    "raise": _EXCEPTIONS,
+    "throw": _EXCEPTIONS,
+    "switch": _CASES,
+    "match": _CASES,
+    "case": _CASES,
+    "elseif": "write 'elif'",
+    "elsif": "write 'elif'",
+    "foreach": "write 'for x in xs:'",
+    "each": "write 'for x in xs:'",
+    "do": _WHILE,
+    "until": _WHILE,
+    "repeat": _WHILE,
+    "loop": _WHILE,
+    "unless": "write 'if not condition:'",
+    "then": "a condition ends with ':'",
+    "end": "a block ends where the indentation goes back",
+    "endif": "a block ends where the indentation goes back",
+    "begin": "a block begins with ':' and deeper lines",
+    "event": "an event begins with its name: Name:",
+    "new": "a record is made by its name: Task(target=p)",
+    "print": "a stream prints: Log.stdout << value",
+    "echo": "a stream prints: Log.stdout << value",
+    "xor": "write '!=' between two conditions",
+    "let": "a type stands before the name: int x = 3",
+    "var": "a type stands before the name: int x = 3",
+    "const": "write 'param Type name = value' for a constant, or a type before the name",
+    "auto": "a type stands before the name: int x = 3",
+    "async": "each event takes effect at once, when it ends",
+    "await": "each event takes effect at once, when it ends",
+    "with": "'atomic:' takes the lock that a block needs",
+    "global": "every variable of a program can be assigned in every event",
+    "nonlocal": "every variable of a program can be assigned in every event",
+    "del": "write xs.remove(value), xs.pop(i) or m.remove(key)",
+}
+_FIRST_ONLY = frozenset(
+    ("end", "from", "case", "with", "match", "loop", "record", "do", "let", "var", "event", "begin")
+)
+_TYPES = frozenset(
+    ("int", "float", "bool", "string", "Point", "Pose", "Grid", "Scan", "GridMap", "PathPlanner", "stream", "pos")
+)
+_SECTIONS = frozenset(
+    (
+        "using", "param", "allread", "allwrite", "local", "def", "fun", "extern", "spec", "axiom", "invariant",
+        "initially", "init",
+    )
+)  # fmt: skip
+
+
+def _character(spot: Spot) -> Diagnostic | None:
+    if spot.kind != "BAD":
+        return None
+    text = spot.text
+    if text[0].isdigit() and text[0].isascii():
+        return _number(spot)
+    if text.isalpha():
+        help = "a name is made of the letters a to z and A to Z, digits and '_'"
+    else:
+        help = _CHARACTERS.get(text, "")
+    known = (text.isprintable() and text.isascii()) or text.isalpha()
+    name = f"'{text}'" if known else f"'{text}' (U+{ord(text):04X})" if text.isprintable() else f"'U+{ord(text):04X}'"
+    return spot.error(f"unexpected character {name}", help, code="K002")
+
+
+def _number(spot: Spot) -> Diagnostic:
+    text = spot.text
+    help = ""
+    if re.fullmatch(r"[0-9][0-9_]*(\.[0-9_]*)?", text):
+        help = f"write {shown(text.replace('_', ''))}"
+    elif re.fullmatch(r"0[xX][0-9a-fA-F]{1,15}|0[oO][0-7]{1,20}|0[bB][01]{1,60}", text):
+        help = f"write {int(text, 0)}"
+    elif re.fullmatch(r"[0-9.]+[fFdDlLuU]", text):
+        help = f"write {shown(text[:-1])}"
+    elif re.fullmatch(r"[0-9]+[A-Za-z_][A-Za-z0-9_]*", text):
+        help = "a name does not begin with a digit"
+    return spot.error(f"'{shown(text)}' is no number", help)
+
+
+def _quotes(spot: Spot) -> Diagnostic | None:
+    """`f"..."`, also where its quote reads as a prime; strings side by side; texts of several lines."""
+    before, head = spot.before, spot.head
+    if before is None:
+        return None
+    prefix = None
+    if spot.kind == "STRING" and spot.touches("NAME"):
+        prefix = before
+    elif before[0] == "'" and len(head) > 1 and head[-2][0] == "NAME" and head[-2][1].lower() in ("f", "r", "b", "u"):
+        prefix = head[-2]
+    if prefix is not None and prefix[1].lower() in ("f", "fr", "rf"):
+        return spot.error("Koord has no f-strings", "join texts: 'at ' + str(x)", place(prefix, before))
+    if prefix is not None:
+        return spot.error("nothing stands before the quotes of a string", span=place(prefix, before))
+    if spot.kind == "STRING" and before[0] == "STRING":
+        if before[1] in ('""', "''"):
+            return spot.error("a string stands on one line", "a comment begins with '#'", place(before, before))
+        return spot.error("two strings stand side by side", "join them with '+'")
+    return None
+
+
+def _points(spot: Spot) -> Diagnostic | None:
+    """`1.`, and ranges as in other languages."""
+    if spot.before_is(".") and len(spot.head) > 1 and spot.head[-2][0] == "INT":
+        first, dot = spot.head[-2:]
+        if spot.kind != "." or not spot.touches("."):
+            return spot.error(f"'{shown(first[1])}.' is no number", f"write {shown(first[1])}.0", place(first, dot))
+    if spot.first[0] == "for" and (
+        spot.text in ("to", "until", "downto") or (spot.kind == "." and spot.before_is("."))
+    ):
+        return spot.error(f"expected ',' or ':', found '{spot.text}'", "write 'for i in range(a, b):'")
+    return None
+
+
+def _marks(spot: Spot) -> Diagnostic | None:
+    """Marks of other languages, which read as two of ours."""
+    head = spot.head
+    for mark in ("+", "-"):
+        doubled = len(head) > 1 and head[-1][0] == head[-2][0] == mark and head[-1][3] == head[-2][3] + 1
+        if doubled and (spot.ends or spot.kind == ")"):
+            return _step(spot, mark, head[-3][1] if len(head) == 3 and head[-3][0] == "NAME" else "x")
+        if spot.kind == mark and spot.touched_by(mark):
+            operand = spot.rest[1][1] if len(spot.rest) > 1 and spot.rest[1][0] == "NAME" else "x"
+            return _step(spot, mark, operand)
+        if spot.kind == mark == "+" and spot.touches("+"):
+            operand = head[0][1] if len(head) == 2 and head[0][0] == "NAME" else "x"
+            return _step(spot, mark, operand)
+    pair = f"{spot.before[1]}{spot.text}" if spot.before is not None and spot.touches(spot.before[0]) else ""
+    ours = {"<>": "!=", "===": "==", "!==": "!=", "=<": "<=", "=>": ">="}.get(pair)
+    if ours is None and spot.kind == "=" and spot.touched_by(">"):
+        pair, ours = "=>", ">="
+    elif ours is None and spot.kind == "=" and spot.touched_by("<"):
+        pair, ours = "=<", "<="
+    if ours is None and spot.kind == ":" and spot.touched_by("="):
+        pair, ours = ":=", "="
+    if ours is None and spot.kind == ":" and spot.touched_by(":") and spot.before_is("NAME"):
+        pair, ours = "::", "."
+    if ours is None and spot.kind == "->" and "." in spot.expected:
+        pair, ours = "->", "."
+    if ours is not None:
+        return spot.error(f"Koord has no '{pair}'", f"write '{ours}'")
+    if spot.kind == "+" and spot.wants_expression:
+        return spot.error("a value has no '+' before it", "leave the '+' out")
+    if spot.kind in ("//", "/") and ("pass" in spot.expected or spot.position == 0):
+        return spot.error(f"no line begins with '{spot.kind}'", "a comment begins with '#'")
+    if spot.kind == "NAME" and any(token[0] == "//" for token in spot.head) and not spot.touches("//"):
+        return spot.error(f"expected an operator, found '{shown(spot.text)}'", "a comment begins with '#'")
+    return None
+
+
+def _step(spot: Spot, mark: str, operand: str) -> Diagnostic:
+    return spot.error(f"Koord has no '{mark}{mark}'", f"write {shown(operand)} {mark}= 1")
+
+
+def _braces(spot: Spot) -> Diagnostic | None:
+    """`if a {`; and `}` where nothing of ours is open."""
+    if spot.kind == "{" and not spot.wants_expression and not spot.bracket:
+        return spot.error("a block stands in no braces", "end the header with ':' and indent the block's lines")
+    return None
+
+
+def _else(spot: Spot) -> Diagnostic | None:
+    if spot.kind == "if" and spot.before_is("else"):
+        return spot.error("expected ':' after 'else'", "write 'elif'")
+    if spot.kind in ("else", "elif"):
+        if spot.position == spot.start:
+            help = "it stands at the depth of the 'if' that it belongs to"
+            return spot.error(f"there is no 'if' for this '{spot.kind}'", help)
+        if not spot.wants_expression and not spot.bracket:
+            return spot.error(f"'{spot.kind}' begins a line of its own")
+    if spot.kind == "if" and "pass" in spot.expected and spot.before_is(":"):
+        return spot.error("'if' begins a line of its own")
+    if spot.kind == "if" and spot.wants_expression and "pass" not in spot.expected:
+        return spot.error("expected an expression, found 'if'", "write 'a if condition else b'")
+    if spot.kind == "for" and spot.wants_expression and "pass" not in spot.expected and not spot.bracket:
+        return spot.error("expected an expression, found 'for'", "write 'forall i in ID: ...'")
+    return None
+
+
+def _functions(spot: Spot) -> Diagnostic | None:
+    """Heads of functions as in Python."""
+    head = [token[0] for token in spot.head]
+    if spot.kind == "(" and head[:1] == ["def"]:
+        name = shown(spot.head[-1][1])
+        return spot.error(
+            "'def' defines a record",
+            f"a function is written 'fun {name}(Type x) -> Type:'",
+            place(spot.head[0], spot.head[-1]),
+        )
+    if "fun" not in head[:2]:
+        return None
+    if spot.bracket == "(" and spot.expected <= {"NAME", "[", "<"} and spot.kind in (")", ",", ":", "="):
+        name = spot.before[1] if spot.before_is("NAME") and spot.before is not None else "x"
+        return spot.error(
+            "a parameter has a type before its name", f"write 'int {shown(name)}'", place(spot.head[-1], spot.head[-1])
+        )
+    if spot.bracket == "(" and spot.kind == "=":
+        return spot.error("a parameter has no value of its own")
+    if spot.expected == {"->"} or spot.expected == {"->", ":"}:
+        return spot.error("a function names the type of its result", "write '-> Type' after ')'")
+    if spot.kind == ":" and "->" in spot.expected:
+        return spot.error("a function names the type of its result", "write '-> Type' after ')'")
+    return None
+
+
+def _brackets(spot: Spot) -> Diagnostic | None:
+    """Comprehensions, slices with a step, several indices, names of `for` in brackets."""
+    bracket = spot.bracket
+    if spot.kind == "for" and bracket:
+        name = {"[": "list", "{": "set"}.get(bracket, "list")
+        add = "append" if name == "list" else "add"
+        return spot.error("Koord has no comprehensions", f"fill a {name} in a loop: for x in xs: ys.{add}(...)")
+    if bracket == "[" and spot.kind == ":" and spot.expected & {"]"} and ":" not in spot.expected:
+        return spot.error("a slice has no step", "a loop can take steps: for i in range(a, b, 2):")
+    if bracket == "[" and spot.kind == "," and "]" in spot.expected:
+        return spot.error("expected ']', found ','", "several indices are written x[i][j]")
+    if spot.kind == "(" and spot.before_is("for"):
+        names = any(token[0] == "in" for token in spot.rest)
+        help = "names stand without brackets: for a, b in pairs:" if names else "write 'for i in range(a, b):'"
+        return spot.error("expected a name after 'for', found '('", help)
+    if spot.kind in ("*", "**") and bracket == "(" and spot.wants_expression:
+        return spot.error(f"'{spot.kind}' spreads no values here", "write the arguments one by one")
+    return None
+
+
+def _lists_of_names(spot: Spot) -> Diagnostic | None:
+    """`a, b = pair` and `int a, b`."""
+    if spot.kind != "," or spot.bracket:
+        return None
+    if spot.expected & {"pre", "eff"} or (spot.level() == 0 and spot.first[0] == "NAME" and spot.start == 0):
+        return None
+    if "+=" in spot.expected:
+        if any(token[0] == "=" for token in spot.rest):
+            help = "name the pair and take its items: p[0], p[1]; only 'for a, b in pairs:' takes pairs apart"
+            return spot.error("an assignment has one target", help, place(spot.first, spot.rest[-1]))
+        return spot.error("expected one expression, found ','", "a tuple stands in brackets: (a, b)")
+    if "NEWLINE" not in spot.expected:
+        return None
+    if "+" not in spot.expected or any(token[0] == "=" for token in spot.rest):
+        return spot.error("each name is declared on a line of its own", "write its type and name on the next line")
+    return spot.error("expected one value, found ','", "a tuple stands in brackets: (a, b)")
+
+
+def _types(spot: Spot) -> Diagnostic | None:
+    """Types that lack their items, `int x[]`, `List()`; a name without a type."""
+    before = spot.before
+    if before is not None and before[0] == "GENERIC" and spot.expected == {"<"}:
+        if spot.kind == "(":
+            empty = "[]" if before[1] in ("List", "Queue") else "{}"
+            return spot.error(f"'{before[1]}' is a type and makes no value", f"an empty one is written {empty}")
+        example = "Map<int, Point>" if before[1] == "Map" else f"{before[1]}<Point>"
+        return spot.error(f"expected '<' after '{before[1]}'", f"a type says what it holds: {example}")
+    if spot.kind == "GENERIC" and spot.wants_expression:
+        empty = "[]" if spot.text in ("List", "Queue") else "{}"
+        return spot.error(f"'{spot.text}' is a type and no value", f"an empty one is written {empty}")
+    if spot.kind == "]" and spot.before_is("[") and len(spot.head) > 1 and spot.wants_expression:
+        return spot.error("expected an expression after '[', found ']'", "the type of a list is written List<int>")
+    named = before is not None and before[0] == "NAME" and spot.expected <= {"NAME", "["} and "NAME" in spot.expected
+    if named and before is not None and (spot.kind == "=" or spot.ends):
+        found = "'='" if spot.kind == "=" else "the end of the line"
+        example = "Point" if spot.tokens[0][0] == "using" else "int"
+        help = "" if before[1] in _TYPES else f"a type stands before the name: {example} {shown(before[1])}"
+        return spot.error(f"expected a name after '{shown(before[1])}', found {found}", help)
+    if before is not None and "NAME" in spot.expected and spot.kind == "<" and before[0] == "NAME":
+        return spot.error(f"'{shown(before[1])}' holds no other types", "those that do are List, Map, Set, Queue")
+    if spot.before_is("[") and spot.expected == {"]"} and len(spot.head) > 1:
+        element = shown(spot.head[-2][1])
+        return spot.error("a size stands behind the name", f"write '{element} x[{shown(spot.text)}]'")
+    if spot.kind == "[" and spot.before_is("NAME") and spot.expected == {"=", "NEWLINE"}:
+        help = f"a list is declared List<{shown(spot.head[0][1])}> {shown(spot.head[-1][1])}"
+        return spot.error("a variable of a block has no size", help)
+    if spot.kind == "=" and spot.expected == {"NEWLINE"} and spot.tokens[0][0] == "using":
+        return spot.error("a port has no initial value")
+    return None
+
+
+def _words(spot: Spot) -> Diagnostic | None:
+    """Words of other languages."""
+    if spot.text == "is" and "==" in spot.expected:
+        isnt = spot.next == "not"
+        return spot.error("Koord has no 'is'", "'!=' compares" if isnt else "'==' compares")
+    if spot.kind == "NEWLINE" and spot.before_is("return"):
+        return spot.error("a function returns a value", "write 'return value'; an event ends with its last statement")
+    here = spot.tokens[spot.position]
+    for token in (spot.first, spot.before, here):
+        if token is None or token[0] != "NAME" or token[1].lower() not in FOREIGN:
+            continue
+        if token is spot.first or token[1] not in _FIRST_ONLY:
+            message = f"Koord has no '{token[1]}'"
+            return spot.error(message, FOREIGN[token[1].lower()], place(token, token))
+    return None
+
+
+def headers(spot: Spot) -> Diagnostic | None:
+    """Headers with a name too many or too few; statements and variables where none stand."""
+    if spot.position == 0:
+        return _section(spot)
+    if spot.kind == ":" and spot.before_is("invariant", "axiom") and spot.before is not None:
+        word = spot.before[1]
+        return spot.error(f"expected a name after '{word}', found ':'", f"write '{word} Name: ...'")
+    if spot.kind == ":" and spot.before_is("assume"):
+        return spot.error("expected an expression after 'assume', found ':'", "'assume' has no colon")
+    if spot.kind == "NAME" and spot.before_is("initially"):
+        return spot.error("expected ':' after 'initially'", "'initially' has no name")
+    if spot.kind == ":" and "in" in spot.expected and spot.expected <= {"in", ",", "="}:
+        return spot.error("expected 'in' and what the names run over", "write 'forall i in ID: ...'")
+    if "pass" in spot.expected and spot.kind in _SECTIONS and spot.next != "=":
+        help = f"'{spot.kind}' begins a section: it stands at the left margin"
+        return spot.error(f"expected a statement, found '{spot.kind}'", help)
+    if "pass" in spot.expected and spot.kind in ("pre", "eff") and spot.next == ":":
+        help = f"'{spot.kind}' stands indented once, under the name of its event"
+        return spot.error(f"expected a statement, found '{spot.kind}'", help)
+    if spot.kind == ":" and spot.tokens[0][0] == "spec":
+        return spot.error("a spec function has no body", "an axiom says what it means: axiom Name: ...")
+    if {"pre", "eff"} & spot.expected and spot.level() <= 1 and spot.kind in ("NAME", "GENERIC") and spot.next in (
+        "NAME", "=", "<", ".", "[", "+=", "-=", "(",
+    ):  # fmt: skip
+        help = "statements stand under 'eff:', variables under 'local:', 'allread:' or 'allwrite:'"
+        return spot.error(f"expected 'pre' or 'eff', found '{shown(spot.text)}'", help)
+    return None
+
+
+def _section(spot: Spot) -> Diagnostic:
+    help = "sections: using, param, local, allread, allwrite, def, fun, init, invariant, ..., and events, Name:"
+    if spot.kind in ("pre", "eff"):
+        help = f"'{spot.kind}' stands indented under the name of its event"
+    elif spot.kind in ("sensors", "actuators", "assume"):
+        help = f"'{spot.kind}' stands indented under 'using Module:'"
+    elif spot.kind in ("if", "for", "while", "atomic", "return", "break", "continue", "pass", "stop"):
+        help = "a statement stands indented under 'init:' or an event's 'eff:'"
+    elif spot.kind in ("GENERIC", "("):
+        help = "a variable is declared under 'local:', 'allread:' or 'allwrite:'"
+    return spot.error(f"expected a section, found '{shown(spot.text)}'", help)
+
+
+# In this order: the first that knows a mistake tells it.
+HABITS: tuple[Callable[[Spot], Diagnostic | None], ...] = (
+    _character,
+    _quotes,
+    _points,
+    _marks,
+    _braces,
+    _else,
+    _functions,
+    _brackets,
+    _lists_of_names,
+    _types,
+    _words,
+)
