@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import pytest
 
 from koordgen.format.arrange import arranged
@@ -109,8 +112,8 @@ LINES = {
     ),
     "lines within brackets": (
         "Go:\n eff:\n  a = f(b,\n g(c,\n    [\n  d,  # e\n\n\n # f\n]), h\n)\n  i\n",
-        "Go:\n  eff:\n    a = f(b,\n        g(c,\n            [\n                d,  # e\n\n                # f\n        ]), h\n"
-        "    )\n    i\n",
+        "Go:\n  eff:\n    a = f(b,\n        g(c,\n            [\n                d,  # e\n\n                # f\n"
+        "        ]), h\n    )\n    i\n",
     ),
     "lines behind a backslash": (
         "Go:\n  eff: a = \\\n b + \\   \n   f(c, \\\n d)\n",
@@ -135,3 +138,9 @@ def test_lines(case: str) -> None:
     written, wanted = LINES[case]
     assert arranged(written) == wanted
     assert arranged(wanted) == wanted
+
+
+def test_the_pages_example_is_what_comes_out() -> None:
+    page = (Path(__file__).parents[2] / "docs/cli.md").read_text(encoding="utf-8")
+    written, wanted = re.findall(r"```koord\n(.*?)```", page, re.DOTALL)
+    assert arranged(written) == wanted
