@@ -206,11 +206,13 @@ def _harness(options: argparse.Namespace) -> int:
 
 
 def _fmt(options: argparse.Namespace) -> int:
+    from koordgen.check import check
     from koordgen.format.files import format_file, output
     from koordgen.pipeline import Rejected
 
     dry = options.check or options.diff
-    results = [format_file(path, options.upgrade, write=not dry) for path in options.files]
+    checker = check if options.upgrade else None
+    results = [format_file(path, checker, write=not dry) for path in options.files]
     sys.stdout.buffer.write(output(results, options.format, options.check, options.diff))
     mistakes = [(r.source, d) for r in results for d in r.mistakes]
     if mistakes and options.format == "text":

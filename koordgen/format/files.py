@@ -8,12 +8,16 @@ import sys
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from koordgen.diagnostics import Diagnostic, as_data
 from koordgen.format import formatted
 from koordgen.node import Node, replace
 from koordgen.source import Source, Span
 from koordgen.syntax.parse import parse
+
+if TYPE_CHECKING:
+    from koordgen.format.upgrade import Checker
 
 STDIN = "-"
 
@@ -33,8 +37,9 @@ class Result(Node):
         return self.before != self.after
 
 
-def format_file(path: str, upgrade: bool, write: bool) -> Result:
-    """Format one file, `-` for standard input; written only when asked, when it changes, and when it is a file."""
+def format_file(path: str, checker: Checker | None, write: bool) -> Result:
+    """Format one file, `-` for standard input; upgraded when there is a checker; written only when asked, when it
+    changes, and when it is a file."""
     start = Span(1, 1, 1, 1)
     try:
         raw = sys.stdin.buffer.read() if path == STDIN else Path(path).read_bytes()
@@ -51,10 +56,10 @@ def format_file(path: str, upgrade: bool, write: bool) -> Result:
     if mistakes:
         return Result(source, mistakes)
     modern = source
-    if upgrade:
+    if checker is not None:
         from koordgen.format.upgrade import upgraded
 
-        modern = upgraded(source)
+        modern = upgraded(source, checker)
         tree, _ = parse(modern)
     after = formatted(modern, tree)
     result = Result(source, (), raw.decode(), after)

@@ -7,8 +7,8 @@ import re
 import pytest
 
 from koordgen.diagnostics import Diagnostic, Edit, InternalError
-from koordgen.format import upgrade
 from koordgen.format.edits import applied, compatible
+from koordgen.format.upgrade import Checker, upgraded
 from koordgen.source import Source, Span
 
 TEXT = "one two\nthree\n\nfour"
@@ -46,7 +46,7 @@ def test_a_notes_edits_are_taken_whole_or_left() -> None:
     assert compatible(notes) == [first, last]
 
 
-def fake_check(meaning: str = r"\s+") -> object:
+def fake_check(meaning: str = r"\s+") -> Checker:
     """A checker that proposes `true` -> `True`, and `T[]` -> `List<T>` one level at a time, as overlapping edits; two
     programs that differ in what `meaning` matches mean the same."""
 
@@ -62,20 +62,18 @@ def fake_check(meaning: str = r"\s+") -> object:
     return check
 
 
-def test_the_checkers_edits_are_made_until_there_are_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(upgrade, "check", fake_check(r"[\s\[\]<>]|List|(?i:true)"))
+def test_the_checkers_edits_are_made_until_there_are_none() -> None:
     source = Source("a.koord", "local:\n  int[][] a\n  bool b = true and true\n")
-    assert upgrade.upgraded(source).text == "local:\n  List<List<int>> a\n  bool b = True and True\n"
+    text = upgraded(source, fake_check(r"[\s\[\]<>]|List|(?i:true)")).text
+    assert text == "local:\n  List<List<int>> a\n  bool b = True and True\n"
 
 
-def test_an_upgrade_that_changes_the_meaning_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(upgrade, "check", fake_check())
+def test_an_upgrade_that_changes_the_meaning_is_found_out() -> None:
     with pytest.raises(InternalError, match=r"a\.koord would change its meaning"):
-        upgrade.upgraded(Source("a.koord", "local: bool b = true\n"))
+        upgraded(Source("a.koord", "local: bool b = true\n"), fake_check())
 
 
-def test_an_upgrade_that_breaks_the_program_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_upgrade_that_breaks_the_program_is_found_out() -> None:
     broken = Diagnostic("K050", "note", "", Span(1, 1, 1, 2), edits=(edit(1, 1, 1, 2, "("),))
-    monkeypatch.setattr(upgrade, "check", lambda tree, source: (None, [broken]))
     with pytest.raises(InternalError, match=r"a\.koord cannot be read"):
-        upgrade.upgraded(Source("a.koord", "local: int b\n"))
+        upgraded(Source("a.koord", "local: int b\n"), lambda tree, source: (None, [broken]))
