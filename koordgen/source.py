@@ -17,11 +17,11 @@ class Span(Node):
 
 
 class Source:
-    """One text with its path as the user wrote it; `\\r\\n` is read as `\\n`."""
+    """One text with its path as the user wrote it; `\\r\\n` is read as `\\n`, a byte order mark is no part of it."""
 
     def __init__(self, path: str, text: str) -> None:
         self.path = path
-        self.text = text.replace("\r\n", "\n")
+        self.text = text.removeprefix("\ufeff").replace("\r\n", "\n")
         self._starts: list[int] | None = None
 
     def _line_starts(self) -> list[int]:

@@ -6,6 +6,7 @@ from koordgen._generated.grammar import RULES, STATES
 from koordgen.diagnostics import Diagnostic
 from koordgen.syntax.habits import HABITS, headers
 from koordgen.syntax.layout import KEYWORDS, Token
+from koordgen.syntax.marks import MARKS
 from koordgen.syntax.spelling import misspelt
 from koordgen.syntax.spot import Spot, behind, place, shown
 
@@ -48,7 +49,7 @@ def explain(tokens: list[Token], position: int, states: list[int]) -> Diagnostic
     have fitted is lost.
     """
     spot = Spot(tokens, position, _acceptable(states))
-    for rule in (*HABITS, _indentation, _equals, misspelt, headers, _colon, _taken, _one_formula):
+    for rule in (*MARKS, *HABITS, _indentation, _equals, misspelt, headers, _colon, _taken, _one_formula):
         told = rule(spot)
         if told is not None:
             return told
