@@ -8,7 +8,22 @@ from koordgen.check import check
 from koordgen.diagnostics import InternalError
 from koordgen.ir import decl, expr, stmt
 from koordgen.ir.printer import show
-from koordgen.ir.types import BOOL, FLOAT, INT, POINT
+from koordgen.ir.types import (
+    BOOL,
+    FLOAT,
+    GRIDMAP,
+    INT,
+    POINT,
+    POISON,
+    RECT,
+    STRING,
+    MapOf,
+    PerRobot,
+    RecordType,
+    Sequence,
+    TupleOf,
+    list_of,
+)
 from koordgen.ir.verify import verify
 from koordgen.node import replace
 from koordgen.source import Source, Span
@@ -18,11 +33,36 @@ AT = Span(3, 1, 3, 2)
 TEXT = """using Motion:
   sensors: Point position
   actuators: Point target
+    List<Point> path
+  PathPlanner planner
+  assume position' in Rect(position, target)
+using Log:
+  stream stdout
+def Task:
+  Point target
+  int id = 3
+extern type Ticket
+extern fun fee(Ticket ticket, List<int> all[N_SYS]) -> int:
+  requires: len(all) > 0
+  ensures: result >= 0
+spec fun fair(int a) -> bool
+fun twice(int n) -> int:
+  return once(n) * 2
+fun once(int n) -> int:
+  while True:
+    if n > 3:
+      return n
+    n += 1
 param int k = 2
 allread: Point x[N_SYS]
+  List<int> seen[N_SYS] max 8
 allwrite: float level = k
+  List<Task> tasks
 local: int count
   bool on
+  Ticket ticket
+  Map<int, string> names max 4, 16
+  Task mine
 init: x[pid] = Motion.position
 Go:
   pre: on and 0 <= count < k
@@ -33,93 +73,215 @@ Go:
       stop
     elif pid == 0: count = max(count, 1) % 7
     else: on = not on
+Take:
+  pre: len(tasks) > 0
+  eff: atomic:
+    for task in tasks:
+      if task.id == pid:
+        mine = task
+        tasks.remove(task)
+        break
+Pay:
+  pre: True
+  eff:
+    count = twice(fee(ticket, seen))
+    mine.id = count
+    names[3] = "three"
+    Log.stdout << "paid" << count
+    Motion.path = Motion.planner(mine.target)
+initially: forall i in ID: count[i] == 0
+invariant Near: forall i, j in ID: i == j or distance(Motion.position[i], x[j]) > k
+axiom All: fair(3)
 """
 
 
 def program() -> decl.Program:
     source = Source("dir/app.koord", TEXT)
     tree, found = parse(source)
-    assert tree is not None, found
+    assert not found, found
     checked, found = check(tree, source)
     assert checked is not None, found
     return checked
 
 
+SOUND = program()
+
+
 def test_the_checkers_program_is_well_formed_and_reads_as_text() -> None:
-    verify(program())
-    assert (
-        show(program())
-        == """program app (app.koord)
-param k: int = 2
-module Motion
-  sensor position: Point
-  actuator target: Point
-allread x: Point[N_SYS] = Point(0.0, 0.0, 0.0)
-allwrite level: float = (int -> float k)
-local count: int = 0
-local on: bool = False
-init
-  x[pid] := Motion.position
-event Go
-  when (on and ((0 <= count) and (count < k)))
-  let goal: Point = ((x[count]? / level: Point) if (level != (int -> float 0)) else Motion.position: Point)
-  if (count > 3)
-    Motion.target := (goal * (int -> float 2): Point)
-    stop
-  elif (pid == 0)
-    count := ((max(count, 1): int) % 7: int)
-  else
-    on := (not on)
-"""
-    )
+    verify(SOUND)
+    assert show(SOUND) == ""
 
 
 ONE = expr.Const(1, INT, AT)
-MIXED = expr.Binary("+", ONE, expr.Const(1.0, FLOAT, AT), True, FLOAT, AT)
+HALF = expr.Const(0.5, FLOAT, AT)
 YES = expr.Const(True, BOOL, AT)
-ORIGIN = expr.PortRead("Motion", "position", POINT, AT)
+WORD = expr.Const("a", STRING, AT)
+MIXED = expr.Binary("+", ONE, HALF, True, FLOAT, AT)
+HERE = expr.PortRead("Motion", "position", False, POINT, AT)
+NUMBERS = list_of(INT)
+LIST = expr.Make((ONE,), NUMBERS, AT)
+TASK = RecordType("Task", (("target", POINT), ("id", INT)))
+OTHER = RecordType("Other", (("id", INT),))
+MINE = expr.LocalRead("mine", TASK, AT)
+PAIR = expr.Make((ONE, HALF), TupleOf((INT, FLOAT)), AT)
+KEYED = Sequence("Set", FLOAT, 8)
+
+
+def let(value: expr.Expr) -> stmt.Stmt:
+    return stmt.Let("a", value.type, value, AT)
+
+
 WRONG: dict[str, stmt.Stmt] = {
     "type of an assignment": stmt.Assign(stmt.LocalPlace("count"), YES, AT),
     "type that a node claims": stmt.Assign(stmt.LocalPlace("count"), expr.Binary("/", ONE, ONE, True, INT, AT), AT),
-    "operands of two types": stmt.Let("a", FLOAT, MIXED, AT),
-    "operator": stmt.Let("a", INT, expr.Binary("**", ONE, ONE, True, INT, AT), AT),
-    "comparison of a type without order": stmt.Let("a", BOOL, expr.Compare("<", YES, YES, BOOL, AT), AT),
-    "unproved sum": stmt.Let("a", INT, expr.Binary("+", ONE, ONE, False, INT, AT), AT),
-    "write to a sensor": stmt.Assign(stmt.PortPlace("Motion", "position"), ORIGIN, AT),
-    "unknown port": stmt.Assign(stmt.PortPlace("Motion", "path"), ORIGIN, AT),
+    "operands of two types": let(MIXED),
+    "operator": let(expr.Binary("<<", ONE, ONE, True, INT, AT)),
+    "sum of bools": let(expr.Binary("+", YES, YES, True, BOOL, AT)),
+    "comparison of a type without order": let(expr.Compare("<", YES, YES, BOOL, AT)),
+    "unproved sum": let(expr.Binary("+", ONE, ONE, False, INT, AT)),
+    "write to a sensor": stmt.Assign(stmt.PortPlace("Motion", "position"), HERE, AT),
+    "unknown port": stmt.Assign(stmt.PortPlace("Motion", "speed"), HERE, AT),
+    "read of a planner": let(expr.PortRead("Motion", "planner", False, POINT, AT)),
     "unknown name": stmt.Assign(stmt.LocalPlace("nobody"), ONE, AT),
-    "temp out of scope": stmt.If(
-        YES, (stmt.Let("a", INT, ONE, AT),), (stmt.Assign(stmt.TempPlace("a"), ONE, AT),), AT
-    ),
+    "temp out of scope": stmt.If(YES, (stmt.Let("a", INT, ONE, AT),), (stmt.Assign(stmt.TempPlace("a"), ONE, AT),), AT),
     "temp declared twice": stmt.If(YES, (stmt.Let("a", INT, ONE, AT),), (stmt.Let("a", INT, ONE, AT),), AT),
+    "loop variable out of scope": stmt.If(
+        YES, (stmt.For(("a",), (INT,), LIST, (), AT), stmt.Assign(stmt.TempPlace("a"), ONE, AT)), (), AT
+    ),
+    "loop variable's type": stmt.For(("a",), (BOOL,), LIST, (), AT),
+    "loop over no pairs": stmt.For(("a", "b"), (INT, INT), LIST, (), AT),
+    "loop over a number": stmt.For(("a",), (INT,), ONE, (), AT),
+    "break outside a loop": stmt.Break(AT),
+    "continue outside a loop": stmt.Continue(AT),
+    "break behind a loop": stmt.If(YES, (stmt.While(YES, (stmt.Continue(AT),), AT), stmt.Break(AT)), (), AT),
+    "return in an event": stmt.Return(ONE, AT),
+    "output of a number": stmt.Emit("Log", "stdout", (ONE,), AT),
+    "output to an actuator": stmt.Emit("Motion", "target", (WORD,), AT),
     "condition": stmt.If(ONE, (), (), AT),
-    "index": stmt.Let("a", POINT, expr.SlotRead("x", YES, True, POINT, AT), AT),
-    "slot of an allwrite variable": stmt.Assign(stmt.OwnSlot("level"), expr.Const(1.0, FLOAT, AT), AT),
-    "literal": stmt.Let("a", FLOAT, expr.Const(float("nan"), FLOAT, AT), AT),
-    "axis": stmt.Let("a", FLOAT, expr.Coordinate(ORIGIN, "w", FLOAT, AT), AT),
-    "builtin": stmt.Let("a", FLOAT, expr.Builtin("sin", (ONE,), FLOAT, AT), AT),
-    "arguments": stmt.Let("a", INT, expr.Builtin("max", (ONE,), INT, AT), AT),
-    "widened float": stmt.Let("a", FLOAT, expr.Widen(expr.Const(1.0, FLOAT, AT), FLOAT, AT), AT),
-}  # fmt: skip
+    "condition of a loop": stmt.While(ONE, (), AT),
+    "index": let(expr.SlotRead("x", YES, True, POINT, AT)),
+    "slot of an allwrite variable": stmt.Assign(stmt.OwnSlot("level"), HALF, AT),
+    "literal": let(expr.Const(float("nan"), FLOAT, AT)),
+    "field": let(expr.Field(HERE, "w", FLOAT, AT)),
+    "field of a record": let(expr.Field(MINE, "goal", POINT, AT)),
+    "item of a tuple": let(expr.Item(PAIR, 2, INT, AT)),
+    "element of a map": let(expr.At(expr.LocalRead("names", MapOf(INT, STRING, 4), AT), ONE, True, STRING, AT)),
+    "slice of a number": let(expr.Slice(ONE, None, None, True, INT, AT)),
+    "bound of a slice": let(expr.Slice(LIST, HALF, None, True, NUMBERS, AT)),
+    "change of a field that is none": let(expr.With(MINE, "goal", HERE, TASK, AT)),
+    "change of a field's type": let(expr.With(MINE, "id", HALF, TASK, AT)),
+    "change of a list": let(expr.With(LIST, "0", ONE, NUMBERS, AT)),
+    "arity of a tuple": let(expr.Make((ONE,), TupleOf((INT, FLOAT)), AT)),
+    "arity of a record": let(expr.Make((HERE,), TASK, AT)),
+    "element's type": let(expr.Make((ONE, HALF), NUMBERS, AT)),
+    "record that is none": let(expr.Make((ONE,), OTHER, AT)),
+    "map that is made with parts": let(expr.Make((ONE,), GRIDMAP, AT)),
+    "set of floats": let(expr.Make((), KEYED, AT)),
+    "variable of a region": let(expr.Builtin("Rect", (HERE, HERE), RECT, AT)),
+    "variable of a whole array": let(expr.SlotsRead("x", PerRobot(POINT), AT)),
+    "poison": let(expr.Const(0, POISON, AT)),
+    "containment of another type": let(expr.Contains(HALF, LIST, BOOL, AT)),
+    "containment in a number": let(expr.Contains(ONE, ONE, BOOL, AT)),
+    "range as a value": let(expr.Range(ONE, ONE, 1, NUMBERS, AT)),
+    "builtin": let(expr.Builtin("sine", (HALF,), FLOAT, AT)),
+    "arguments": let(expr.Builtin("max", (ONE,), INT, AT)),
+    "argument's type": let(expr.Builtin("sin", (ONE,), FLOAT, AT)),
+    "number that is none": let(expr.Builtin("max", (YES, YES), BOOL, AT)),
+    "two numbers": let(expr.Builtin("max", (ONE, HALF), FLOAT, AT)),
+    "element appended": let(expr.Builtin("appended", (LIST, HALF), NUMBERS, AT)),
+    "method of another type": let(expr.Builtin("keys", (LIST,), NUMBERS, AT)),
+    "function": let(expr.Call("thrice", (ONE,), INT, AT)),
+    "argument of a function": let(expr.Call("twice", (HALF,), INT, AT)),
+    "spec function in an event": let(expr.Call("fair", (ONE,), BOOL, AT)),
+    "arguments of an extern function": let(expr.ExternCall("fee", (ONE,), INT, AT)),
+    "call of a sensor": let(expr.PortCall("Motion", "position", (HERE,), list_of(POINT), AT)),
+    "goal of a planner": let(expr.PortCall("Motion", "planner", (ONE,), list_of(POINT), AT)),
+    "widened float": let(expr.Widen(HALF, FLOAT, AT)),
+    "quantifier in an event": let(expr.Quantified("forall", "i", expr.Ids(NUMBERS, AT), YES, BOOL, AT)),
+    "another robot's local": let(expr.LocalOf("count", ONE, INT, AT)),
+    "another robot's port": let(expr.PortOf("Motion", "position", ONE, POINT, AT)),
+    "prime in an event": let(expr.PortRead("Motion", "position", True, POINT, AT)),
+}
 
 
 @pytest.mark.parametrize("statement", WRONG.values(), ids=WRONG.keys())
 def test_a_faulty_statement_is_an_internal_error(statement: stmt.Stmt) -> None:
-    sound = program()
-    event = replace(sound.events[0], effect=(statement,))
+    event = replace(SOUND.events[0], effect=(statement,))
     with pytest.raises(InternalError, match="3:1"):
-        verify(replace(sound, events=(event,)))
+        verify(replace(SOUND, events=(event,)))
 
 
-def test_faulty_declarations_are_internal_errors() -> None:
-    sound = program()
+def faulty_programs() -> dict[str, decl.Program]:
     pid = expr.Pid(INT, AT)
-    for faulty in (
-        replace(sound, params=(*sound.params, *sound.params)),
-        replace(sound, locals=(replace(sound.locals[0], initial=pid),)),
-        replace(sound, params=(replace(sound.params[0], default=expr.ParamRead("k", INT, AT)),)),
-        replace(sound, events=(*sound.events, *sound.events)),
-        replace(sound, events=(replace(sound.events[0], guard=ONE),)),
-    ):
-        with pytest.raises(InternalError):
-            verify(faulty)
+    param, function, extern = SOUND.params[0], SOUND.functions[0], SOUND.externs[0]
+    go, take = SOUND.events[:2]
+    near = SOUND.properties[1]
+    motion = SOUND.modules[0]
+    call = expr.Call(SOUND.functions[1].name, (ONE,), INT, AT)
+
+    def body(*block: stmt.Stmt) -> decl.Program:
+        return replace(SOUND, functions=(replace(function, block=block), *SOUND.functions[1:]))
+
+    def assumed(formula: expr.Expr) -> decl.Program:
+        return replace(SOUND, modules=(replace(motion, assumptions=(decl.Assumption(formula, AT),)),))
+
+    return {
+        "params": replace(SOUND, params=(param, param)),
+        "a function and a param of one name": replace(SOUND, params=(replace(param, name="once"),)),
+        "initial value": replace(SOUND, locals=(replace(SOUND.locals[0], initial=pid),)),
+        "initial value's type": replace(SOUND, locals=(replace(SOUND.locals[0], initial=HALF),)),
+        "initial value that calls": replace(SOUND, locals=(replace(SOUND.locals[0], initial=call),)),
+        "param of a param": replace(SOUND, params=(replace(param, default=expr.ParamRead("k", INT, AT)),)),
+        "record's defaults": replace(SOUND, records=(replace(SOUND.records[0], defaults=(HERE,)),)),
+        "events": replace(SOUND, events=(go, go)),
+        "guard": replace(SOUND, events=(replace(go, guard=ONE),)),
+        "call of a planner in a guard": replace(
+            SOUND,
+            events=(
+                replace(
+                    go,
+                    guard=expr.Contains(
+                        HERE, expr.PortCall("Motion", "planner", (HERE,), list_of(POINT), AT), BOOL, AT
+                    ),
+                ),
+            ),
+        ),
+        "lock": replace(SOUND, events=(go, replace(take, lock=3))),
+        "variable beyond the lock": replace(SOUND, events=(replace(go, lock=0), take)),
+        "empty lock": replace(SOUND, locks=(*SOUND.locks, ())),
+        "variable of two locks": replace(SOUND, locks=(*SOUND.locks, *SOUND.locks)),
+        "stream as a sensor": replace(
+            SOUND,
+            modules=(
+                motion,
+                replace(SOUND.modules[1], ports=(replace(SOUND.modules[1].ports[0], direction="sensor"),)),
+            ),
+        ),
+        "function that goes on": body(stmt.Let("a", INT, ONE, AT)),
+        "function that may go on": body(stmt.If(YES, (stmt.Return(ONE, AT),), (), AT)),
+        "function that leaves its loop": body(stmt.While(YES, (stmt.If(YES, (stmt.Break(AT),), (), AT),), AT)),
+        "function's result": body(stmt.Return(HALF, AT)),
+        "function that reads a variable": body(stmt.Return(expr.LocalRead("count", INT, AT), AT)),
+        "function that reads pid": body(stmt.Return(pid, AT)),
+        "function that writes": body(stmt.Assign(stmt.LocalPlace("count"), ONE, AT), stmt.Return(ONE, AT)),
+        "function that stops": body(stmt.Stop(AT), stmt.Return(ONE, AT)),
+        "function that calls itself": body(stmt.Return(expr.Call(function.name, (ONE,), INT, AT), AT)),
+        "function that calls a later one": body(stmt.Return(call, AT)),
+        "contract": replace(SOUND, externs=(replace(extern, requires=(ONE,)),)),
+        "result before the call": replace(SOUND, externs=(replace(extern, requires=extern.ensures),)),
+        "property": replace(SOUND, properties=(replace(near, formula=ONE),)),
+        "properties": replace(SOUND, properties=(near, near)),
+        "property with a bare variable": replace(
+            SOUND, properties=(replace(near, formula=expr.LocalRead("on", BOOL, AT)),)
+        ),
+        "assumption on a variable": assumed(expr.LocalRead("on", BOOL, AT)),
+        "assumption of another module": assumed(
+            expr.Compare("==", expr.PortRead("Log", "stdout", False, POINT, AT), HERE, BOOL, AT)
+        ),
+    }
+
+
+@pytest.mark.parametrize("name", faulty_programs())
+def test_a_faulty_program_is_an_internal_error(name: str) -> None:
+    with pytest.raises(InternalError):
+        verify(faulty_programs()[name])
