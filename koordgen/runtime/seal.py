@@ -15,6 +15,7 @@ KEY_SIZE = 32
 MAC_SIZE = 16
 MEMORY = b"k-memory"  # shared memory between agents
 POSITION = b"k-pose"  # position feed from a base station
+SCAN = b"k-scan"  # scans from a lidar
 
 
 class BadKey(Exception):

@@ -52,8 +52,9 @@ class Grid(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=T
 
 
 class Scan(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
-    """One turn of a planar lidar. `angles` in radians, counter-clockwise from the robot's heading; `ranges` in metres,
-    one for each angle; a ray that met nothing has `max_range`, never infinity."""
+    """One turn of a planar lidar. `angles` in radians from east, counter-clockwise, in the world's frame (where a scan
+    was taken tells no heading); `ranges` in metres, one for each angle; a ray that met nothing has `max_range`,
+    never infinity."""
 
     angles: tuple[float, ...] = ()
     ranges: tuple[float, ...] = ()

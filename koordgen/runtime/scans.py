@@ -1,0 +1,201 @@
+"""The scan feed: what a lidar's driver (or the simulator) tells a robot about what stands around it.
+
+One sealed MessagePack datagram a turn; see `Sweep` for its fields. As in the position feed, sequence numbers only grow
+within a session (one run of the driver). A turn is seen for `WINDOW` seconds after it was measured: a robot may look
+several times a round, and sees the same.
+"""
+
+from __future__ import annotations
+
+import math
+import socket
+import struct
+from collections import deque
+from collections.abc import Callable, Sequence
+
+import msgspec
+
+from koordgen.runtime.platform import Unready
+from koordgen.runtime.seal import SCAN, seal, unseal
+from koordgen.runtime.values import Point, Scan
+
+WINDOW = 0.5  # seconds
+MOST_SCANS = 4  # that are kept: the newest
+MOST_RAYS = 512  # in a turn: it fits in one datagram of 1200 bytes
+FARTHEST = 1000.0  # metres that a lidar may claim to see
+NOTHING = 0xFFFF  # the range of a ray that met nothing
+# All that a socket buffers, or a scan that waits behind a flood would be taken for new.
+DATAGRAMS_A_POLL = 512
+LARGEST_DATAGRAM = 2048
+_TURNS = 100.0  # radians: more is no angle
+
+Seen = tuple[Point, Scan]
+
+
+class Sweep(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """One turn of robot `robot`'s lidar, measured at `position` (m, local ENU). Ray i points to `first + i * step`
+    radians from east, counter-clockwise: the driver has turned them by the robot's heading. `ranges` are unsigned
+    16-bit numbers, little-endian: 65535 for a ray that met nothing, else 65535ths of `max_range` (m). `age` is
+    the seconds between the measurement and the sending."""
+
+    robot: str
+    session: int
+    sequence: int
+    position: Point
+    first: float
+    step: float
+    max_range: float
+    ranges: bytes
+    age: float = 0.0
+
+
+_encoder = msgspec.msgpack.Encoder()
+_decoder = msgspec.msgpack.Decoder(Sweep)
+
+
+def packed(ranges: Sequence[float], max_range: float) -> bytes:
+    """`Sweep.ranges` of ranges in metres; `max_range` and more stand for a ray that met nothing."""
+    numbers = (
+        NOTHING if r >= max_range else min(NOTHING - 1, round(max(0.0, r) / max_range * NOTHING)) for r in ranges
+    )
+    return struct.pack(f"<{len(ranges)}H", *numbers)
+
+
+def encode(sweep: Sweep, key: bytes | None) -> bytes:
+    """A datagram that carries one turn."""
+    return seal(key, SCAN, _encoder.encode(sweep))
+
+
+class Scans:
+    """Receives one robot's scans. `rejected` counts what was dropped, by reason; nothing received ever raises."""
+
+    def __init__(self, robot: str, key: bytes | None) -> None:
+        self._robot = robot
+        self._key = key
+        self._session = 0
+        self._sequence = -1
+        self._seen: deque[tuple[float, Seen]] = deque(maxlen=MOST_SCANS)
+        self.rejected: dict[str, int] = {}
+
+    @property
+    def heard(self) -> bool:
+        """Whether a scan has ever come."""
+        return self._sequence >= 0
+
+    def take(self, datagram: bytes, now: float) -> bool:
+        """Take a datagram that arrived at `now`; True when it brought a newer turn."""
+        payload = unseal(self._key, SCAN, datagram)
+        if payload is None:
+            return self._reject("not authentic")
+        try:
+            sweep = _decoder.decode(payload)
+        except (msgspec.DecodeError, RecursionError):
+            return self._reject("malformed")
+        if not _sound(sweep):
+            return self._reject("out of range")
+        if sweep.robot != self._robot:
+            return self._reject("another robot's")
+        if sweep.session < self._session or (sweep.session == self._session and sweep.sequence <= self._sequence):
+            return self._reject("old")
+        self._session, self._sequence = sweep.session, sweep.sequence
+        self._seen.append((now - max(0.0, sweep.age), (sweep.position, _scan(sweep))))
+        return True
+
+    def recent(self, now: float) -> tuple[Seen, ...]:
+        """The scans not older than WINDOW, each with where it was measured, the newest last; changes nothing."""
+        return tuple(seen for time, seen in self._seen if now - time <= WINDOW)
+
+    def _reject(self, reason: str) -> bool:
+        self.rejected[reason] = self.rejected.get(reason, 0) + 1
+        return False
+
+
+class ScanPort:
+    """Where one robot's scans arrive, by its setting `scans`: "udp:HOST:PORT", or "" when it has no lidar."""
+
+    def __init__(self, setting: str, robot: str, key: bytes | None) -> None:
+        self._setting = setting
+        self._socket: socket.socket | None = None
+        self.scans = Scans(robot, key)
+
+    def open(self) -> None:
+        """Bind the port, if there is one and it is not bound. Raises Unready."""
+        if not self._setting or self._socket is not None:
+            return
+        kind, _, address = self._setting.partition(":")
+        host, _, port = address.rpartition(":")
+        if kind != "udp" or not host or not port.isascii() or not port.isdigit():
+            hint = "write `scans: udp:HOST:PORT`, as in udp:0.0.0.0:47400; leave it out when there is no lidar"
+            raise Unready(f"scans {self._setting!r} is not understood", hint)
+        opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            opened.setblocking(False)
+            opened.bind((host, int(port)))
+        except (OSError, OverflowError) as error:
+            opened.close()
+            hint = "free the port, or give another in `scans` of the robot's settings and to the lidar's driver"
+            reason = getattr(error, "strerror", None) or error
+            raise Unready(f"cannot receive scans on {host}:{port}: {reason}", hint) from None
+        self._socket = opened
+
+    def poll(self, now: float) -> None:
+        """Take what has arrived."""
+        if self._socket is None:
+            return
+        for _ in range(DATAGRAMS_A_POLL):
+            try:
+                datagram = self._socket.recv(LARGEST_DATAGRAM)
+            except OSError:  # nothing there; or a stray network error, which later silence tells well enough
+                return
+            self.scans.take(datagram, now)
+
+    @property
+    def waiting(self) -> str:
+        """In words, that the first scan is still to come; "" when it has come, or none will."""
+        if not self._setting or self.scans.heard:
+            return ""
+        rejected = ", ".join(f"{n} {why}" for why, n in self.scans.rejected.items())
+        return f"waiting for scans on {self._setting}" + (f"; dropped: {rejected}" if rejected else "")
+
+    def check(self, wait: Callable[[float], None]) -> list[str]:
+        """For a platform's `check`: a line when scans arrive, none without a lidar. `wait` lets some seconds pass.
+        Raises Unready when none has come within WINDOW: a slower lidar would often show nothing."""
+        self.open()
+        if not self._setting:
+            return []
+        for _ in range(10):
+            self.poll(0.0)
+            if self.scans.heard:
+                return [f"scans arrive on {self._setting}"]
+            wait(WINDOW / 10)
+        hint = "start the lidar's driver; check that it knows this robot's name, address and the fleet's key"
+        raise Unready(f"{self.waiting}, but none has come within {WINDOW:g} s", hint)
+
+    def close(self) -> None:
+        """Give the port back. Idempotent."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+
+def _sound(sweep: Sweep) -> bool:
+    """Whether the numbers of a turn are such (comparisons with NaN are false), and as many as they may be."""
+    p = sweep.position
+    return (
+        all(map(math.isfinite, (p.x, p.y, p.z, sweep.age)))
+        and abs(sweep.first) <= _TURNS
+        and abs(sweep.step) <= _TURNS
+        and 0.0 < sweep.max_range <= FARTHEST
+        and len(sweep.ranges) % 2 == 0
+        and 2 <= len(sweep.ranges) <= 2 * MOST_RAYS
+    )
+
+
+def _scan(sweep: Sweep) -> Scan:
+    numbers = struct.unpack(f"<{len(sweep.ranges) // 2}H", sweep.ranges)
+    unit = sweep.max_range / NOTHING
+    return Scan(
+        tuple(sweep.first + i * sweep.step for i in range(len(numbers))),
+        tuple(sweep.max_range if n == NOTHING else n * unit for n in numbers),
+        sweep.max_range,
+    )
