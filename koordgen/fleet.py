@@ -16,6 +16,7 @@ _ADDRESS = re.compile(r"([A-Za-z0-9.-]+|\[[0-9A-Fa-f:.]+\]):(\d{1,5})")
 # Thresholds of the safety layer, with the defaults of koordgen/runtime/settings.py (a test compares them).
 SAFETY = {"position_stale": 0.5, "position_lost": 2.0, "missed_rounds": 10, "outside_fence": 0.5}
 MOST_ROBOTS = 128  # as koordgen/runtime/wire.py allows (a test compares them)
+MOST_OBSTACLES = 1000
 
 
 class Robot(Node):
@@ -38,6 +39,7 @@ class Fleet(Node):
     delta: float
     origin: dict[str, float]
     geofence: dict[str, list[float]]
+    obstacles: tuple[dict[str, list[float]], ...]
     key: str  # file name; empty without one
     insecure: bool
     params: dict[str, Any]
@@ -58,10 +60,9 @@ def read(source: Source, targets: Mapping[str, Target], params: Mapping[str, str
 
     reader = Reader(source, counted)
     harnesses = sorted(name for name, t in targets.items() if t.kind == "harness")
-    optional = ["application_id", "key", "insecure", "params", "safety", *harnesses]
+    optional = ["application_id", "key", "insecure", "params", "safety", "obstacles", *harnesses]
     top = reader.table(reader.document(), "the fleet file", ["delta", "origin", "geofence", "robots"], optional)
     origin = reader.table(top.get("origin"), "origin", ["latitude", "longitude", "altitude"], [])
-    corner = reader.table(top.get("geofence"), "geofence", ["lo", "hi"], [])
     insecure = bool(reader.scalar(top.get("insecure"), "insecure", bool))
     fleet = Fleet(
         application_id=reader.number(top.get("application_id"), "application_id", 0, 65535, int) or 0,
@@ -71,7 +72,8 @@ def read(source: Source, targets: Mapping[str, Target], params: Mapping[str, str
             "longitude": reader.number(origin.get("longitude"), "longitude (degrees)", -180, 180),
             "altitude": reader.number(origin.get("altitude"), "altitude (metres)", -1000, 10000),
         },
-        geofence=_geofence(reader, corner),
+        geofence=_box(reader, top.get("geofence"), "geofence"),
+        obstacles=_obstacles(reader, top.get("obstacles")),
         key=_key(reader, top.get("key"), insecure),
         insecure=insecure,
         params=_params(reader, top.get("params"), params),
@@ -82,11 +84,19 @@ def read(source: Source, targets: Mapping[str, Target], params: Mapping[str, str
     return None if mistakes else fleet
 
 
-def _geofence(reader: Reader, corner: dict[str, YamlNode]) -> dict[str, list[float]]:
-    lo, hi = reader.vector(corner.get("lo"), "geofence.lo"), reader.vector(corner.get("hi"), "geofence.hi")
+def _box(reader: Reader, node: YamlNode | None, what: str) -> dict[str, list[float]]:
+    corner = reader.table(node, what, ["lo", "hi"], [])
+    lo, hi = reader.vector(corner.get("lo"), f"{what}.lo"), reader.vector(corner.get("hi"), f"{what}.hi")
     if lo and hi and any(a >= b for a, b in zip(lo, hi, strict=True)):
-        reader.report("F005", "geofence.lo must be below geofence.hi on every axis", corner["hi"])
+        reader.report("F005", f"{what}.lo must be below {what}.hi on every axis", corner["hi"])
     return {"lo": lo or [], "hi": hi or []}
+
+
+def _obstacles(reader: Reader, node: YamlNode | None) -> tuple[dict[str, list[float]], ...]:
+    entries = reader.items(node, "obstacles")
+    if node is not None and len(entries) > MOST_OBSTACLES:
+        reader.report("F005", f"obstacles lists {len(entries)}; there may be at most {MOST_OBSTACLES}", node)
+    return tuple(_box(reader, entry, f"obstacle {i}") for i, entry in enumerate(entries))
 
 
 def _key(reader: Reader, node: YamlNode | None, insecure: bool) -> str:

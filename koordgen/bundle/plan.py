@@ -124,6 +124,7 @@ def _facts(program: Program, fleet: Fleet) -> dict[str, Any]:
         "delta": fleet.delta,
         "origin": fleet.origin,
         "geofence": fleet.geofence,
+        "obstacles": fleet.obstacles,
         "peers": [{"name": r.name, "host": r.host, "port": r.port} for r in fleet.robots],
     }
 
@@ -149,7 +150,7 @@ def _scenario(these: Ingredients, fleet: Fleet, harness: Target) -> dict[str, An
     return {
         "app": these.program.name,
         "source": these.program.path,
-        **{k: facts[k] for k in ("program_hash", "delta", "origin", "geofence")},
+        **{k: facts[k] for k in ("program_hash", "delta", "origin", "geofence", "obstacles")},
         "harness": fleet.harness.get(harness.name) or {k: s.default for k, s in harness.settings.items()},
         "robots": [
             {
