@@ -20,6 +20,7 @@ from koordgen.runtime.seal import SCAN, seal, unseal
 from koordgen.runtime.values import Point, Scan
 
 WINDOW = 0.5  # seconds
+PATIENCE = 60.0  # seconds for the first scan: a driver may be started after the robot
 MOST_SCANS = 4  # that are kept: the newest
 MOST_RAYS = 512  # in a turn: it fits in one datagram of 1200 bytes
 FARTHEST = 1000.0  # metres that a lidar may claim to see
@@ -28,6 +29,7 @@ NOTHING = 0xFFFF  # the range of a ray that met nothing
 DATAGRAMS_A_POLL = 512
 LARGEST_DATAGRAM = 2048
 _TURNS = 100.0  # radians: more is no angle
+_HINT = "start the lidar's driver; check that it knows this robot's name, address and the fleet's key"
 
 Seen = tuple[Point, Scan]
 
@@ -116,6 +118,8 @@ class ScanPort:
     def __init__(self, setting: str, robot: str, key: bytes | None) -> None:
         self._setting = setting
         self._socket: socket.socket | None = None
+        self._began: float | None = None  # when the first scan was first looked for
+        self._patient = True
         self.scans = Scans(robot, key)
 
     def open(self) -> None:
@@ -139,12 +143,20 @@ class ScanPort:
         self._socket = opened
 
     def poll(self, now: float) -> None:
-        """Take what has arrived."""
+        """Take what has arrived. Raises Unready, once, when no scan has come for PATIENCE seconds: the robot must be
+        able to go on to its safe end."""
         if self._socket is None:
             return
+        self._drain(self._socket, now)
+        self._began = now if self._began is None else self._began
+        if self.waiting and self._patient and now - self._began > PATIENCE:
+            self._patient = False
+            raise Unready(f"{self.waiting}, but none has come for {now - self._began:.0f} s", _HINT)
+
+    def _drain(self, port: socket.socket, now: float) -> None:
         for _ in range(DATAGRAMS_A_POLL):
             try:
-                datagram = self._socket.recv(LARGEST_DATAGRAM)
+                datagram = port.recv(LARGEST_DATAGRAM)
             except OSError:  # nothing there; or a stray network error, which later silence tells well enough
                 return
             self.scans.take(datagram, now)
@@ -168,8 +180,7 @@ class ScanPort:
             if self.scans.heard:
                 return [f"scans arrive on {self._setting}"]
             wait(WINDOW / 10)
-        hint = "start the lidar's driver; check that it knows this robot's name, address and the fleet's key"
-        raise Unready(f"{self.waiting}, but none has come within {WINDOW:g} s", hint)
+        raise Unready(f"{self.waiting}, but none has come within {WINDOW:g} s", _HINT)
 
     def close(self) -> None:
         """Give the port back. Idempotent."""

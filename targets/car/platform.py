@@ -1,6 +1,7 @@
-"""The car behind the Motion ports: goes to points, holds, comes to rest. One polled state machine at 20 Hz.
+"""The car behind the ports of Motion and MotionWithScan: goes to points, holds, comes to rest. One polled state
+machine at 20 Hz.
 
-`Motion.position` is the middle of the rear axle, in local ENU, z = 0; that is also the point that comes to a target,
+`position` is the middle of the rear axle, in local ENU, z = 0; that is also the point that comes to a target,
 whose z is ignored, and the point that the position feed must give.
 """
 
@@ -14,6 +15,7 @@ from typing import Any
 from koordgen.runtime.feed import Feed
 from koordgen.runtime.platform import Sensed, Unready
 from koordgen.runtime.safety import inside
+from koordgen.runtime.scans import ScanPort
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.values import Point, Pose
 from targets.car.drive import Drive
@@ -25,6 +27,7 @@ from targets.car.settings import decode
 from targets.planning.planner import Planner
 from targets.planning.route import Route
 
+MODULES = ("Motion", "MotionWithScan")  # one body under two names; the second has a lidar
 STALE = 0.3  # seconds without a sample of the position feed: brake
 WAIT_FOR_DRIVE, WAIT_FOR_FEED = 5.0, 60.0  # seconds until Unready; a base station may be started after the robots
 BLIND_BRAKING = 1.5  # seconds of braking after which a car whose speed nobody measures counts as standing
@@ -47,6 +50,7 @@ class Car:
         self._fence = settings.geofence
         self._links: Links = links if links is not None else RealLinks()
         self._feed = Feed(settings.robot, key)
+        self._lidar = ScanPort(self._settings.scans, settings.robot, key)
         self._estimator = Estimator(self._settings.wheelbase)
         self._datagrams: DatagramLink | None = None
         self._drive: Drive | None = None
@@ -78,12 +82,14 @@ class Car:
             raise self._silent_drive(_CHECK_STEPS * _CHECK_STEP)
         if not fed:
             raise self._silent_feed(_CHECK_STEPS * _CHECK_STEP)
+        scans = self._lidar.check(self._links.wait)
         self._build()
         position = self._feed.pose.position if self._feed.pose else Point()
         return [
             f"motor controller answers on {self._settings.drive}, supply {drive.voltage:.1f} V",
             f"position feed arrives on {self._settings.position}: ({position.x:.2f}, {position.y:.2f})",
             f"planner and MPC are ready, turning radius {self._settings.planned_radius:.2f} m",
+            *scans,
         ]
 
     def start(self, now: float) -> None:
@@ -92,9 +98,10 @@ class Car:
         self._now = self._started = now
 
     def _open(self) -> tuple[Drive, DatagramLink]:
-        """Open both links, if they are not open: the socket first, for opening a VESC's port can take a moment."""
+        """Open the links that are not open: the sockets first, for opening a VESC's port can take a moment."""
         if self._datagrams is None:
             self._datagrams = self._links.position(self._settings.position)
+        self._lidar.open()
         if self._drive is None:
             self._drive = Drive(self._settings, self._links.drive(self._settings.drive))
         return self._drive, self._datagrams
@@ -108,6 +115,7 @@ class Car:
 
     def poll(self, now: float) -> None:
         self._now = now
+        self._lidar.poll(now)
         try:
             drive = self._read(now)
         except Unready:
@@ -211,34 +219,39 @@ class Car:
 
     @property
     def ready(self) -> bool:
-        return self._drive is not None and self._drive.heard and self._drive.fault == 0 and self._fresh(self._now)
+        if self._drive is None or not self._drive.heard or self._drive.fault:
+            return False
+        return self._fresh(self._now) and not self._lidar.waiting
 
     @property
     def progress(self) -> str:
         if self._navigator is None:
             return "not started"
-        return self._blocked or self._navigator.progress
+        return self._blocked or self._lidar.waiting or self._navigator.progress
 
     def sense(self, now: float) -> Sensed:
         """The filtered pose, run on to `now`."""
         state = self._estimator.state
         position = Point(state.x, state.y, 0.0)
         speed = self._estimator.speed(now) or 0.0
-        values = {
-            "Motion.position": position,
-            "Motion.pose": Pose(position, state.yaw),
-            "Motion.velocity": Point(speed * math.cos(state.yaw), speed * math.sin(state.yaw), 0.0),
-            "Motion.reached": self._navigator is None or (self._navigator.reached and self._route.last),
+        ports = {
+            "position": position,
+            "pose": Pose(position, state.yaw),
+            "velocity": Point(speed * math.cos(state.yaw), speed * math.sin(state.yaw), 0.0),
+            "reached": self._navigator is None or (self._navigator.reached and self._route.last),
         }
+        values: dict[str, Any] = {f"{module}.{port}": value for module in MODULES for port, value in ports.items()}
+        values["MotionWithScan.pscan"] = self._lidar.scans.recent(now)
         return Sensed(values, self._feed.time)
 
     def command(self, actuators: Mapping[str, Any], now: float) -> None:
         if self._navigator is None:
             return
-        if "Motion.target" in actuators:
-            self._go((actuators["Motion.target"],), self._navigator)
-        if "Motion.path" in actuators:
-            self._go(actuators["Motion.path"], self._navigator)
+        for module in MODULES:
+            if f"{module}.target" in actuators:
+                self._go((actuators[f"{module}.target"],), self._navigator)
+            if f"{module}.path" in actuators:
+                self._go(actuators[f"{module}.path"], self._navigator)
 
     def _go(self, points: tuple[Point, ...], navigator: Navigator) -> None:
         if not self._route.take(points):
@@ -247,7 +260,7 @@ class Car:
         navigator.go_to((state.x, state.y) if goal is None else (goal.x, goal.y))
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
-        """See Platform. `Motion.planner(goal, obstacles)`: a goal that is not on the ground is infeasible."""
+        """See Platform. The only one is `planner(goal, obstacles)`: a goal that is not on the ground is infeasible."""
         goal, obstacles = args[0], args[1] if len(args) > 1 else ()
         if goal.z != 0.0 or not inside(self._fence, goal):
             return ()
@@ -279,3 +292,4 @@ class Car:
         if self._datagrams is not None:
             self._datagrams.close()
         self._drive = self._datagrams = None
+        self._lidar.close()

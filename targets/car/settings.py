@@ -20,6 +20,7 @@ class CarSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     drive: str = "vesc:/dev/ttyACM0"
     position: str = "udp:0.0.0.0:47300"
+    scans: str = ""
     wheelbase: Annotated[float, msgspec.Meta(ge=0.05, le=5.0)] = 0.33
     max_steering: Annotated[float, msgspec.Meta(ge=0.05, le=1.2)] = 0.4
     max_steering_rate: Annotated[float, msgspec.Meta(ge=0.1, le=20.0)] = 3.0

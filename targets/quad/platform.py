@@ -1,6 +1,6 @@
-"""A multicopter behind an ArduPilot autopilot: the Motion ports of a program, served over MAVLink 2.
+"""A multicopter behind an ArduPilot autopilot: the ports of Motion and MotionWithScan, served over MAVLink 2.
 
-`Motion.position` and `velocity` are the autopilot's estimate; `target` is approached in a straight line at `max_speed`
+`position` and `velocity` are the autopilot's estimate; `target` is approached in a straight line at `max_speed`
 and at `flight_height` or above, the points of a `path` one after the other; `reached` means arrived and standing still.
 """
 
@@ -15,6 +15,7 @@ import msgspec
 from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.platform import Sensed, Unready
 from koordgen.runtime.safety import clamp, inside
+from koordgen.runtime.scans import ScanPort
 from koordgen.runtime.settings import BadSettings, Settings
 from koordgen.runtime.values import Point
 from targets.planning.planner import Planner
@@ -25,6 +26,8 @@ from targets.quad.motion import Motion
 from targets.quad.telemetry import Telemetry
 from targets.quad.transport import Transport, opened
 
+MODULES = ("Motion", "MotionWithScan")  # one body under two names; the second has a lidar
+
 
 class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What `settings:` of a quad says; the bounds are those of manifest.toml."""
@@ -34,12 +37,13 @@ class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     max_speed: Annotated[float, msgspec.Meta(ge=0.1, le=15.0)] = 1.0
     reached_radius: Annotated[float, msgspec.Meta(ge=0.01, le=5.0)] = 0.15
     reached_dwell: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 0.3
+    scans: str = ""
     clearance: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.5
 
 
 class Quad:
-    """Implements koordgen.runtime.platform.Platform. The fleet's key plays no part: the autopilot's link is a wire or
-    loopback. `connect`, `clock` and `sleep` are what the surroundings give; the last two serve `check` alone."""
+    """Implements koordgen.runtime.platform.Platform. The fleet's key serves scans alone: the autopilot's link is a wire
+    or loopback. `connect`, `clock` and `sleep` are what the surroundings give; the last two serve `check` alone."""
 
     period = 0.05
 
@@ -68,6 +72,7 @@ class Quad:
             self._frame, fence, body.flight_height, body.max_speed, body.reached_radius, body.reached_dwell
         )
         self._connect, self._clock, self._sleep = connect, clock, sleep
+        self._lidar = ScanPort(body.scans, settings.robot, key)
         self._link: Link | None = None
         self._flight: Flight | None = None
         self._planner: Planner | None = None  # made when first called: most programs have no use for it
@@ -77,16 +82,19 @@ class Quad:
         """See Platform: hears the autopilot, its firmware and its position estimate; moves nothing."""
         link = Link(self._connect(self._body.autopilot))
         try:
-            return checked(
+            self._lidar.open()  # what arrives meanwhile waits in its socket
+            found = checked(
                 self._body.autopilot, link, self._frame, self._fence, self._body.flight_height, self._clock, self._sleep
             )
+            return found + self._lidar.check(self._sleep)
         finally:
             link.close()
 
     def start(self, now: float) -> None:
-        """See Platform: opens the link; `poll` then takes off."""
+        """See Platform: opens the links; `poll` then takes off."""
         url = self._body.autopilot
         self._now = now
+        self._lidar.open()
         self._link = Link(self._connect(url))
         self._flight = Flight(url, self._link, self._telemetry, self._fence, self._body.flight_height, now)
 
@@ -95,6 +103,7 @@ class Quad:
         if self._flight is None or self._link is None:
             raise Unready("the quad was not started")
         self._now = now
+        self._lidar.poll(now)
         self._flight.poll(now)
         if self._flight.phase is Phase.FLYING and self._telemetry.fresh(now):
             self._motion.steer(self._link, self._telemetry, now)
@@ -103,7 +112,7 @@ class Quad:
 
     @property
     def ready(self) -> bool:
-        """At flight height, position fresh, and the autopilot seen to follow setpoints."""
+        """At flight height, position fresh, the autopilot seen to follow setpoints, and a scan seen of a lidar."""
         return (
             self._flight is not None
             and self._flight.phase is Phase.FLYING
@@ -111,6 +120,7 @@ class Quad:
             and self._link.alive(self._now)
             and self._telemetry.fresh(self._now)
             and self._motion.followed
+            and not self._lidar.waiting
         )
 
     @property
@@ -119,27 +129,28 @@ class Quad:
         if self._flight is None:
             return "not started"
         refused = f"; {self._motion.refused} targets were not finite" if self._motion.refused else ""
-        return self._flight.progress + refused
+        waiting = f"; {self._lidar.waiting}" if self._lidar.waiting else ""
+        return self._flight.progress + waiting + refused
 
     def sense(self, now: float) -> Sensed:
         """See Platform. Before the first estimate the position is the origin, and `time` is None."""
         state = self._telemetry
-        values = {
-            "Motion.position": state.position or Point(),
-            "Motion.velocity": state.velocity,
-            "Motion.reached": self._motion.reached,
-        }
+        ports = {"position": state.position or Point(), "velocity": state.velocity, "reached": self._motion.reached}
+        values: dict[str, Any] = {f"{module}.{port}": value for module in MODULES for port, value in ports.items()}
+        values["MotionWithScan.pscan"] = self._lidar.scans.recent(now)
         return Sensed(values, state.time)
 
     def command(self, actuators: Mapping[str, Any], now: float) -> None:
         """See Platform. What is not finite is refused, counted and shown in `progress`."""
-        if "Motion.target" in actuators:
-            self._motion.command((actuators["Motion.target"],))
-        if "Motion.path" in actuators:
-            self._motion.command(actuators["Motion.path"])
+        for module in MODULES:
+            if f"{module}.target" in actuators:
+                self._motion.command((actuators[f"{module}.target"],))
+            if f"{module}.path" in actuators:
+                self._motion.command(actuators[f"{module}.path"])
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
-        """See Platform. `Motion.planner(goal, obstacles)`: one on the ground or outside the fence is infeasible."""
+        """See Platform. The only one is `planner(goal, obstacles)`: a goal on the ground or outside the fence is
+        infeasible."""
         goal, obstacles = args[0], args[1] if len(args) > 1 else ()
         position = self._telemetry.position
         if position is None or goal.z <= 0.0 or not inside(self._fence, goal):
@@ -167,3 +178,4 @@ class Quad:
         if self._link is not None:
             self._link.close()
             self._link = None
+        self._lidar.close()

@@ -76,7 +76,9 @@ def test_it_becomes_ready_and_stands_before_any_command() -> None:
     assert standing(world) and world.distance(0, 0) < 0.01
     sensed = platform.sense(world.now)
     assert sensed.time == pytest.approx(world.now, abs=0.06)
-    assert set(sensed.values) == {f"Motion.{p}" for p in ("position", "pose", "velocity", "reached")}
+    ports = ("position", "pose", "velocity", "reached")
+    both = {f"{module}.{port}" for module in ("Motion", "MotionWithScan") for port in ports}
+    assert set(sensed.values) == both | {"MotionWithScan.pscan"}
 
 
 @pytest.mark.parametrize("goal", [(3.0, 1.0), (-2.0, 0.0), (0.0, 0.25), (-3.0, -3.0), (5.95, -4.95)])
