@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from koordgen.check import check
-from koordgen.diagnostics import Diagnostic
+from koordgen.diagnostics import Diagnostic, in_order
 from koordgen.ir.decl import Program
 from koordgen.ir.verify import verify
 from koordgen.node import Node
@@ -56,17 +56,18 @@ def parse_file(path: str) -> tuple[Source, tree.Program]:
     """parse. Raises Rejected."""
     source = read_source(path)
     parsed, found = parse(source)
-    if parsed is None:
+    if found:
         raise Rejected([(source, d) for d in found])
     return source, parsed
 
 
 def check_file(path: str) -> Checked:
-    """parse, check, verify. Raises Rejected."""
-    source, parsed = parse_file(path)
+    """parse, check, verify; what could be read of a text is checked, whatever else is wrong with it. Raises Rejected."""
+    source = read_source(path)
+    parsed, unread = parse(source)
     program, found = check(parsed, source)
-    if program is None:
-        raise Rejected([(source, d) for d in found])
+    if unread or program is None:
+        raise Rejected([(source, d) for d in in_order([*unread, *found])])
     verify(program)
     return Checked(source, program, tuple(found))
 
