@@ -30,8 +30,13 @@ def extern_types(sections: Iterable[ast.ExternType], c: Context) -> tuple[decl.E
     return tuple([decl.ExternType(node.name, node.span) for node in sections])
 
 
-def record_types(sections: list[ast.RecordDef], c: Context) -> list[ast.RecordDef]:
-    """Makes the records' types known. The records that have one, each behind those that its fields hold."""
+Fields = list[tuple[ast.Variable, Type]]
+Records = list[tuple[ast.RecordDef, Fields, RecordType | None]]
+
+
+def record_types(sections: list[ast.RecordDef], c: Context) -> Records:
+    """Makes the records' types known. The records, each behind those that its fields hold; those without a type are
+    wrong."""
     from koordgen.check.graph import ordered
 
     for node in sections:
@@ -44,19 +49,15 @@ def record_types(sections: list[ast.RecordDef], c: Context) -> list[ast.RecordDe
         c.error("K055", f"the record {cycle[0]} contains itself{way}", owned[cycle[0]].span, help)
     inside = {name for cycle in cycles for name in cycle}
     room: dict[str, tuple[int, int]] = {}
-    sound = []
-    for name in [n for n in order if n not in inside]:
-        type_ = _record_type(owned[name], room, c)
-        c.types[name] = type_ if c.entities.get(name, c) is not None else None
-        enter(name, owned[name], decl.Record(type_, (), owned[name].span) if type_ else None, c)
-        if type_ is not None:
-            sound.append(owned[name])
-    for node in sections:
-        if node.name in inside:
-            c.entities[node.name] = None
-        if node.name in inside or not owns(node.name, node, c):
-            _record_type(node, room, c)
-    return sound
+    records: Records = []
+    for node in [*(owned[name] for name in order), *(n for n in sections if not owns(n.name, n, c))]:
+        fields, type_ = _record_type(node, room, c)
+        type_ = None if node.name in inside else type_
+        records.append((node, fields, type_))
+        enter(node.name, node, decl.Record(type_, (), node.span) if type_ else None, c)
+        if owned.get(node.name) is node and c.entities[node.name] is not None:
+            c.types[node.name] = type_
+    return records
 
 
 _MOST_PARTS, _DEEPEST = 1000, 20  # of one record, those of the records in it included
@@ -66,37 +67,34 @@ def _held(node: ast.RecordDef) -> list[str]:
     return [part.name for field in node.fields for part in nodes(field.type) if isinstance(part, written.NamedType)]
 
 
-def _record_type(node: ast.RecordDef, room: dict[str, tuple[int, int]], c: Context) -> RecordType | None:
-    fields: list[tuple[str, Type]] = []
+def _record_type(node: ast.RecordDef, room: dict[str, tuple[int, int]], c: Context) -> tuple[Fields, RecordType | None]:
+    fields: Fields = []
     seen: dict[str, Span] = {}
     for field in node.fields:
         type_ = bounded(resolve(field.type, c), field.capacities, False, c)
         _no_size(field, "in a record", c)
         if unique(field.name, f"fields of {node.name}", field.span, seen, c):
-            fields.append((field.name, type_))
+            fields.append((field, type_))
     inner = [room[name] for name in _held(node) if name in room]
     parts, depth = len(fields) + sum(p for p, _ in inner), 1 + max((d for _, d in inner), default=0)
     room[node.name] = parts, depth
     if parts > _MOST_PARTS or depth > _DEEPEST:
         much = f"more than {_MOST_PARTS} parts" if parts > _MOST_PARTS else f"records more than {_DEEPEST} deep"
         c.error("K007", f"the record {node.name} holds {much}", node.span, "hold less in one record")
-        return None
-    return None if any(t == POISON for _, t in fields) else RecordType(node.name, tuple(fields))
+        return fields, None
+    if any(type_ is POISON for _, type_ in fields):
+        return fields, None
+    return fields, RecordType(node.name, tuple([(field.name, type_) for field, type_ in fields]))
 
 
-def record_defaults(sections: list[ast.RecordDef], c: Context) -> tuple[decl.Record, ...]:
+def record_defaults(found: Records, c: Context) -> tuple[decl.Record, ...]:
     """The records with their fields' first values, in the order given."""
     records = []
-    for node in sections:
-        entity = c.entities[node.name]
-        if not isinstance(entity, decl.Record):
-            continue
-        types = dict(entity.type.fields)
-        first = {field.name: field for field in reversed(node.fields)}
-        defaults = [_initial(first[n], first[n].initial, t, c, _NO_PARAM_IN_FIELD) for n, t in types.items()]
-        record = decl.Record(entity.type, tuple(defaults), node.span)
-        enter(node.name, node, record, c)
-        records.append(record)
+    for node, fields, type_ in found:
+        defaults = [_initial(field, field.initial, held, c, _NO_PARAM_IN_FIELD) for field, held in fields]
+        if type_ is not None:
+            records.append(decl.Record(type_, tuple(defaults), node.span))
+            enter(node.name, node, records[-1], c)
     return tuple(records)
 
 
@@ -108,7 +106,7 @@ def param_types(sections: list[ast.Param], c: Context) -> None:
     for node in sections:
         type_ = bounded(resolve(node.type, c), node.capacities, True, c)
         blank = c.poison(node.span)
-        enter(node.name, node, None if type_ == POISON else decl.Param(node.name, type_, blank, node.span), c)
+        enter(node.name, node, None if type_ is POISON else decl.Param(node.name, type_, blank, node.span), c)
 
 
 def param_defaults(sections: list[ast.Param], c: Context) -> tuple[decl.Param, ...]:
@@ -119,7 +117,7 @@ def param_defaults(sections: list[ast.Param], c: Context) -> tuple[decl.Param, .
         value = _initial(node, node.default, type_, c, _NO_PARAM_IN_PARAM)
         param = decl.Param(node.name, type_, value, node.span)
         params.append(param)
-        if type_ == POISON:
+        if type_ is POISON:
             continue
         enter(node.name, node, param, c)
         known = term(value, Flow()) if value.type == INT else None
@@ -139,7 +137,7 @@ def variable_types(sections: Iterable[ast.Variables], c: Context) -> Typed:
         for node in section.variables:
             type_ = _variable_type(node, kind, c)
             typed.append((node, kind, type_))
-            if type_ == POISON:
+            if type_ is POISON:
                 enter(node.name, node, None, c)
             elif kind == "local":
                 enter(node.name, node, decl.Local(node.name, type_, c.poison(node.span), node.span), c)
@@ -159,7 +157,7 @@ def _variable_type(node: ast.Variable, kind: Kind, c: Context) -> Type:
         element = dialect_element(type_.args[0], c)
         new = f"{element} {node.name}[N_SYS]"
         place = Span(type_.span.line, type_.span.column, node.span.end_line, node.span.end_column)
-        if element != POISON:
+        if element is not POISON:
             c.modern(c.text(place), new, place, (Edit(place, new),))
         return bounded(element, node.capacities, False, c)
     else:
@@ -195,7 +193,7 @@ def _initial(
 ) -> expr.Expr:
     """A first value: literals, builtins, and params unless a message says why not."""
     if value is None:
-        return c.poison(node.span) if type_ == POISON else default(type_, node.span, c)
+        return c.poison(node.span) if type_ is POISON else default(type_, node.span, c)
     c.enter("constant")
     if no_params and not isinstance(value, tree.Literal):
         for part in nodes(value):

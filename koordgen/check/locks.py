@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import assert_never
 
 from koordgen.check import linear
 from koordgen.check.context import Context
@@ -141,6 +142,8 @@ def _renamed(item: Formula) -> Formula:
             return Or(tuple([_renamed(part) for part in parts]))
         case Unknown():
             return item
+        case _:
+            assert_never(item)
 
 
 def _term(term: Linear) -> Linear:
@@ -158,3 +161,5 @@ def _variable(var: Var) -> Var:
             return Remainder(_term(operand), _term(divisor))
         case Choice(condition, then, orelse):
             return Choice(_renamed(condition), _term(then), _term(orelse))
+        case _:
+            assert_never(var)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Literal
 
-from koordgen.check.base import condition
+from koordgen.check.base import a, condition
 from koordgen.check.context import Context
 from koordgen.check.names import enter, owns
 from koordgen.check.types import bounded, resolve
 from koordgen.diagnostics import Label
 from koordgen.ir import decl
-from koordgen.ir.types import PLANNER, STREAM, Type
+from koordgen.ir.types import PLANNER, POISON, STREAM, Type
 from koordgen.node import replace
 from koordgen.syntax import decl as ast
 
@@ -63,8 +63,8 @@ def _direction(
         return "stream"
     if not under:
         help = f"it stands under 'sensors:' or 'actuators:' of {name.partition('.')[0]}"
-        if str(type_) != "<error>":
-            c.error("K017", f"{name} is a {type_}; only a PathPlanner or a stream stands here", node.span, help)
+        if type_ is not POISON:
+            c.error("K017", f"{name} is {a(type_)}; only a PathPlanner or a stream stands here", node.span, help)
         return "sensor"
     return under
 
@@ -73,7 +73,8 @@ def assumptions(sections: Iterable[ast.Using], modules: list[decl.Module], c: Co
     """The modules with what is assumed of their ports."""
     assumed: dict[str, list[decl.Assumption]] = {}
     for section in sections:
-        for item in section.items:
+        known = isinstance(c.entities.get(section.name), decl.Module)
+        for item in section.items if known else ():
             if isinstance(item, ast.Assume):
                 c.enter("assume")
                 c.module = section.name

@@ -45,7 +45,7 @@ def _program(program: ast.Program, c: Context) -> decl.Program:
 
     claim(program, c)
     opaque = extern_types(of(ast.ExternType), c)
-    sound = record_types(of(ast.RecordDef), c)
+    fields = record_types(of(ast.RecordDef), c)
     param_types(of(ast.Param), c)
     typed = variable_types(of(ast.Variables), c)
     ports = modules(of(ast.Using), c)
@@ -60,7 +60,7 @@ def _program(program: ast.Program, c: Context) -> decl.Program:
         for node in written[1]:
             function.signature(node, c)
         signed = [(node, function.signature(node, c)) for node in written[0]]
-    records = record_defaults(sound, c)
+    records = record_defaults(fields, c)
     params = param_defaults(of(ast.Param), c)
     shared, locals_ = variable_initials(typed, c)
     if any(written):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import assert_never
 
+from koordgen.check.base import a
 from koordgen.check.context import Context
 from koordgen.ir import expr as ir
 from koordgen.ir.types import (
@@ -154,7 +155,7 @@ def bounded(type_: Type, capacities: tuple[ast.Expr, ...], local: bool, c: Conte
     if type_ != POISON and len(capacities) != wanted:
         span = capacities[min(wanted, len(capacities) - 1)].span
         if not wanted:
-            c.error("K053", f"a {type_} always takes the same room: 'max' has no place here", span)
+            c.error("K053", f"{a(type_)} always takes the same room: 'max' has no place here", span)
         else:
             many = "one capacity" if wanted == 1 else f"{wanted} capacities, outermost first"
             c.error("K053", f"{type_} takes {many}, not {len(capacities)}", span)
