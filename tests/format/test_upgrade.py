@@ -3,19 +3,98 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import pytest
 
+from koordgen.check import check
+from koordgen.cli import main
 from koordgen.diagnostics import Diagnostic, Edit, InternalError
 from koordgen.format.edits import applied, compatible
 from koordgen.format.upgrade import Checker, upgraded
 from koordgen.source import Source, Span
+from koordgen.syntax.parse import parse
 
 TEXT = "one two\nthree\n\nfour"
 
 
 def edit(line: int, column: int, end_line: int, end_column: int, text: str) -> Edit:
     return Edit(Span(line, column, end_line, end_column), text)
+
+
+OLD = """\
+using Motion:
+  actuators:
+    pos target
+  sensors:
+    pos position
+    boolean reached
+allread: pos[] place
+local:
+  boolean moving = false # of 2020
+  int[][] grid
+  int k = 0
+def fun nearer(pos a, pos b):
+  if !(distance(a, b)<1.0)&&true:
+    return midpoint(a, b)
+  return pos3d(0,0,1)
+init:
+  place[pid] = Motion.position
+Go:
+  pre: !moving || Motion.reached
+  eff:
+    for i = 0, numAgents - 1:
+      k = k + i
+    moving = true
+    Motion.target = nearer(Motion.position, midpoint(midpoint(Motion.position, pos3d(1,2,3)), Motion.position))
+    place[pid] = Motion.position
+"""
+NEW = """\
+using Motion:
+  actuators:
+    Point target
+  sensors:
+    Point position
+    bool reached
+
+allread: Point place[N_SYS]
+
+local:
+  bool moving = False  # of 2020
+  List<List<int>> grid
+  int k = 0
+
+fun nearer(Point a, Point b) -> Point:
+  if not (distance(a, b) < 1.0) and True:
+    return ((a + b) / 2)
+  return Point(0, 0, 1)
+
+init:
+  place[pid] = Motion.position
+
+Go:
+  pre: not moving or Motion.reached
+  eff:
+    for i in range(0, N_SYS - 1 + 1):
+      k = k + i
+    moving = True
+    Motion.target = nearer(Motion.position, ((((Motion.position + Point(1, 2, 3)) / 2) + Motion.position) / 2))
+    place[pid] = Motion.position
+"""
+
+
+def test_a_program_of_2020_is_upgraded_and_means_the_same(tmp_path: Path) -> None:
+    path = tmp_path / "old.koord"
+    path.write_text(OLD)
+    assert main(["fmt", str(path)]) == 0
+    assert "boolean moving = false  # of 2020" in path.read_text(), "only when asked"
+    assert main(["fmt", "--upgrade", str(path)]) == 0
+    assert path.read_text() == NEW
+    assert main(["fmt", "--upgrade", "--check", str(path)]) == 0
+
+    meanings = [check(parse(s)[0], s)[0] for s in (Source("old.koord", OLD), Source("old.koord", NEW))]
+    assert meanings[0] is not None
+    assert meanings[0] == meanings[1]
 
 
 def test_edits_are_made_in_any_order() -> None:
