@@ -169,6 +169,8 @@ class _Layout:
         else:
             opened = self.brackets.pop()
             if opened[1] != _CLOSES[text]:
+                while any(bracket[1] == _CLOSES[text] for bracket in self.brackets[-DEEPEST_BRACKETS:]):
+                    self.brackets.pop()  # it closes an outer one
                 label = Label(Span(opened[2], opened[3], opened[2], opened[3] + 1), "opened here")
                 self._report("K006", f"'{text}' does not close '{opened[1]}'", line, column, labels=(label,))
 

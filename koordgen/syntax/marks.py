@@ -90,14 +90,12 @@ def _quotes(spot: Spot) -> Diagnostic | None:
 
 def _points(spot: Spot) -> Diagnostic | None:
     """`1.`, and ranges as in other languages."""
-    if spot.before_is(".") and len(spot.head) > 1 and spot.head[-2][0] == "INT":
-        first, dot = spot.head[-2:]
-        if spot.kind != "." or not spot.touches("."):
-            return spot.error(f"'{shown(first[1])}.' is no number", f"write {shown(first[1])}.0", place(first, dot))
-    if spot.first[0] == "for" and (
-        spot.text in ("to", "until", "downto") or (spot.kind == "." and spot.before_is("."))
-    ):
+    dots = spot.before_is(".") and spot.text[:1] == "."
+    if spot.first[0] == "for" and (dots or spot.text in ("to", "until", "downto")):
         return spot.error(f"expected ',' or ':', found '{spot.text}'", "write 'for i in range(a, b):'")
+    if spot.before_is(".") and not dots and len(spot.head) > 1 and spot.head[-2][0] == "INT":
+        first, dot = spot.head[-2:]
+        return spot.error(f"'{shown(first[1])}.' is no number", f"write {shown(first[1])}.0", place(first, dot))
     return None
 
 

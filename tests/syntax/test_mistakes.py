@@ -1,0 +1,336 @@
+"""One mistake, one message, in the language's words: what is told to those who come from Python or C, and to those
+whose fingers slip."""
+
+from __future__ import annotations
+
+import re
+import time
+
+import pytest
+
+from koordgen.diagnostics import Diagnostic, render
+from koordgen.source import Source
+from koordgen.syntax.parse import parse
+
+EVENT = "E:\n  pre: b\n  eff:\n    {}\n"
+
+
+def sole(text: str) -> Diagnostic:
+    """The only thing found in a text."""
+    source = Source("t", text)
+    _, found = parse(source)
+    assert len(found) == 1, [(d.span.line, d.message) for d in found]
+    assert render(found[0], source)
+    return found[0]
+
+
+def spot(told: Diagnostic, text: str) -> str:
+    """What the carets stand under."""
+    line = text.split("\n")[told.span.line - 1]
+    return line[told.span.column - 1 : told.span.end_column - 1]
+
+
+STATEMENTS = [
+    # Other languages
+    ("x++", "+", "Koord has no '++'", "write x += 1"),
+    ("x--", "", "Koord has no '--'", "write x -= 1"),
+    ("++x", "+", "Koord has no '++'", "write x += 1"),
+    ("x = +3", "+", "a value has no '+' before it", "leave the '+' out"),
+    ("x = a ? b : c", "?", "unexpected character '?'", "write 'a if condition else b'"),
+    ("x = if a then b else c", "if", "expected an expression, found 'if'", "write 'a if condition else b'"),
+    ("x = 3; y = 4", ";", "unexpected character ';'", "each statement on a line of its own"),
+    ("x = y × z", "×", "unexpected character '×' (U+00D7)", "write '*'"),
+    ("x = y ≤ z", "≤", "unexpected character '≤' (U+2264)", "write '<='"),
+    ("x = “a”", "“", "unexpected character '“' (U+201C)", 'straight quotes: "..."'),
+    ("é = 3", "é", "unexpected character 'é'", "a name is made of the letters a to z"),
+    ("x = \0", "\0", "unexpected character 'U+0000'", ""),
+    ("x = a & b", "&", "unexpected character '&'", "write 'and'"),
+    ("x = a <> b", ">", "Koord has no '<>'", "write '!='"),
+    ("x = a === b", "=", "Koord has no '==='", "write '=='"),
+    ("x = a => b", "=", "Koord has no '=>'", "write '>='"),
+    ("x = a =< b", "=", "Koord has no '=<'", "write '<='"),
+    ("x := 3", ":", "Koord has no ':='", "write '='"),
+    ("x = p->y", "->", "Koord has no '->'", "write '.'"),
+    ("x = M::y", ":", "Koord has no '::'", "write '.'"),
+    ("x = a is b", "is", "Koord has no 'is'", "'==' compares"),
+    ("x = a is not b", "is", "Koord has no 'is'", "'!=' compares"),
+    ("// a comment", "//", "no line begins with '//'", "a comment begins with '#'"),
+    ("x = 3 // the first one", "first", "expected an operator, found 'first'", "a comment begins with '#'"),
+    ('"""what this does"""', '""', "a string stands on one line", "a comment begins with '#'"),
+    ("x = lambda y: y", "lambda", "Koord has no 'lambda'", "fun name(Type x) -> Type:"),
+    ("xs = [x for x in ys]", "for", "Koord has no comprehensions", "fill a list in a loop"),
+    ("xs = {x for x in ys}", "for", "Koord has no comprehensions", "fill a set in a loop"),
+    ("s = sum(x for x in ys)", "for", "Koord has no comprehensions", "in a loop"),
+    ("import math", "import", "Koord has no 'import'", "extern fun"),
+    ("print 'abc'", "print", "Koord has no 'print'", "Log.stdout << value"),
+    ('x = f"at {y}"', "f", "Koord has no f-strings", "str(x)"),
+    ("x = f'at'", "f'", "Koord has no f-strings", "str(x)"),
+    ('x = r"at"', "r", "nothing stands before the quotes of a string", ""),
+    ("x = 'a' 'b'", "'b'", "two strings stand side by side", "join them with '+'"),
+    ("let x = 3", "let", "Koord has no 'let'", "a type stands before the name: int x = 3"),
+    ("let x: int = 3", "let", "Koord has no 'let'", "a type stands before the name: int x = 3"),
+    ("var x = 3", "var", "Koord has no 'var'", "a type stands before the name: int x = 3"),
+    ("x = new Foo()", "new", "Koord has no 'new'", "Task(target=p)"),
+    ("try:\n      x = 3", "try", "Koord has no 'try'", "discarded as a whole"),
+    ("switch x:\n      pass", "switch", "Koord has no 'switch'", "if, elif, else"),
+    ("foreach x in xs:\n      pass", "foreach", "Koord has no 'foreach'", "for x in xs:"),
+    ("for each x in xs:\n      pass", "each", "Koord has no 'each'", "for x in xs:"),
+    ("for (i = 0; i < 3; i++):\n      pass", "(", "expected a name after 'for', found '('", "range(a, b)"),
+    ("for (a, b) in xs:\n      pass", "(", "expected a name after 'for', found '('", "for a, b in pairs:"),
+    ("for i = 1 to 3:\n      pass", "to", "expected ',' or ':', found 'to'", "range(a, b)"),
+    ("for i in 1..3:\n      pass", ".3", "expected ',' or ':', found '.3'", "range(a, b)"),
+    ("if a {\n      x = 3\n    }", "{", "a block stands in no braces", "end the header with ':'"),
+    ("if (a) {\n      x = 3\n    }", "{", "a block stands in no braces", "end the header with ':'"),
+    ("if (a) x = 3", "", "expected ':' after the condition of 'if'", ""),
+    ("if a then\n      x = 3", "then", "Koord has no 'then'", "a condition ends with ':'"),
+    ("if a: x = 1\n    else if b: x = 2", "if", "expected ':' after 'else'", "write 'elif'"),
+    ("if a: x = 1\n    elseif b: x = 2", "elseif", "Koord has no 'elseif'", "write 'elif'"),
+    ("if a: x = 1 else: x = 2", "else", "'else' begins a line of its own", ""),
+    ("if a: if b: x = 2", "if", "'if' begins a line of its own", ""),
+    ("elif x:\n      y = 3", "elif", "there is no 'if' for this 'elif'", "at the depth of the 'if'"),
+    ("f(*xs)", "*", "'*' spreads no values here", "one by one"),
+    # Assignments
+    ("a = b = c", "=", "an assignment has no value and cannot stand in another one", "one assignment a line"),
+    ("a, b = pair", "a, b = pair", "an assignment has one target", "p[0], p[1]"),
+    ("x = a, b", ",", "expected one value, found ','", "a tuple stands in brackets: (a, b)"),
+    ("a + b = 3", "a + b", "what stands before '=' cannot be assigned", ""),
+    ("if a = 3:\n      pass", "=", "'=' assigns and cannot stand in a condition", "'==' compares"),
+    ("while a = 3: pass", "=", "'=' assigns and cannot stand in a condition", "'==' compares"),
+    ("x = (a = 3)", "=", "'=' assigns and cannot stand in a condition", "'==' compares"),
+    ("int a, b", ",", "each name is declared on a line of its own", "on the next line"),
+    ("int a = 3, b = 4", ",", "each name is declared on a line of its own", "on the next line"),
+    ("int x[3]", "[", "a variable of a block has no size", "a list is declared List<int> x"),
+    ("(a + b) x", "(a + b)", "this is no type", "a type and a name"),
+    ("foo bar baz", "baz", "expected '=' or the end of the line after 'bar', found 'baz'", ""),
+    # Numbers and strings
+    ("x = 010", "010", "a number does not begin with 0: 010", "write 10"),
+    ("x = 1_000", "1_000", "'1_000' is no number", "write 1000"),
+    ("x = 0x1F", "0x1F", "'0x1F' is no number", "write 31"),
+    ("x = 0b11", "0b11", "'0b11' is no number", "write 3"),
+    ("x = 1.5f", "1.5f", "'1.5f' is no number", "write 1.5"),
+    ("x = 12abc", "12abc", "'12abc' is no number", "a name does not begin with a digit"),
+    ("x = 1.", "1.", "'1.' is no number", "write 1.0"),
+    ("x = 'abc", "'", "this string is not closed", "a string ends with ' on its line"),
+    ('x = f("abc)', '"', "this string is not closed", 'a string ends with " on its line'),
+    (r'x = "a\qb"', r"\q", r"'\q' is no escape", r"\n \t"),
+    # Brackets
+    ("x = (3", "(", "'(' is never closed", ""),
+    ("x = f([3)", ")", "')' does not close '['", ""),
+    ("x = xs[i, j]", ",", "expected ']', found ','", "x[i][j]"),
+    ("x = xs[a:b:c]", ":", "a slice has no step", "range(a, b, 2)"),
+    ("x = xs[::2]", ":", "a slice has no step", "range(a, b, 2)"),
+    ("x = (1,)", "(1,)", "a tuple has two items at least", "need no comma"),
+    ("x = {1: 2, 3}", "}", "expected an operator or ':' after '3', found '}'", ""),
+    # Words that are taken, words that are misspelt
+    ("init = 3", "init", "expected a name, found 'init'", "'init' is a word of the language"),
+    ("int pre = 3", "pre", "expected a name, found 'pre'", "'pre' is a word of the language"),
+    ("for init in xs: pass", "init", "expected a name, found 'init'", "'init' is a word of the language"),
+    ("x = a.init", "init", "expected a name, found 'init'", "'init' is a word of the language"),
+    ("xs = List()", "List", "'List' is a type and no value", "an empty one is written []"),
+    ("xs = Set<int>()", "Set", "'Set' is a type and no value", "an empty one is written {}"),
+    ("List xs = []", "xs", "expected '<' after 'List'", "List<Point>"),
+    ("List[int] xs = []", "[", "expected '<' after 'List'", "List<Point>"),
+    ("whlie x:\n      pass", "whlie", "'whlie' is no word of the language", "did you mean 'while'?"),
+    (
+        "while x:\n      pass\n    esle:\n      pass",
+        "esle",
+        "'esle' is no word of the language",
+        "did you mean 'else'?",
+    ),
+    ("fro i in xs: pass", "fro", "'fro' is no word of the language", "did you mean 'for'?"),
+    ("retrun x + 1", "retrun", "'retrun' is no word of the language", "did you mean 'return'?"),
+    ("if a adn b:\n      pass", "adn", "'adn' is no word of the language", "did you mean 'and'?"),
+    ("if a AND b: pass", "AND", "'AND' is no word of the language", "did you mean 'and'?"),
+    ("x = a if b esle c", "esle", "'esle' is no word of the language", "did you mean 'else'?"),
+    ("while x\n      y = 3", "", "expected ':' after the condition of 'while'", ""),
+    ("for i in xs\n      pass", "", "expected ':' after the values of 'for'", ""),
+    ("for x xs:\n      pass", "xs", "expected ',' or 'in' after 'x', found 'xs'", ""),
+    ("if a b:\n      pass", "b", "expected an operator or ':' after 'a', found 'b'", ""),
+    ("atomic x = 3", "", "expected ':' after 'atomic'", ""),
+    # The rest of expressions and statements
+    ("x = a +", "", "expected an expression after '+', found the end of the line", "a line goes on after '\\'"),
+    ("x = a b", "b", "expected an operator or the end of the line after 'a', found 'b'", ""),
+    ("x = a not b", "b", "expected 'in' after 'not', found 'b'", ""),
+    ("x = a if b", "", "expected an operator or 'else' after 'b', found the end of the line", ""),
+    ("x = forall i: a", ":", "expected 'in' and what the names run over", "forall i in ID"),
+    ("x = forall i in ID a", "", "expected ':' after the values of 'forall'", ""),
+    ("x = for all i in ID: a", "for", "expected an expression, found 'for'", "forall i in ID"),
+    ("x = frall i in ID: a", "frall", "'frall' is no word of the language", "did you mean 'forall'?"),
+    ("return", "", "a function returns a value", "write 'return value'"),
+    ("stop now", "now", "expected the end of the line after 'stop', found 'now'", ""),
+    ("= 3", "=", "expected a statement, found '='", ""),
+    ("def f():\n      pass", "def", "expected a statement, found 'def'", "it stands at the left margin"),
+    ("eff: x = 3", "eff", "expected a statement, found 'eff'", "stands indented once"),
+    ("x == 3\n      y = 4", "", "unexpected indentation", "only what belongs to a block"),
+]
+
+
+@pytest.mark.parametrize(("line", "under", "message", "help"), STATEMENTS, ids=[s[0] for s in STATEMENTS])
+def test_in_a_statement(line: str, under: str, message: str, help: str) -> None:
+    text = EVENT.format(line)
+    told = sole(text)
+    assert told.message == message
+    assert help in told.help if help else not told.help
+    if under:
+        assert spot(told, text) == under
+
+
+SECTIONS = [
+    ("local: x = 3", "=", "expected a name after 'x', found '='", "a type stands before the name: int x"),
+    ("local: let x = 3", "let", "Koord has no 'let'", "a type stands before the name"),
+    ("local: int", "", "expected a name after 'int', found the end of the line", ""),
+    ("local: int x, y", ",", "each name is declared on a line of its own", "on the next line"),
+    ("local: int x y", "y", "expected '=' or the end of the line after 'x', found 'y'", ""),
+    ("local\n  int x", "", "expected ':' after 'local'", ""),
+    ("locl: int a", "locl", "'locl' is no word of the language", "did you mean 'local'?"),
+    ("allraed: Point x[N_SYS]", "allraed", "'allraed' is no word of the language", "did you mean 'allread'?"),
+    ("Local: int a", "Local", "'Local' is no word of the language", "did you mean 'local'?"),
+    ("allread: Point[N_SYS] x", "N_SYS", "a size stands behind the name", "Point x[N_SYS]"),
+    ("allread: int init", "init", "expected a name, found 'init'", "choose another name"),
+    ("local: List x", "x", "expected '<' after 'List'", "List<Point>"),
+    ("local: Map x", "x", "expected '<' after 'Map'", "Map<int, Point>"),
+    ("local: List<int x", "x", "expected ',' or '>' after 'int', found 'x'", ""),
+    ("local: Array<int> x", "<", "'Array' holds no other types", "List, Map, Set, Queue"),
+    ("param k = 3", "=", "expected a name after 'k', found '='", "int k"),
+    ("param int k", "", "expected '=' after 'k', found the end of the line", ""),
+    ("using Motion\n  sensors: Point p", "", "expected ':' after 'using Motion'", ""),
+    ("using Motion as M:\n  sensors: Point p", "", "expected ':' after 'using Motion'", ""),
+    ("using Motion:", "", "expected an indented block after 'using Motion'", ""),
+    ("using Motion:\n  sensor: Point p", "sensor", "'sensor' is no word of the language", "'sensors'"),
+    (
+        "using Motion:\n  sensors: Point p, Point q",
+        ",",
+        "each name is declared on a line of its own",
+        "on the next line",
+    ),
+    ("using Motion:\n  sensors: Point p = 3", "=", "a port has no initial value", ""),
+    ("using Motion:\n  position", "", "expected a name after 'position', found the end of the line", "Point position"),
+    ("using Motion:\n  assume: a", ":", "expected an expression after 'assume', found ':'", "has no colon"),
+    ("using Motion:\n  assume a = b", "=", "'=' assigns and cannot stand in a condition", "'==' compares"),
+    ("x = 3", "", "expected ':' after 'x'", "a variable is declared under 'local:'"),
+    ("int x = 3", "", "expected ':' after 'int'", "a variable is declared under 'local:'"),
+    ("List<int> xs = []", "List", "expected a section, found 'List'", "a variable is declared under 'local:'"),
+    ("f(3)", "", "expected ':' after 'f'", "a statement stands under 'init:'"),
+    ("if a: b = 3", "if", "expected a section, found 'if'", "under 'init:' or an event's 'eff:'"),
+    ("pre: a", "pre", "expected a section, found 'pre'", "under the name of its event"),
+    ("sensors: int a", "sensors", "expected a section, found 'sensors'", "under 'using Module:'"),
+    ("42", "42", "expected a section, found '42'", "sections: using,"),
+    ("from math import sin", "from", "Koord has no 'from'", "extern fun"),
+    ("class Foo:\n  int x", "class", "Koord has no 'class'", "def Name:"),
+    ("def f(int x) -> int:\n  return x", "def f", "'def' defines a record", "fun f(Type x) -> Type:"),
+    ("fun f(x) -> int:\n  return x", "x", "a parameter has a type before its name", "write 'int x'"),
+    ("fun f(x: int) -> int:\n  return x", "x", "a parameter has a type before its name", "write 'int x'"),
+    ("fun f(int x):\n  return x", ":", "a function names the type of its result", "write '-> Type' after ')'"),
+    ("fun f(int x) int:\n  return x", "int", "a function names the type of its result", "write '-> Type'"),
+    ("fun f(int x) -> int\n  return x", "", "expected ':' after the type of the result", ""),
+    ("fun f(int x = 3) -> int:\n  return x", "=", "a parameter has no value of its own", ""),
+    ("func f(int x) -> int:\n  return x", "func", "Koord has no 'func'", "fun name(Type x) -> Type:"),
+    ("extern fun f(int a)", "", "a function names the type of its result", "write '-> Type'"),
+    ("extern f(int a) -> int", "f", "expected 'fun' or 'type' after 'extern', found 'f'", ""),
+    ("extern fun f(int a) -> int:\n  require: a > 0", "require", "'require' is no word of the language", "'requires'"),
+    ("spec fun f(int a) -> bool:\n  return True", ":", "a spec function has no body", "axiom Name:"),
+    ("invariant: x", ":", "expected a name after 'invariant', found ':'", "invariant Name: ..."),
+    ("invariant A x > 3", "", "expected ':' after 'invariant A'", ""),
+    ("invariant A:\n  x\n  y", "y", "a condition is one expression", "join conditions with 'and' or 'or'"),
+    ("invariant A: x = 3", "=", "'=' assigns and cannot stand in a condition", "'==' compares"),
+    ("invariant A:\n  x = 3", "=", "'=' assigns and cannot stand in a condition", "'==' compares"),
+    ("initially Foo: x", "Foo", "expected ':' after 'initially'", "'initially' has no name"),
+    ("invariatn A: x", "invariatn", "'invariatn' is no word of the language", "did you mean 'invariant'?"),
+    ("Go\n  pre: a\n  eff: pass", "", "expected ':' after 'Go'", ""),
+    ("Go:\n  pre a\n  eff: pass", "", "expected ':' after 'pre'", ""),
+    ("Go:\n  pre: a\n  eff\n    pass", "", "expected ':' after 'eff'", ""),
+    ("Go:\n  rpe: a\n  eff: pass", "rpe", "'rpe' is no word of the language", "did you mean 'pre'?"),
+    ("Go:\n  pre: a\n  eff: pass\n  x = 3", "x", "expected 'pre' or 'eff', found 'x'", "statements stand under 'eff:'"),
+    ("Go:\n  pre: a,\n  eff: pass", ",", "expected one value, found ','", "a tuple stands in brackets"),
+    ("Go:\n  pre: a = 3\n  eff: pass", "=", "'=' assigns and cannot stand in a condition", "'==' compares"),
+    ("Go:\n  pre:\n  eff: pass", "", "expected an indented block after 'pre'", ""),
+    ("event Go:\n  pre: a\n  eff: pass", "event", "Koord has no 'event'", "Name:"),
+    ("def Task:\n  Point target,\n  int id", ",", "each name is declared on a line of its own", "on the next line"),
+    ("inti:\n  x = 3", "inti", "'inti' is no word of the language", "did you mean 'init'?"),
+    ("\tx: pre: a", "\t", "a tab stands in the indentation", "indent with spaces"),
+]
+
+
+@pytest.mark.parametrize(("text", "under", "message", "help"), SECTIONS, ids=[s[0] for s in SECTIONS])
+def test_in_a_section(text: str, under: str, message: str, help: str) -> None:
+    told = sole(text + "\n")
+    assert told.message == message
+    assert help in told.help if help else not told.help
+    if under:
+        assert spot(told, text) == under
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "x = 3\n    form = 4\n    on = a\n    to = b\n    each = end\n    print(to)",
+        "float print = 3",
+        "for each in xs: pass",
+        "x = requires + ensures + type + result + new",
+        "x = y-1 - -1",
+        "x = a //b",
+        "x = 0 + 0.5 + 00.5 + 1e0",
+        "x = max(a, max(b, c))",
+    ],
+)
+def test_names_that_are_words_elsewhere_stay_names(text: str) -> None:
+    assert parse(Source("t", EVENT.format(text)))[1] == []
+
+
+def test_an_open_bracket_reaches_no_further_than_its_statement() -> None:
+    """Where a line begins with a word that stands in no bracket, the one before it is at fault."""
+    text = (
+        EVENT.format("x = f((3,\n      4\n    while a:\n      y = 1 +") + "F:\n  pre: (a\nG:\n  pre: b c\n  eff: pass\n"
+    )
+    _, found = parse(Source("t", text))
+    assert [(d.span.line, d.message) for d in found] == [
+        (4, "'(' is never closed"),
+        (7, "expected an expression after '+', found the end of the line"),
+        (9, "'(' is never closed"),
+        (11, "expected an operator or the end of the line after 'b', found 'c'"),
+    ]
+
+
+def test_several_mistakes_are_told_once_each() -> None:
+    text = (
+        "using Motion\n  sensors: Point p\nlocal: int x, y\nE:\n  pre x\n  eff:\n    x++\n    y = 010\n"
+        "    if x = 3:\n      whlie x:\n        pass\n    x = 'abc\n    y = 1\n"
+    )
+    _, found = parse(Source("t", text))
+    assert [d.span.line for d in found] == [1, 3, 5, 7, 8, 9, 10, 12]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "x = " + "1" * 10**6,
+        "x = " + "1" * 10**6 + "z",
+        "x = " + "-" * 10**6,
+        "x = " + "(" * 10**5,
+        "x = '" + "a" * 10**6,
+        "x = '" + "\\" * 10**6,
+        "x" * 10**6 + " y z",
+        "x = " + "a+" * (5 * 10**5),
+        "x " * (3 * 10**5),
+        "x = " + "[a for " * 10**5,
+        "List<" * 10**5 + "int",
+        "x = " + "'" * 10**6,
+        " " * 10**6 + "x = 3",
+    ],
+    ids=lambda line: line[:12],
+)
+def test_a_line_of_a_megabyte_is_answered_soon_and_shortly(line: str) -> None:
+    start = time.monotonic()
+    source = Source("t", EVENT.format(line))
+    _, found = parse(source)
+    assert found
+    assert all(len(render(d, source)) < 1000 for d in found), [len(d.message) for d in found]
+    assert time.monotonic() - start < 15  # seconds; a few where it is linear, hours where it is not
+
+
+def test_no_message_speaks_of_the_parser() -> None:
+    """Names of tokens and of rules stay inside."""
+    for text, *_ in [*SECTIONS, *((EVENT.format(s[0]),) for s in STATEMENTS)]:
+        for told in parse(Source("t", text + "\n"))[1]:
+            assert not re.search(r"\b(NAME|GENERIC|INT|FLOAT|STRING|NEWLINE|INDENT|DEDENT|END|BAD)\b", told.message)
+            assert "expr" not in told.message.replace("expression", "")
