@@ -16,11 +16,13 @@ from koordgen.check.linear import (
     Choice,
     Fact,
     Formula,
+    Length,
     Linear,
     Or,
     Quotient,
     Remainder,
     Unknown,
+    Value,
     Var,
 )
 from koordgen.check.walk import nodes
@@ -134,8 +136,7 @@ def _renamed(item: Formula) -> Formula:
         case AtLeastZero(term):
             return AtLeastZero(_term(term))
         case Fact(key, holds):
-            common = isinstance(key, str) and key.startswith(("param ", "shared "))
-            return item if common else Fact((_OTHER, key), holds)
+            return Fact(_key(key), holds)
         case And(parts):
             return And(tuple([_renamed(part) for part in parts]))
         case Or(parts):
@@ -146,6 +147,14 @@ def _renamed(item: Formula) -> Formula:
             assert_never(item)
 
 
+def _is_common(name: str) -> bool:
+    return name.startswith(("param ", "shared "))
+
+
+def _key(key: object) -> object:
+    return key if isinstance(key, str) and _is_common(key) else (_OTHER, key)
+
+
 def _term(term: Linear) -> Linear:
     return Linear(tuple([(_variable(var), factor) for var, factor in term.terms]), term.constant)
 
@@ -153,13 +162,16 @@ def _term(term: Linear) -> Linear:
 def _variable(var: Var) -> Var:
     match var:
         case str():
-            common = var == N_SYS or var.startswith(("param ", "shared "))
-            return var if common else f"other {var}"
+            return var if var == N_SYS or _is_common(var) else f"other {var}"
         case Quotient(operand, divisor):
             return Quotient(_term(operand), divisor)
         case Remainder(operand, divisor):
             return Remainder(_term(operand), _term(divisor))
         case Choice(condition, then, orelse):
             return Choice(_renamed(condition), _term(then), _term(orelse))
+        case Length(of):
+            return Length(_key(of))
+        case Value(of):
+            return Value(_key(of))
         case _:
             assert_never(var)
