@@ -13,9 +13,9 @@ from koordgen.runtime.geodesy import LocalFrame
 from targets.sim.bodies import BodyState, DeviceContext, Quadrotor
 from targets.sim.mavlink_copter import ACCEPTED, GUIDED, Copter
 from targets.sim.mavlink_guided import Vector
-from targets.sim.mavlink_port import Port, UdpPort
 from targets.sim.mavlink_setpoints import take_setpoint
 from targets.sim.mavlink_telemetry import Estimate, Message, Telemetry
+from targets.sim.ports import Port, UdpPort
 
 WANDER = 2.0  # seconds over which the error of the position estimate forgets itself
 _SETPOINTS = (

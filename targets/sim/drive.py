@@ -10,7 +10,6 @@ import math
 import os
 import pty
 import random
-import socket
 import tty
 from collections.abc import Mapping
 from contextlib import suppress
@@ -21,6 +20,7 @@ from koordgen.runtime.values import Point, Pose
 from targets.car import vesc
 from targets.car.settings import CarSettings, decode
 from targets.sim.bodies import Car, DeviceContext
+from targets.sim.ports import UdpPort
 
 TIMEOUT = 0.5  # seconds without a command after which the VESC brakes by itself; asking for values is none
 SUPPLY = 11.1  # volts
@@ -103,13 +103,11 @@ class SimulatedDrive:
         self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
-        self._address = ("127.0.0.1", _free_port())
+        self._port = UdpPort()
         # The slave stays open here: a master whose last slave closes reads errors, and agents come and go.
         self.overrides: Mapping[str, Any] = {
             "drive": f"vesc:{os.ttyname(self._slave)}",
-            "position": f"udp:{self._address[0]}:{self._address[1]}",
+            "position": f"udp:127.0.0.1:{self._port.number}",
         }
 
     def step(self, now: float) -> None:
@@ -123,20 +121,12 @@ class SimulatedDrive:
                 self._unsent = self._unsent[os.write(self._master, self._unsent) :]
         datagram = self._station.sample(now)
         if datagram is not None:
-            with suppress(OSError):  # no agent listens yet, or none any more
-                self._socket.sendto(datagram, self._address)
+            self._port.send(datagram)
 
     def close(self) -> None:
         if self._master < 0:
             return
         os.close(self._master)
         os.close(self._slave)
-        self._socket.close()
+        self._port.close()
         self._master = self._slave = -1
-
-
-def _free_port() -> int:
-    """A UDP port of loopback that is free now; the agent binds it in a moment."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])

@@ -21,7 +21,7 @@ from matplotlib import pyplot as plt
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 DASHES: tuple[Any, ...] = ("-", (0, (6, 2)), (0, (2, 1.5)), (0, (6, 2, 1.5, 2)))
 MARKERS = ("o", "s", "^", "D", "v", "P")
-RED, GREY = "#B00020", "#777777"
+RED, GREY, STONE = "#B00020", "#777777", "#CCCCCC"
 MOST_POINTS = 20_000  # of one track in a picture
 LEAD = 0.15  # of the mission's length that is shown before round 1
 STYLE = {
@@ -166,6 +166,8 @@ def _top(found: Tracks, path: Path) -> Path:
         (x0, y0, _), (x1, y1, _) = fence
         axes.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color=GREY, linewidth=1.2, linestyle=(0, (5, 3)))
         axes.text(x0, y1, " geofence", color=GREY, fontsize=9, va="bottom")
+    for (x0, y0, _), (x1, y1, _) in found.header.obstacles:
+        axes.add_patch(plt.Rectangle((x0, y0), x1 - x0, y1 - y0, facecolor=STONE, edgecolor=GREY, linewidth=0.8))
     for pid, (times, places) in enumerate(zip(found.times, found.places, strict=True)):
         if not len(times):
             continue

@@ -104,8 +104,9 @@ class Run:
         launched = time.monotonic()
         robots = self._scenario.robots
         for agent, actor in zip(self.agents, self._stage.actors, strict=True):
-            body = dict(actor.device.overrides)
-            agent.launch(overrides(robots, ports, body, self._key_file, agent.trace_file), self._scenario.delta)
+            agent.launch(
+                overrides(robots, ports, actor.overrides, self._key_file, agent.trace_file), self._scenario.delta
+            )
         self._pace = Pace(time.monotonic(), STEP)
         timeout = launched + self._scenario.number("start_timeout", START_TIMEOUT)
         self._progress.say("1 robot is starting" if len(robots) == 1 else f"{len(robots)} robots are starting")
@@ -207,6 +208,8 @@ class Run:
             marks.append(Violation(t(close.time), "separation", (names[i], names[j]), detail))
         for (i, j), at in watch.collisions.items():
             marks.append(Violation(t(at), "collision", (names[i], names[j]), "their bodies touched"))
+        for (i, number), at in watch.bumps.items():
+            marks.append(Violation(t(at), "collision", (names[i],), f"touched obstacle {number}"))
         for name, (at, failure) in self._failed.items():
             marks.append(Violation(t(at), "ended", (name,), failure))
         for pid, agent in enumerate(self.agents):

@@ -37,6 +37,9 @@ class Box(msgspec.Struct, frozen=True):
     hi: Vector
 
 
+MOST_OBSTACLES = 1000  # as the fleet file allows
+
+
 class Start(msgspec.Struct, frozen=True):
     """Metres, local ENU; yaw in radians counter-clockwise from east."""
 
@@ -68,6 +71,7 @@ class Scenario(msgspec.Struct, frozen=True):
     origin: Origin
     geofence: Box
     robots: tuple[Robot, ...]
+    obstacles: tuple[Box, ...] = ()  # what stands in the world; numbered from 0
     harness: dict[str, Any] = {}
 
     def number(self, setting: str, default: float) -> float:
@@ -111,6 +115,11 @@ def _check(path: Path, root: Path, scenario: Scenario) -> None:
         raise BadScenario(f"{path}: the robots' pids must count from 0")
     if not (math.isfinite(scenario.delta) and scenario.delta > 0):
         raise BadScenario(f"{path}: delta is {scenario.delta}")
+    if len(scenario.obstacles) > MOST_OBSTACLES:
+        raise BadScenario(f"{path}: {len(scenario.obstacles)} obstacles; there may be at most {MOST_OBSTACLES}")
+    for number, box in enumerate(scenario.obstacles):
+        if not all(-math.inf < lo < hi < math.inf for lo, hi in zip(box.lo, box.hi, strict=True)):
+            raise BadScenario(f"{path}: obstacle {number} is no box: {box.lo} is not below {box.hi}")
     for robot in scenario.robots:
         bundle = (root / robot.bundle).resolve()
         if not bundle.is_relative_to(root.resolve()) or not (bundle / "__main__.py").is_file():
@@ -121,18 +130,26 @@ def _check(path: Path, root: Path, scenario: Scenario) -> None:
 
 
 def _check_starts(scenario: Scenario) -> None:
-    """Before minutes are spent on a fleet that cannot start: all stand in the geofence, and no two in one place."""
+    """Before minutes are spent on a fleet that cannot start: all stand in the geofence, in no obstacle, and no two in
+    one place."""
     hint = "give it another start in the fleet file"
     taken: dict[Vector, str] = {}
     for robot in scenario.robots:
         place = robot.start.position
         shown = f"({', '.join(f'{v:g}' for v in place)})"
-        fence = zip(scenario.geofence.lo, place, scenario.geofence.hi, strict=True)
-        if not all(min(lo, hi) <= v <= max(lo, hi) for lo, v, hi in fence):
+        if not _inside(scenario.geofence, place):
             raise BadScenario(f"{robot.name} starts at {shown}, outside the geofence", hint)
+        for number, box in enumerate(scenario.obstacles):
+            if _inside(box, place):
+                raise BadScenario(f"{robot.name} starts at {shown}, inside obstacle {number}", hint)
         other = taken.setdefault(place, robot.name)
         if other != robot.name:
             raise BadScenario(f"{robot.name} starts where {other} does, at {shown}", hint)
+
+
+def _inside(box: Box, place: Vector) -> bool:
+    """Whether a place is in a box, its faces included, its corners given in any order."""
+    return all(min(lo, hi) <= v <= max(lo, hi) for lo, v, hi in zip(box.lo, place, box.hi, strict=True))
 
 
 def _laid_over(harness: dict[str, Any], path: Path) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 from targets.sim.bodies import BodyState, Device, DeviceContext, Vector
 from targets.sim.car import SimulatedCar
+from targets.sim.lidar import SETTING, SimulatedLidar
 from targets.sim.quadrotor import SimulatedQuadrotor
 from targets.sim.scenario import BadScenario, Robot, Scenario
 from targets.sim.world import Rigid, World
@@ -51,6 +52,16 @@ class Actor:
     robot: Robot
     body: Body
     device: Device
+    lidar: Device | None  # for robots that have a setting for one
+
+    @property
+    def devices(self) -> tuple[Device, ...]:
+        return (self.device,) if self.lidar is None else (self.device, self.lidar)
+
+    @property
+    def overrides(self) -> dict[str, Any]:
+        """What is laid over the robot's settings, so that its agent finds the devices."""
+        return {key: value for device in self.devices for key, value in device.overrides.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +82,7 @@ class Watch:
     closest: Closest = Closest()
     too_close: dict[tuple[int, int], Closest] = field(default_factory=dict)  # each pair's first time
     collisions: dict[tuple[int, int], float] = field(default_factory=dict)  # pair of pids -> the first time, s
+    bumps: dict[tuple[int, int], float] = field(default_factory=dict)  # pid, number of obstacle -> the first time, s
 
     def look(self, time: float, positions: list[Vector]) -> None:
         for i, p in enumerate(positions):
@@ -80,9 +92,6 @@ class Watch:
                     self.closest = Closest(distance, time, (i, j))
                 if distance < self.min_separation:
                     self.too_close.setdefault((i, j), Closest(distance, time, (i, j)))
-
-    def touched(self, time: float, pair: tuple[int, int]) -> None:
-        self.collisions.setdefault(pair, time)
 
 
 class Stage:
@@ -94,6 +103,7 @@ class Stage:
         self.actors: list[Actor] = []
         self.watch = Watch(scenario.number("min_separation", 0.0))
         try:
+            self._obstacles = {self.world.obstacle(box.lo, box.hi): k for k, box in enumerate(scenario.obstacles)}
             for robot in scenario.robots:
                 self.actors.append(_actor(self.world, scenario, robot, seed, key))
         except BaseException:
@@ -107,13 +117,21 @@ class Stage:
         states = [actor.body.state() for actor in self.actors]
         self.watch.look(at, [state.position for state in states])
         for actor in self.actors:
-            actor.device.step(now)
+            for device in actor.devices:
+                device.step(now)
         for actor in self.actors:
             actor.body.step()
         self.world.step()
         for a, b in self.world.contacts():
-            self.watch.touched(at, (self._pids[a], self._pids[b]))
+            self._touched(at, a, b)
         return states
+
+    def _touched(self, at: float, a: int, b: int) -> None:
+        """Bodies `a` < `b` touched: obstacles came into the world first."""
+        if a in self._obstacles:
+            self.watch.bumps.setdefault((self._pids[b], self._obstacles[a]), at)
+        else:
+            self.watch.collisions.setdefault((self._pids[a], self._pids[b]), at)
 
     def standing(self, pid: int) -> bool:
         """Whether a robot is on the floor and does not move."""
@@ -122,7 +140,8 @@ class Stage:
 
     def close(self) -> None:
         for actor in self.actors:
-            actor.device.close()
+            for device in actor.devices:
+                device.close()
         self.world.close()
 
 
@@ -150,4 +169,6 @@ def _actor(world: World, scenario: Scenario, robot: Robot, seed: int, key: bytes
     harness: Mapping[str, Any] = scenario.harness
     own_seed = random.Random(f"{seed}/{robot.pid}").getrandbits(32)
     place = (origin.latitude, origin.longitude, origin.altitude)
-    return Actor(robot, body, make(body, DeviceContext(robot.name, robot.settings, harness, place, own_seed, key)))
+    context = DeviceContext(robot.name, robot.settings, harness, place, own_seed, key)
+    device = make(body, context)
+    return Actor(robot, body, device, SimulatedLidar(world, body, context) if SETTING in robot.settings else None)

@@ -28,7 +28,7 @@ class RobotName(msgspec.Struct, frozen=True):
 
 class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
     """The merged file's first record. `started` tells whether there was a round 1; without one, t counts from the
-    agents' launch. `geofence` are the two corners."""
+    agents' launch. `geofence` are the two corners, `obstacles` those of each obstacle."""
 
     format: str
     app: str
@@ -40,6 +40,7 @@ class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
     started: bool = True
     min_separation: float = 0.0  # asked for, metres
     geofence: tuple[Vector, Vector] | None = None
+    obstacles: tuple[tuple[Vector, Vector], ...] = ()
 
 
 class Pose(msgspec.Struct, frozen=True, tag_field="kind", tag="pose"):

@@ -1,4 +1,4 @@
-"""The PyBullet world: rigid bodies on a floor. The only module that knows pybullet, which comes without types.
+"""The PyBullet world: robots and obstacles on a floor. The only module that knows pybullet, which has no types.
 
 Frame: local ENU, metres; orientations are quaternions (x, y, z, w). PyBullet repeats itself only in a fresh client,
 so a world serves one run.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -16,6 +17,9 @@ from targets.sim.bodies import Vector
 
 STEP = 1 / 240  # seconds
 GRAVITY = 9.81
+# Collision groups: what is in one touches those of its mask. Rays see robots and obstacles that are not hidden.
+ROBOT, OBSTACLE, FLOOR, HIDDEN = 1, 2, 4, 8
+EVERYTHING = ROBOT | OBSTACLE | FLOOR
 
 Quaternion = tuple[float, float, float, float]
 
@@ -91,6 +95,7 @@ class World:
         self.bullet.setTimeStep(STEP, physicsClientId=self.client)
         plane = self.bullet.createCollisionShape(self.bullet.GEOM_PLANE, physicsClientId=self.client)
         self._floor: int = self.bullet.createMultiBody(0, plane, physicsClientId=self.client)
+        self._group(self._floor, FLOOR, ROBOT)
         self.steps = 0
 
     @property
@@ -114,9 +119,32 @@ class World:
         )
         return self._body(shape, mass, centre, yaw, friction, inertia)
 
+    def obstacle(self, lo: Vector, hi: Vector) -> int:
+        """A box that nothing moves, between two corners (m); its number, as in `contacts`."""
+        half = [(b - a) / 2 for a, b in zip(lo, hi, strict=True)]
+        centre = [(a + b) / 2 for a, b in zip(lo, hi, strict=True)]
+        shape = self.bullet.createCollisionShape(self.bullet.GEOM_BOX, halfExtents=half, physicsClientId=self.client)
+        number: int = self.bullet.createMultiBody(0, shape, -1, centre, physicsClientId=self.client)
+        self._group(number, OBSTACLE, ROBOT)
+        return number
+
+    def _group(self, number: int, group: int, mask: int) -> None:
+        self.bullet.setCollisionFilterGroupMask(number, -1, group, mask, physicsClientId=self.client)
+
+    def rays(self, origin: Vector, ends: Sequence[Vector], unseen: Rigid) -> list[float | None]:
+        """How far along each straight line from `origin` to `ends`, as a share of it, the first robot or obstacle is, of
+        all but `unseen`; None: there is none. Bullet finds the contacts of `unseen` anew in the next step."""
+        self._group(unseen.number, HIDDEN, EVERYTHING)
+        found = self.bullet.rayTestBatch(
+            [origin] * len(ends), ends, numThreads=1, collisionFilterMask=ROBOT | OBSTACLE, physicsClientId=self.client
+        )
+        self._group(unseen.number, ROBOT, EVERYTHING)
+        return [share if number >= 0 else None for number, _, share, *_ in found]
+
     def _body(self, shape: int, mass: float, centre: Vector, yaw: float, friction: float, inertia: Vector) -> Rigid:
         turned = self.bullet.getQuaternionFromEuler([0, 0, yaw])
         number = self.bullet.createMultiBody(mass, shape, -1, centre, turned, physicsClientId=self.client)
+        self._group(number, ROBOT, EVERYTHING)
         self.bullet.changeDynamics(
             number,
             -1,

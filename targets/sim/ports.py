@@ -1,4 +1,4 @@
-"""The UDP side of a simulated autopilot: it sends to a port that its agent will bind, as real ones do."""
+"""The UDP side of a simulated device: it sends to a port that its agent will bind, as real ones do."""
 
 from __future__ import annotations
 
