@@ -132,8 +132,8 @@ class World:
         self.bullet.setCollisionFilterGroupMask(number, -1, group, mask, physicsClientId=self.client)
 
     def rays(self, origin: Vector, ends: Sequence[Vector], unseen: Rigid) -> list[float | None]:
-        """How far along each straight line from `origin` to `ends`, as a share of it, the first robot or obstacle is, of
-        all but `unseen`; None: there is none. Bullet finds the contacts of `unseen` anew in the next step."""
+        """How far along each straight line from `origin` to `ends`, as a share of it, the first robot or obstacle is,
+        of all but `unseen`; None: there is none. Bullet finds the contacts of `unseen` anew in the next step."""
         self._group(unseen.number, HIDDEN, EVERYTHING)
         found = self.bullet.rayTestBatch(
             [origin] * len(ends), ends, numThreads=1, collisionFilterMask=ROBOT | OBSTACLE, physicsClientId=self.client
