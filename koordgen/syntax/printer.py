@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from koordgen.node import Node
@@ -16,22 +17,26 @@ def show(tree: Node) -> str:
     while pending:
         node, depth, role = pending.pop()
         fields = [(f, getattr(node, f)) for f in type(node).__match_args__ if f not in _PLACES]
-        plain = [f"{f}={value!r}" for f, value in fields if not isinstance(value, (Node, tuple)) and value is not None]
+        children = [(child, depth + 1, role) for f, value in fields for child, role in _children(value, f)]
+        plain = [f"{f}={value!r}" for f, value in fields if value not in (None, ()) and not any(_children(value, f))]
         span = getattr(node, "span", None)
         place = f"  @{span.line}:{span.column}" if span is not None else ""
         lines.append(f"{'  ' * depth}{role}{type(node).__name__}({', '.join(plain)}){place}")
-        children: list[tuple[Any, int, str]] = []
-        for field, value in fields:
-            if isinstance(value, Node):
-                children.append((value, depth + 1, f"{field}: "))
-            elif isinstance(value, tuple):
-                children.extend(_elements(value, depth + 1, field))
         pending.extend(reversed(children))
     return "\n".join(lines) + "\n"
 
 
-def _elements(values: tuple[Any, ...], depth: int, field: str) -> list[tuple[Any, int, str]]:
-    return [
-        (value, depth, f"{field}: ") if isinstance(value, Node) else (value[1], depth, f"{field} {value[0]} ")
-        for value in values
-    ]
+def _children(value: Any, field: str) -> Iterator[tuple[Node, str]]:
+    """The nodes in a field, each with what it is there; what holds none is shown beside the node's class."""
+    if isinstance(value, Node):
+        yield value, f"{field}: "
+    elif isinstance(value, tuple):
+        for item in value:
+            match item:
+                case Node():
+                    yield item, f"{field}: "
+                case (Node() as key, Node() as entry):
+                    yield key, f"{field}, key: "
+                    yield entry, f"{field}, value: "
+                case (str() as op, Node() as operand):
+                    yield operand, f"{field} {op} "

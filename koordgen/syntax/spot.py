@@ -18,7 +18,7 @@ class Spot:
         self.tokens = tokens
         self.position = position
         self.expected = expected
-        self.kind, self.text, _, _ = tokens[position]
+        self.kind, self.text = tokens[position][:2]  # recover.py makes longer ones
         self.start = start_of_line(tokens, position)
         self.before = tokens[position - 1] if position > self.start else None
         end = position
@@ -32,7 +32,7 @@ class Spot:
     @property
     def span(self) -> Span:
         """The refused token's place; behind the last visible one where a line ends too early."""
-        _, text, line, column = self.tokens[self.position]
+        _, text, line, column = self.tokens[self.position][:4]
         if self.kind in _ENDS and self.before is not None:
             return behind(self.before)
         return Span(line, column, line, column + max(1, len(text)))
@@ -66,13 +66,13 @@ class Spot:
 
     def touches(self, *kinds: str) -> bool:
         """Whether one of these stands before, without a space between."""
-        _, _, line, column = self.tokens[self.position]
+        line, column = self.tokens[self.position][2:4]
         return self.before is not None and self.before_is(*kinds) and _end(self.before) == (line, column)
 
     def touched_by(self, kind: str) -> bool:
         """Whether this one stands behind, without a space between."""
         end = _end(self.tokens[self.position])
-        return bool(self.rest) and self.rest[0][0] == kind and self.rest[0][2:] == end
+        return bool(self.rest) and self.rest[0][0] == kind and self.rest[0][2:4] == end
 
     def level(self) -> int:
         """How many blocks the line stands in."""

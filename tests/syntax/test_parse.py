@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import os
-import random
 import re
 import subprocess
 import sys
@@ -30,7 +29,7 @@ PRELUDE = "local: int a\n  float f\n  bool b\n"
 
 def guard(text: str) -> expr.Expr:
     tree, found = parse(Source("t", f"E:\n  pre: {text}\n  eff: pass\n"))
-    assert tree is not None, found
+    assert not found
     (event,) = tree.sections
     assert isinstance(event, Event)
     clause = event.clauses[0]
@@ -44,16 +43,10 @@ def shape(text: str) -> str:
 
 
 def run(text: str) -> str:
-    """The whole front end; every diagnostic rendered."""
+    """The tree is made and shown whatever the text is; every diagnostic rendered."""
     source = Source("t.koord", text)
     tree, found = parse(source)
-    if tree is not None:
-        assert show_tree(tree)
-        program, more = check(tree, source)
-        found += more
-        if program is not None:
-            verify(program)
-            assert show(program)
+    assert show_tree(tree)
     to_json((source, d) for d in found)
     return "\n".join(render(d, source) for d in found)
 
@@ -85,7 +78,7 @@ def test_a_chain_is_one_node() -> None:
 
 def test_nodes_know_their_place() -> None:
     tree, _ = parse(Source("t", "E:\n  pre: (a +\n    bc) < 3\n  eff: pass\n"))
-    assert tree is not None and isinstance(tree.sections[0], Event)
+    assert isinstance(tree.sections[0], Event)
     condition = tree.sections[0].clauses[0]
     assert isinstance(condition, Guard) and isinstance(condition.condition, expr.Compare)
     span = condition.condition.first.span
@@ -97,18 +90,23 @@ def test_windows_line_ends_and_a_missing_last_one_change_nothing() -> None:
     plain = parse(Source("t", LINEFORM))
     assert parse(Source("t", LINEFORM.replace("\n", "\r\n"))) == plain
     assert parse(Source("t", LINEFORM.rstrip("\n"))) == plain
-    assert plain[0] is not None and not plain[1]
+    assert plain[0].sections and not plain[1]
+
+
+def test_a_byte_order_mark_changes_nothing() -> None:
+    assert parse(Source("t", "\ufeff" + LINEFORM)) == parse(Source("t", LINEFORM))
 
 
 def test_a_mistake_in_one_section_hides_no_other() -> None:
     found = run("E:\n  pre True\n  eff: pass\nF:\n  pre: (\nG:\n  pre: 3 +\n  eff: pass\n")
+    assert found.count("error") == 3
     assert "t.koord:2:6: error[K001]: expected ':' after 'pre'" in found
     assert "t.koord:5:8: error[K006]: '(' is never closed" in found
 
 
 def test_a_diagnostic_shows_line_and_place() -> None:
-    text = run("E:\n  pre: a\n  eff: pass\n")
-    assert text == "t.koord:2:8: error[K010]: a is not defined\n2 |   pre: a\n  |        ^"
+    text = run("E:\n  pre: (a\n  eff: pass\n")
+    assert text == "t.koord:2:8: error[K006]: '(' is never closed\n2 |   pre: (a\n  |        ^"
 
 
 DEEP = {
@@ -122,6 +120,11 @@ DEEP = {
     "call": "abs(" * 1000 + "a" + ")" * 1000,
     "field": "a" + ".x" * 5000,
     "choice": " if b else ".join(["b"] * 3000),
+    "power": " ** ".join(["a"] * 3000),
+    "quantifiers": "forall i in ID: " * 1000 + "b",
+    "map": "{1: " * 1000 + "2" + "}" * 1000,
+    "tuple": "(1, " * 1000 + "2" + ")" * 1000,
+    "primes": "a" + "'" * 5000,
     "comparison": " < ".join(["a"] * 5000),
 }
 
@@ -129,9 +132,18 @@ DEEP = {
 @pytest.mark.parametrize("text", DEEP.values(), ids=DEEP.keys())
 def test_what_is_nested_too_deeply_is_told(text: str) -> None:
     found = run(f"{PRELUDE}E:\n  pre: {text}\n  eff: pass\n")
-    assert "error[" in found
-    if "comparison" not in found and text.count("<") < 2:
-        assert "K007" in found or "K006" in found
+    assert found.count("error[K007]") == 1 or found.count("error[K006]") == 1
+    assert found.count("error[") == 1
+
+
+@pytest.mark.parametrize(
+    "text", ["List<" * 1000 + "int" + ">" * 1000, "int" + "[]" * 1000, "(int, " * 90 + "int" + ")" * 90]
+)
+@pytest.mark.parametrize("place", ["local: {} x", "fun f({} x) -> int: return 1", "init: {} x", "init: {} x = y"])
+def test_types_nest_to_a_limit(text: str, place: str) -> None:
+    found = run(place.format(text))
+    assert (found.count("error[K007]") == 1) == ("," not in text)
+    assert found.count("error[") <= 1
 
 
 @pytest.mark.parametrize("depth", [25, 31, 200, 2000])
@@ -151,7 +163,13 @@ def test_the_deepest_allowed_program_passes_all_passes() -> None:
     lines += [f"{pad}if a == 0:", f"{pad} a = 1"]
     for i in range(90):
         lines += [f"{pad}elif a == {i} + 1:", f"{pad} a = {'-(1 + ' * 45}a{')' * 45}"]
-    assert "error" not in run(PRELUDE + "\n".join(lines))
+    source = Source("t", PRELUDE + "\n".join(lines))
+    tree, found = parse(source)
+    program, more = check(tree, source)
+    assert not found and not any(d.severity == "error" for d in more)
+    assert program is not None
+    verify(program)
+    assert show(program)
 
 
 ODD = ["", "\n", "   ", "\t", "\0", "a", ":", "#", "\\", "\\\n", "x:\n", "pre:", '"', "'", "\ufeff",
@@ -168,26 +186,8 @@ ODD = ["", "\n", "   ", "\t", "\0", "a", ":", "#", "\\", "\\\n", "x:\n", "pre:",
 @pytest.mark.parametrize("text", ODD)
 def test_odd_texts_yield_diagnostics(text: str) -> None:
     found = run(text)
-    assert "error[" in found or text.startswith("E: pre: True\n   eff")
-
-
-def test_no_mutation_raises() -> None:
-    """Programs with characters and tokens dropped, doubled and swapped: diagnostics, never an exception."""
-    chance = random.Random(20)
-    seeds = [LINEFORM, *(p.read_text(encoding="utf-8") for p in sorted((ROOT / "tests/lang").glob("*.md")))]
-    programs = [b.partition("```")[0].partition("\n")[2] for s in seeds[1:] for b in s.split("```koord")[1:]] + [
-        LINEFORM
-    ]
-    pieces = ["(", ")", "[", ":", "\n", "\n  ", "    ", "pre", "eff:", "if ", "else:", "=", "==", "-", "not ", "x[",
-              ".", "pid", "N_SYS", "0", "1.5", "\t", "\0", "é", "stop", "/", "%", "//", " and ", "Point", "local:",
-              "List<"]  # fmt: skip
-    for _ in range(3000):
-        text = chance.choice(programs)
-        for _ in range(chance.randint(1, 4)):
-            at = chance.randrange(len(text) + 1)
-            until = min(len(text), at + chance.choice([0, 0, 1, 2, 8, 30]))
-            text = text[:at] + chance.choice(["", *pieces, text[until : until + 12]]) + text[until:]
-        run(text)
+    right = text in ("", "\n", "   ", "\t", "#", "\\\n", "\ufeff") or text.startswith("E: pre: True\n")
+    assert ("error[" in found) != right
 
 
 def test_collection_is_left_as_it_was() -> None:
