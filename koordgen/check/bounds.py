@@ -5,65 +5,152 @@ from __future__ import annotations
 from koordgen.check import linear
 from koordgen.check.context import Context, Site
 from koordgen.check.decide import Example, find, relevant, unsat
-from koordgen.check.facts import nonzero, term
-from koordgen.check.linear import N_SYS, PID, Formula, Linear
+from koordgen.check.facts import Flow, excludes_zero, has_length, length, names_of, nonzero, number_of, term
+from koordgen.check.linear import N_SYS, PID, And, AtLeastZero, Fact, Formula, Linear
 from koordgen.ir import expr as ir
+from koordgen.ir.decl import Param
+from koordgen.ir.types import FLOAT, INT
 from koordgen.node import replace
 from koordgen.source import Span
 
 _PID, _SIZE, _ZERO = linear.variable(PID), linear.variable(N_SYS), linear.constant(0)
 _LAST = linear.combine(_SIZE, linear.constant(-1))
+_AT_RUN_TIME = "it is checked at run time: a robot for which it fails discards the event and holds"
 
 
 def index_proved(index: ir.Expr, span: Span, c: Context) -> bool:
     """Whether 0 <= index < N_SYS here, always; a wrong or doubtful one is reported."""
-    if isinstance(index, ir.Pid):
+    if type(index) is ir.Pid:
         return True
     if c.flow is None or c.poisoned:
         return False
-    text = c.text(span)
     value = term(index, c.flow)
-    if value is None:
-        c.warn("K031", f"{text} may name no robot", span, _AT_RUN_TIME)
-        return False
-    sides = (linear.at_least(value, _SIZE), linear.less(value, _ZERO))
-    bad = linear.Or(sides)
-    if _holds_never(bad, c):
-        return True
-    for side in sides:
-        example, certain = _refuted(side, bad, value, c)
-        if example is None:
-            continue
-        robot, shown = _who(side, value, example, c)
-        such = _example(example, value)
-        if certain:
-            c.refuted.append(len(c.found))
-            c.error("K030", f"{robot} reads {text}: index {shown} names no robot ({such})", span)
-        else:
-            c.warn("K031", f"{robot} may read {text}: index {shown} names no robot ({such})", span, _AT_RUN_TIME)
-        return False
-    c.warn("K031", f"{text} may name no robot", span, _AT_RUN_TIME)
+    if value is not None:
+        sides = (linear.at_least(value, _SIZE), linear.less(value, _ZERO))
+        bad = linear.Or(sides)
+        if _holds_never(bad, c):
+            return True
+        if _right_by_default(bad, c):
+            return False
+        text = c.text(span)
+        for side in sides:
+            example, certain = _refuted(side, bad, (value,), c)
+            if example is None:
+                continue
+            robot, shown = _who(side, value, example, c)
+            such = _example(example, value)
+            if certain:
+                c.refuted.append(len(c.found))
+                c.error("K030", f"{robot} reads {text}: index {shown} names no robot ({such})", span)
+            else:
+                c.warn("K031", f"{robot} may read {text}: index {shown} names no robot ({such})", span, _help(c))
+            return False
+    c.warn("K031", f"{c.text(span)} may name no robot", span, _help(c))
     return False
 
 
-_AT_RUN_TIME = "it is checked at run time: a robot for which it fails discards the event and holds"
+def _help(c: Context) -> str:
+    return "let the formula say what robots it speaks of" if c.place in ("property", "assume") else _AT_RUN_TIME
+
+
+def element_proved(operand: ir.Expr, index: ir.Expr, span: Span, c: Context) -> bool:
+    """Whether 0 <= index < len(operand) here, always; a wrong or doubtful one is reported."""
+    if c.flow is None or c.poisoned:
+        return False
+    value, size = term(index, c.flow), length(operand, c.flow)
+    text = c.text(operand.span)
+    if value is not None and not value.terms and value.constant < 0:
+        help = f"{text}[len({text}) - {-value.constant}]" + (" is the last" if value.constant == -1 else "")
+        c.error("K036", f"an index never counts from the end, as {c.text(index.span)} would", index.span, help)
+        return False
+    if value is not None and size is not None:
+        sides = (linear.at_least(value, size), linear.less(value, _ZERO))
+        bad = linear.Or(sides)
+        if _holds_never(bad, c):
+            return True
+        if _right_by_default(bad, c):
+            return False
+        if _element_refuted(sides, bad, value, size, operand, span, c):
+            return False
+    check = f"'if 0 <= {c.text(index.span)} < len({text}):' around it shows that it does not"
+    if len(check) > 90 or isinstance(index, ir.Const):
+        check = f"'if len({text}) > {c.text(index.span)}:' around it shows that it does not"
+    help = f"{_help(c)}; {check}" if len(check) <= 90 else _help(c)
+    c.warn("K034", f"{c.text(span)} may leave its range", span, help)
+    return False
+
+
+def _element_refuted(
+    sides: tuple[Formula, Formula], bad: Formula, value: Linear, size: Linear, operand: ir.Expr, span: Span, c: Context
+) -> bool:
+    """Whether an index was reported as one that certainly leaves its range."""
+    text = c.text(span)
+    if _never(linear.negate(bad), c) and not _never(linear.TRUE, c):
+        many = (
+            f"it has {size.constant} element{'s' * (size.constant != 1)}" if not size.terms else "it is as long at most"
+        )
+        c.error("K030", f"{text} leaves its range: {many} here", span)
+        return True
+    for side in sides:
+        example, certain = _refuted(side, bad, (value, size), c)
+        if example is not None and certain:
+            robot, shown = _who(side, value, example, c)
+            such = _example(example, value)
+            many = linear.show(size)
+            c.refuted.append(len(c.found))
+            c.error("K030", f"{robot} reads {text}: index {shown} of {many} elements ({such})", span)
+            return True
+    return False
+
+
+def end_proved(end: ir.Expr, span: Span, c: Context) -> bool:
+    """Whether an end of a slice, or a place to insert at, is 0 or more here, always; else it is reported."""
+    if c.flow is None or c.poisoned:
+        return False
+    value = term(end, c.flow)
+    if value is not None and not value.terms:
+        if value.constant >= 0:
+            return True
+        c.error("K036", f"an index never counts from the end, as {c.text(end.span)} would", end.span)
+        return False
+    if value is not None and _holds_never(linear.less(value, _ZERO), c):
+        return True
+    text = c.text(end.span)
+    c.warn("K034", f"{c.text(span)}: {text} may be negative", end.span, _help(c))
+    return False
+
+
+def holds_some(values: ir.Expr, c: Context) -> bool:
+    """Whether something has an element here, always."""
+    many = length(values, c.flow) if c.flow is not None and has_length(values.type) else None
+    return many is not None and _never(linear.less(many, linear.constant(1)), c)
+
+
+def exponent(node: ir.Expr, span: Span, c: Context) -> None:
+    """Report an int to the power of a constant below zero, which is no int."""
+    value = term(node, c.flow) if c.flow is not None else None
+    if value is not None and not value.terms and value.constant < 0:
+        help = "with a float on one side it is a float: 2.0 ** -1"
+        c.error("K012", f"an int to the power of {value.constant} is no int", span, help)
 
 
 def divisor_proved(divisor: ir.Expr, span: Span, c: Context) -> bool:
     """Whether a divisor differs from zero here, always; a wrong or doubtful one is reported."""
-    if isinstance(divisor, ir.Widen) and isinstance(divisor.operand, ir.Const):
+    if type(divisor) is ir.Widen and type(divisor.operand) is ir.Const:
         divisor = divisor.operand
-    if isinstance(divisor, ir.Const) and divisor.value:
+    if type(divisor) is ir.Const and divisor.value:
         return True
     if c.flow is None or c.poisoned:
         return False
     bad = linear.negate(nonzero(divisor, c.flow))
     if _holds_never(bad, c):
         return True
+    if _right_by_default(bad, c):
+        return False
     text = c.text(divisor.span)
     value = term(divisor, c.flow)
     if value is not None:
-        example, certain = _refuted(bad, bad, value, c)
+        example, certain = _refuted(bad, bad, (value,), c)
         if example is not None and certain:
             c.refuted.append(len(c.found))
             if value.terms:
@@ -74,16 +161,93 @@ def divisor_proved(divisor: ir.Expr, span: Span, c: Context) -> bool:
             c.error("K032", message, span)
             return False
     help = f"'if {text} != 0:' around it shows that it is not"
-    c.warn("K033", f"{text} may be zero", divisor.span, f"{_AT_RUN_TIME}; {help}")
+    c.warn("K033", f"{text} may be zero", divisor.span, f"{_help(c)}; {help}")
     return False
+
+
+def _right_by_default(bad: Formula, c: Context) -> bool:
+    """Whether nothing is wrong as long as the params have the values that the program gives them; a fleet file may give
+    others, so it is still checked at run time."""
+    assert c.flow is not None
+    names = names_of(bad)
+    facts = c.flow.relevant(names)
+    names = names.union(*map(names_of, facts))
+    given = [d for name in names if name.startswith("param ") for d in _default(name[6:], c)]
+    return bool(given) and unsat((*facts, bad, *given))
+
+
+def _default(name: str, c: Context) -> list[Formula]:
+    """What a param's default tells of it."""
+    entity = c.entities.get(name)
+    if not isinstance(entity, Param):
+        return []
+    read = ir.ParamRead(name, entity.type, entity.span)
+    if entity.type is INT:
+        value, var = term(entity.default, Flow()), linear.variable(f"param {name}")
+        return [] if value is None else [linear.equal(var, value)]
+    if entity.type is FLOAT:
+        number = number_of(entity.default)
+        if number is None:
+            return []
+        told: list[Formula] = [Fact((op, read), excludes_zero(op, number)) for op in ("!=", ">", ">=", "<", "<=")]
+        return [*told, Fact(read, number != 0)]
+    if has_length(entity.type):
+        many = length(entity.default, Flow())
+        return [] if many is None else [linear.equal(linear.variable(linear.Length(f"param {name}")), many)]
+    return []
 
 
 def is_own(index: ir.Expr, c: Context) -> bool:
     """Whether an index is `pid` here, always."""
-    if isinstance(index, ir.Pid) or c.flow is None or c.poisoned:
+    if type(index) is ir.Pid or c.flow is None or c.poisoned:
         return True
     value = term(index, c.flow)
     return value is not None and _never(linear.negate(linear.equal(value, _PID)), c)
+
+
+def judge_update(name: str, reads: bool, span: Span, c: Context) -> None:
+    """Report a write to an allwrite variable of what was made from its old value, unless nothing can be lost: under
+    `atomic`, or where one robot alone can be. `reads`: the old value is part of this very statement."""
+    if c.place == "init":
+        if reads and name not in c.written_shared:
+            help = "build it in a variable of the block, and assign that"
+            c.error("K023", f"init cannot change {name}, only set it: it is shared", span, help)
+        return
+    if reads:
+        c.read_shared.add(name)
+    if name in c.read_shared and not c.transaction and not c.poisoned:
+        from koordgen.check.locks import only_one_robot
+
+        if not only_one_robot(c):
+            help = "another robot may write it in the same round, and one update is lost; under 'atomic:' none is"
+            c.warn("K040", f"this event reads {name} and writes it: an update may be lost", span, help)
+            c.read_shared.discard(name)
+    c.written_shared.add(name)
+
+
+def impossible(condition: Formula, before: Flow) -> bool:
+    """Whether a condition contradicts what is known."""
+    if condition is linear.UNKNOWN:
+        return False
+    names = names_of(condition)
+    facts = before.relevant(names)
+    if not facts and PID not in names and N_SYS not in names:
+        # Nothing is known of these: only what contradicts itself is impossible, and one comparison does not.
+        match condition:
+            case Fact():
+                return False
+            case AtLeastZero(value) if value.terms:
+                return False
+            case And((AtLeastZero(first), AtLeastZero(second))) if (
+                len(first.terms) == 1 and first.constant == -second.constant
+            ):
+                return False
+    return unsat((*facts, condition))
+
+
+def _one_value(first: Linear, second: Linear) -> bool:
+    """Whether two bounds are those of `variable == constant`."""
+    return len(first.terms) == 1 and abs(first.terms[0][1]) == 1 and second == linear.scale(first, -1)
 
 
 def help_by_negation(c: Context) -> None:
@@ -102,21 +266,23 @@ def help_by_negation(c: Context) -> None:
 
 def _holds_never(bad: Formula, c: Context) -> bool:
     assert c.flow is not None
-    c.sites.append(Site(tuple(f for f in c.flow.facts if f is not c.guard), bad))
+    if c.place == "effect":
+        c.sites.append(Site(tuple([k.formula for k in c.flow.known if k.origin is not c.guard]), bad))
     return _never(bad, c)
 
 
 def _never(condition: Formula, c: Context) -> bool:
     """Whether a condition cannot hold here."""
     assert c.flow is not None
-    return unsat((*relevant(c.flow.facts, condition), condition))
+    return unsat((*c.flow.relevant(names_of(condition)), condition))
 
 
-def _refuted(side: Formula, bad: Formula, value: Linear, c: Context) -> tuple[Example | None, bool]:
+def _refuted(side: Formula, bad: Formula, values: tuple[Linear, ...], c: Context) -> tuple[Example | None, bool]:
     """An example of a robot for which `side` holds, and whether that is certain: no matter what else is the case,
     or because `bad` holds whenever one gets here."""
     assert c.flow is not None
-    if any(not isinstance(v, str) or (v not in (PID, N_SYS) and v not in c.defaults) for v in linear.variables(value)):
+    names = [var for value in values for var in linear.variables(value)]
+    if any(not isinstance(v, str) or (v not in (PID, N_SYS) and v not in c.defaults) for v in names):
         return None, False
     example = find((*c.flow.facts, side), c.defaults)
     if example is None:
@@ -129,7 +295,7 @@ def _who(side: Formula, value: Linear, example: Example, c: Context) -> tuple[st
     assert c.flow is not None
     here = linear.constant(example.values[PID])
     for robot in (_LAST, here):
-        if _never(linear.And((side, linear.negate(linear.equal(_PID, robot)))), c):
+        if _never(And((side, linear.negate(linear.equal(_PID, robot)))), c):
             return f"robot {linear.show(robot)}", _index(linear.substitute(value, PID, robot), value, example)
     return "a robot", _index(value, value, example)
 

@@ -20,6 +20,7 @@ from koordgen.check.linear import (
     Choice,
     Fact,
     Formula,
+    Length,
     Linear,
     Or,
     Quotient,
@@ -78,51 +79,128 @@ def _closed(
 ) -> bool:
     """Whether every branch of the formulas ends in a contradiction."""
     open_: list[Or] = []
-    while pending:
-        match formula := pending.pop():
-            case AtLeastZero(linear):
-                rows.append(linear)
-                for var, _ in linear.terms:
-                    if not isinstance(var, str) and var not in defined:
-                        defined |= {var}
-                        pending.extend(_definition(var))
-            case Fact(key, holds):
-                if facts.setdefault(key, holds) != holds:
-                    return True
-            case And(parts):
-                pending.extend(parts)
-            case Or(parts):
-                if not parts:
-                    return True
-                open_.append(formula)
-            case Unknown():
-                pass
-            case _:
-                assert_never(formula)
+    ways: list[tuple[Formula, ...]] = []
+    while pending:  # until no disjunction is left with a single way
+        while pending:
+            match formula := pending.pop():
+                case AtLeastZero(linear):
+                    rows.append(linear)
+                    for var, _ in linear.terms:
+                        if not isinstance(var, str) and var not in defined:
+                            defined |= {var}
+                            pending.extend(_definition(var))
+                case Fact(key, holds):
+                    if facts.setdefault(key, holds) != holds:
+                        return True
+                case And(parts):
+                    pending.extend(parts)
+                case Or(parts):
+                    if not parts:
+                        return True
+                    open_.append(formula)
+                case Unknown():
+                    pass
+                case _:
+                    assert_never(formula)
+        limits = _limits(rows)
+        if limits is None:
+            return True
+        left, ways = [], []
+        for either in open_:
+            told = [_told(part, limits, facts) for part in either.parts]
+            if True in told:
+                continue
+            possible = tuple([part for part, truth in zip(either.parts, told, strict=True) if truth is None])
+            if not possible:
+                return True
+            if len(possible) == 1:
+                pending.append(possible[0])
+            else:
+                left.append(either)
+                ways.append(possible)
+        open_ = left
     if _contradictory(rows):
         return True
     if not open_:
         return False
-    # The one with the fewest ways left, those apart that a known fact excludes.
-    ways = [
-        tuple(p for p in o.parts if not (isinstance(p, Fact) and facts.get(p.key, p.holds) != p.holds)) for o in open_
-    ]
     least = min(range(len(ways)), key=lambda i: len(ways[i]))
-    chosen = Or(ways.pop(least))
-    open_ = [Or(w) for w in ways]
-    for part in chosen.parts:
+    others = [Or(way) for i, way in enumerate(ways) if i != least]
+    for part in ways[least]:
         budget[0] -= 1
-        if budget[0] < 0 or not _closed([part, *open_], list(rows), dict(facts), defined, budget):
+        if budget[0] < 0 or not _closed([part, *others], list(rows), dict(facts), defined, budget):
             return False
     return True
+
+
+_Limits = dict[Var, tuple[int | None, int | None]]
+_ANY = (None, None)
+
+
+def _limits(rows: list[Linear]) -> _Limits | None:
+    """The least and the greatest value of each variable, by the rows about it alone; None where there is no value."""
+    limits: _Limits = {}
+    for row in rows:
+        if len(row.terms) == 1:
+            ((var, factor),) = row.terms
+            low, high = limits.get(var, _ANY)
+            if factor > 0:
+                bound = -(row.constant // factor)
+                low = bound if low is None or bound > low else low
+            else:
+                bound = row.constant // -factor
+                high = bound if high is None or bound < high else high
+            if low is not None and high is not None and low > high:
+                return None
+            limits[var] = (low, high)
+        elif not row.terms and row.constant < 0:
+            return None
+    return limits
+
+
+def _told(formula: Formula, limits: _Limits, facts: dict[object, bool]) -> bool | None:
+    """Whether a formula holds, as far as limits and facts tell."""
+    match formula:
+        case AtLeastZero(linear):
+            least, most = _least(linear, limits, 1), _least(linear, limits, -1)
+            if least is not None and least >= 0:
+                return True
+            return False if most is not None and most > 0 else None
+        case Fact(key, holds):
+            known = facts.get(key)
+            return None if known is None else known == holds
+        case And(parts):
+            told = [_told(part, limits, facts) for part in parts]
+            return False if False in told else None if None in told else True
+        case Or(parts):
+            told = [_told(part, limits, facts) for part in parts]
+            return True if True in told else None if None in told else False
+        case _:
+            return None
+
+
+def _least(linear: Linear, limits: _Limits, sign: int) -> int | None:
+    """The least value of sign * linear; None where there is none."""
+    total = sign * linear.constant
+    for var, factor in linear.terms:
+        low, high = limits.get(var, _ANY)
+        bound = low if sign * factor > 0 else high
+        if bound is None:
+            return None
+        total += sign * factor * bound
+    return total
 
 
 def _definition(var: Var) -> list[Formula]:
     """What a derived variable's value satisfies."""
     match var:
+        case Length():
+            return [at_least(variable(var), constant(0))]
         case Quotient(operand, divisor):
             rest = combine(operand, variable(var), -divisor)
             return [at_least(rest, constant(0)), less(rest, constant(divisor))]
+        case Remainder(operand, Linear((), by)) if by > 0:
+            quotient = variable(Quotient(operand, by))
+            return [equal(variable(var), combine(operand, quotient, -by))]
         case Remainder(_, divisor):
             positive = at_least(divisor, constant(1))
             range_ = And((at_least(variable(var), constant(0)), less(variable(var), divisor)))

@@ -1,6 +1,7 @@
 """Terms that are linear in integers, and conditions over them.
 
-Terms are linear over integer variables, among them the quotients, remainders and choices of other terms.
+Terms are linear over integer variables, among them the lengths of lists, ints within values, and the quotients,
+remainders and choices of other terms.
 """
 
 from __future__ import annotations
@@ -40,8 +41,21 @@ class Choice(Node):
     orelse: Linear
 
 
+class Length(Node):
+    """How many elements a list, queue, set, map or string has, 0 at least: a variable's by its name, or else a part's
+    by the expression that reads it."""
+
+    of: object
+
+
+class Value(Node):
+    """An int that is a part of a value, by the expression that reads it."""
+
+    of: object
+
+
 # A plain variable is its name: "pid", "N_SYS", or a kind and a name, as in "param k" and "local count".
-Var = str | Quotient | Remainder | Choice
+Var = str | Quotient | Remainder | Choice | Length | Value
 
 
 class AtLeastZero(Node):
@@ -100,6 +114,21 @@ def scale(linear: Linear, factor: int) -> Linear:
     return combine(constant(0), linear, factor)
 
 
+def shifted(formula: Formula, var: Var, by: int) -> Formula:
+    """The formula for `var - by` in place of the plain variable or length `var`, where it stands in terms; a formula
+    has it nowhere else."""
+    match formula:
+        case AtLeastZero(linear):
+            factor = dict(linear.terms).get(var, 0)
+            return AtLeastZero(Linear(linear.terms, linear.constant - factor * by)) if factor else formula
+        case And(parts):
+            return And(tuple([shifted(part, var, by) for part in parts]))
+        case Or(parts):
+            return Or(tuple([shifted(part, var, by) for part in parts]))
+        case _:
+            return formula
+
+
 def at_least(left: Linear, right: Linear) -> Formula:
     """left >= right"""
     return AtLeastZero(combine(left, right, -1))
@@ -142,8 +171,10 @@ def value_of(linear: Linear, values: Mapping[str, int]) -> int | None:
     return total
 
 
-def _derived(var: Quotient | Remainder | Choice, values: Mapping[str, int]) -> int | None:
+def _derived(var: Quotient | Remainder | Choice | Length | Value, values: Mapping[str, int]) -> int | None:
     match var:
+        case Length() | Value():
+            return None
         case Quotient(operand, divisor):
             dividend = value_of(operand, values)
             return None if dividend is None else dividend // divisor
@@ -176,7 +207,7 @@ def truth(formula: Formula, values: Mapping[str, int]) -> bool | None:
 
 
 def variables(item: Formula | Linear | Var) -> Iterator[object]:
-    """The plain variables of a formula, and the keys of its facts."""
+    """The plain variables of a formula, the keys of its facts, and of what its lengths and values are."""
     match item:
         case Linear(terms):
             for var, _ in terms:
@@ -185,6 +216,8 @@ def variables(item: Formula | Linear | Var) -> Iterator[object]:
             yield from variables(linear)
         case Fact(key):
             yield key
+        case Length(of) | Value(of):
+            yield of
         case And(parts) | Or(parts):
             for part in parts:
                 yield from variables(part)
@@ -227,8 +260,10 @@ def _name(var: Var) -> str:
             return f"({show(operand)}) // {divisor}"
         case Remainder(operand, modulus):
             return f"({show(operand)}) % ({show(modulus)})"
-        case Choice():
+        case Choice() | Value():
             return "(...)"
+        case Length(of):
+            return f"len({of.rpartition(' ')[2] if isinstance(of, str) else '...'})"
         case _:
             assert_never(var)
 

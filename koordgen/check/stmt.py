@@ -2,203 +2,171 @@
 
 from __future__ import annotations
 
-from typing import assert_never
-
 from koordgen.check import bounds, linear
-from koordgen.check.context import PREDEFINED, Context, Temp
-from koordgen.check.decide import relevant, unsat
-from koordgen.check.expr import arithmetic, check_expr, condition, fitting
-from koordgen.check.facts import Flow, formula, known_value, variable_of
-from koordgen.diagnostics import Label
+from koordgen.check.base import a, check_expr, condition, default, fitting
+from koordgen.check.block import STATEMENTS, Out, check_block, learn
+from koordgen.check.collection import declare
+from koordgen.check.context import Context
+from koordgen.check.expr import arithmetic
+from koordgen.check.facts import Flow, formula
+from koordgen.check.loop import check_counted, check_for, check_while
+from koordgen.check.name import declared_port, module_named
+from koordgen.check.target import Target, check_target
+from koordgen.check.types import resolve
+from koordgen.check.update import check_update, pops, updates
 from koordgen.ir import expr as ir
 from koordgen.ir import stmt
-from koordgen.ir.decl import Local, Module, Param, Shared
-from koordgen.ir.types import BOOL, FLOAT, INT, POINT, POISON, Scalar
+from koordgen.ir.types import BOOL, FLOAT, INT, POINT, POISON, STREAM, STRING
 from koordgen.source import Span
 from koordgen.syntax import expr as ast
 from koordgen.syntax import stmt as tree
-from koordgen.syntax.mistake import LATER_TYPES
 
-Target = tuple[stmt.Place, Scalar, ir.Expr]  # where to write, of what type, and how it is read
-
-
-def check_block(block: tree.Block, c: Context) -> stmt.Block:
-    """The statements of a block; its declarations end with it. `c.flow` is None afterwards if it always stops."""
-    c.scopes.append({})
-    checked: list[stmt.Stmt] = []
-    told = False
-    for statement in block:
-        if c.flow is None and not told and not isinstance(statement, tree.Pass):
-            c.warn("K043", "this statement can never run: every way to it has stopped", statement.span)
-            told = True
-        done = _check(statement, c)
-        if done is not None:
-            checked.append(done)
-    c.scopes.pop()
-    return tuple(checked)
+__all__ = ["check_block", "default"]
 
 
-def _check(node: tree.Stmt, c: Context) -> stmt.Stmt | None:
-    match node:
-        case tree.Assign():
-            return _assign(node, c)
-        case tree.Declare():
-            return _declare(node, c)
-        case tree.If():
-            return _if(node, c)
-        case tree.Evaluate():
-            _evaluate(node, c)
-            return None
-        case tree.Pass():
-            return None
-        case tree.Stop(span):
-            c.flow = None
-            return stmt.Stop(span)
-        case _:
-            assert_never(node)
-
-
-def default(type_: Scalar, span: Span) -> ir.Expr:
-    """The value of a variable that is given none."""
-    if type_ == POINT:
-        zero = ir.Const(0.0, FLOAT, span)
-        return ir.Builtin("Point", (zero, zero, zero), POINT, span)
-    return ir.Const({INT: 0, FLOAT: 0.0, BOOL: False}.get(type_, 0), type_, span)
-
-
-def _assign(node: tree.Assign, c: Context) -> stmt.Stmt | None:
-    value = check_expr(node.value, c)
-    target = _target(node.target, c)
+def _assign(node: tree.Assign, c: Context, out: Out) -> None:
+    target = check_target(node.target, c)
     if target is None:
-        return None
-    place, type_, read = target
+        c.hoisted.clear()
+        if not isinstance(node.value, (ast.ListDisplay, ast.MapDisplay)) or node.value.items:
+            check_expr(node.value, c)
+        return
+    type_ = target.read.type
+    if not node.op and pops(node.value, c):
+        _assign_popped(node, target, c, out)
+        return
+    value = check_expr(node.value, c, type_)
     if node.op:
-        if isinstance(place, stmt.SharedPlace):
-            c.read_shared.add(place.name)
-        value = arithmetic(node.op, read, value, node.span, c)
-    value = fitting(value, type_, c.text(node.target.span), c)
-    if isinstance(place, stmt.SharedPlace) and place.name in c.read_shared:
-        help = "another robot may write it in the same round: the highest pid wins, the others' work is lost"
-        c.warn("K040", f"this event reads {place.name} and writes it: an update may be lost", node.span, help)
-        c.read_shared.discard(place.name)
-    _learn(place, value, c)
-    return None if POISON in (value.type, type_) else stmt.Assign(place, value, node.span)
+        value = arithmetic(node.op, target.read, value, node.span, c)
+    write(target, fitting(value, type_, c.text(node.target.span), c), bool(node.op), node.span, c, out)
 
 
-def _learn(place: stmt.Place, value: ir.Expr, c: Context) -> None:
-    name = variable_of(place)
-    if c.flow is not None and name is not None:
-        c.flow = c.flow.assigned(name, None if value.type == POISON else known_value(value, c.flow))
+def write(target: Target, value: ir.Expr, reads: bool, span: Span, c: Context, out: Out) -> None:
+    """`target = value`, typed; `reads`: the target's own value is part of the new one."""
+    place = target.place
+    if c.hoisted:
+        out.extend(c.hoisted)
+        c.hoisted.clear()
+    if isinstance(place, stmt.SharedPlace):
+        bounds.judge_update(place.name, reads or not target.whole, span, c)
+    if value.type is POISON or target.read.type is POISON:
+        learn(place, c.poison(span), c)
+        return
+    new = value if target.whole else target.put(value)
+    learn(place, new, c)
+    out.append(stmt.Assign(place, new, span))
 
 
-def _target(node: ast.Expr, c: Context) -> Target | None:
-    """What an assignment writes; None after reporting that it cannot."""
-    match node:
-        case ast.Name():
-            return _named(node, c)
-        case ast.Index(ast.Name(name) as value):
-            entity = c.entities.get(name)
-            if c.temp(name) is None and isinstance(entity, Shared) and entity.kind == "allread":
-                return _slot(node, entity, c)
-            check_expr(node if name in c.entities or c.temp(name) else value, c)
-            return None
-        case ast.Attribute(ast.Name(name)) if c.temp(name) is None and isinstance(c.entities.get(name), Module):
-            return _port(node, c)
-        case ast.Attribute():
-            if check_expr(node, c).type != POISON:
-                help = "assign a whole Point: p = Point(x, y, z)"
-                c.error("K022", f"{c.text(node.span)} is a part of a value and cannot be assigned", node.span, help)
-            return None
-        case _:
-            if check_expr(node, c).type != POISON:
-                c.error("K022", f"{c.text(node.span)} cannot be assigned", node.span)
-            return None
+def _assign_popped(node: tree.Assign, target: Target, c: Context, out: Out) -> None:
+    """`x = q.pop()`: read, then remove. A part of a variable is written last: its index may be among what changes."""
+    assert isinstance(node.value, ast.Call)
+    update = check_update(node.value, c)
+    if update is None:
+        c.hoisted.clear()
+        return
+    queue, value, rest = update
+    assert value is not None
+    value = fitting(value, target.read.type, c.text(node.target.span), c)
+    if target.whole and queue.whole:
+        write(target, value, False, node.span, c, out)
+        write(queue, rest, True, node.span, c, out)
+        return
+    if value.type is not POISON:
+        name = c.mint("popped")
+        out.extend(c.hoisted)
+        c.hoisted.clear()
+        out.append(stmt.Let(name, value.type, value, node.span))
+        value = ir.TempRead(name, value.type, node.span)
+    write(queue, rest, True, node.span, c, out)
+    write(target, value, False, node.span, c, out)
 
 
-def _named(node: ast.Name, c: Context) -> Target | None:
-    name, span = node.name, node.span
-    temp = c.temp(name)
-    if temp is not None:
-        return stmt.TempPlace(temp.unique), temp.type, ir.TempRead(temp.unique, temp.type, span)
-    match c.entities.get(name):
-        case Local(type=type_):
-            return stmt.LocalPlace(name), type_, ir.LocalRead(name, type_, span)
-        case Shared(kind="allwrite", type=type_):
-            return stmt.SharedPlace(name), type_, ir.SharedRead(name, type_, span)
-        case Shared():
-            c.error("K017", f"{name} has a value for each robot and needs an index", span, f"write {name}[pid] = ...")
-        case Param():
-            c.error("K022", f"{name} is a param and cannot be assigned", span, "declare it under 'local:'")
-        case Module():
-            c.error("K022", f"{name} is a module and cannot be assigned", span)
-        case None if name in PREDEFINED:
-            c.error("K022", f"{name} is predefined and cannot be assigned", span)
-        case None if name not in c.entities:
-            help = c.nearest(name, [n for n in c.visible() if n not in PREDEFINED])
-            c.error("K010", f"{name} is not defined", span, help or f"declare it: 'Type {name} = ...'")
-    return None
-
-
-def _slot(node: ast.Index, entity: Shared, c: Context) -> Target | None:
-    index = fitting(check_expr(node.index, c), INT, "an index", c)
-    if POISON in (index.type, entity.type):
-        return None
-    if not bounds.is_own(index, c):
-        message = f"{c.text(node.span)} may be another robot's slot; a robot writes {entity.name}[pid] only"
-        c.error("K021", message, node.span, f"write {entity.name}[pid] = ...")
-        return None
-    return (
-        stmt.OwnSlot(entity.name),
-        entity.type,
-        ir.SlotRead(entity.name, ir.Pid(INT, index.span), True, entity.type, node.span),
-    )
-
-
-def _port(node: ast.Attribute, c: Context) -> Target | None:
-    read = check_expr(node, c)
-    if not isinstance(read, ir.PortRead):
-        return None
-    module = c.entities[read.module]
-    assert isinstance(module, Module)
-    port = next(p for p in module.ports if p.name == read.port)
-    if port.direction == "sensor":
-        label = Label(port.span, "declared as a sensor")
-        c.error("K020", f"{read.module}.{read.port} is a sensor and cannot be assigned", node.span, labels=(label,))
-        return None
-    return stmt.PortPlace(read.module, read.port), read.type, read
-
-
-def _declare(node: tree.Declare, c: Context) -> stmt.Stmt | None:
-    type_ = c.type_named(node.type, node.type_span)
-    value = default(type_, node.span) if node.value is None else check_expr(node.value, c)
+def _declare(node: tree.Declare, c: Context, out: Out) -> None:
+    type_ = resolve(node.type, c)
+    update = None
+    if node.value is None:
+        if type_ is POISON and (c.temp(node.name) is not None or node.name in c.entities):
+            return  # `assert b`, `del n`: no declaration was meant
+        value = default(type_, node.span, c)
+    elif pops(node.value, c):
+        update = check_update(node.value, c)
+        value = (update[1] if update is not None else None) or c.poison(node.span)
+    else:
+        value = check_expr(node.value, c, type_)
     value = fitting(value, type_, node.name, c)
-    if type_ == POISON and node.type not in LATER_TYPES and node.value is None:
-        return None  # `assert b`, `del n`: no declaration was meant
-    earlier = c.temp(node.name)
-    known = c.entities.get(node.name)
-    if earlier is not None or node.name in c.entities or node.name in PREDEFINED:
-        span = earlier.span if earlier else known.span if known else None
-        labels = (Label(span, "declared here first"),) if span else ()
-        what = "is predefined" if node.name in PREDEFINED else "is declared already"
-        c.error("K011", f"{node.name} {what}", node.name_span, "choose another name", labels)
-        return None
-    temp = Temp(c.mint(node.name), type_, node.name_span)
-    c.scopes[-1][node.name] = temp
-    _learn(stmt.TempPlace(temp.unique), value, c)
-    return None if POISON in (value.type, type_) else stmt.Let(temp.unique, type_, value, node.span)
+    temp = declare(node.name, type_, node.name_span, c)
+    out.extend(c.hoisted)
+    c.hoisted.clear()
+    if temp is not None:
+        learn(stmt.TempPlace(temp.unique), value, c)
+        if value.type is not POISON and type_ is not POISON:
+            out.append(stmt.Let(temp.unique, type_, value, node.span))
+    if update is not None:
+        write(update[0], update[2], True, node.span, c, out)
 
 
-def _evaluate(node: tree.Evaluate, c: Context) -> None:
-    if isinstance(node.value, ast.Call):
-        if check_expr(node.value, c).type != POISON:
+def _evaluate(node: tree.Evaluate, c: Context, out: Out) -> None:
+    value = node.value
+    if updates(value, c):
+        update = check_update(value, c)
+        if update is not None:
+            write(update[0], update[2], True, node.span, c, out)
+        c.hoisted.clear()
+    elif isinstance(value, ast.Call):
+        if check_expr(value, c).type is not POISON:
             c.error("K024", "the result of this call is not used", node.span)
-    elif isinstance(node.value, ast.Compare) and node.value.rest[0][0] == "==":
+    elif isinstance(value, ast.Binary) and value.op == "<<":
+        _emit(value, node.span, c, out)
+    elif isinstance(value, ast.Compare) and value.rest[0][0] == "==":
         c.error("K024", "this compares and does nothing", node.span, "'=' assigns")
-    elif check_expr(node.value, c).type != POISON:
+    elif check_expr(value, c).type is not POISON:
         c.error("K024", "this is a value and does nothing", node.span)
 
 
-def _if(node: tree.If, c: Context) -> stmt.Stmt | None:
+# Streams
+
+
+def _emit(node: ast.Binary, span: Span, c: Context, out: Out) -> None:
+    """`Log.stdout << a << b`"""
+    parts: list[ast.Expr] = []
+    head: ast.Expr = node
+    while isinstance(head, ast.Binary) and head.op == "<<":
+        parts.append(head.right)
+        head = head.left
+    items = [_text(check_expr(part, c), c) for part in reversed(parts)]
+    module = module_named(head.value, c) if isinstance(head, ast.Attribute) else None
+    if module is None or not isinstance(head, ast.Attribute):
+        if check_expr(head, c).type is not POISON:
+            help = "declare one: 'using Log:' with 'stream stdout' under it"
+            c.error("K056", f"{c.text(head.span)} is no stream", head.span, help)
+        return
+    port = declared_port(module, head, c)
+    if port is None or port.type is POISON:
+        return
+    if port.type is not STREAM:
+        c.error("K056", f"{module.name}.{port.name} is {a(port.type)}, not a stream", head.span)
+    elif c.place == "function":
+        help = "do it in the event that calls the function"
+        c.error("K027", "a function changes nothing: it cannot write to a stream", span, help)
+    elif all(item.type is not POISON for item in items):
+        out.append(stmt.Emit(module.name, port.name, tuple(items), span))
+
+
+def _text(value: ir.Expr, c: Context) -> ir.Expr:
+    """What a stream shows of a value: a string."""
+    type_ = value.type
+    if type_ is POISON or type_ == STRING:
+        return value
+    if type_ is INT or type_ is FLOAT or type_ is BOOL or type_ is POINT:
+        return ir.Builtin("str", (value,), STRING, value.span)
+    help = "show its parts, or its length"
+    return c.error("K056", f"a stream cannot show {a(type_)}", value.span, help)
+
+
+# What leads elsewhere
+
+
+def _if(node: tree.If, c: Context, out: Out) -> None:
     """Each branch knows its own condition and that those before it failed; afterwards holds what all branches leave."""
     checked: list[tuple[ir.Expr, stmt.Block, Span]] = []
     poisoned, ends = c.poisoned, []
@@ -207,33 +175,27 @@ def _if(node: tree.If, c: Context) -> stmt.Stmt | None:
         held = condition(branch.condition, c, "the condition of 'if'")
         before = c.flow
         known: linear.Formula = linear.UNKNOWN
-        if before is not None and held.type == BOOL:
+        if before is not None and held.type is BOOL:
             known = formula(held, before)
             c.flow = before.knowing(known)
-            if not c.poisoned and known != linear.UNKNOWN and _impossible(before, known):
-                c.warn(
-                    "K043", f"this branch can never run: {c.text(branch.condition.span)} never holds here", branch.span
-                )
-        c.poisoned = poisoned or held.type == POISON
+            if not c.poisoned and bounds.impossible(known, before):
+                text = c.text(branch.condition.span)
+                c.warn("K043", f"this branch can never run: {text} never holds here", branch.span)
+        c.poisoned = poisoned or held.type is POISON
         block = check_block(branch.block, c)
         ends.append(c.flow)
         checked.append((held, block, branch.span))
         c.flow = before.knowing(linear.negate(known)) if before is not None else None
-        c.poisoned = c.poisoned or held.type == POISON
-    orelse = check_block(node.orelse, c)
+        c.poisoned = c.poisoned or held.type is POISON
+    orelse = check_block(node.orelse, c) if node.orelse else ()
     ends.append(c.flow)
     c.poisoned = poisoned
     c.flow = _joined(ends) if outer is not None else None
-    if any(held.type == POISON for held, _, _ in checked):
-        return None
-    result: stmt.Stmt | None = None
+    if any(held.type is POISON for held, _, _ in checked):
+        return
     for held, block, span in reversed(checked):
-        result = stmt.If(held, block, orelse if result is None else (result,), span)
-    return result
-
-
-def _impossible(before: Flow, condition: linear.Formula) -> bool:
-    return unsat((*relevant(before.facts, condition), condition))
+        orelse = (stmt.If(held, block, orelse, span),)
+    out.extend(orelse)
 
 
 def _joined(ends: list[Flow | None]) -> Flow | None:
@@ -242,3 +204,77 @@ def _joined(ends: list[Flow | None]) -> Flow | None:
         if end is not None:
             result = end if result is None else result.joined(end)
     return result
+
+
+def _atomic(node: tree.Atomic, c: Context, out: Out) -> None:
+    """The event as a whole is the transaction: the block stands where the word stood."""
+    if c.atomic:
+        c.error("K045", "'atomic' stands within 'atomic'", node.span, "the outer one holds for all of it: leave it out")
+    elif c.place == "function":
+        c.error("K045", "a function cannot be atomic", node.span, "put 'atomic:' around what calls it in an event")
+    elif c.place == "init":
+        help = "no robot may read shared variables yet, so nothing can be lost: leave it out"
+        c.error("K045", "init cannot be atomic", node.span, help)
+    c.atomic += 1
+    out.extend(check_block(node.block, c))
+    c.atomic -= 1
+
+
+def _return(node: tree.Return, c: Context, out: Out) -> None:
+    if c.place != "function":
+        check_expr(node.value, c)
+        c.error("K028", "'return' has no function to leave", node.span, "'stop' holds a robot for good")
+        c.flow = None
+        return
+    value = check_expr(node.value, c, c.result)
+    if c.result is None:
+        c.result = value.type
+    value = fitting(value, c.result, "the result", c)
+    c.flow = None
+    if value.type is not POISON and c.result is not POISON:
+        out.append(stmt.Return(value, node.span))
+
+
+def _break(node: tree.Break, c: Context, out: Out) -> None:
+    if not c.loops:
+        c.error("K028", "'break' has no loop to leave", node.span)
+    c.flow = None
+    out.append(stmt.Break(node.span))
+
+
+def _continue(node: tree.Continue, c: Context, out: Out) -> None:
+    if not c.loops:
+        c.error("K028", "'continue' has no loop to go on with", node.span)
+    c.flow = None
+    out.append(stmt.Continue(node.span))
+
+
+def _stop(node: tree.Stop, c: Context, out: Out) -> None:
+    if c.place == "function":
+        c.error("K027", "a function cannot stop its robot", node.span, "'return' a result, and stop in the event")
+    c.flow = None
+    out.append(stmt.Stop(node.span))
+
+
+def _nothing(node: tree.Pass | tree.BrokenStmt, c: Context, out: Out) -> None:
+    pass
+
+
+STATEMENTS.update(
+    {
+        tree.Assign: _assign,
+        tree.Declare: _declare,
+        tree.If: _if,
+        tree.For: check_for,
+        tree.CountedFor: check_counted,
+        tree.While: check_while,
+        tree.Atomic: _atomic,
+        tree.Evaluate: _evaluate,
+        tree.Return: _return,
+        tree.Break: _break,
+        tree.Continue: _continue,
+        tree.Pass: _nothing,
+        tree.Stop: _stop,
+        tree.BrokenStmt: _nothing,
+    }
+)

@@ -1,0 +1,159 @@
+"""Loops: what they run over, what is known in them and behind them, and whether their end can be seen."""
+
+from __future__ import annotations
+
+from koordgen.check import bounds, linear
+from koordgen.check.base import a, condition
+from koordgen.check.block import Out, check_block
+from koordgen.check.collection import check_domain, declare, elements
+from koordgen.check.context import Context
+from koordgen.check.dialect import old_for
+from koordgen.check.facts import formula, range_facts
+from koordgen.check.name import module_named
+from koordgen.check.progress import ends
+from koordgen.check.update import updates
+from koordgen.check.walk import statements
+from koordgen.ir import stmt
+from koordgen.ir.decl import Local, Shared
+from koordgen.ir.types import BOOL, POISON, TupleOf, Type
+from koordgen.syntax import expr as ast
+from koordgen.syntax import stmt as tree
+
+
+def check_counted(node: tree.CountedFor, c: Context, out: Out) -> None:
+    check_for(old_for(node, c), c, out)
+
+
+def check_for(node: tree.For, c: Context, out: Out) -> None:
+    values = check_domain(node.values, c)
+    before = c.flow
+    changed = written(node.block, c)
+    after = before.forgetting(changed) if before is not None else None
+    c.flow = after
+    types = _types(node, elements(values), c)
+    c.scopes.append({})
+    temps = [declare(name.name, type_, name.span, c) for name, type_ in zip(node.names, types, strict=True)]
+    if before is not None and after is not None and len(temps) == 1 and temps[0] is not None:
+        c.flow = after
+        for fact in range_facts(temps[0].unique, values, before, after, changed):
+            c.flow = c.flow.knowing(fact)
+    block = _body(node.block, c)
+    c.scopes.pop()
+    c.flow = after
+    if values.type is POISON or POISON in types or None in temps:
+        return
+    names = tuple([temp.unique for temp in temps if temp is not None])
+    out.append(stmt.For(names, types, values, block, node.span))
+
+
+def _types(node: tree.For, element: Type, c: Context) -> tuple[Type, ...]:
+    """The types of the loop's variables."""
+    count = len(node.names)
+    if count == 1 or element is POISON:
+        return (element,) * count
+    if isinstance(element, TupleOf):
+        if len(element.items) == count:
+            return element.items
+        c.error("K014", f"each element has {len(element.items)} parts, not {count}", node.values.span)
+    else:
+        c.error("K012", f"each element is {a(element)}, not {count} values", node.values.span)
+    return (POISON,) * count
+
+
+def check_while(node: tree.While, c: Context, out: Out) -> None:
+    before = c.flow
+    changed = written(node.block, c)
+    start = before.forgetting(changed) if before is not None else None
+    c.flow = start
+    held = condition(node.condition, c, "the condition of 'while'")
+    known: linear.Formula = linear.UNKNOWN
+    poisoned = c.poisoned
+    if start is not None and held.type is BOOL:
+        known = formula(held, start)
+        c.flow = start.knowing(known)
+        assert before is not None
+        if not poisoned and bounds.impossible(formula(held, before), before):
+            c.warn("K043", f"this loop can never run: {c.text(node.condition.span)} does not hold here", node.span)
+    c.poisoned = poisoned or held.type is POISON
+    block = _body(node.block, c)
+    c.poisoned = poisoned
+    leaves = _breaks(node.block)
+    if start is None or (known == linear.TRUE and not leaves):
+        c.flow = None
+    else:
+        c.flow = start if leaves else start.knowing(linear.negate(known))
+    if held.type is POISON:
+        return
+    if not ends(node, c):
+        help = "a round must end: let the condition compare a number that each way through the loop moves on by a step"
+        c.warn("K035", "nothing shows that this loop ends", node.span, help)
+    out.append(stmt.While(held, block, node.span))
+
+
+def _body(block: tree.Block, c: Context) -> stmt.Block:
+    c.loops += 1
+    checked = check_block(block, c)
+    c.loops -= 1
+    return checked
+
+
+def _breaks(block: tree.Block) -> bool:
+    """Whether a `break` leaves the loop of which this is the block."""
+    for statement in block:
+        match statement:
+            case tree.Break():
+                return True
+            case tree.If(branches, orelse):
+                if _breaks(orelse) or any(_breaks(branch.block) for branch in branches):
+                    return True
+            case tree.Atomic(inner):
+                if _breaks(inner):
+                    return True
+            case _:
+                pass
+    return False
+
+
+def written(block: tree.Block, c: Context) -> frozenset[str]:
+    """The variables that a loop's block may change, by their names in `facts`. Those that it declares itself are not
+    known outside."""
+    found: set[str] = set()
+    for statement in statements(block):
+        match statement:
+            case tree.Assign(target, _, value):
+                _add(target, found, c)
+                _add_update(value, found, c)
+            case tree.Declare(value=value) | tree.Evaluate(value):
+                _add_update(value, found, c)
+            case _:
+                pass
+    return frozenset(found)
+
+
+def _add_update(node: ast.Expr | None, found: set[str], c: Context) -> None:
+    if updates(node, c):
+        assert isinstance(node.function, ast.Attribute)
+        _add(node.function.value, found, c)
+
+
+def _add(target: ast.Expr, found: set[str], c: Context) -> None:
+    """What is written when a part of something is."""
+    while isinstance(target, (ast.Index, ast.Attribute, ast.Slice)):
+        if isinstance(target, ast.Attribute):
+            module = module_named(target.value, c)
+            if module is not None:
+                found.add(f"port {module.name}.{target.name}")
+                return
+        target = target.value
+    if not isinstance(target, ast.Name):
+        return
+    temp = c.temp(target.name)
+    match c.entities.get(target.name):
+        case _ if temp is not None:
+            found.add(f"temp {temp.unique}")
+        case Local(name):
+            found.add(f"local {name}")
+        case Shared(name, kind):
+            found.add(f"{'slot' if kind == 'allread' else 'shared'} {name}")
+        case _:
+            pass
