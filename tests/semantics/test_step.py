@@ -6,8 +6,12 @@ import pytest
 
 from koordgen.check import check
 from koordgen.ir.decl import Program
-from koordgen.semantics.eval import Discarded, Value, Vector
-from koordgen.semantics.step import State, Step, Writes, initial, round_, run_init, sense
+from koordgen.runtime.values import Point
+from koordgen.semantics.eval import Discarded
+from koordgen.semantics.exec import Writes
+from koordgen.semantics.state import State
+from koordgen.semantics.step import Step, initial, round_, run_init, sense
+from koordgen.semantics.values import Value
 from koordgen.source import Source
 from koordgen.syntax.parse import parse
 
@@ -140,7 +144,7 @@ def test_an_infinite_value_that_is_overwritten_does_no_harm() -> None:
     state, _ = after(
         event("Motion.target = Point(1e308 * 10, 0, 0)\nlevel = 1e308 * 10\nMotion.target = Point(1, 0, 0)")
     )
-    assert state.robots[0].ports["Motion.target"] == Vector(1.0, 0.0, 0.0)
+    assert state.robots[0].ports["Motion.target"] == Point(1.0, 0.0, 0.0)
     assert state.robots[0].locals["level"] == float("inf")
 
 
@@ -181,20 +185,20 @@ def test_stop_ends_the_event_keeps_its_writes_and_is_for_good() -> None:
 
 def test_init_runs_before_round_one_and_sees_ports_and_params() -> None:
     program = compiled(f"{HEAD}init:\n  x[pid] = pid + 1\n  Motion.target = Motion.position * half\n{event('pass')}")
-    places: list[dict[str, Value]] = [{"Motion.position": Vector(2.0 * i, 0.0, 0.0)} for i in range(3)]
+    places: list[dict[str, Value]] = [{"Motion.position": Point(2.0 * i, 0.0, 0.0)} for i in range(3)]
     before = initial(program, 3, places)
     assert (before.round, before.store.slots["x"]) == (0, (7, 7, 7))
     state, _ = run_init(program, before)
     assert (state.round, state.store.slots["x"]) == (1, (1, 2, 3))
-    assert state.robots[2].ports["Motion.target"] == Vector(2.0, 0.0, 0.0)
+    assert state.robots[2].ports["Motion.target"] == Point(2.0, 0.0, 0.0)
     assert before.store.slots["x"] == (7, 7, 7)  # no state is ever changed
 
 
 def test_the_environment_moves_sensors_only() -> None:
     state, _ = after(event("Motion.target = Point(1, 1, 1)"), robots=1)
-    moved = sense(state, [{"Motion.position": Vector(1.0, 1.0, 1.0)}])
+    moved = sense(state, [{"Motion.position": Point(1.0, 1.0, 1.0)}])
     assert moved.robots[0].ports == {
-        "Motion.position": Vector(1.0, 1.0, 1.0), "Motion.target": Vector(1.0, 1.0, 1.0)
+        "Motion.position": Point(1.0, 1.0, 1.0), "Motion.target": Point(1.0, 1.0, 1.0)
     }  # fmt: skip
     assert moved.store == state.store
 
@@ -214,10 +218,12 @@ def test_lineform_lines_up() -> None:
 
     text = (Path(__file__).parents[2] / "examples/lineform/lineform.koord").read_text(encoding="utf-8")
     program = compiled(text)
-    places = [Vector(0.0, 0.0, 1.0), Vector(5.0, 3.0, 1.0), Vector(-2.0, 9.0, 1.0), Vector(9.0, 0.0, 1.0)]
+    places = [Point(0.0, 0.0, 1.0), Point(5.0, 3.0, 1.0), Point(-2.0, 9.0, 1.0), Point(9.0, 0.0, 1.0)]
     state, _ = run_init(program, initial(program, 4, [{"Motion.position": p, "Motion.target": p} for p in places]))
     for _ in range(200):
         state, _ = round_(program, state)
         state = sense(state, [{"Motion.position": r.ports["Motion.target"]} for r in state.robots])
     for pid, robot in enumerate(state.robots):
-        assert robot.ports["Motion.position"] == pytest.approx((3.0 * pid, 0.0, 1.0), abs=1e-6)
+        place = robot.ports["Motion.position"]
+        assert isinstance(place, Point)
+        assert (place.x, place.y, place.z) == pytest.approx((3.0 * pid, 0.0, 1.0), abs=1e-6)

@@ -1,0 +1,241 @@
+"""What statements and functions mean: one run of one effect, on copies that only it sees."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal, NamedTuple, assert_never
+
+from koordgen.diagnostics import InternalError
+from koordgen.ir import decl, stmt
+from koordgen.ir import expr as ir
+from koordgen.ir.types import Type
+from koordgen.semantics.eval import Call, Discarded, View, elements, evaluate, holds, view_of
+from koordgen.semantics.state import World
+from koordgen.semantics.values import Value, as_, conforms, encodable, flaw, items
+from koordgen.source import Span
+
+MAX_TURNS = 1_000_000  # of all loops of one event; a robot's round is over before
+
+
+class Writes(NamedTuple):
+    """What an event did: all its robot's locals afterwards; own slots, cells and actuators only where written; the
+    lines that it put out, as ("Module.port", line), in order."""
+
+    locals: Mapping[str, Value]
+    slots: Mapping[str, Value]
+    cells: Mapping[str, Value]
+    ports: Mapping[str, Value]
+    streams: tuple[tuple[str, str], ...]
+    stopped: bool
+
+
+class Budget:
+    """The turns of loops that are left to one event, its functions included."""
+
+    def __init__(self) -> None:
+        self.left = MAX_TURNS
+
+    def turn(self, span: Span) -> None:
+        self.left -= 1
+        if self.left < 0:
+            raise Discarded("it is not finished by the end of the round", span)
+
+
+def library(
+    program: decl.Program, n_sys: int, params: Mapping[str, Value], world: World, budget: Budget, ask: Call
+) -> View:
+    """The view of a program's functions, which is a part of every other: nothing of a robot, but its callable ports in
+    an assumption. `fun`s run, extern functions are called under their contracts."""
+    functions = {f.name: f for f in program.functions}
+    externs = {f.name: f for f in program.externs}
+
+    def call(name: str, args: tuple[Value, ...]) -> Value:
+        if name in functions:
+            function = functions[name]
+            temps = {p.name: arg for p, arg in zip(function.parameters, args, strict=True)}
+            return Run(program, view._replace(temps=temps), budget).result(function)
+        if name in externs:
+            return _extern(externs[name], args, view, world)
+        return _spec(name, args, world)
+
+    view = view_of(n_sys, params, call, ask)
+    return view
+
+
+class NoMeaning(Exception):
+    """A `spec fun` was to be executed, and nothing says what it is."""
+
+
+def _spec(name: str, args: tuple[Value, ...], world: World) -> Value:
+    if name not in world.externs:
+        raise NoMeaning(f"{name} is a spec fun: only axioms tell of it")
+    return world.externs[name](*args)
+
+
+def _extern(function: decl.ExternFunction, args: tuple[Value, ...], view: View, world: World) -> Value:
+    """Raises ValueError where the function fails or its contract does not hold."""
+    name = function.name
+    view = view._replace(temps={p.name: arg for p, arg in zip(function.parameters, args, strict=True)})
+    for formula in function.requires:
+        if not holds(formula, view):
+            raise ValueError(f"{name} requires what does not hold")
+    try:
+        result = world.externs[name](*args)
+    except Exception as error:
+        raise ValueError(f"{name} failed: {error!r}") from None
+    if not conforms(result, function.result):
+        raise ValueError(f"{name} returned {result!r}, which is no {function.result}")
+    view = view._replace(temps={**view.temps, "result": result})
+    for formula in function.ensures:
+        if not holds(formula, view):
+            raise ValueError(f"{name} returned {result!r}, which it ensures not to")
+    return result
+
+
+Exit = Literal["break", "continue", "return", "stop"] | None
+
+
+class Run:
+    """One run of one block: copies that it reads back."""
+
+    def __init__(self, program: decl.Program, view: View, budget: Budget) -> None:
+        self.program = program
+        self.budget = budget
+        self.locals = dict(view.locals)
+        self.temps = dict(view.temps)
+        self.slots = {name: list(values) for name, values in view.slots.items()}
+        self.cells = dict(view.cells)
+        self.ports = dict(view.ports)
+        self.streams: list[tuple[str, str]] = []
+        self.view = view._replace(
+            locals=self.locals, temps=self.temps, slots=self.slots, cells=self.cells, ports=self.ports
+        )
+        self.written: dict[tuple[str, str], Span] = {}  # (what kind, name) -> the last statement that wrote it
+        self.returned: Value | None = None
+
+    def result(self, function: decl.Function) -> Value:
+        """What a function yields."""
+        if self.block(function.block) != "return" or self.returned is None:
+            raise InternalError(f"{function.name} ended without a result")
+        return self.returned
+
+    def block(self, block: stmt.Block) -> Exit:
+        """Runs statements in order; how the block was left, None at its end. Raises Discarded."""
+        for statement in block:
+            left = self.statement(statement)
+            if left is not None:
+                return left
+        return None
+
+    def statement(self, statement: stmt.Stmt) -> Exit:
+        match statement:
+            case stmt.Assign(place, value, span):
+                self.assign(place, evaluate(value, self.view), span)
+            case stmt.Let(name, _, value):
+                self.temps[name] = evaluate(value, self.view)
+            case stmt.If(condition, then, orelse):
+                return self.block(then if holds(condition, self.view) else orelse)
+            case stmt.For() | stmt.While():
+                return self.loop(statement)
+            case stmt.Emit(module, port, parts, span):
+                line = "".join([as_(str, evaluate(part, self.view)) for part in parts])
+                self.streams.append((f"{module}.{port}", line))
+                self.written["stream", f"{module}.{port}"] = span
+            case stmt.Return(value):
+                self.returned = evaluate(value, self.view)
+                return "return"
+            case stmt.Break():
+                return "break"
+            case stmt.Continue():
+                return "continue"
+            case stmt.Stop():
+                return "stop"
+            case _:
+                assert_never(statement)
+        return None
+
+    def loop(self, loop: stmt.For | stmt.While) -> Exit:
+        values = elements(loop.values, self.view) if isinstance(loop, stmt.For) else iter(())
+        while True:
+            if isinstance(loop, stmt.For):
+                try:
+                    value = next(values)
+                except StopIteration:
+                    return None
+                self.take(loop.names, value)
+            elif not holds(loop.condition, self.view):
+                return None
+            self.budget.turn(loop.span)
+            left = self.block(loop.block)
+            if left == "break":
+                return None
+            if left in ("return", "stop"):
+                return left
+
+    def take(self, names: tuple[str, ...], value: Value) -> None:
+        """One element into the names of a loop."""
+        parts = (value,) if len(names) == 1 else items(value)
+        self.temps.update(zip(names, parts, strict=True))
+
+    def assign(self, place: stmt.Place, value: Value, span: Span) -> None:
+        match place:
+            case stmt.LocalPlace(name):
+                self.locals[name] = value
+                self.written["local", name] = span
+            case stmt.TempPlace(name):
+                self.temps[name] = value
+            case stmt.OwnSlot(name):
+                self.slots[name][self.view.pid] = value
+                self.written["slot", name] = span
+            case stmt.SharedPlace(name):
+                self.cells[name] = value
+                self.written["cell", name] = span
+            case stmt.PortPlace(module, port):
+                self.ports[f"{module}.{port}"] = value
+                self.written["port", f"{module}.{port}"] = span
+            case _:
+                assert_never(place)
+
+    def writes(self, stopped: bool) -> Writes | Discarded:
+        """What counts at the event's end; a last value that its variable may not keep discards all of it."""
+        types = declared(self.program)
+        values: dict[str, dict[str, Value]] = {"slot": {}, "cell": {}, "port": {}, "local": {}}
+        where: dict[str, Mapping[str, Value]] = {"cell": self.cells, "port": self.ports, "local": self.locals}
+        for (kind, name), span in self.written.items():
+            if kind == "stream":
+                if not all(encodable(line) for _, line in self.streams):
+                    return Discarded(f"{name} would get a text that is not Unicode", span)
+                continue
+            value = self.slots[name][self.view.pid] if kind == "slot" else where[kind][name]
+            wrong = flaw(value, types[name], leaving=kind != "local")
+            if wrong:
+                return Discarded(f"{name} would become {wrong}, which no robot may use", span)
+            values[kind][name] = value
+        streams = tuple(self.streams)
+        return Writes(self.locals, values["slot"], values["cell"], values["port"], streams, stopped)
+
+
+def declared(program: decl.Program) -> dict[str, Type]:
+    """The types of all that an event may write, with their capacities."""
+    types = {v.name: v.type for v in program.locals}
+    types.update({v.name: v.type for v in program.shared})
+    types.update({f"{m.name}.{p.name}": p.type for m in program.modules for p in m.ports})
+    return types
+
+
+def run(program: decl.Program, block: stmt.Block, view: View, budget: Budget) -> Writes | Discarded:
+    """An effect of one robot on what it sees: its writes, or why none of them counts."""
+    working = Run(program, view, budget)
+    try:
+        left = working.block(block)
+    except Discarded as discarded:
+        return discarded
+    return working.writes(left == "stop")
+
+
+def constant(node: ir.Expr, view: View, type_: Type) -> Value:
+    """A first value, which the checker has seen to be one of the type."""
+    value = evaluate(node, view)
+    if not conforms(value, type_):
+        raise InternalError(f"line {node.span.line}: {value!r} is no {type_}")
+    return value
