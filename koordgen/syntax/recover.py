@@ -54,6 +54,8 @@ class _Repair:
         self.touched: dict[int, int] = {}  # how often a line of the text was repaired
         self.muted = False  # the indentation is not what it looks like
         self.hopeless = False
+        kinds = {token[0] for token in chunk.tokens}
+        self.headless = chunk.tokens[0][0] == "NAME" and not kinds & {"pre", "eff"}  # hardly an event
 
     def readable(self, diagnostic: Diagnostic) -> bool:
         """Whether all that stands before the line of a diagnostic is right by now."""
@@ -61,9 +63,11 @@ class _Repair:
         return _advanced([START], self.tokens[:start]) is not None
 
     def _position(self, diagnostic: Diagnostic) -> int:
-        """Of the token at which the span begins."""
+        """Of the token at which the span begins; of an INDENT only where blocks are too deep."""
         where = _place(diagnostic)
-        return next((i for i, token in enumerate(self.tokens) if token[2:4] >= where), len(self.tokens) - 1)
+        margins = ("DEDENT",) if diagnostic.code == "K007" else ("INDENT", "DEDENT")
+        ahead = (i for i, token in enumerate(self.tokens) if token[2:4] >= where and token[0] not in margins)
+        return next(ahead, len(self.tokens) - 1)
 
     def fault(self, diagnostic: Diagnostic) -> None:
         """What the layout or a builder found."""
@@ -83,15 +87,21 @@ class _Repair:
     def stuck(self, position: int) -> None:
         """What the parser cannot go on with."""
         states = _advanced([START], self.tokens[:position])
+        kind = self.tokens[position][0]
         if self.muted or states is None:
             self.hopeless = True
             return
+        blockless = position > 0 and _wants_block(states)
+        ended = not blockless and (kind in ("DEDENT", "$END") or _fits(states, [], ("$END",)))
+        if ended and self.touched:  # repairs have left too little or too much
+            self.hopeless = True
+            return
         first = self._tell(explain(self.tokens, position, _closed(states, self.tokens[position])), position)
-        if self.tokens[position][0] == "INDENT":
+        if kind == "INDENT":
             self._deeper(position, states)
-        elif position and self.tokens[position - 1][0] == "NEWLINE" and _wants_block(states):
+        elif blockless:
             self._no_block(position, states)
-        elif self.tokens[position][0] in ("DEDENT", "$END"):
+        elif kind in ("DEDENT", "$END"):
             self.hopeless = True
         else:
             self._line(position, colon=first)
@@ -102,16 +112,16 @@ class _Repair:
         times = self.touched[line] = self.touched.get(line, 0) + 1
         if times == 1 and not self.muted and len(self.found) < MOST_FAULTS:
             self.found.append(diagnostic)
-        self.hopeless |= times > 3 or len(self.found) == MOST_FAULTS
+        self.hopeless |= self.headless or times > 3 or len(self.found) == MOST_FAULTS
         return times == 1
 
     def _rejoin(self, position: int) -> None:
         """A line between two blocks: it belongs to the inner one, unless only the outer one can hold it."""
         states = _advanced([START], self.tokens[:position])
-        if states is None or _advanced(states, self.tokens[position : position + 1]) is not None:
-            return
-        end = _block_end(self.tokens, position) - 1
-        self.tokens.insert(position, self.tokens.pop(end))
+        line = self.tokens[position]
+        if states is not None and not _fits(states, [], line) and _fits(states, [("DEDENT",)], line):
+            end = _block_end(self.tokens, position) - 1
+            self.tokens.insert(position, self.tokens.pop(end))
 
     def _deeper(self, position: int, states: States) -> None:
         """Lines deeper than they may be: they are taken as if they were not, unless none can stand there."""
@@ -126,7 +136,7 @@ class _Repair:
         hole = [_broken(self.tokens[_start(self.tokens, end) : end]), self.tokens[end]]
         before = _advanced([START], self.tokens[:end])
         beside = _advanced(before, hole) if before is not None else None
-        inside = _advanced(states, [("INDENT", "", 0, 0)])
+        inside = _advanced(states, [("INDENT",)])
         stop = position
         while inside is not None and _fits(inside, [], self.tokens[stop]):
             if beside is not None and _fits(beside, [], self.tokens[stop]):
@@ -279,10 +289,12 @@ def _block_end(tokens: Tokens, position: int) -> int:
 def _parts(line: Tokens) -> list[Tokens]:
     """The line cut behind each colon outside of brackets: headers, and what stands behind them."""
     parts: list[Tokens] = [[]]
-    for i, token in enumerate(line):
-        if parts[-1] and parts[-1][-1][0] == ":" and _depth(line[:i]) == 0:
+    depth = 0
+    for token in line:
+        if parts[-1] and parts[-1][-1][0] == ":" and depth == 0:
             parts.append([])
         parts[-1].append(token)
+        depth += _depth([token])
     return parts
 
 
