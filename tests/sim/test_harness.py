@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import os
 import signal
 import subprocess
@@ -104,6 +105,60 @@ def test_robots_that_are_too_close_or_touch_fail_the_run(tmp_path: Path) -> None
     assert all(v["robots"] == ["r0", "r1"] for v in found["violations"])
     assert found["collisions"] == 1
     assert found["min_separation"]["distance"] == pytest.approx(0.35, abs=0.02)
+
+
+def with_obstacles(root: Path, *boxes: tuple[list[float], list[float]]) -> Path:
+    """The same bundle with obstacles in its world."""
+    path = root / "scenario.json"
+    obstacles = [{"lo": lo, "hi": hi} for lo, hi in boxes]
+    path.write_text(json.dumps({**json.loads(path.read_text()), "obstacles": obstacles}))
+    return root
+
+
+def test_a_robot_that_touches_an_obstacle_fails_the_run(tmp_path: Path) -> None:
+    far, near = ([4.0, 4.0, 0.0], [5.0, 5.0, 1.0]), ([2.17, -1.0, 0.0], [3.0, 1.0, 1.0])  # a quad's radius is 0.18
+    root, out = with_obstacles(bundle(tmp_path / "sim", ["good", "good"]), far, near), tmp_path / "out"
+    assert sim(root, out) == 3
+    (violation,) = summary(out)["violations"]
+    assert (violation["what"], violation["robots"]) == ("collision", ["r1"])
+    assert violation["detail"] == "touched obstacle 1"
+    assert summary(out)["collisions"] == 1
+    assert read(out / "trace.jsonl")[0].obstacles[1] == ((2.17, -1.0, 0.0), (3.0, 1.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("box", "said"),
+    [
+        (([1.5, -1.0, -0.1], [3.0, 1.0, 1.0]), "r1 starts at (2, 0, 0), inside obstacle 0"),
+        (([1.5, -1.0, 0.0], [1.5, 1.0, 1.0]), "obstacle 0 is no box"),
+        (([1.5, -1.0, 0.0], [math.inf, 1.0, 1.0]), "obstacle 0 is no box"),
+        (([1.5, -1.0], [3.0, 1.0]), "obstacles[0].lo"),
+    ],
+)
+def test_an_obstacle_that_cannot_be_is_refused_at_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], box: tuple[list[float], list[float]], said: str
+) -> None:
+    root = with_obstacles(bundle(tmp_path / "sim", ["good", "good"]), box)
+    assert sim(root, tmp_path / "out") == 1
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_there_is_a_limit_to_obstacles(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    box = ([4.0, 4.0, 0.0], [5.0, 5.0, 1.0])
+    assert sim(with_obstacles(bundle(tmp_path / "sim", ["good"]), *[box] * 1001), tmp_path / "out") == 1
+    assert "at most 1000" in capsys.readouterr().err
+
+
+def test_a_lidar_is_for_robots_that_have_a_setting_for_one(tmp_path: Path) -> None:
+    root = bundle(tmp_path / "sim", ["good", "good"])
+    found = json.loads((root / "scenario.json").read_text())
+    found["robots"][1]["settings"]["scans"] = ""
+    (root / "scenario.json").write_text(json.dumps(found))
+    stage = Stage(load(root), 1, bytes(32))
+    without, with_ = (actor.overrides for actor in stage.actors)
+    stage.close()
+    assert "scans" not in without and with_["scans"].startswith("udp:127.0.0.1:")
 
 
 def test_a_fleet_that_stops_by_itself_ends_the_run(tmp_path: Path) -> None:

@@ -7,7 +7,9 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
+from matplotlib import pyplot as plt
 
 from targets.sim import plots, report, summary, trace
 from targets.sim.pace import BURST, MOST_BEHIND, Pace
@@ -118,6 +120,16 @@ def test_violations_are_told_however_much_else_there_is(tmp_path: Path) -> None:
 def test_a_run_that_never_began_has_pictures_too(tmp_path: Path) -> None:
     path = write(tmp_path / "trace.jsonl", header(NAMES), [], [End(0.0, "timeout")])
     assert len(plots.draw(plots.tracks(*trace.read(path)), tmp_path / "plots")) == 5
+
+
+def test_the_top_view_shows_the_obstacles(tmp_path: Path) -> None:
+    def stones(head: trace.Header) -> int:
+        path = write(tmp_path / "trace.jsonl", head, moving(STARTS, ENDS))
+        picture = plt.imread(plots.draw(plots.tracks(*trace.read(path)), tmp_path / "plots")["Top view"])
+        return int((abs(picture[:, :, :3] - 0xCC / 0xFF).max(axis=2) < 0.01).sum())
+
+    box = ((-5.0, 2.0, 0.0), (-3.0, 4.0, 1.0))
+    assert stones(msgspec.structs.replace(header(NAMES), obstacles=(box,))) > stones(header(NAMES)) + 1000
 
 
 def test_the_separation_over_time_is_that_of_the_closest_pair(tmp_path: Path) -> None:

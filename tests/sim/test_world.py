@@ -150,3 +150,15 @@ def test_a_car_on_its_side_has_no_wheels_on_the_floor(world: World) -> None:
     car.drive(2.0, 0.0)
     run(world, 0.1, car.step)
     assert abs(car.state().velocity[0]) < 0.01
+
+
+def test_a_car_does_not_drive_through_an_obstacle(world: World) -> None:
+    wall = world.obstacle((1.0, -1.0, 0.0), (1.1, 1.0, 1.0))
+    beside = world.obstacle((-1.0, 0.15, 0.0), (1.05, 1.0, 1.0))  # overlaps the wall; 1 cm beside the car
+    car = SimulatedCar(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4)
+    car.drive(1.0, 0.0)
+    run(world, 0.3, car.step)
+    assert world.contacts() == set(), "neither obstacles with each other nor with what they nearly touch"
+    run(world, 2.0, car.step)
+    assert (wall, car.rigid.number) in world.contacts() and beside < car.rigid.number
+    assert car.state().position[0] + 0.415 == pytest.approx(1.0, abs=0.01)
