@@ -205,9 +205,9 @@ def _heads(part: Tokens, hole: Any, after: Any, present: set[str]) -> Iterator[T
     colon = _mark(":", part[-1])
     if first[0] in _NAMED and len(part) > 1 and part[1][0] == "NAME":
         yield [first, part[1], colon]
-    yield [first, colon]
     if first[0] == "else":
         yield [_mark("elif", first), hole, colon]
+    yield [first, colon]
     yield [first, hole, colon]
     loop = first[0] in ("for", "while") or after[0] not in ("elif", "else")
     for word in ("while", "if") if loop and first[0] not in ("elif", "else") else ("if",):
