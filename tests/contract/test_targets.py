@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from koordgen import fleet, manifest
-from koordgen.ir.types import NAMED
+from koordgen.ir.types import GENERIC, NAMED
 from koordgen.runtime.platform import Platform
 from koordgen.runtime.settings import Settings
 from tests.programs import build, settings_of
@@ -64,7 +64,19 @@ def test_it_offers_motion_with_types_of_the_language(target: manifest.Target) ->
     assert target.sensors["Motion.position"] == "Point"
     assert target.actuators["Motion.target"] == "Point"
     assert {"Motion.reached"} <= set(target.sensors)
-    assert all(t in NAMED for t in (*target.sensors.values(), *target.actuators.values()))
+    offered = (*target.sensors.values(), *target.actuators.values(), *target.callables.values())
+    assert all(set(re.findall(r"\w+", t)) <= {*NAMED, *GENERIC} for t in offered)
+
+
+@agents_by_name
+def test_motion_with_scan_is_motion_and_scans(target: manifest.Target) -> None:
+    for ports in (target.sensors, target.actuators, target.callables):
+        plain, seeing = (
+            {name.partition(".")[2]: t for name, t in ports.items() if name.startswith(f"{module}.")}
+            for module in ("Motion", "MotionWithScan")
+        )
+        assert seeing.pop("pscan", None) == ("List<(Point, Scan)>" if ports is target.sensors else None)
+        assert plain == seeing
 
 
 @agents_by_name
