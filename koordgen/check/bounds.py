@@ -70,7 +70,7 @@ def element_proved(operand: ir.Expr, index: ir.Expr, span: Span, c: Context) -> 
             return True
         if _right_by_default(bad, c):
             return False
-        if _element_refuted(sides, bad, value, size, operand, span, c):
+        if _element_refuted(sides, bad, value, size, span, c):
             return False
     check = f"'if 0 <= {c.text(index.span)} < len({text}):' around it shows that it does not"
     if len(check) > 90 or isinstance(index, ir.Const):
@@ -81,25 +81,26 @@ def element_proved(operand: ir.Expr, index: ir.Expr, span: Span, c: Context) -> 
 
 
 def _element_refuted(
-    sides: tuple[Formula, Formula], bad: Formula, value: Linear, size: Linear, operand: ir.Expr, span: Span, c: Context
+    sides: tuple[Formula, Formula], bad: Formula, value: Linear, size: Linear, span: Span, c: Context
 ) -> bool:
-    """Whether an index was reported as one that certainly leaves its range."""
+    """Whether an index was reported with an example, or as one that leaves its range whatever is the case."""
     text = c.text(span)
     if _never(linear.negate(bad), c) and not _never(linear.TRUE, c):
-        many = (
-            f"it has {size.constant} element{'s' * (size.constant != 1)}" if not size.terms else "it is as long at most"
-        )
-        c.error("K030", f"{text} leaves its range: {many} here", span)
+        many = "" if size.terms else f": there are {size.constant} elements" if size.constant != 1 else ": there is one"
+        c.error("K030", f"{text} leaves its range{many}", span)
         return True
     for side in sides:
         example, certain = _refuted(side, bad, (value, size), c)
-        if example is not None and certain:
-            robot, shown = _who(side, value, example, c)
-            such = _example(example, value)
-            many = linear.show(size)
+        if example is None:
+            continue
+        robot, shown = _who(side, value, example, c)
+        such = f"index {shown} of {linear.show(size)} elements ({_example(example, value)})"
+        if certain:
             c.refuted.append(len(c.found))
-            c.error("K030", f"{robot} reads {text}: index {shown} of {many} elements ({such})", span)
-            return True
+            c.error("K030", f"{robot} reads {text}: {such}", span)
+        else:
+            c.warn("K034", f"{robot} may read {text}: {such}", span, _help(c))
+        return True
     return False
 
 

@@ -240,7 +240,8 @@ def _item(operand: ir.Expr, items: tuple[Type, ...], node: ast.Index, c: Context
 
 def _no_index(operand: ir.Expr, type_: Type, node: ast.Index, c: Context) -> ir.Expr:
     text = c.text(node.value.span)
-    if isinstance(operand, (ir.LocalRead, ir.SharedRead, ir.ParamRead, ir.PortRead)):
+    named = isinstance(operand, (ir.LocalRead, ir.SharedRead, ir.ParamRead, ir.PortRead))
+    if named and not isinstance(type_, Sequence):
         return c.error("K017", f"{text} is one value and takes no index", node.span, _part_help(text, type_))
     return c.error("K017", f"{a(type_)} has no index", node.span, _part_help(text, type_))
 
@@ -257,9 +258,7 @@ def check_slice(node: ast.Slice, c: Context, wanted: Type | None = None) -> ir.E
     if operand.type is POISON or any(e is not None and e.type is POISON for e in ends):
         return c.poison(node.span)
     type_ = operand.type
-    if isinstance(type_, PerRobot):
-        type_ = list_of(type_.element)
-    elif not ((isinstance(type_, Sequence) and type_.name == "List") or type_ == STRING):
+    if not ((isinstance(type_, Sequence) and type_.name == "List") or type_ == STRING):
         return c.error("K017", f"{a(type_)} has no slices", node.span)
     proved = [bounds.end_proved(e, node.span, c) for e in ends if e is not None]
     return ir.Slice(operand, ends[0], ends[1], all(proved), type_, node.span)

@@ -40,7 +40,7 @@ from koordgen.node import Node, replace
 from koordgen.source import Span
 from koordgen.syntax import expr as ast
 
-_MEANT = {"self": "pid", "me": "pid", "null": "0", "None": "0", "n": "N_SYS", "inf": ""}
+_MEANT = {"self": "pid", "me": "pid", "null": "0", "None": "0"}
 _IDS, _FLOATS = list_of(INT), list_of(FLOAT)
 FIELDS: dict[str, dict[str, Type]] = {
     POINT.name: {"x": FLOAT, "y": FLOAT, "z": FLOAT},

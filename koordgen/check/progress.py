@@ -53,10 +53,9 @@ def _towards(moved: ast.Expr, other: ast.Expr, step: int, block: tree.Block, c: 
     if fixed & _roots(block, c):
         return False
     try:
-        _follow(block, name, length, step, False, c)
+        return _follow(block, name, length, step, False, c)
     except _Wrong:
         return False
-    return True
 
 
 def _follow(block: tree.Block, name: str, length: bool, step: int, moved: bool, c: Context) -> bool:
