@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from typing import assert_never
-
+from koordgen.diagnostics import InternalError
 from koordgen.emit.names import Names
+from koordgen.emit.types import display
 from koordgen.ir import expr as ir
+from koordgen.ir.types import FLOAT, POINT, STRING, ExternType, MapOf, RecordType, Sequence, Sized, TupleOf, Type
 
 # Python's binding strengths, loosest first.
 _CONDITIONAL, _OR, _AND, _NOT, _COMPARE, _SUM, _PRODUCT, _SIGN, _ATOM = range(9)
 _STRENGTH = {"or": _OR, "and": _AND, "+": _SUM, "-": _SUM, "*": _PRODUCT, "/": _PRODUCT, "//": _PRODUCT, "%": _PRODUCT}
+# Builtins that Python or the runtime's library calls something else. All others are functions of the same name.
+_CALLED = {"GridMap": "area", "index": "index_of", "get": "map_get"}
 
 
 def text(node: ir.Expr, names: Names) -> str:
@@ -17,55 +20,183 @@ def text(node: ir.Expr, names: Names) -> str:
     return _text(node, names)[0]
 
 
+def domain(node: ir.Expr, names: Names) -> str:
+    """What a loop over `node` runs over in Python: of a Map its keys."""
+    match node:
+        case ir.Range(ir.Const(0), stop, 1):
+            return f"range({text(stop, names)})"
+        case ir.Range(start, stop, step):
+            last = "" if step == 1 else f", {step}"
+            return f"range({text(start, names)}, {text(stop, names)}{last})"
+        case ir.Ids():
+            return "range(s.n_sys)"
+        case _:
+            shown = text(node, names)
+            return f"keys({shown})" if isinstance(node.type, MapOf) else shown
+
+
 def _text(node: ir.Expr, names: Names) -> tuple[str, int]:
     match node:
         case ir.Const(value):
             # A negative literal binds as a sign does: -1 ** 2 and (-1).x are other things.
-            return repr(value), _SIGN if not isinstance(value, bool) and value < 0 else _ATOM
-        case ir.Pid():
-            return "s.pid", _ATOM
-        case ir.NSys():
-            return "s.n_sys", _ATOM
-        case ir.ParamRead(name):
-            return names.params[name], _ATOM
-        case ir.LocalRead(name):
-            return f"s.{names.locals[name]}", _ATOM
-        case ir.TempRead(name):
-            return names.temp(name), _ATOM
-        case ir.SlotRead(name, index):
-            return f"s.{names.shared[name]}[{text(index, names)}]", _ATOM
-        case ir.SharedRead(name):
-            return f"s.{names.shared[name]}.value", _ATOM
-        case ir.PortRead(module, port):
-            read = f"s.{names.ports[module, port]}"
-            return read if (module, port) in names.sensors else f"{read}.value", _ATOM
+            negative = isinstance(value, (int, float)) and value < 0
+            return literal(value), _SIGN if negative else _ATOM
+        case ir.Widen(ir.Const(value)):
+            return repr(float(value)), _ATOM
+        case ir.Widen(ir.Unary("-", ir.Const(value))):
+            return f"-{float(value)!r}", _SIGN
         case ir.Widen(operand):
-            match operand:
-                case ir.Const(value):
-                    return repr(float(value)), _ATOM
-                case ir.Unary("-", ir.Const(value)):
-                    return f"-{float(value)!r}", _SIGN
             return f"float({text(operand, names)})", _ATOM
         case ir.Unary(op, operand):
-            return (
-                (f"not {_within(operand, names, _NOT)}", _NOT)
-                if op == "not"
-                else (f"-{_within(operand, names, _SIGN)}", _SIGN)
-            )
+            if op == "not":
+                return f"not {_within(operand, names, _NOT)}", _NOT
+            return f"-{_within(operand, names, _SIGN)}", _SIGN
+        case ir.Binary("**", left, right):
+            return f"power({text(left, names)}, {text(right, names)})", _ATOM
         case ir.Binary(op, left, right) | ir.Logic(op, left, right):
             own = _STRENGTH[op]
             return f"{_within(left, names, own)} {op} {_within(right, names, own + 1)}", own
         case ir.Compare(op, left, right):
             return f"{_within(left, names, _SUM)} {op} {_within(right, names, _SUM)}", _COMPARE
+        case ir.Contains(item, values):
+            if isinstance(values.type, MapOf):
+                return f"has_key({text(values, names)}, {text(item, names)})", _ATOM
+            return f"{_within(item, names, _SUM)} in {_within(values, names, _SUM)}", _COMPARE
         case ir.Conditional(condition, then, orelse):
             shown = f"{_within(then, names, _OR)} if {_within(condition, names, _OR)} else {text(orelse, names)}"
             return shown, _CONDITIONAL
-        case ir.Coordinate(operand, axis):
-            return f"{_within(operand, names, _ATOM)}.{axis}", _ATOM
-        case ir.Builtin(name, args):
-            return f"{name}({', '.join(text(a, names) for a in args)})", _ATOM
+        case ir.Quantified(kind, name, over, body):
+            every = "all" if kind == "forall" else "any"
+            return f"{every}({text(body, names)} for {names.temp(name)} in {domain(over, names)})", _ATOM
         case _:
-            assert_never(node)
+            return _atom(node, names), _ATOM
+
+
+def literal(value: int | float | bool | str) -> str:
+    """A constant; strings in double quotes, as the rest of the program has them."""
+    if not isinstance(value, str):
+        return repr(value)
+    inner = repr('"' + value)[2:-1]  # a double quote inside makes repr choose single ones around
+    return '"' + inner.replace("\\'", "'").replace('"', '\\"') + '"'
+
+
+def _atom(node: ir.Expr, names: Names) -> str:
+    match node:
+        case ir.Pid():
+            return "s.pid"
+        case ir.NSys():
+            return "s.n_sys"
+        case ir.Ids():
+            return "tuple(range(s.n_sys))"
+        case ir.ParamRead(name):
+            return names.params[name]
+        case ir.LocalRead(name):
+            return f"s.{names.locals[name]}.value"
+        case ir.TempRead(name):
+            return names.temp(name)
+        case ir.SlotRead(name, index):
+            return f"s.{names.shared[name]}[{text(index, names)}]"
+        case ir.SlotsRead(name):
+            return f"s.{names.shared[name]}.all"
+        case ir.SharedRead(name):
+            return f"s.{names.shared[name]}.value"
+        case ir.PortRead(module, port):
+            read = f"s.{names.ports[module, port]}"
+            return read if (module, port) in names.sensors else f"{read}.value"
+        case _:
+            return _part(node, names)
+
+
+def _part(node: ir.Expr, names: Names) -> str:
+    match node:
+        case ir.Make(items, type_):
+            return _make(items, type_, names)
+        case ir.Field(operand, name):
+            owner = operand.type
+            field = names.fields[owner.name][name] if isinstance(owner, RecordType) else name
+            return f"{_within(operand, names, _ATOM)}.{field}"
+        case ir.Item(operand, index):
+            return f"{_within(operand, names, _ATOM)}[{index}]"
+        case ir.At(operand, index, proved):
+            if proved:
+                return f"{_within(operand, names, _ATOM)}[{text(index, names)}]"
+            return f"at({text(operand, names)}, {text(index, names)})"
+        case ir.Slice(operand, start, stop, proved):
+            a, b = (None if bound is None else text(bound, names) for bound in (start, stop))
+            if proved:
+                return f"{_within(operand, names, _ATOM)}[{a or ''}:{b or ''}]"
+            return f"{'part' if operand.type == STRING else 'slice_'}({text(operand, names)}, {a}, {b})"
+        case ir.With(operand, name, value):
+            return _with(operand, name, text(value, names), names)
+        case _:
+            return _call(node, names)
+
+
+def _call(node: ir.Expr, names: Names) -> str:
+    match node:
+        case ir.Builtin(name, args):
+            return _builtin(name, args, names)
+        case ir.Call(name, args):
+            return f"{names.functions[name]}({_args(args, names)})"
+        case ir.ExternCall(name, args):
+            return f"{names.externs[name]}({_args(args, names)})"
+        case ir.PortCall(module, port, args):
+            return f"s.{names.ports[module, port]}({_args(args, names)})"
+        case _:  # LocalOf, PortOf; a Range that nothing runs over
+            raise InternalError(f"a {type(node).__name__} has no place in an event")
+
+
+def _args(args: tuple[ir.Expr, ...], names: Names) -> str:
+    return ", ".join([text(arg, names) for arg in args])
+
+
+def _make(items: tuple[ir.Expr, ...], type_: Type, names: Names) -> str:
+    parts = [text(item, names) for item in items]
+    match type_:
+        case RecordType(name):
+            return f"{names.records[name]}({', '.join(parts)})"
+        case ExternType():
+            return "Opaque()"
+        case Sized(name):
+            return f"{name}()"
+        case Sequence("Set") if parts:
+            return f"set_of({display(parts)})"
+        case MapOf() if parts:
+            return f"map_of({display(parts)})"
+        case _:
+            return display(parts)
+
+
+def _with(operand: ir.Expr, name: str, value: str, names: Names) -> str:
+    match operand.type:
+        case RecordType(record):
+            return f"replace({text(operand, names)}, {names.fields[record][name]}={value})"
+        case TupleOf(items):
+            whole = _within(operand, names, _ATOM)
+            return display([value if i == int(name) else f"{whole}[{i}]" for i in range(len(items))])
+        case other:
+            raise InternalError(f"a {other} with {name}")
+
+
+def _builtin(name: str, args: tuple[ir.Expr, ...], names: Names) -> str:
+    given = _args(args, names)
+    match name:
+        case "cleared":
+            return "()"
+        case "items":  # a map is its pairs
+            return given
+        case "sorted":
+            return f"tuple(sorted({given}))"
+        case "reversed":
+            return f"tuple(reversed({given}))"
+        case "count":
+            return f"{_within(args[0], names, _ATOM)}.count({text(args[1], names)})"
+        case "sum" if isinstance(args[0].type, Sequence) and args[0].type.element == FLOAT:
+            return f"sum({given}, 0.0)"
+        case "str" if args[0].type == POINT:
+            return f"shown({given})"
+        case _:
+            return f"{_CALLED.get(name, name)}({given})"
 
 
 def _within(node: ir.Expr, names: Names, least: int) -> str:

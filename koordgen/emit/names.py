@@ -1,16 +1,22 @@
 """Mints every Python name in a generated program: pure, collision-checked, prefixed.
 
 A prefix keeps a Koord name clear of Python's keywords and builtins (a variable called `class` becomes
-`local_class`) and says on a robot at night what a name is.
+`local_class`) and says on a robot at night what a name is. Records and their fields, which Python beside the program
+sees, keep their own names where these are free.
 """
 
 from __future__ import annotations
 
+import builtins
+import keyword
 import re
 
+from koordgen.emit import library
 from koordgen.ir.decl import Program
 
 _WORD = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
+# What a generated program calls by these names, beside Python's own and the library's.
+_OWN = ("PROGRAM", "LINES", "LIBRARY", "State", "init", "s", "self", "frame", "n_sys", "Any", "Annotated", "msgspec")
 
 
 def snake(name: str) -> str:
@@ -22,7 +28,10 @@ class Names:
     """The Python name of each thing in one program. The first thing to claim a name gets it, later ones a number."""
 
     def __init__(self, program: Program) -> None:
-        self._taken: set[str] = set()
+        self._taken = {*keyword.kwlist, *dir(builtins), *library.HOME, *_OWN}
+        self.records = {r.type.name: self._mint(r.type.name) for r in program.records}
+        self.extern_types = {t.name: self._mint(t.name) for t in program.extern_types}
+        self.fields = {r.type.name: self._fields([name for name, _ in r.type.fields]) for r in program.records}
         self.params = {p.name: self._mint(f"PARAM_{snake(p.name).upper()}") for p in program.params}
         self.locals = {v.name: self._mint(f"local_{v.name}") for v in program.locals}
         self.shared = {v.name: self._mint(f"shared_{v.name}") for v in program.shared}
@@ -30,17 +39,35 @@ class Names:
             (m.name, p.name): self._mint(f"{snake(m.name)}_{p.name}") for m in program.modules for p in m.ports
         }
         self.sensors = {(m.name, p.name) for m in program.modules for p in m.ports if p.direction == "sensor"}
+        self.functions = {f.name: self._mint(f"fun_{f.name}") for f in program.functions}
+        self.externs = {f.name: self._mint(f"extern_{f.name}") for f in program.externs}
+        self.calls = {f.name: self._mint(f"EXTERN_{snake(f.name).upper()}") for f in program.externs}
         self.guards = {e.name: self._mint(f"guard_{snake(e.name)}") for e in program.events}
         self.effects = {e.name: self._mint(f"effect_{snake(e.name)}") for e in program.events}
 
     def _mint(self, wanted: str) -> str:
-        name, number = wanted, 2
-        while name in self._taken:
-            name, number = f"{wanted}_{number}", number + 1
+        name = _free(wanted, self._taken)
         self._taken.add(name)
         return name
 
+    def _fields(self, fields: list[str]) -> dict[str, str]:
+        """A class body's own names hide those that its annotations use, so these are taken for fields as well."""
+        taken, found = set(self._taken), dict[str, str]()
+        for field in fields:
+            found[field] = _free(field, taken)
+            taken.add(found[field])
+        return found
+
     @staticmethod
     def temp(name: str) -> str:
-        """A variable declared inside an event: unique there already, and no other name starts so."""
+        """A variable declared inside an event or function: unique there already, and no other name starts so."""
         return f"my_{name}"
+
+
+def _free(wanted: str, taken: set[str]) -> str:
+    """Names that begin with an underscore mean something to Python."""
+    wanted = f"x{wanted}" if wanted.startswith("_") else wanted
+    name, number = wanted, 2
+    while name in taken:
+        name, number = f"{wanted}_{number}", number + 1
+    return name

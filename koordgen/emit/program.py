@@ -3,33 +3,33 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Sequence
 from hashlib import blake2s
 from typing import Any
 
 from koordgen import __version__
-from koordgen.emit import expr, stmt
+from koordgen.emit import expr, library, stmt
 from koordgen.emit.names import Names
 from koordgen.emit.render import render
+from koordgen.emit.types import annotation, bound, default, display
 from koordgen.ir import decl as ir
 from koordgen.ir.stmt import Block
-from koordgen.ir.types import Scalar
+from koordgen.ir.types import MapOf, RecordType, TupleOf, Type
+from koordgen.ir.types import Sequence as SequenceOf
 
 # Raised when the meaning of a datagram changes; equals that of koordgen/runtime/wire.py (a test compares them).
-WIRE_FORMAT = 1
+WIRE_FORMAT = 2
 
-_RUNTIME = ("Cell", "Effects", "Event", "Frame", "Port", "Program", "Slots", "Stopped", "Variable")
-_VALUES = ("Point", "Pose", "distance")
-_MATH = ("sqrt",)
 _MARK = "  # {}:"
+_LINES = "\nLINES: dict[int, int] = {"
 
 
 def program_text(program: ir.Program) -> str:
     """The generated module, which compiles; anything else is a mistake of this compiler (SyntaxError)."""
-    names = Names(program)
-    values = _values(program, names)
-    body = render("program_state.py", **values) + render("program.py", **values)
-    text = _head(program, body) + body
-    text = text.replace("LINES: dict[int, int] = {}", f"LINES: dict[int, int] = {_lines(text, program.path)}", 1)
+    values = _values(program, Names(program))
+    body = render("program_state.py", **values).strip("\n") + "\n" + render("program.py", **values)
+    text = _head(program, body) + ("\n\n" if body.startswith("class ") else "\n") + body
+    text = text.replace(_LINES, _LINES + _lines(text, program.path), 1)  # a literal has no raw end of line
     compile(text, "program.py", "exec")
     return text
 
@@ -44,84 +44,167 @@ def interface_hash(program: ir.Program) -> str:
     return _digest(repr((WIRE_FORMAT, [(v.name, v.kind, v.type) for v in program.shared])))
 
 
+def functions_module(program: ir.Program) -> str:
+    """The module beside a generated program that holds its extern functions and types."""
+    return f"{program.name}_functions"
+
+
 def _digest(text: str) -> str:
     return blake2s(text.encode(), digest_size=8).hexdigest()
 
 
 def _values(program: ir.Program, names: Names) -> dict[str, Any]:
-    def variables(declared: tuple[ir.Local | ir.Shared, ...], attributes: dict[str, str]) -> list[dict[str, Any]]:
-        return [
-            {
-                "name": v.name,
-                "attribute": attributes[v.name],
-                "type": python_type(v.type),
-                "kind": v.kind if isinstance(v, ir.Shared) else "local",
-                "initial": expr.text(v.initial, names),
-                "mark": f"{program.path}:{v.span.line}",
-            }
-            for v in declared
-        ]
-
-    def block(statements: Block) -> str:
-        return "\n".join(stmt.lines(statements, names, program.path, "    "))
-
     return {
         "name": program.name,
         "path": program.path,
+        "name_literal": expr.literal(program.name),
+        "path_literal": expr.literal(program.path),
+        "library": expr.literal(functions_module(program)),
         "program_hash": program_hash(program),
         "interface_hash": interface_hash(program),
+        "extern_types": [(expr.literal(t.name), names.extern_types[t.name]) for t in program.extern_types],
+        "records": [_record(r, program, names) for r in _ordered(program.records)],
         "params": [
-            (names.params[p.name], python_type(p.type), expr.text(p.default, names), f"{program.path}:{p.span.line}")
+            (names.params[p.name], annotation(p.type, names), expr.text(p.default, names), _mark(program, p))
             for p in program.params
         ],
-        "locals": variables(program.locals, names.locals),
-        "shared": variables(program.shared, names.shared),
-        "ports": [
-            (f"{m.name}.{p.name}", names.ports[m.name, p.name], python_type(p.type), p.direction)
-            for m in program.modules
-            for p in m.ports
-        ],
-        "init": block(program.init) if program.init else "",
-        "events": [
-            {
-                "name": e.name,
-                "line": e.span.line,
-                "guard": names.guards[e.name],
-                "condition": expr.text(e.guard, names) + _MARK.format(program.path) + str(e.guard.span.line),
-                "effect": names.effects[e.name],
-                "body": block(e.effect),
-            }
-            for e in program.events
+        "externs": [_extern(f, program, names) for f in program.externs],
+        "functions": [_function(f, program, names) for f in program.functions],
+        "locals": [_variable(v, "local", names.locals, program, names) for v in program.locals],
+        "shared": [_variable(v, v.kind, names.shared, program, names) for v in program.shared],
+        "ports": [_port(m, p, names) for m in program.modules for p in m.ports],
+        "init": _block(program.init, program, names) if program.init else "",
+        "events": [_event(e, program, names) for e in program.events],
+        "locks": display([display([expr.literal(name) for name in group]) for group in program.locks]),
+    }
+
+
+def _mark(program: ir.Program, node: Any) -> str:
+    return f"{program.path}:{node.span.line}"
+
+
+def _block(statements: Block, program: ir.Program, names: Names) -> str:
+    return "\n".join(stmt.lines(statements, names, program.path, stmt.STEP))
+
+
+def _variable(
+    v: ir.Local | ir.Shared, kind: str, attributes: dict[str, str], program: ir.Program, names: Names
+) -> dict[str, str]:
+    return {
+        "name": v.name,
+        "attribute": attributes[v.name],
+        "type": annotation(v.type, names),
+        "bound": bound(v.type, names),
+        "kind": kind,
+        "initial": expr.text(v.initial, names),
+        "mark": _mark(program, v),
+    }
+
+
+def _record(record: ir.Record, program: ir.Program, names: Names) -> dict[str, Any]:
+    fields = names.fields[record.type.name]
+    return {
+        "name": names.records[record.type.name],
+        "doc": f"def {record.type.name}, {_mark(program, record)}",
+        "fields": [
+            (fields[field], annotation(type_, names), expr.text(value, names))
+            for (field, type_), value in zip(record.type.fields, record.defaults, strict=True)
         ],
     }
 
 
-def python_type(koord: Scalar) -> str:
-    """The Python annotation of a Koord type."""
-    return stmt.PYTHON_TYPE[koord.name]
+def _ordered(records: Iterable[ir.Record]) -> list[ir.Record]:
+    """Each after those that it has fields of: their first values are made with it."""
+    by_name = {r.type.name: r for r in records}
+    found: dict[str, ir.Record] = {}
+
+    def add(type_: Type) -> None:
+        match type_:
+            case RecordType(name, fields) if name not in found:
+                for _, field in fields:
+                    add(field)
+                found[name] = by_name[name]
+            case TupleOf(items):
+                for item in items:
+                    add(item)
+            case SequenceOf(_, element):
+                add(element)
+            case MapOf(key, value):
+                add(key)
+                add(value)
+            case _:
+                pass
+
+    for record in by_name.values():
+        add(record.type)
+    return list(found.values())
+
+
+def _signature(function: ir.Function | ir.ExternFunction, names: Names) -> dict[str, str]:
+    return {
+        "parameters": ", ".join([f"{names.temp(p.name)}: {annotation(p.type, names)}" for p in function.parameters]),
+        "type": annotation(function.result, names),
+    }
+
+
+def _function(function: ir.Function, program: ir.Program, names: Names) -> dict[str, str]:
+    return {
+        "name": names.functions[function.name],
+        "mark": f"{function.name}, {_mark(program, function)}",
+        "body": _block(function.block, program, names),
+        **_signature(function, names),
+    }
+
+
+def _extern(function: ir.ExternFunction, program: ir.Program, names: Names) -> dict[str, Any]:
+    word = str(function.result)
+    article = "an" if word[0] in "aeiouAEIO" else "a"
+    return {
+        "name": expr.literal(function.name),
+        "function": names.externs[function.name],
+        "call": names.calls[function.name],
+        "args": ", ".join([names.temp(p.name) for p in function.parameters]),
+        "bounds": display([bound(p.type, names) for p in function.parameters]),
+        "bound": bound(function.result, names),
+        "wanted": expr.literal(f"{article} {word}"),
+        "mark": f"{function.name}, {_mark(program, function)}",
+        "requires": [(expr.text(formula, names), formula.span.line) for formula in function.requires],
+        "ensures": [(expr.text(formula, names), formula.span.line) for formula in function.ensures],
+        **_signature(function, names),
+    }
+
+
+def _port(module: ir.Module, port: ir.Port, names: Names) -> dict[str, str]:
+    actuator = port.direction == "actuator"
+    return {
+        "name": expr.literal(f"{module.name}.{port.name}"),
+        "attribute": names.ports[module.name, port.name],
+        "direction": port.direction,
+        "type": annotation(port.type, names),
+        "rest": f", {bound(port.type, names)}, lambda: {default(port.type, names)}" if actuator else "",
+    }
+
+
+def _event(event: ir.Event, program: ir.Program, names: Names) -> dict[str, Any]:
+    return {
+        "name": event.name,
+        "line": event.span.line,
+        "mark": f"{event.name}, {_mark(program, event)}",
+        "guard": names.guards[event.name],
+        "condition": expr.text(event.guard, names) + _MARK.format(program.path) + str(event.guard.span.line),
+        "effect": names.effects[event.name],
+        "body": _block(event.effect, program, names),
+        "lock": "" if event.lock is None else f", {event.lock}",
+    }
 
 
 def _head(program: ir.Program, body: str) -> str:
-    def used(names: tuple[str, ...]) -> str:
-        return ", ".join(n for n in names if re.search(rf"\b{n}\b", body))
-
-    imports = [
-        f"from {module} import {found}"
-        for module, found in (
-            ("math", used(_MATH)),
-            ("typing", "Any"),
-            ("koordgen.runtime.program", used(_RUNTIME)),
-            ("koordgen.runtime.values", used(_VALUES)),
-        )
-        if found
-    ]
-    stdlib = [line for line in imports if "koordgen" not in line]
-    runtime = [line for line in imports if "koordgen" in line]
+    groups: Sequence[list[str]] = [group for group in library.imports(body) if group]
     return (
         f'"""{program.name}: the Koord program {program.path}, compiled by koordgen {__version__}.\n\n'
         f"Every statement names its line in {program.path}, which stands beside this file. The next build writes this\n"
         'file anew: change the Koord program, not this.\n"""\n\n'
-        "from __future__ import annotations\n\n" + "\n".join(stdlib) + "\n\n" + "\n".join(runtime) + "\n\n"
+        "from __future__ import annotations\n\n" + "\n\n".join("\n".join(group) for group in groups) + "\n"
     )
 
 
@@ -129,4 +212,4 @@ def _lines(text: str, path: str) -> str:
     """Python line -> Koord line, for every line that ends in a mark; errors on the robot are told by it."""
     mark = re.compile(re.escape(_MARK.format(path)) + r"(\d+)$")
     pairs = ((number, mark.search(line)) for number, line in enumerate(text.split("\n"), 1))
-    return "{" + ", ".join(f"{number}: {found[1]}" for number, found in pairs if found) + "}"
+    return ", ".join(f"{number}: {found[1]}" for number, found in pairs if found)

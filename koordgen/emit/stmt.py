@@ -7,9 +7,10 @@ from typing import assert_never
 
 from koordgen.emit import expr
 from koordgen.emit.names import Names
+from koordgen.emit.types import annotation
 from koordgen.ir import stmt as ir
 
-PYTHON_TYPE = {"int": "int", "float": "float", "bool": "bool", "Point": "Point"}
+STEP = "    "
 
 
 def lines(block: ir.Block, names: Names, path: str, indent: str) -> Iterator[str]:
@@ -19,22 +20,45 @@ def lines(block: ir.Block, names: Names, path: str, indent: str) -> Iterator[str
     for statement in block:
         mark = f"  # {path}:{statement.span.line}"
         match statement:
-            case ir.Assign(place, value):
-                yield f"{indent}{_place(place, names)} = {expr.text(value, names)}{mark}"
-            case ir.Let(name, type_, value):
-                declared = f"{names.temp(name)}: {PYTHON_TYPE[type_.name]}"
-                yield f"{indent}{declared} = {expr.text(value, names)}{mark}"
             case ir.If():
                 yield from _if(statement, names, path, indent, "if")
-            case ir.Stop():
-                yield f"{indent}raise Stopped{mark}"
+            case ir.For(variables, _, values, inner):
+                taken = ", ".join([names.temp(name) for name in variables])
+                yield f"{indent}for {taken} in {expr.domain(values, names)}:{mark}"
+                yield from lines(inner, names, path, indent + STEP)
+            case ir.While(condition, inner):
+                yield f"{indent}while {expr.text(condition, names)}:{mark}"
+                yield from lines(inner, names, path, indent + STEP)
             case _:
-                assert_never(statement)
+                yield f"{indent}{_simple(statement, names)}{mark}"
+
+
+def _simple(statement: ir.Stmt, names: Names) -> str:
+    match statement:
+        case ir.Assign(place, value):
+            return f"{_place(place, names)} = {expr.text(value, names)}"
+        case ir.Let(name, type_, value):
+            return f"{names.temp(name)}: {annotation(type_, names)} = {expr.text(value, names)}"
+        case ir.Break():
+            return "break"
+        case ir.Continue():
+            return "continue"
+        case ir.Return(value):
+            return f"return {expr.text(value, names)}"
+        case ir.Emit(module, port, items):
+            parts = [expr.literal(f"{module}.{port}"), *[expr.text(item, names) for item in items]]
+            return f"s.emit({', '.join(parts)})"
+        case ir.Stop():
+            return "raise Stopped"
+        case ir.If() | ir.For() | ir.While():
+            raise AssertionError("these have blocks")
+        case _:
+            assert_never(statement)
 
 
 def _if(statement: ir.If, names: Names, path: str, indent: str, keyword: str) -> Iterator[str]:
     yield f"{indent}{keyword} {expr.text(statement.condition, names)}:  # {path}:{statement.span.line}"
-    yield from lines(statement.then, names, path, indent + "    ")
+    yield from lines(statement.then, names, path, indent + STEP)
     match statement.orelse:
         case ():
             return
@@ -42,13 +66,13 @@ def _if(statement: ir.If, names: Names, path: str, indent: str, keyword: str) ->
             yield from _if(chained, names, path, indent, "elif")
         case orelse:
             yield f"{indent}else:"
-            yield from lines(orelse, names, path, indent + "    ")
+            yield from lines(orelse, names, path, indent + STEP)
 
 
 def _place(place: ir.Place, names: Names) -> str:
     match place:
         case ir.LocalPlace(name):
-            return f"s.{names.locals[name]}"
+            return f"s.{names.locals[name]}.value"
         case ir.OwnSlot(name):
             return f"s.{names.shared[name]}.own"
         case ir.SharedPlace(name):

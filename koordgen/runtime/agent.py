@@ -19,11 +19,12 @@ from types import FrameType
 from typing import TextIO
 
 from koordgen.runtime.clock import SystemClock
+from koordgen.runtime.extern import BadExtern
 from koordgen.runtime.layout import Layout, TooLarge
 from koordgen.runtime.machine import INTERNAL, OK, SURROUNDINGS, WRONG_PROGRAM, Agent
 from koordgen.runtime.platform import Platform, Unready
 from koordgen.runtime.program import Program
-from koordgen.runtime.runner import interrupting
+from koordgen.runtime.runner import EndedAtOnce, interrupting
 from koordgen.runtime.seal import BadKey, load_key
 from koordgen.runtime.settings import BadSettings, Settings, load
 from koordgen.runtime.trace import Trace
@@ -47,17 +48,19 @@ def main(program: Program, platform_type: PlatformType, root: Path, argv: Sequen
     try:
         settings, key = _settings(root, arguments.settings, arguments.pid)
         Layout(program.shared, len(settings.peers))
+        if program.library is not None:
+            program.library.load()  # importing may take longer than a round
         platform = platform_type(settings, key)
         if arguments.check:
             return _check(program, settings, platform)
         return _run(program, settings, key, platform, quiet=arguments.quiet)
-    except (BadSettings, BadKey, TooLarge) as error:
+    except (BadSettings, BadKey, TooLarge, BadExtern) as error:
         return _fail(str(error), "", WRONG_PROGRAM)
     except CannotOpen as error:
         return _fail(str(error), "", SURROUNDINGS)
     except Unready as error:
         return _fail(error.message, error.hint, SURROUNDINGS)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, EndedAtOnce):
         return _fail("ended at once; the body is left to its own failsafe", "", INTERRUPTED)
     except Exception:
         return _fail("internal error, please report it:\n" + traceback.format_exc(), "", INTERNAL)
@@ -147,7 +150,7 @@ def _run(
 
 
 class _Signals:
-    """SIGINT, SIGTERM and SIGHUP, counted inside the block; the third raises KeyboardInterrupt wherever the process is.
+    """SIGINT, SIGTERM and SIGHUP, counted inside the block; the third raises EndedAtOnce wherever the process is.
     A terminal that closed counts once, however often it is told; under `nohup` it stays ignored."""
 
     def __init__(self) -> None:
@@ -171,7 +174,7 @@ class _Signals:
         self.count += 1
         self.name = signal.Signals(number).name
         if self.count > 2:
-            raise KeyboardInterrupt
+            raise EndedAtOnce
 
 
 def _open_trace(path: str | None) -> Trace:

@@ -1,9 +1,12 @@
-"""The robot's body as its program sees it: sampled sensors, actuator variables, and everything that makes it hold."""
+"""The robot's body as its program sees it: sampled sensors, actuator variables, calls, and all that makes it hold."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from typing import Any
+
+import msgspec
 
 from koordgen.runtime.platform import Platform, Sensed, Unready
 from koordgen.runtime.program import Program
@@ -11,25 +14,30 @@ from koordgen.runtime.safety import clamped
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point, transmissible
 
-_UNSET: dict[Any, Any] = {bool: False, int: 0, float: 0.0, Point: Point()}
 _GOALS = ("target", "path")
 
 
 class Body:
     """Stands between program and platform. `actuators` are the actuator variables: the values last written, before
-    the geofence; the platform gets what lies inside it."""
+    the geofence; the platform gets what lies inside it. A call may take `budget` seconds; more is counted and told."""
 
-    def __init__(self, program: Program, platform: Platform, fence: Box, warn: Callable[[str], None]) -> None:
+    def __init__(
+        self, program: Program, platform: Platform, fence: Box, budget: float, warn: Callable[[str], None]
+    ) -> None:
         self._platform = platform
         self._fence = fence
+        self._budget = budget
         self._warn = warn
         self._sensors = tuple(p.name for p in program.ports if p.direction == "sensor")
         self._actuators = tuple(p for p in program.ports if p.direction == "actuator")
+        self._callables = {p.name: p.type for p in program.ports if p.direction == "callable"}
         self._commanded: dict[str, float] = {}  # module -> when its target or path was written last
         self._fenced: tuple[str, ...] = ()
         self._reasons: set[str] = set()
         self._retired = False
+        self._calls: list[tuple[str, tuple[Any, ...], Any]] = []
         self.actuators: dict[str, Any] = {}
+        self.slow_calls = 0
 
     def begin(self, sensed: Sensed) -> None:
         """Before `init`: an actuator that was never written holds, so `target` is where the robot is. Raises Unready
@@ -41,8 +49,8 @@ class Body:
             position = sensed.values.get(port.name.rpartition(".")[0] + ".position")
             if port.name.endswith(".target") and isinstance(position, Point):
                 self.actuators[port.name] = position
-            else:
-                self.actuators[port.name] = _UNSET.get(port.type, [])
+            elif port.unset is not None:
+                self.actuators[port.name] = port.unset()
 
     def sensors(self, sensed: Sensed) -> dict[str, Any]:
         """The program's sensor ports. `reached` is true before any command, and after one false until the platform
@@ -57,6 +65,26 @@ class Body:
                 elif sensed.time is None or sensed.time <= since:
                     values[name] = False
         return values
+
+    def call(self, port: str, args: tuple[Any, ...]) -> Any:
+        """Ask a callable port, within an event. Raises what the platform raises; ValueError for an answer that is none."""
+        began = time.perf_counter()
+        found = self._platform.call(port, args)
+        took = time.perf_counter() - began
+        if took > self._budget:
+            self.slow_calls += 1
+            if self.slow_calls == 1:
+                self._warn(f"{port} took {took * 1e3:.0f} ms, beyond its budget of {self._budget * 1e3:.0f} ms")
+        answer = msgspec.convert(found, self._callables[port])
+        if not transmissible(answer):
+            raise ValueError(f"{port} answered with what is no number")
+        self._calls.append((port, args, answer))
+        return answer
+
+    def calls(self) -> tuple[tuple[str, tuple[Any, ...], Any], ...]:
+        """The calls since this was asked last: port, arguments, answer."""
+        found, self._calls = tuple(self._calls), []
+        return found
 
     def command(self, written: Mapping[str, Any], now: float) -> None:
         """Take what an event wrote to actuators; Points go to the platform moved into the geofence."""

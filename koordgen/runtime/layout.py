@@ -8,12 +8,10 @@ from typing import Any
 import msgspec
 
 from koordgen.runtime.program import Variable
-from koordgen.runtime.values import Point, transmissible
+from koordgen.runtime.values import transmissible
 from koordgen.runtime.wire import LIMIT, MAX_ROBOTS, Closing, Write, encoder, overhead
 
-# The most bytes a value of a type takes in MessagePack.
-_BOUNDS: dict[Any, int] = {bool: 1, int: 9, float: 9, Point: 1 + 3 * 9}
-_CLOSING = 1 + 2 + 9 + 9 + 1 + 3  # array, author, first, round, stopped, array of writes
+_CLOSING = 1 + 2 + 9 + 9 + 1 + 1 + 3  # array, author, first, round, stopped, commit, array of writes
 _WRITE = 1 + 3  # array, index
 
 
@@ -33,10 +31,7 @@ class Layout:
         self._decoders = tuple(msgspec.msgpack.Decoder(v.type) for v in shared)
         if n_sys > MAX_ROBOTS:
             raise TooLarge(f"a fleet of {n_sys} robots; at most {MAX_ROBOTS} are supported")
-        for v in shared:
-            if v.type not in _BOUNDS:
-                raise TooLarge(f"shared variable {v.name}: no bound is known for the length of its type")
-        needed = _CLOSING + sum(_WRITE + _BOUNDS[v.type] for v in shared)
+        needed = _CLOSING + sum(_WRITE + v.bound.bytes for v in shared)
         room = LIMIT - overhead(n_sys)
         if needed > room:
             raise TooLarge(
@@ -74,7 +69,7 @@ class Layout:
                 value = self._decoders[write.index].decode(write.value)
             except (msgspec.DecodeError, RecursionError):
                 return None
-            if not transmissible(value):
+            if not transmissible(value) or self._shared[write.index].bound.flaw(value):
                 return None
             values.append((write.index, value))
             before = write.index

@@ -63,7 +63,7 @@ class Agent:
         self._fleet_clock = FleetClock(reference=settings.pid == 0)
         self._link = Link(program, settings, key, transport, clock, self._fleet_clock, boot, self._report)
         self._joining = Joining(self._link, self._layout, self._names)
-        self._body = Body(program, platform, settings.geofence, lambda text: self._log("warning", text))
+        self._body = Body(program, platform, settings.geofence, settings.planner_budget, self._warn)
         self._runner = Runner(program, settings.pid, len(self._names), clock, limit)
         self._guard = Guard(settings.safety, settings.geofence)
         self._verdict = Verdict("go")
@@ -94,6 +94,8 @@ class Agent:
         """Everything counted so far, by its name; datagrams by the reason they were dropped for."""
         counted = {f"dropped: {k}": v for k, v in self._link.rejected.items()}
         counted |= {f"network: {k}": v for k, v in self._transport.troubles.items()}
+        if self._body.slow_calls:
+            counted["slow calls"] = self._body.slow_calls
         if self._rounds is not None:
             counted |= asdict(self._rounds.counters)
         return counted
@@ -185,15 +187,17 @@ class Agent:
         sensed = self._platform.sense(now)
         self._body.begin(sensed)
         shared = self._layout.initial()
-        frame = self._runner.frame(shared, self._body.sensors(sensed), self._body.actuators)
+        frame = self._runner.frame(shared, self._body.sensors(sensed), self._body.actuators, self._body.call)
         done = self._runner.init(frame)
+        self._body.calls()  # no round's
         if isinstance(done, Fault):
             self._log("error", f"{done} (in init)")
             self._rest("init failed", WRONG_PROGRAM)
             return
         self._body.command(done.actuators, now)
+        self._stream(done.streams, now)
         writes = self._layout.writes(done.shared)
-        self._joining.ready(Closing(self._settings.pid, 0, 0, done.stopped, writes))
+        self._joining.ready(Closing(self._settings.pid, 0, 0, done.stopped, False, writes))
 
     def _begin_rounds(self, now: float) -> None:
         mission = self._joining.mission
@@ -257,6 +261,8 @@ class Agent:
         changed = {k: v for k, v in counters.items() if k != "rounds" and self._counted.get(k, 0) != v}
         self._counted = counters
         self._trace.round(record, self._fleet_clock.bound(record.time), changed)
+        if record.effects is not None:
+            self._stream(record.effects.streams, record.time)
         fault = str(record.fault) if record.fault is not None else ""
         if fault and fault != self._faulty:
             self._log("error", f"{fault}; the event is discarded, the robot holds")
@@ -269,6 +275,12 @@ class Agent:
             except Exception as error:
                 self._monitors.remove(monitor)
                 self._log("error", f"a monitor failed and is off: {type(error).__name__}: {error}")
+
+    def _stream(self, lines: Sequence[tuple[str, str]], time: float) -> None:
+        """What the program has to say; a stream is served by every agent."""
+        for port, text in lines:
+            self._trace.stream(time, self.round, port, text)
+            self._line("info", f"{port}: {text}")
 
     def _watch_restarts(self) -> None:
         if len(self._joining.restarted) > self._known_restarts:
@@ -287,6 +299,9 @@ class Agent:
             self._said = progress
             self._trace.phase(self._clock.now(), self.phase, progress)
             self._line("info", progress)
+
+    def _warn(self, text: str) -> None:
+        self._log("warning", text)
 
     def _report(self, text: str) -> None:
         self._log("error", text)

@@ -1,8 +1,9 @@
 """The replicated shared store of one robot: a pure state machine over closings, without I/O and without a clock.
 
 S_r, the store in round r, is S_1 (initial values and everyone's `init`) with the closings of rounds 1 to r-1 applied
-round by round, within a round by ascending pid. A robot is current for r when it holds all of them; then its `shared`
-is S_r, the same on every robot. What another robot said it lacks is handed out again, whoever wrote it.
+round by round: within a round first the commits, then the plain writes by ascending pid. A robot is current for r when
+it holds all of them; then its `shared` is S_r, the same on every robot. What another robot said it lacks is handed out
+again, whoever wrote it.
 """
 
 from __future__ import annotations
@@ -128,14 +129,15 @@ class Memory:
         """The round by which every robot had stopped, as far as closings are applied."""
         return max(self.stopped.values()) if len(self.stopped) == self._layout.n_sys else None
 
-    def close(self, round_: int, shared: Mapping[str, Any], stopped: bool) -> None:
-        """Close the own rounds up to `round_`, which wrote `shared`; earlier ones not closed yet had no writes."""
+    def close(self, round_: int, shared: Mapping[str, Any], stopped: bool, commit: bool = False) -> None:
+        """Close the own rounds up to `round_`, which wrote `shared`, as a commit or plainly; earlier ones not closed
+        yet had no writes."""
         writes = self._layout.writes(shared)
         log = self._logs[self._pid]
         if round_ > log.held + 1 and writes:
-            log.append(_Entry(Closing(self._pid, log.held + 1, round_ - 1, stopped), ()))
+            log.append(_Entry(Closing(self._pid, log.held + 1, round_ - 1, stopped, False), ()))
         first = round_ if writes else log.held + 1
-        closing = Closing(self._pid, first, round_, stopped, writes)
+        closing = Closing(self._pid, first, round_, stopped, commit and bool(writes), writes)
         log.append(_Entry(closing, self._layout.read(closing) or ()))
 
     def take(self, closing: Closing, present: int) -> str | None:
@@ -217,10 +219,11 @@ class Memory:
             log.forget(min(self._settled, self.applied))
 
     def _apply(self, entries: Sequence[_Entry], through: int) -> None:
-        """Apply one closing of each robot, in ascending pid: the highest pid wins a plain conflict."""
+        """Apply one closing of each robot, given in ascending pid: first the commits, then the plain writes, so that
+        the highest pid wins a plain conflict, also over that round's commit."""
         names, is_slots = self._layout.names, self._layout.is_slots
         changed: dict[str, Any] = {}
-        for entry in entries:
+        for entry in sorted(entries, key=lambda e: not e.closing.commit):
             author = entry.closing.author
             for index, value in entry.values:
                 name = names[index]

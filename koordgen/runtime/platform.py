@@ -67,6 +67,11 @@ class Platform(Protocol):
         """Take the actuators that an event wrote ("Module.port" to value), already finite and inside the geofence."""
         ...
 
+    def call(self, port: str, args: tuple[Any, ...]) -> Any:
+        """Answer a callable port ("Motion.planner"), within the event that asks: a planner's answer is a tuple of
+        Points, empty when there is no way. May raise; then the event is discarded."""
+        ...
+
     def hold(self, on: bool, now: float) -> None:
         """Pause at the present position, or resume what was commanded last. Idempotent."""
         ...

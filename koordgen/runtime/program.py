@@ -1,27 +1,37 @@
 """What a generated program offers to the runtime, and how one of its events is run.
 
-A generated `program.py` defines one `PROGRAM: Program`. An event works on a `State` of its own, made by `begin` from
-a `Frame`; `end` tells what it wrote. Nothing else of the robot can be reached from an event, so to discard an event
-is to drop its State.
+A generated `program.py` defines one `PROGRAM: Program`. An event works on a Transaction of its own, made by `begin`
+from a `Frame`. Nothing else of the robot can be reached from an event, so to discard an event is to drop that.
 """
 
 from __future__ import annotations
 
+import reprlib
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
 
-from koordgen.runtime.containers import OutOfRange
-from koordgen.runtime.values import INT_MAX, INT_MIN, transmissible
+from koordgen.runtime.bounds import Bound
+from koordgen.runtime.containers import Missing, OutOfRange
+from koordgen.runtime.extern import BadExtern, Library
+from koordgen.runtime.values import transmissible
 
 T = TypeVar("T")
+LONGEST_REASON = 300  # characters
+
+
+def no_ports(port: str, args: tuple[Any, ...]) -> Any:
+    """The `Frame.call` of a robot without callable ports."""
+    raise LookupError(f"nothing serves {port}")
 
 
 @dataclass(frozen=True, slots=True)
 class Frame:
     """What a robot knows when it evaluates an event. Keys of `sensors` and `actuators` are "Module.port";
-    `shared` maps an allread variable to its slots by pid and an allwrite variable to its value."""
+    `shared` maps an allread variable to its slots by pid and an allwrite variable to its value; `call` answers a
+    callable port, by its name and arguments."""
 
     pid: int
     n_sys: int
@@ -29,17 +39,19 @@ class Frame:
     shared: Mapping[str, Any]
     sensors: Mapping[str, Any]
     actuators: Mapping[str, Any]
+    call: Callable[[str, tuple[Any, ...]], Any] = no_ports
 
 
 @dataclass(frozen=True, slots=True)
 class Effects:
-    """What an event did: all locals as they are afterwards, and only those shared variables and actuators that it
-    wrote (an equal value counts as written)."""
+    """What an event did: all locals as they are afterwards, only those shared variables and actuators that it
+    wrote (an equal value counts as written), and the lines it put out, as (port, line) in order."""
 
     locals: Mapping[str, Any]
     shared: Mapping[str, Any]
     actuators: Mapping[str, Any]
     stopped: bool
+    streams: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,39 +70,15 @@ class Stopped(Exception):
     """Raised by `stop` in generated code: ends the event at once, with what it wrote so far."""
 
 
-class Slots(Generic[T]):
-    """An allread variable inside an event: anyone's slot can be read, only `own` can be written."""
-
-    __slots__ = ("_pid", "_values", "written")
-
-    def __init__(self, values: Sequence[T], pid: int) -> None:
-        self._values = list(values)
-        self._pid = pid
-        self.written = False
-
-    def __getitem__(self, index: int) -> T:
-        if not 0 <= index < len(self._values):
-            raise OutOfRange(f"index {index} names no robot (0 to {len(self._values) - 1})")
-        return self._values[index]
-
-    @property
-    def own(self) -> T:
-        return self._values[self._pid]
-
-    @own.setter
-    def own(self, value: T) -> None:
-        self._values[self._pid] = value
-        self.written = True
-
-
 class Cell(Generic[T]):
-    """An allwrite variable or an actuator inside an event: reads back what it wrote."""
+    """A variable or an actuator inside an event: reads back what it wrote. `line` is where that was last, in the file
+    of whoever wrote it; 0 when nobody did."""
 
-    __slots__ = ("_value", "written")
+    __slots__ = ("_value", "line")
 
     def __init__(self, value: T) -> None:
         self._value = value
-        self.written = False
+        self.line = 0
 
     @property
     def value(self) -> T:
@@ -99,42 +87,130 @@ class Cell(Generic[T]):
     @value.setter
     def value(self, value: T) -> None:
         self._value = value
-        self.written = True
+        self.line = sys._getframe(1).f_lineno
+
+
+class Slots(Generic[T]):
+    """An allread variable inside an event: anyone's slot can be read, only `own` can be written. `line` as of Cell."""
+
+    __slots__ = ("_pid", "_values", "line")
+
+    def __init__(self, values: Sequence[T], pid: int) -> None:
+        self._values = tuple(values)
+        self._pid = pid
+        self.line = 0
+
+    def __getitem__(self, index: int) -> T:
+        if not 0 <= index < len(self._values):
+            raise OutOfRange(f"index {index} names no robot (0 to {len(self._values) - 1})")
+        return self._values[index]
+
+    @property
+    def all(self) -> tuple[T, ...]:
+        """Every robot's slot, by pid."""
+        return self._values
+
+    @property
+    def own(self) -> T:
+        return self._values[self._pid]
+
+    @own.setter
+    def own(self, value: T) -> None:
+        self._values = (*self._values[: self._pid], value, *self._values[self._pid + 1 :])
+        self.line = sys._getframe(1).f_lineno
+
+
+class Transaction:
+    """What one event sees on one robot, and what it has written so far. Generated programs name its parts."""
+
+    def __init__(self, frame: Frame) -> None:
+        self.pid = frame.pid
+        self.n_sys = frame.n_sys
+        self.call = frame.call
+        self.written: dict[str, Cell[Any] | Slots[Any]] = {}  # all that can be
+        self._frame = frame
+        self._streams: list[tuple[str, str]] = []
+
+    def local(self, name: str) -> Cell[Any]:
+        return self._cell(name, self._frame.locals)
+
+    def shared(self, name: str) -> Cell[Any]:
+        return self._cell(name, self._frame.shared)
+
+    def actuator(self, name: str) -> Cell[Any]:
+        return self._cell(name, self._frame.actuators)
+
+    def slots(self, name: str) -> Slots[Any]:
+        slots = self.written[name] = Slots(self._frame.shared[name], self.pid)
+        return slots
+
+    def emit(self, port: str, *parts: str) -> None:
+        """One line to a stream."""
+        self._streams.append((port, "".join(parts)))
+
+    def effects(self, stopped: bool) -> Effects:
+        """What the event did."""
+        frame = self._frame
+        found = {name: content(place) for name, place in self.written.items() if place.line}
+        return Effects(
+            {name: found.get(name, value) for name, value in frame.locals.items()},
+            {name: found[name] for name in frame.shared if name in found},
+            {name: found[name] for name in frame.actuators if name in found},
+            stopped,
+            tuple(self._streams),
+        )
+
+    def _cell(self, name: str, values: Mapping[str, Any]) -> Cell[Any]:
+        cell = self.written[name] = Cell(values[name])
+        return cell
+
+
+def content(place: Cell[T] | Slots[T]) -> T:
+    """What a robot may write of a variable: of an allread one, its own slot."""
+    return place.own if isinstance(place, Slots) else place.value
 
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """A local or shared variable: `type` is what msgspec decodes it as, `initial` makes its first value."""
+    """A local or shared variable: `type` is what msgspec decodes it as, `initial` makes its first value, `bound` says
+    how much it may hold."""
 
     name: str
     kind: Literal["local", "allread", "allwrite"]
     type: Any
+    bound: Bound
     initial: Callable[[], Any]
 
 
 @dataclass(frozen=True, slots=True)
 class Port:
-    """A sensor or an actuator, named "Module.port"."""
+    """A port, named "Module.port". `type` is that of a sensor's or actuator's value, or of a call's result. An actuator
+    has a `bound`, and `unset` makes the value that it has before it is written."""
 
     name: str
-    direction: Literal["sensor", "actuator"]
+    direction: Literal["sensor", "actuator", "callable", "stream"]
     type: Any
+    bound: Bound | None = None
+    unset: Callable[[], Any] | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """An event of the program: its name, the Koord line it stands on, guard and effect over the program's State."""
+    """An event of the program: its name, the Koord line it stands on, guard and effect over the program's Transaction.
+    `lock` is the index in `Program.locks` of what an atomic event needs the right to; None of a plain event."""
 
     name: str
     line: int
     guard: Callable[[Any], bool]
     effect: Callable[[Any], None]
+    lock: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Program:
     """A whole generated program. `source` is the Koord file's name; hashes are 16 hexadecimal digits: peers must
-    share `interface_hash` (shared declarations, wire format) always and `program_hash` within one application."""
+    share `interface_hash` (shared declarations, wire format) always and `program_hash` within one application.
+    `locks` are groups of shared variables; `lines` maps lines of `file` to those of the source."""
 
     name: str
     source: str
@@ -145,10 +221,11 @@ class Program:
     ports: tuple[Port, ...]
     init: Callable[[Any], None] | None
     events: tuple[Event, ...]
-    begin: Callable[[Frame], Any]
-    end: Callable[[Any, bool], Effects]
+    begin: Callable[[Frame], Transaction]
     file: str
     lines: Mapping[int, int]
+    locks: tuple[tuple[str, ...], ...] = ()
+    library: Library | None = None
 
 
 def choose(program: Program, frame: Frame) -> Event | Fault | None:
@@ -164,8 +241,8 @@ def choose(program: Program, frame: Frame) -> Event | Fault | None:
 
 
 def run(program: Program, effect: Callable[[Any], None], frame: Frame, line: int = 0) -> Effects | Fault:
-    """Run one effect, which stands on a Koord line, on a State of its own. Whatever it raises, and any value that must
-    not leave the robot, discards it whole."""
+    """Run one effect, which stands on a Koord line, on a Transaction of its own. Whatever it raises, and any value that
+    must not be kept or leave the robot, discards it whole."""
     state = program.begin(frame)
     stopped = False
     try:
@@ -174,16 +251,27 @@ def run(program: Program, effect: Callable[[Any], None], frame: Frame, line: int
         stopped = True
     except Exception as error:
         return _fault(program, error)
-    effects = program.end(state, stopped)
-    for name, value in effects.locals.items():
-        # An int squared every round would soon hang the robot.
-        if isinstance(value, int) and not INT_MIN <= value <= INT_MAX:
-            return Fault(program.source, line, f"{name} would become an int beyond 64 bits, which no robot may use")
-    for name, value in (*effects.shared.items(), *effects.actuators.items()):
-        if not transmissible(value):
-            shown = "an int beyond 64 bits" if isinstance(value, int) else repr(value)  # it may have very many digits
-            return Fault(program.source, line, f"{name} would become {shown}, which no robot may use")
-    return effects
+    effects = state.effects(stopped)
+    return _refused(program, state, effects, line) or effects
+
+
+def _refused(program: Program, state: Transaction, effects: Effects, line: int) -> Fault | None:
+    """Why what was written does not count, at the line of its last write."""
+    targets: tuple[Variable | Port, ...] = (*program.locals, *program.shared, *program.ports)
+    for target in targets:
+        place = state.written.get(target.name)
+        if place is None or not place.line or target.bound is None:
+            continue
+        value = content(place)
+        flaw = target.bound.flaw(value)  # also of locals: an int squared every round would soon hang the robot
+        if not flaw and target.name not in effects.locals and not transmissible(value):
+            flaw = f"{reprlib.repr(value)}, which no robot may use"
+        if flaw:
+            return Fault(program.source, program.lines.get(place.line, line), f"{target.name} would become {flaw}")
+    for port, text in effects.streams:
+        if not transmissible(text):
+            return Fault(program.source, line, f"{port} would get a text that is not Unicode")
+    return None
 
 
 def _fault(program: Program, error: Exception) -> Fault:
@@ -193,5 +281,6 @@ def _fault(program: Program, error: Exception) -> Fault:
         if Path(trace.tb_frame.f_code.co_filename) == Path(program.file):
             line = program.lines.get(trace.tb_lineno, line)
         trace = trace.tb_next
-    reason = str(error) if isinstance(error, OutOfRange) else f"{type(error).__name__}: {error}"
-    return Fault(program.source, line, reason)
+    told = isinstance(error, (OutOfRange, Missing, BadExtern))
+    reason = str(error) if told else f"{type(error).__name__}: {error}"
+    return Fault(program.source, line, reason if len(reason) <= LONGEST_REASON else f"{reason[:LONGEST_REASON]} ...")

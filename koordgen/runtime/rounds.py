@@ -45,6 +45,7 @@ class Counters:
     missed: int = 0  # slept through
     faults: int = 0
     discarded: int = 0  # faults by the publish deadline
+    waited: int = 0  # rounds in which an atomic event had to wait for its turn
     asked: int = 0  # times that missing closings were asked for
     in_a_row: int = 0  # rounds until now without current state or time for an event
 
@@ -174,8 +175,8 @@ class Rounds:
             self.counters.skipped += 1
             self._close(Record(self.round, now, into, sensors, None, skipped=reason), now)
             return
-        frame = self._runner.frame(self._memory.shared, sensors, self._body.actuators)
-        outcome = self._runner.step(frame, self._tick(PUBLISH))
+        frame = self._runner.frame(self._memory.shared, sensors, self._body.actuators, self._body.call)
+        outcome = self._runner.step(frame, self.round, self._tick(PUBLISH))
         self._finish(outcome, frame, now, into)
 
     def _finish(self, outcome: Outcome, frame: Frame, now: float, into: float) -> None:
@@ -186,19 +187,21 @@ class Rounds:
             self.counters.faults += 1
             self.counters.discarded += outcome.fault.reason == LATE
         elif outcome.effects is None:
-            skipped = "no event enabled"
+            skipped = outcome.waiting or "no event enabled"
+        self.counters.waited += outcome.waiting is not None
+        calls = self._body.calls()
         record = Record(
-            self.round, now, into, frame.sensors, frame, outcome.event, outcome.effects, skipped, outcome.fault
+            self.round, now, into, frame.sensors, frame, outcome.event, outcome.effects, skipped, outcome.fault, calls
         )
-        self._close(record, now)
+        self._close(record, now, outcome.commit)
 
-    def _close(self, record: Record, now: float) -> None:
+    def _close(self, record: Record, now: float, commit: bool = False) -> None:
         """The closing leaves, then the actuators are commanded: what others never hear of must not move a robot."""
         effects = record.effects
         if effects is not None and effects.stopped:
             self.stopped = True
         memory, present = self._memory, self._present
-        memory.close(present.round, effects.shared if effects else {}, self.stopped or self._left)
+        memory.close(present.round, effects.shared if effects else {}, self.stopped or self._left, commit)
         present.open = False
         own = memory.own(self._published + 1)
         self._published = present.round

@@ -11,16 +11,22 @@ from types import FrameType
 from typing import Any
 
 from koordgen.runtime.clock import Clock
+from koordgen.runtime.locks import holder
 from koordgen.runtime.program import Effects, Event, Fault, Frame, Program, choose, run
 
 LATE = "not finished by the round's publish deadline"
 INIT_TIME = 1.0  # seconds
 
 Limit = Callable[[float], AbstractContextManager[None]]
+Call = Callable[[str, tuple[Any, ...]], Any]
 
 
 class Overrun(BaseException):
     """Raised within an event that has used up its time; no `except Exception` of an extern function keeps it."""
+
+
+class EndedAtOnce(BaseException):
+    """Raised wherever the process is when the user wants it gone; not KeyboardInterrupt, which user code may raise."""
 
 
 def unlimited(seconds: float) -> AbstractContextManager[None]:
@@ -56,11 +62,14 @@ def interrupting(seconds: float) -> Iterator[None]:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a round's attempt came to: no event enabled (all None), an event's effects, or a fault with none."""
+    """What a round's attempt came to: no event enabled (all None), an event's effects, or a fault with none.
+    `waiting` says in words for which lock an atomic event waits; `commit`: the effects are a transaction's."""
 
     event: str | None = None
     effects: Effects | None = None
     fault: Fault | None = None
+    waiting: str | None = None
+    commit: bool = False
 
 
 class Runner:
@@ -74,8 +83,10 @@ class Runner:
         self._clock = clock
         self._limit = limit
 
-    def frame(self, shared: Mapping[str, Any], sensors: Mapping[str, Any], actuators: Mapping[str, Any]) -> Frame:
-        return Frame(self._pid, self._n_sys, self.locals, shared, sensors, actuators)
+    def frame(
+        self, shared: Mapping[str, Any], sensors: Mapping[str, Any], actuators: Mapping[str, Any], call: Call
+    ) -> Frame:
+        return Frame(self._pid, self._n_sys, self.locals, shared, sensors, actuators, call)
 
     def init(self, frame: Frame) -> Effects | Fault:
         """Run the program's `init`; without one nothing is written."""
@@ -90,8 +101,9 @@ class Runner:
             self.locals = done.locals
         return done
 
-    def step(self, frame: Frame, deadline: float) -> Outcome:
-        """Choose and run this round's event; what is not finished by `deadline` (local time) is discarded whole."""
+    def step(self, frame: Frame, round_: int, deadline: float) -> Outcome:
+        """Choose and run this round's event; what is not finished by `deadline` (local time) is discarded whole. The
+        first enabled event it is, or none: without the right to its lock the robot skips."""
         event: Event | None = None
         done: Effects | Fault
         try:
@@ -102,6 +114,9 @@ class Runner:
                 if isinstance(chosen, Fault):
                     return Outcome(fault=chosen)
                 event = chosen
+                if event.lock is not None and holder(event.lock, round_, self._n_sys) != self._pid:
+                    names = ", ".join(self.program.locks[event.lock])
+                    return Outcome(waiting=f"{event.name} waits for its turn to change {names}")
                 done = run(self.program, event.effect, frame, event.line)
         except Overrun:
             done = Fault(self.program.source, event.line if event else 0, LATE)
@@ -111,4 +126,4 @@ class Runner:
         if self._clock.now() > deadline:
             return Outcome(name, fault=Fault(self.program.source, event.line if event else 0, LATE))
         self.locals = done.locals
-        return Outcome(name, done)
+        return Outcome(name, done, commit=event is not None and event.lock is not None)

@@ -65,6 +65,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     safety: Safety = Safety()
     body: dict[str, Any] = {}
     trace: str | None = None  # JSON lines, one a round
+    planner_budget: float = 0.01  # seconds that a call of a planner within an event may take; more is counted and told
     bind: str = ""  # the address to listen on, when it is not the one that peers send to
 
 

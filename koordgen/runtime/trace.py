@@ -1,7 +1,7 @@
 """A robot's trace: JSON lines of format koord-trace/1, one a round, which the simulator and the replayer read.
 
 `time` is the agent's local monotonic clock in seconds. Points are [x, y, z], metres, local ENU. Kinds: header,
-phase, round, log. A disk that is full or gone ends the trace with one warning, never the robot.
+phase, round, log, stream. A disk that is full or gone ends the trace with one warning, never the robot.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ class Record:
     effects: Effects | None = None
     skipped: str | None = None
     fault: Fault | None = None
+    calls: tuple[tuple[str, tuple[Any, ...], Any], ...] = ()  # of callable ports: port, arguments, answer
 
 
 Observe = Callable[[Record], None]
@@ -64,6 +65,10 @@ class Trace:
     def log(self, time: float, level: str, message: str) -> None:
         self._write({"kind": "log", "time": time, "level": level, "message": message})
 
+    def stream(self, time: float, round_: int, port: str, text: str) -> None:
+        """A line that the program put out; round 0 is `init`."""
+        self._write({"kind": "stream", "time": time, "round": round_, "port": port, "text": text})
+
     def round(self, record: Record, clock_bound: float, counters: Mapping[str, int]) -> None:
         """One round; `clock_bound` is how far fleet time may be off (s), `counters` those that changed."""
         fault, effects = record.fault, record.effects
@@ -80,7 +85,8 @@ class Trace:
             "late": round(record.late, 6),
             "clock_bound": round(clock_bound, 6),
         }
-        self._write({**line, "counters": counters} if counters else line)
+        extra = {"counters": counters, "calls": record.calls}
+        self._write(line | {key: value for key, value in extra.items() if value})
 
     def close(self) -> None:
         if self._file is not None:

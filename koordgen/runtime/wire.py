@@ -14,7 +14,7 @@ import msgspec
 
 from koordgen.runtime.seal import MAC_SIZE, MEMORY, seal, unseal
 
-WIRE_FORMAT = 1  # raised whenever the meaning of a datagram changes; part of every interface hash
+WIRE_FORMAT = 2  # raised whenever the meaning of a datagram changes; part of every interface hash
 LIMIT = 1200  # bytes of a sealed datagram: what every path carries without IP fragments
 MAX_ROBOTS = 128
 MAX_ECHOES = 8
@@ -60,12 +60,13 @@ class Write(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=
 class Closing(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """`author` is done with the rounds `first` to `round`: with writes they are one round, without it wrote nothing
     in any of them (so the silence of a long outage is one closing). Round 0 is the result of `init`. `stopped` holds
-    in all of them."""
+    in all of them. `commit`: the writes are those of an atomic event, which go before all plain ones of the round."""
 
     author: Pid
     first: Natural
     round: Natural
     stopped: bool
+    commit: bool
     writes: Annotated[tuple[Write, ...], msgspec.Meta(max_length=256)] = ()
 
 

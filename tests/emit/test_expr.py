@@ -15,7 +15,7 @@ from koordgen.ir.types import INT
 from koordgen.source import Span
 
 AT = Span(1, 1, 1, 2)
-NAMES = Names(Program("p", "p.koord", (), (), (), (), (), ()))
+NAMES = Names(Program("p", "p.koord", *[()] * 13))
 A, B, C = (ir.Const(v, INT, AT) for v in (5, 7, 9))
 OPERATORS = ("+", "-", "*", "/", "//", "%", "and", "or", "==", "<")
 
@@ -51,4 +51,4 @@ def test_under_a_sign_a_not_and_a_condition(op: str) -> None:
     assert same(text(ir.Unary("not", inner, INT, AT), NAMES), f"not (5 {op} 7)")
     chosen = ir.Conditional(inner, A, B, INT, AT)
     assert same(text(node(op, chosen, C), NAMES), f"(5 if 5 {op} 7 else 7) {op} 9")
-    assert same(text(ir.Coordinate(inner, "x", INT, AT), NAMES), f"(5 {op} 7).x")
+    assert same(text(ir.Field(inner, "x", INT, AT), NAMES), f"(5 {op} 7).x")

@@ -91,6 +91,9 @@ class FakePlatform:
         self.commands.append((now, dict(actuators)))
         self.target = actuators.get("Motion.target", self.target)
 
+    def call(self, port: str, args: tuple[Any, ...]) -> Any:
+        return args[:1]
+
     def hold(self, on: bool, now: float) -> None:
         self.held = on
 

@@ -12,7 +12,7 @@ import pytest
 
 from koordgen.runtime.clock import SystemClock
 from koordgen.runtime.platform import Sensed
-from koordgen.runtime.program import Event, Program, Stopped
+from koordgen.runtime.program import Event, Program, Stopped, no_ports
 from koordgen.runtime.runner import Overrun, Runner, interrupting
 from koordgen.runtime.values import Point
 from tests.runtime.fleet import FakePlatform, Fleet
@@ -28,7 +28,7 @@ def half_done_then_raise(s: State) -> None:
     s.x.own = Point(9, 9, 9)
     s.last.value = 99
     s.target.value = Point(1, 1, 1)
-    s.count = 99
+    s.count.value = 99
     if s.pid == 2:
         raise ZeroDivisionError("division by zero")
 
@@ -82,7 +82,7 @@ def test_a_fault_in_a_guard_is_a_fault() -> None:
 def test_the_robot_goes_on_when_the_fault_is_over() -> None:
     def sometimes(s: State) -> None:
         if s.last.value > 1:
-            s.count += 1
+            s.count.value += 1
         elif s.position.x < 100:
             raise ValueError("early")
 
@@ -110,7 +110,7 @@ def test_an_event_beyond_the_publish_deadline_never_happened() -> None:
 
 def loops(s: State) -> None:
     while True:
-        s.count += 1
+        s.count.value += 1
 
 
 def loops_and_catches(s: State) -> None:
@@ -128,7 +128,7 @@ def test_an_event_that_never_ends_is_interrupted(endless: Callable[[State], None
     sensors, actuators = {"Motion.position": Point(), "Motion.reached": True}, {"Motion.target": Point()}
     shared: dict[str, Any] = {"x": (Point(),), "last": 0}
     began = clock.now()
-    outcome = runner.step(runner.frame(shared, sensors, actuators), began + 0.03)
+    outcome = runner.step(runner.frame(shared, sensors, actuators, no_ports), 1, began + 0.03)
     assert outcome.event == "Only" and outcome.effects is None
     assert "publish deadline" in str(outcome.fault)
     assert clock.now() - began < 0.5
@@ -248,7 +248,7 @@ def test_a_monitor_that_fails_is_dropped() -> None:
 
 
 def squares(s: State) -> None:
-    s.count = max(s.count, 3) ** 2
+    s.count.value = max(s.count.value, 3) ** 2
 
 
 def test_a_local_int_that_leaves_64_bits_is_a_fault() -> None:

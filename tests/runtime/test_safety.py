@@ -34,8 +34,8 @@ def test_clamp_gives_the_nearest_point_of_the_box(a: Point, b: Point, p: Point, 
 
 
 def fly_out(s: State) -> None:
-    s.target.value = Point(20.0 if s.count < 5 else 30.0, 0.0, 9.0)
-    s.count += 1
+    s.target.value = Point(20.0 if s.count.value < 5 else 30.0, 0.0, 9.0)
+    s.count.value += 1
 
 
 def test_a_commanded_point_is_moved_into_the_fence_and_told_once() -> None:

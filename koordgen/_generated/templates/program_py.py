@@ -7,16 +7,78 @@ def root(context, missing=missing):
     concat = environment.concat
     cond_expr_undefined = Undefined
     if 0: yield None
+    l_0_externs = resolve('externs')
+    l_0_functions = resolve('functions')
     l_0_init = resolve('init')
     l_0_events = resolve('events')
     l_0_path = resolve('path')
-    l_0_name = resolve('name')
+    l_0_name_literal = resolve('name_literal')
+    l_0_path_literal = resolve('path_literal')
     l_0_program_hash = resolve('program_hash')
     l_0_interface_hash = resolve('interface_hash')
     l_0_locals = resolve('locals')
     l_0_shared = resolve('shared')
     l_0_ports = resolve('ports')
+    l_0_locks = resolve('locks')
     pass
+    for l_1_x in (undefined(name='externs') if l_0_externs is missing else l_0_externs):
+        _loop_vars = {}
+        pass
+        yield '\n\ndef '
+        yield str(environment.getattr(l_1_x, 'function'))
+        yield '('
+        yield str(environment.getattr(l_1_x, 'parameters'))
+        yield ') -> '
+        yield str(environment.getattr(l_1_x, 'type'))
+        yield ':\n    """extern fun '
+        yield str(environment.getattr(l_1_x, 'mark'))
+        yield '"""\n'
+        for (l_2_formula, l_2_line) in environment.getattr(l_1_x, 'requires'):
+            _loop_vars = {}
+            pass
+            yield '    '
+            yield str(environment.getattr(l_1_x, 'call'))
+            yield '.require('
+            yield str(l_2_formula)
+            yield ', '
+            yield str(l_2_line)
+            yield ')\n'
+        l_2_formula = l_2_line = missing
+        yield '    my_result: '
+        yield str(environment.getattr(l_1_x, 'type'))
+        yield ' = '
+        yield str(environment.getattr(l_1_x, 'call'))
+        yield '('
+        yield str(environment.getattr(l_1_x, 'args'))
+        yield ')\n'
+        for (l_2_formula, l_2_line) in environment.getattr(l_1_x, 'ensures'):
+            _loop_vars = {}
+            pass
+            yield '    '
+            yield str(environment.getattr(l_1_x, 'call'))
+            yield '.ensure('
+            yield str(l_2_formula)
+            yield ', '
+            yield str(l_2_line)
+            yield ', my_result)\n'
+        l_2_formula = l_2_line = missing
+        yield '    return my_result\n'
+    l_1_x = missing
+    for l_1_f in (undefined(name='functions') if l_0_functions is missing else l_0_functions):
+        _loop_vars = {}
+        pass
+        yield '\n\ndef '
+        yield str(environment.getattr(l_1_f, 'name'))
+        yield '('
+        yield str(environment.getattr(l_1_f, 'parameters'))
+        yield ') -> '
+        yield str(environment.getattr(l_1_f, 'type'))
+        yield ':\n    """fun '
+        yield str(environment.getattr(l_1_f, 'mark'))
+        yield '"""\n'
+        yield str(environment.getattr(l_1_f, 'body'))
+        yield '\n'
+    l_1_f = missing
     if (undefined(name='init') if l_0_init is missing else l_0_init):
         pass
         yield '\n\ndef init(s: State) -> None:\n'
@@ -28,32 +90,24 @@ def root(context, missing=missing):
         yield '\n\ndef '
         yield str(environment.getattr(l_1_e, 'guard'))
         yield '(s: State) -> bool:\n    """pre of '
-        yield str(environment.getattr(l_1_e, 'name'))
-        yield ', '
-        yield str((undefined(name='path') if l_0_path is missing else l_0_path))
-        yield ':'
-        yield str(environment.getattr(l_1_e, 'line'))
+        yield str(environment.getattr(l_1_e, 'mark'))
         yield '"""\n    return '
         yield str(environment.getattr(l_1_e, 'condition'))
         yield '\n\n\ndef '
         yield str(environment.getattr(l_1_e, 'effect'))
         yield '(s: State) -> None:\n    """eff of '
-        yield str(environment.getattr(l_1_e, 'name'))
-        yield ', '
-        yield str((undefined(name='path') if l_0_path is missing else l_0_path))
-        yield ':'
-        yield str(environment.getattr(l_1_e, 'line'))
+        yield str(environment.getattr(l_1_e, 'mark'))
         yield '"""\n'
         yield str(environment.getattr(l_1_e, 'body'))
         yield '\n'
     l_1_e = missing
     yield '\n\n# Line of this file -> line of '
     yield str((undefined(name='path') if l_0_path is missing else l_0_path))
-    yield '.\nLINES: dict[int, int] = {}\n\nPROGRAM = Program(\n    name="'
-    yield str((undefined(name='name') if l_0_name is missing else l_0_name))
-    yield '",\n    source="'
-    yield str((undefined(name='path') if l_0_path is missing else l_0_path))
-    yield '",\n    program_hash="'
+    yield '.\nLINES: dict[int, int] = {}\n\nPROGRAM = Program(\n    name='
+    yield str((undefined(name='name_literal') if l_0_name_literal is missing else l_0_name_literal))
+    yield ',\n    source='
+    yield str((undefined(name='path_literal') if l_0_path_literal is missing else l_0_path_literal))
+    yield ',\n    program_hash="'
     yield str((undefined(name='program_hash') if l_0_program_hash is missing else l_0_program_hash))
     yield '",\n    interface_hash="'
     yield str((undefined(name='interface_hash') if l_0_interface_hash is missing else l_0_interface_hash))
@@ -65,6 +119,8 @@ def root(context, missing=missing):
         yield str(environment.getattr(l_1_v, 'name'))
         yield '", "local", '
         yield str(environment.getattr(l_1_v, 'type'))
+        yield ', '
+        yield str(environment.getattr(l_1_v, 'bound'))
         yield ', lambda: '
         yield str(environment.getattr(l_1_v, 'initial'))
         yield '),  # '
@@ -81,6 +137,8 @@ def root(context, missing=missing):
         yield str(environment.getattr(l_1_v, 'kind'))
         yield '", '
         yield str(environment.getattr(l_1_v, 'type'))
+        yield ', '
+        yield str(environment.getattr(l_1_v, 'bound'))
         yield ', lambda: '
         yield str(environment.getattr(l_1_v, 'initial'))
         yield '),  # '
@@ -88,17 +146,18 @@ def root(context, missing=missing):
         yield '\n'
     l_1_v = missing
     yield '    ),\n    ports=(\n'
-    for (l_1_port, l_1_attribute, l_1_type, l_1_direction) in (undefined(name='ports') if l_0_ports is missing else l_0_ports):
+    for l_1_p in (undefined(name='ports') if l_0_ports is missing else l_0_ports):
         _loop_vars = {}
         pass
-        yield '        Port("'
-        yield str(l_1_port)
-        yield '", "'
-        yield str(l_1_direction)
+        yield '        Port('
+        yield str(environment.getattr(l_1_p, 'name'))
+        yield ', "'
+        yield str(environment.getattr(l_1_p, 'direction'))
         yield '", '
-        yield str(l_1_type)
+        yield str(environment.getattr(l_1_p, 'type'))
+        yield str(environment.getattr(l_1_p, 'rest'))
         yield '),\n'
-    l_1_port = l_1_attribute = l_1_type = l_1_direction = missing
+    l_1_p = missing
     yield '    ),\n    init='
     yield str(('init' if (undefined(name='init') if l_0_init is missing else l_0_init) else 'None'))
     yield ',\n    events=(\n'
@@ -113,9 +172,14 @@ def root(context, missing=missing):
         yield str(environment.getattr(l_1_e, 'guard'))
         yield ', '
         yield str(environment.getattr(l_1_e, 'effect'))
+        yield str(environment.getattr(l_1_e, 'lock'))
         yield '),\n'
     l_1_e = missing
-    yield '    ),\n    begin=State,\n    end=State.effects,\n    file=__file__,\n    lines=LINES,\n)\n'
+    yield '    ),\n    begin=State,\n    file=__file__,\n    lines=LINES,\n    locks='
+    yield str((undefined(name='locks') if l_0_locks is missing else l_0_locks))
+    yield ',\n    library='
+    yield str(('LIBRARY' if (undefined(name='externs') if l_0_externs is missing else l_0_externs) else 'None'))
+    yield ',\n)\n'
 
 blocks = {}
-debug_info = '1=20&5=23&7=25&10=29&11=31&12=37&15=39&16=41&17=47&21=51&25=53&26=55&27=57&28=59&30=61&31=65&35=75&36=79&40=91&41=95&44=103&46=105&47=109'
+debug_info = '1=24&4=28&5=34&6=36&7=40&9=48&10=54&11=58&15=67&18=71&19=77&20=79&22=82&26=85&28=87&31=91&32=93&33=95&36=97&37=99&38=101&42=105&46=107&47=109&48=111&49=113&51=115&52=119&56=131&57=135&61=149&62=153&65=162&67=164&68=168&74=179&75=181'

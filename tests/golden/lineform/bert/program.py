@@ -6,32 +6,19 @@ file anew: change the Koord program, not this.
 
 from __future__ import annotations
 
-from typing import Any
-
-from koordgen.runtime.program import Cell, Effects, Event, Frame, Port, Program, Slots, Variable
+from koordgen.runtime.bounds import Fixed
+from koordgen.runtime.program import Cell, Event, Frame, Port, Program, Slots, Transaction, Variable
 from koordgen.runtime.values import Point
 
 
-class State:
+class State(Transaction):
     """What one event of lineform sees on one robot, and what it has written so far."""
 
     def __init__(self, frame: Frame) -> None:
-        self.pid = frame.pid
-        self.n_sys = frame.n_sys
+        super().__init__(frame)
         self.motion_position: Point = frame.sensors["Motion.position"]
-        self.motion_target: Cell[Point] = Cell(frame.actuators["Motion.target"])
-        self.shared_x: Slots[Point] = Slots(frame.shared["x"], frame.pid)
-
-    def effects(self, stopped: bool) -> Effects:
-        """What the event did: all locals, and what it wrote of shared variables and actuators."""
-        shared: dict[str, Any] = {}
-        actuators: dict[str, Any] = {}
-        if self.shared_x.written:
-            shared["x"] = self.shared_x.own
-        if self.motion_target.written:
-            actuators["Motion.target"] = self.motion_target.value
-        kept: dict[str, Any] = {}
-        return Effects(kept, shared, actuators, stopped)
+        self.motion_target: Cell[Point] = self.actuator("Motion.target")
+        self.shared_x: Slots[Point] = self.slots("x")
 
 
 def init(s: State) -> None:
@@ -50,28 +37,29 @@ def effect_target_update(s: State) -> None:
 
 
 # Line of this file -> line of lineform.koord.
-LINES: dict[int, int] = {38: 10, 43: 13, 48: 15, 49: 16, 63: 7}
+LINES: dict[int, int] = {25: 10, 30: 13, 35: 15, 36: 16, 50: 7}
 
 PROGRAM = Program(
     name="lineform",
     source="lineform.koord",
-    program_hash="12ccde7e0051103e",
-    interface_hash="7da5c1a40314d73e",
+    program_hash="539b4d94cf4b3f06",
+    interface_hash="4037aa01d19f1ddd",
     locals=(
     ),
     shared=(
-        Variable("x", "allread", Point, lambda: Point(0.0, 0.0, 0.0)),  # lineform.koord:7
+        Variable("x", "allread", Point, Fixed(28), lambda: Point(0.0, 0.0, 0.0)),  # lineform.koord:7
     ),
     ports=(
         Port("Motion.position", "sensor", Point),
-        Port("Motion.target", "actuator", Point),
+        Port("Motion.target", "actuator", Point, Fixed(28), lambda: Point()),
     ),
     init=init,
     events=(
         Event("TargetUpdate", 12, guard_target_update, effect_target_update),
     ),
     begin=State,
-    end=State.effects,
     file=__file__,
     lines=LINES,
+    locks=(),
+    library=None,
 )

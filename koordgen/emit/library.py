@@ -1,0 +1,58 @@
+"""What generated programs import: where each name comes from, and which of them a text uses."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+_MODULES: dict[str, tuple[str, ...]] = {
+    "math": ("acos", "asin", "atan", "atan2", "ceil", "cos", "exp", "floor", "log", "sin", "sqrt", "tan"),
+    "typing": ("Annotated", "Any"),
+    "msgspec": ("Struct",),
+    "msgspec.structs": ("replace",),
+    "koordgen.runtime.bounds": ("Blob", "Cells", "Distinct", "Fixed", "Many", "Pairs", "Parts", "Rays", "Text"),
+    "koordgen.runtime.containers": (
+        "appended", "at", "difference", "extended", "first", "has_key", "index_of", "inserted", "intersection", "keys",
+        "last", "map_at", "map_get", "map_of", "map_with", "map_without", "popped", "power", "removed", "set_of",
+        "set_with", "set_without", "slice_", "union", "updated", "values", "without",
+    ),
+    "koordgen.runtime.extern": ("Extern", "Library"),
+    "koordgen.runtime.geometry": ("clear", "path_distance"),
+    "koordgen.runtime.gridmap": (
+        "GridMap", "area", "cell", "center", "is_free", "is_known", "is_occupied", "mark_free", "mark_occupied",
+        "merge",
+    ),
+    "koordgen.runtime.program": (
+        "Cell", "Event", "Frame", "Port", "Program", "Slots", "Stopped", "Transaction", "Variable",
+    ),
+    "koordgen.runtime.region": ("Ball", "Rect"),
+    "koordgen.runtime.text": ("part", "shown"),
+    "koordgen.runtime.values": ("Grid", "Opaque", "Point", "Pose", "Scan", "distance"),
+}  # fmt: skip
+HOME = {name: module for module, names in _MODULES.items() for name in names}
+
+
+def imports(body: str) -> tuple[list[str], list[str], list[str]]:
+    """The import lines that a module's text needs: of Python's library, of packages, of the runtime."""
+    groups: tuple[list[str], list[str], list[str]] = ([], [], [])
+    for module, names in _MODULES.items():
+        found = [name for name in names if _used(name, body)]
+        if found:
+            group = groups[2 if module.startswith("koordgen") else 1 if module.startswith("msgspec") else 0]
+            group += _lines(module, found)
+    return groups
+
+
+def _used(name: str, body: str) -> bool:
+    """Functions are called, never spoken of; a class may stand in an annotation."""
+    return bool(re.search(rf"(?<![\w.\"']){name}" + (r"\b" if name[0].isupper() else r"\("), body))
+
+
+def _lines(module: str, names: list[str]) -> Iterator[str]:
+    line = f"from {module} import {', '.join(names)}"
+    if len(line) <= 120:
+        yield line
+    else:
+        yield f"from {module} import ("
+        yield from (f"    {name}," for name in names)
+        yield ")"
