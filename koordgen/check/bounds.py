@@ -226,11 +226,10 @@ def judge_update(name: str, reads: bool, span: Span, c: Context) -> None:
     c.written_shared.add(name)
 
 
-def impossible(condition: Formula, before: Flow) -> bool:
-    """Whether a condition contradicts what is known."""
+def impossible(condition: Formula, names: frozenset[str], before: Flow) -> bool:
+    """Whether a condition over variables of these names contradicts what is known."""
     if condition is linear.UNKNOWN:
         return False
-    names = names_of(condition)
     facts = before.relevant(names)
     if not facts and PID not in names and N_SYS not in names:
         # Nothing is known of these: only what contradicts itself is impossible, and one comparison does not.

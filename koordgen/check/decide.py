@@ -80,6 +80,7 @@ def _closed(
     """Whether every branch of the formulas ends in a contradiction."""
     open_: list[Or] = []
     ways: list[tuple[Formula, ...]] = []
+    limits: _Limits = {}
     while pending:  # until no disjunction is left with a single way
         while pending:
             match formula := pending.pop():
@@ -102,10 +103,12 @@ def _closed(
                     pass
                 case _:
                     assert_never(formula)
-        limits = _limits(rows)
-        if limits is None:
+        limits_ = _limits(rows)
+        if limits_ is None:
             return True
-        left, ways = [], []
+        limits = limits_
+        left: list[Or] = []
+        ways = []
         for either in open_:
             told = [_told(part, limits, facts) for part in either.parts]
             if True in told:
@@ -119,7 +122,7 @@ def _closed(
                 left.append(either)
                 ways.append(possible)
         open_ = left
-    if _contradictory(rows):
+    if not _near_limits(rows, limits) and _contradictory(rows):
         return True
     if not open_:
         return False
@@ -155,6 +158,25 @@ def _limits(rows: list[Linear]) -> _Limits | None:
         elif not row.terms and row.constant < 0:
             return None
     return limits
+
+
+def _near_limits(rows: list[Linear], limits: _Limits) -> bool:
+    """Whether the rows hold of values at the limits of the variables: a quick way to see that nothing contradicts."""
+    values: dict[Var, int] = {}
+    for row in rows:
+        for var, _ in row.terms:
+            if var not in values:
+                low, high = limits.get(var, _ANY)
+                values[var] = low if low is not None else high if high is not None else 0
+    if PID in values:
+        values[N_SYS] = max(values[N_SYS], values[PID] + 1)
+    for row in rows:
+        total = row.constant
+        for var, factor in row.terms:
+            total += factor * values[var]
+        if total < 0:
+            return False
+    return True
 
 
 def _told(formula: Formula, limits: _Limits, facts: dict[object, bool]) -> bool | None:

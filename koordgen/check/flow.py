@@ -5,8 +5,10 @@ Immutable: a branch of the program takes its own Flow from its parent's.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from koordgen.check import linear
-from koordgen.check.linear import TRUE, UNKNOWN, And, AtLeastZero, Formula, Length, Linear, Or, Remainder, Var
+from koordgen.check.linear import UNKNOWN, And, AtLeastZero, Fact, Formula, Length, Linear, Or, Remainder, Var
 from koordgen.ir import expr as ir
 from koordgen.ir import stmt
 from koordgen.node import Node
@@ -64,11 +66,12 @@ class Flow(Node):
                     grown = True
         return kept
 
-    def knowing(self, condition: Formula) -> Flow:
-        """This, and the condition holds."""
-        if condition is UNKNOWN or condition == TRUE:
+    def knowing(self, condition: Formula, about: frozenset[str] | None = None) -> Flow:
+        """This, and the condition holds; `about`: its variables, where they are known already."""
+        if condition is UNKNOWN or (type(condition) is And and not condition.parts):
             return self
-        about = names_of(condition)
+        if about is None:
+            about = names_of(condition)
         known = self.known if len(self.known) < MOST_FACTS else (self.known[0], *self.known[2:])
         return Flow((*known, Known(condition, about, condition)), self.values, self.about | about)
 
@@ -200,12 +203,37 @@ def variable_of(node: object) -> str | None:
 def names_of(item: Linear | Formula) -> frozenset[str]:
     """All variables that a term or a formula depends on."""
     found: set[str] = set()
-    for key in linear.variables(item):
-        if isinstance(key, str):
+    _collect(item, found)
+    return frozenset(found)
+
+
+def _collect(item: Linear | Formula, found: set[str]) -> None:
+    kind = type(item)
+    if kind is AtLeastZero:
+        item, kind = item.linear, Linear  # type: ignore[union-attr]
+    if kind is Linear:
+        for var, _ in item.terms:  # type: ignore[union-attr]
+            if type(var) is str:
+                found.add(var)
+            else:
+                _add_keys(linear.variables(var), found)
+    elif kind is And or kind is Or:
+        for part in item.parts:  # type: ignore[union-attr]
+            _collect(part, found)
+    elif kind is Fact:
+        _add_keys((item.key,), found)  # type: ignore[union-attr]
+
+
+def _add_keys(keys: Iterable[object], found: set[str]) -> None:
+    for key in keys:
+        if type(key) is str:
             found.add(key)
         else:
-            _add_reads(key, found)
-    return frozenset(found)
+            name = variable_of(key)
+            if name is not None and type(key) is not ir.SlotRead:
+                found.add(name)
+            else:
+                _add_reads(key, found)
 
 
 def names_of_var(var: Var) -> frozenset[str]:

@@ -103,11 +103,15 @@ def variable(var: Var) -> Linear:
 
 def combine(left: Linear, right: Linear, factor: int = 1) -> Linear:
     """left + factor * right"""
+    total = left.constant + factor * right.constant
+    if not right.terms:
+        return Linear(left.terms, total)
+    if not left.terms:
+        return Linear(tuple([(var, factor * times) for var, times in right.terms]) if factor else (), total)
     terms = dict(left.terms)
     for var, times in right.terms:
         terms[var] = terms.get(var, 0) + factor * times
-    kept = tuple((var, times) for var, times in terms.items() if times)
-    return Linear(kept, left.constant + factor * right.constant)
+    return Linear(tuple([(var, times) for var, times in terms.items() if times]), total)
 
 
 def scale(linear: Linear, factor: int) -> Linear:

@@ -8,7 +8,7 @@ from koordgen.check.block import STATEMENTS, Out, check_block, learn
 from koordgen.check.collection import declare
 from koordgen.check.context import Context
 from koordgen.check.expr import arithmetic
-from koordgen.check.facts import Flow, formula
+from koordgen.check.facts import Flow, formula, names_of
 from koordgen.check.loop import check_counted, check_for, check_while
 from koordgen.check.name import declared_port, module_named
 from koordgen.check.target import Target, check_target
@@ -175,17 +175,19 @@ def _if(node: tree.If, c: Context, out: Out) -> None:
         held = condition(branch.condition, c, "the condition of 'if'")
         before = c.flow
         known: linear.Formula = linear.UNKNOWN
+        about: frozenset[str] | None = None
         if before is not None and held.type is BOOL:
             known = formula(held, before)
-            c.flow = before.knowing(known)
-            if not c.poisoned and bounds.impossible(known, before):
+            about = names_of(known)
+            c.flow = before.knowing(known, about)
+            if not c.poisoned and bounds.impossible(known, about, before):
                 text = c.text(branch.condition.span)
                 c.warn("K043", f"this branch can never run: {text} never holds here", branch.span)
         c.poisoned = poisoned or held.type is POISON
         block = check_block(branch.block, c)
         ends.append(c.flow)
         checked.append((held, block, branch.span))
-        c.flow = before.knowing(linear.negate(known)) if before is not None else None
+        c.flow = before.knowing(linear.negate(known), about) if before is not None else None
         c.poisoned = c.poisoned or held.type is POISON
     orelse = check_block(node.orelse, c) if node.orelse else ()
     ends.append(c.flow)
