@@ -2,15 +2,30 @@
 
 What a frozen dataclass gives, at a tenth of its start-up cost: `@dataclass(frozen=True)` compiles six
 functions a class at every import (0.45 ms each, 30 ms for the trees of this compiler, more than all else
-that `koordgen check` does on a small program); here one `__init__` is compiled a class and the rest is shared.
+that `koordgen check` does on a small program); here one `__init__` is compiled for each number of fields, each class
+has a copy of it with its own names, and the rest is shared.
 """
 
 from __future__ import annotations
 
+from operator import attrgetter
+from types import CodeType, FunctionType
 from typing import Any, TypeVar, dataclass_transform
 
 N = TypeVar("N", bound="Node")
 _APART = ("span", "capacity")
+_INITS: dict[int, CodeType] = {}  # of `__init__(self, _0, _1)` by number of fields: hands each value to a slot's setter
+
+
+def _init(fields: tuple[str, ...], setters: dict[str, Any], defaults: tuple[object, ...]) -> FunctionType:
+    code = _INITS.get(len(fields))
+    if code is None:
+        head = "".join(f", _{i}" for i in range(len(fields)))
+        lines = "".join(f"\n set_{i}(self, _{i})" for i in range(len(fields)))
+        scope: dict[str, Any] = {}
+        exec(f"def __init__(self{head}):{lines}", scope)
+        code = _INITS[len(fields)] = scope["__init__"].__code__
+    return FunctionType(code.replace(co_varnames=("self", *fields)), setters, "__init__", defaults)
 
 
 class _NodeMeta(type):
@@ -18,17 +33,16 @@ class _NodeMeta(type):
 
     def __new__(mcs, name: str, bases: tuple[type, ...], body: dict[str, Any]) -> _NodeMeta:
         fields = tuple(f for f in body.get("__annotations__", {}) if not f.startswith("_"))
-        defaults = {f: body.pop(f) for f in fields if f in body}
+        given = [f in body for f in fields]
+        assert given == sorted(given), f"{name}: fields with defaults come last"
+        defaults = tuple(body.pop(f) for f in fields if f in body)
         body["__slots__"] = body["__match_args__"] = fields
         cls = super().__new__(mcs, name, bases, body)
+        compared = [f for f in fields if f not in _APART]
+        cls._compared = attrgetter(*compared) if compared else type  # type: ignore[attr-defined]
         if fields:
-            setters = {f"_{f}": getattr(cls, f).__set__ for f in fields}
-            values = {f"_default_{f}": value for f, value in defaults.items()}
-            head = ", ".join(f"{f}=_default_{f}" if f in defaults else f for f in fields)
-            lines = "".join(f"\n _{f}(self, {f})" for f in fields)
-            scope: dict[str, Any] = {**setters, **values}
-            exec(f"def __init__(self, {head}):{lines}", scope)  # names come from our own class bodies only
-            cls.__init__ = scope["__init__"]  # type: ignore[misc]
+            setters = {f"set_{i}": getattr(cls, f).__set__ for i, f in enumerate(fields)}
+            cls.__init__ = _init(fields, setters, defaults)  # type: ignore[misc]
         return cls
 
 
@@ -38,20 +52,19 @@ class Node(metaclass=_NodeMeta):
     the source) takes no part in equality and hash, so that trees compare by what they say; nor does `capacity`
     (how much a variable of a type may hold)."""
 
+    _compared: Any  # a node -> its fields that count in comparisons
+
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError(f"{type(self).__name__} is immutable")
 
     def __delattr__(self, name: str) -> None:
         raise AttributeError(f"{type(self).__name__} is immutable")
 
-    def _key(self) -> tuple[object, ...]:
-        return tuple(getattr(self, f) for f in type(self).__match_args__ if f not in _APART)  # type: ignore[attr-defined]
-
     def __eq__(self, other: Any) -> bool:
-        return type(self) is type(other) and self._key() == other._key()
+        return self is other or (type(self) is type(other) and self._compared(self) == self._compared(other))
 
     def __hash__(self) -> int:
-        return hash((type(self), self._key()))
+        return hash((type(self), self._compared(self)))
 
     def __repr__(self) -> str:
         shown = ", ".join(f"{f}={getattr(self, f)!r}" for f in type(self).__match_args__ if f != "span")  # type: ignore[attr-defined]
