@@ -205,7 +205,7 @@ class Expressions:
     def contains(self, item: expr.Expr, values: expr.Expr) -> Type:
         held = self.type_of(values)
         match held:
-            case Sequence(_, element) | MapOf(element):
+            case Sequence(_, element) | PerRobot(element) | MapOf(element):
                 self.typed(item, element)
             case _:
                 whole = {STRING: STRING, RECT: POINT, BALL: POINT}
@@ -298,7 +298,8 @@ class Expressions:
                 must(len(args) in (1, 2), f"{len(args)} arguments of a planner", span)
                 self.typed(args[0], POINT)
                 if len(args) == 2:
-                    self.typed(args[1], list_of(GRID))
+                    obstacles = self.type_of(args[1])
+                    must(obstacles in (list_of(GRID), list_of(POINT)), f"obstacles of type {obstacles}", span)
                 return list_of(POINT)
             case _:
                 return must_not(f"{type(node).__name__} is no expression", span)
