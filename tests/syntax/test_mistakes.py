@@ -247,7 +247,7 @@ SECTIONS = [
     ("event Go:\n  pre: a\n  eff: pass", "event", "Koord has no 'event'", "Name:"),
     ("def Task:\n  Point target,\n  int id", ",", "each name is declared on a line of its own", "on the next line"),
     ("inti:\n  x = 3", "inti", "'inti' is no word of the language", "did you mean 'init'?"),
-    ("\tx: pre: a", "\t", "a tab stands in the indentation", "indent with spaces"),
+    ("Go:\n  pre: a\n\teff: pass", "\t", "a tab stands in the indentation", "indent with spaces"),
 ]
 
 
