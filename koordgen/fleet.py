@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from koordgen.located import Reader, Report, YamlNode
@@ -17,6 +17,10 @@ _ADDRESS = re.compile(r"([A-Za-z0-9.-]+|\[[0-9A-Fa-f:.]+\]):(\d{1,5})")
 SAFETY = {"position_stale": 0.5, "position_lost": 2.0, "missed_rounds": 10, "outside_fence": 0.5}
 MOST_ROBOTS = 128  # as koordgen/runtime/wire.py allows (a test compares them)
 MOST_OBSTACLES = 1000
+
+
+# What is wrong with a value for one param of the program; "" for one that fits.
+Fits = Callable[[Any], str]
 
 
 class Robot(Node):
@@ -33,7 +37,7 @@ class Robot(Node):
 
 class Fleet(Node):
     """A checked fleet file; plain values, as they go into the bundles' JSON. `harness` is keyed by target name;
-    `params` are numbers, booleans and [x, y, z]."""
+    `params` are plain values: numbers, bools, texts, lists, tables."""
 
     application_id: int
     delta: float
@@ -48,9 +52,8 @@ class Fleet(Node):
     harness: dict[str, dict[str, Any]]
 
 
-def read(source: Source, targets: Mapping[str, Target], params: Mapping[str, str], report: Report) -> Fleet | None:
-    """Check a fleet file against the targets there are and the program's params (name -> Koord type); None after
-    anything was reported."""
+def read(source: Source, targets: Mapping[str, Target], params: Mapping[str, Fits], report: Report) -> Fleet | None:
+    """Check a fleet file against the targets there are and the program's params; None after anything was reported."""
     mistakes = 0
 
     def counted(code: str, message: str, span: Any, help: str) -> None:
@@ -109,15 +112,14 @@ def _key(reader: Reader, node: YamlNode | None, insecure: bool) -> str:
     return "" if insecure else name or "fleet.key"
 
 
-def _params(reader: Reader, node: YamlNode | None, known: Mapping[str, str]) -> dict[str, Any]:
-    kinds = {"int": int, "float": float, "bool": bool}
-    given = reader.table(node, "params", [], known)
-    return {
-        name: reader.scalar(value, f"param {name}", kinds[known[name]])
-        if known[name] in kinds
-        else reader.vector(value, f"param {name}")
-        for name, value in given.items()
-    }
+def _params(reader: Reader, node: YamlNode | None, known: Mapping[str, Fits]) -> dict[str, Any]:
+    found = {}
+    for name, value in reader.table(node, "params", [], known).items():
+        found[name] = reader.plain(value, f"param {name}")
+        misfit = known[name](found[name])
+        if misfit:
+            reader.report("F004", misfit, value)
+    return found
 
 
 def _safety(reader: Reader, node: YamlNode | None) -> dict[str, float]:

@@ -138,6 +138,22 @@ class Reader:
         values = [self.number(e, f"{what}'s {axis}", -1e5, 1e5) for e, axis in zip(elements, "xyz", strict=True)]
         return values if None not in values else None
 
+    def plain(self, node: YamlNode, what: str) -> Any:
+        """A value of whatever form: lists, tables, and scalars that are no dates and no null."""
+        if isinstance(node, yaml.SequenceNode):
+            return [self.plain(item, what) for item in node.value]
+        if isinstance(node, yaml.MappingNode):
+            pairs = [(self.plain(key, what), self.plain(value, what)) for key, value in node.value]
+            return {key if not isinstance(key, (list, dict)) else str(key): value for key, value in pairs}
+        try:
+            value = _CONSTRUCT.construct_object(node)
+        except (yaml.YAMLError, ValueError):
+            value = None
+        if type(value) not in _KIND_WORDS:
+            self.report("F004", f"{what} must be a number, a bool, a text, or lists and tables of these", node)
+            return ""
+        return value
+
 
 _KIND_WORDS = {str: "a text", bool: "true or false", int: "a whole number", float: "a finite number"}
 

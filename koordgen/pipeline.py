@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -125,7 +125,20 @@ def read_fleet(path: str, targets: Mapping[str, Target], program: Program) -> tu
     def report(code: str, message: str, span: Span, help: str) -> None:
         found.append((source, Diagnostic(code, "error", message, span, help=help)))
 
-    read = fleet.read(source, targets, {p.name: str(p.type) for p in program.params}, report)
+    read = fleet.read(source, targets, {p.name: _fits(program, p.name) for p in program.params}, report)
     if read is None:
         raise Rejected(found)
     return read, read.params
+
+
+def _fits(program: Program, name: str) -> Callable[[Value], str]:
+    from koordgen.check.params import BadParam, with_params
+
+    def misfit(value: Value) -> str:
+        try:
+            with_params(program, {name: value})
+        except BadParam as bad:
+            return str(bad)
+        return ""
+
+    return misfit

@@ -16,7 +16,11 @@ from koordgen.source import Source, Span
 EXAMPLE = Path(__file__).parents[2] / "examples/lineform/fleet.yaml"
 TARGETS = {name: manifest.load(name) for name in manifest.available()}
 
-PARAMS = {"margin": "float", "laps": "int", "home": "Point"}
+PARAMS: dict[str, fleet.Fits] = {
+    "margin": lambda v: "" if type(v) in (int, float) else f"param margin is of type float; {v!r} does not fit",
+    "laps": lambda v: "" if type(v) is int else f"param laps is of type int; {v!r} does not fit",
+    "home": lambda v: "" if type(v) is list and len(v) == 3 else f"param home is of type Point; {v!r} does not fit",
+}
 
 
 def read(text: str) -> tuple[fleet.Fleet | None, list[tuple[str, int, int, str]]]:
@@ -88,8 +92,8 @@ robots:
         (("delta: 0.1", "delta: [0.1"), "F001", 2, 7, "not YAML"),
         (("delta: 0.1", "sim: {boot: later}\ndelta: 0.1"), "F004", 1, 13, "boot must be"),
         (("delta: 0.1", "params: {margn: 1}\ndelta: 0.1"), "F002", 1, 10, "did you mean 'margin'"),
-        (("delta: 0.1", "params: {laps: 1.5}\ndelta: 0.1"), "F004", 1, 16, "whole number"),
-        (("delta: 0.1", "params: {home: [1, 2]}\ndelta: 0.1"), "F004", 1, 16, "[x, y, z]"),
+        (("delta: 0.1", "params: {laps: 1.5}\ndelta: 0.1"), "F004", 1, 16, "laps is of type int"),
+        (("delta: 0.1", "params: {home: [1, 2]}\ndelta: 0.1"), "F004", 1, 16, "home is of type Point"),
         (("delta: 0.1", "safety: {missed_rounds: 2.5}\ndelta: 0.1"), "F004", 1, 25, "whole number"),
     ],
 )  # fmt: skip
@@ -120,3 +124,27 @@ def test_mutated_files_never_crash(data: Any) -> None:
     text = GOOD[:at] + data.draw(st.text(max_size=8)) + GOOD[at + cut :]
     read_fleet, found = read(text)
     assert (read_fleet is None) == bool(found)
+
+
+def test_params_may_have_parts() -> None:
+    seen: list[object] = []
+
+    def fits(value: object) -> str:
+        seen.append(value)
+        return ""
+
+    text = "params: {tasks: [{target: [1, 2.5, 0], name: a}, {}], on: true}\n" + GOOD
+    found: list[str] = []
+    source = Source("fleet.yaml", text)
+    got = fleet.read(source, TARGETS, {"tasks": fits, "on": fits}, lambda code, *_: found.append(code))
+    assert got is not None and not found
+    assert seen == [[{"target": [1, 2.5, 0], "name": "a"}, {}], True]
+    assert got.params == {"tasks": seen[0], "on": True}
+
+
+@pytest.mark.parametrize("value", ["2001-01-01", "null", "!!binary aGVsbG8=", "[1, ~]"])
+def test_params_are_plain_values(value: str) -> None:
+    source = Source("fleet.yaml", f"params: {{p: {value}}}\n" + GOOD)
+    found: list[str] = []
+    assert fleet.read(source, TARGETS, {"p": lambda v: ""}, lambda code, *_: found.append(code)) is None
+    assert found == ["F004"]
