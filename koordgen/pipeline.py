@@ -62,7 +62,7 @@ def parse_file(path: str) -> tuple[Source, tree.Program]:
 
 
 def check_file(path: str) -> Checked:
-    """parse, check, verify; what could be read of a text is checked, whatever else is wrong with it. Raises Rejected."""
+    """parse, check, verify; what could be read of a text is checked, whatever else is wrong. Raises Rejected."""
     source = read_source(path)
     parsed, unread = parse(source)
     program, found = check(parsed, source)
