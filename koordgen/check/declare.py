@@ -71,6 +71,9 @@ def _record_type(node: ast.RecordDef, room: dict[str, tuple[int, int]], c: Conte
     fields: Fields = []
     seen: dict[str, Span] = {}
     for field in node.fields:
+        if isinstance(field.type, written.BrokenType):
+            fields.append((field, POISON))  # its name is a guess
+            continue
         type_ = bounded(resolve(field.type, c), field.capacities, False, c)
         _no_size(field, "in a record", c)
         if unique(field.name, f"fields of {node.name}", field.span, seen, c):
@@ -135,6 +138,8 @@ def variable_types(sections: Iterable[ast.Variables], c: Context) -> Typed:
     for section in sections:
         kind = section.kind
         for node in section.variables:
+            if isinstance(node.type, written.BrokenType):
+                continue  # its name is a guess
             type_ = _variable_type(node, kind, c)
             typed.append((node, kind, type_))
             if type_ is POISON:

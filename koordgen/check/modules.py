@@ -14,6 +14,7 @@ from koordgen.ir import decl
 from koordgen.ir.types import PLANNER, POISON, STREAM, Type
 from koordgen.node import replace
 from koordgen.syntax import decl as ast
+from koordgen.syntax.types import BrokenType
 
 Direction = Literal["sensor", "actuator", "callable", "stream"]
 
@@ -42,6 +43,8 @@ def _add(
     type_ = resolve(node.type, c, True)
     first = ports.get(node.name)
     if first is not None:
+        if isinstance(node.type, BrokenType):
+            return  # its name is a guess
         label = Label(first.span, "declared here first")
         c.error("K011", f"the port {module}.{node.name} is declared twice", node.span, labels=(label,))
         return

@@ -7,6 +7,7 @@ from koordgen.diagnostics import Label
 from koordgen.ir.builtins import FUNCTIONS
 from koordgen.source import Span
 from koordgen.syntax import decl as ast
+from koordgen.syntax.types import BrokenType
 
 Owner = (
     ast.Variable | ast.Param | ast.Using | ast.RecordDef | ast.ExternType | ast.Function | ast.ExternFunction
@@ -23,11 +24,12 @@ def claim(program: ast.Program, c: Context) -> None:
         match section:
             case ast.Variables(kind, variables):
                 for variable in variables:
-                    _take(variable.name, variable, kind, kinds, c)
+                    if not isinstance(variable.type, BrokenType):  # its name is a guess
+                        _take(variable.name, variable, kind, kinds, c)
             case ast.Using(name):
                 if not isinstance(c.owners.get(name), ast.Using):
                     _take(name, section, "", kinds, c)
-            case ast.Init() | ast.Event() | ast.Property() | ast.BrokenSection():
+            case ast.Init() | ast.Event() | ast.Property() | ast.BrokenSection() | ast.Param(BrokenType()):
                 pass
             case _:
                 _take(section.name, section, "", kinds, c)

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from koordgen.node import Node
 from koordgen.syntax import decl, expr, stmt
+from koordgen.syntax.types import BrokenType
 
 _APART = ("span", "name_span", "op_span", "def_span")
 
@@ -28,6 +29,8 @@ def broken_names(program: decl.Program) -> frozenset[str]:
     for node in nodes(program):
         if isinstance(node, (expr.Broken, stmt.BrokenStmt, decl.BrokenSection)):
             found.update(node.names)
+        elif isinstance(node, (decl.Variable, decl.Param)) and isinstance(node.type, BrokenType):
+            found.add(node.name)
     return frozenset(found)
 
 

@@ -90,7 +90,7 @@ Pay:
     Log.stdout << "paid" << count
     Motion.path = Motion.planner(mine.target)
 initially: forall i in ID: count[i] == 0
-invariant Near: forall i, j in ID: i == j or distance(Motion.position[i], x[j]) > k
+invariant Near: forall i, j in ID: distance(Motion.position[i], x[j]) > k
 axiom All: fair(3)
 """
 
@@ -173,7 +173,7 @@ event Pay
   Log.stdout << 'paid', str(count)
   Motion.path := Motion.planner(mine.target)
 initially: (forall i in ID: (count[i] == 0))
-invariant Near: (forall i in ID: (forall j in ID: ((i == j) or (distance(Motion.position[i], x[j]) > (int -> float k)))))
+invariant Near: (forall i in ID: (forall j in ID: (distance(Motion.position[i], x[j]) > (int -> float k))))
 axiom All: fair(3)
 """
     )
