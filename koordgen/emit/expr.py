@@ -47,6 +47,8 @@ def _text(node: ir.Expr, names: Names) -> tuple[str, int]:
             return f"-{float(value)!r}", _SIGN
         case ir.Widen(operand):
             return f"float({text(operand, names)})", _ATOM
+        case ir.Unary("not", ir.Contains(item, values)) if not isinstance(values.type, MapOf):
+            return f"{_within(item, names, _SUM)} not in {_within(values, names, _SUM)}", _COMPARE
         case ir.Unary(op, operand):
             if op == "not":
                 return f"not {_within(operand, names, _NOT)}", _NOT

@@ -15,6 +15,7 @@ from koordgen.emit import library
 from koordgen.ir.decl import Program
 
 _WORD = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
+_IN_CLASSES = ("int", "float", "bool", "str", "tuple", "set_of", "map_of", "area")  # in annotations and first values
 # What a generated program calls by these names, beside Python's own and the library's.
 _OWN = ("PROGRAM", "LINES", "LIBRARY", "State", "init", "s", "self", "frame", "n_sys", "Any", "Annotated", "msgspec")
 
@@ -51,11 +52,16 @@ class Names:
         return name
 
     def _fields(self, fields: list[str]) -> dict[str, str]:
-        """A class body's own names hide those that its annotations use, so these are taken for fields as well."""
-        taken, found = set(self._taken), dict[str, str]()
+        """A class body's own names hide those that it uses, so these are taken for its fields."""
+        classes = {name for name in library.HOME if name[0].isupper()}
+        taken = {*keyword.kwlist, *_IN_CLASSES, *classes, *self.records.values(), *self.extern_types.values()}
+        found: dict[str, str] = {}
         for field in fields:
-            found[field] = _free(field, taken)
-            taken.add(found[field])
+            name = f"x{field}" if field.startswith("_") else field
+            while name in taken:
+                name += "_"
+            found[field] = name
+            taken.add(name)
         return found
 
     @staticmethod

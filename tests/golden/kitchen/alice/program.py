@@ -6,15 +6,72 @@ file anew: change the Koord program, not this.
 
 from __future__ import annotations
 
-from math import sqrt
+from math import atan2, exp, floor, sqrt
+from typing import Annotated, Any
 
-from koordgen.runtime.bounds import Fixed
+from msgspec import Struct
+from msgspec.structs import replace
+
+from koordgen.runtime.bounds import Blob, Cells, Distinct, Fixed, Many, Pairs, Parts, Rays, Text
+from koordgen.runtime.containers import (
+    appended,
+    at,
+    extended,
+    first,
+    has_key,
+    index_of,
+    inserted,
+    keys,
+    map_at,
+    map_get,
+    map_of,
+    map_with,
+    map_without,
+    popped,
+    power,
+    removed,
+    set_of,
+    set_with,
+    union,
+    updated,
+    without,
+)
+from koordgen.runtime.extern import Extern, Library
+from koordgen.runtime.geometry import clear, path_distance
+from koordgen.runtime.gridmap import GridMap, area, cell, center, is_known, mark_free, merge
 from koordgen.runtime.program import Cell, Event, Frame, Port, Program, Slots, Stopped, Transaction, Variable
-from koordgen.runtime.values import Point, distance
+from koordgen.runtime.region import Ball, Rect
+from koordgen.runtime.text import shown
+from koordgen.runtime.values import Grid, Opaque, Point, Pose, Scan, distance
 
-PARAM_MARGIN: float = 0.5  # kitchen.koord:2
-PARAM_LAPS: int = 3  # kitchen.koord:3
-PARAM_HOME: Point = Point(1.0, -2.0, 0.5)  # kitchen.koord:4
+Ticket = Annotated[Opaque, "Ticket"]
+
+
+class Cup(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """def Cup, kitchen.koord:7"""
+
+    at: Point = Point(1.0, 2.0, 3.0)
+    name: str = "it's a \"cup\""
+    size: int = 0
+
+
+class Tray(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """def Tray, kitchen.koord:2"""
+
+    first: Cup = Cup(Point(1.0, 2.0, 3.0), "it's a \"cup\"", 0)
+    class_: tuple[Cup, ...] = ()
+    None_: tuple[int, str] = (0, "")
+
+
+PARAM_MARGIN: float = 0.5  # kitchen.koord:36
+PARAM_LAPS: int = 3  # kitchen.koord:37
+PARAM_HOME: Point = Point(1.0, -2.0, 0.5)  # kitchen.koord:38
+PARAM_CUPS: tuple[Cup, ...] = (Cup(Point(0.0, 1.0, 0.0), "one", 1), Cup(Point(1.0, 2.0, 3.0), "it's a \"cup\"", 2))  # kitchen.koord:39
+PARAM_LABELS: tuple[tuple[int, str], ...] = map_of(((1, "a"), (2, "b")))  # kitchen.koord:40
+
+LIBRARY = Library("kitchen_functions")
+EXTERN_STAMP = Extern(LIBRARY, "stamp", (Blob(256, "Ticket"), Parts((Fixed(28), Text(16), Fixed(9)), ("at", "name", "size")), Many(128, Many(64, Fixed(28)))), Blob(256, "Ticket"), Ticket, "a Ticket")
+EXTERN_WEIGH = Extern(LIBRARY, "weigh", (Pairs(64, Text(256), Fixed(9)), Distinct(64, Fixed(9))), Fixed(9), float, "a float")
 
 
 class State(Transaction):
@@ -24,90 +81,226 @@ class State(Transaction):
         super().__init__(frame)
         self.motion_position: Point = frame.sensors["Motion.position"]
         self.motion_reached: bool = frame.sensors["Motion.reached"]
+        self.motion_pscan: tuple[tuple[Point, Scan], ...] = frame.sensors["Motion.pscan"]
         self.motion_target: Cell[Point] = self.actuator("Motion.target")
+        self.motion_path: Cell[tuple[Point, ...]] = self.actuator("Motion.path")
         self.shared_x: Slots[Point] = self.slots("x")
         self.shared_class: Slots[int] = self.slots("class")
+        self.shared_paths: Slots[tuple[Point, ...]] = self.slots("paths")
         self.shared_lowest: Cell[float] = self.shared("lowest")
         self.shared_done: Cell[bool] = self.shared("done")
+        self.shared_names: Cell[tuple[tuple[int, str], ...]] = self.shared("names")
+        self.shared_waiting: Cell[tuple[Cup, ...]] = self.shared("waiting")
         self.local_count: Cell[int] = self.local("count")
         self.local_level: Cell[float] = self.local("level")
         self.local_on: Cell[bool] = self.local("on")
         self.local_spot: Cell[Point] = self.local("spot")
+        self.local_seen: Cell[tuple[tuple[int, bool], ...]] = self.local("seen")
+        self.local_known: Cell[GridMap] = self.local("known")
+        self.local_scan: Cell[Scan] = self.local("scan")
+        self.local_pose: Cell[Pose] = self.local("pose")
+        self.local_tray: Cell[Tray] = self.local("tray")
+        self.local_ticket: Cell[Ticket] = self.local("ticket")
+        self.local_text: Cell[str] = self.local("text")
+        self.local_levels: Cell[tuple[float, ...]] = self.local("levels")
+
+    def motion_planner(self, *args: Any) -> tuple[Point, ...]:
+        """A call of "Motion.planner"."""
+        found: tuple[Point, ...] = self.call("Motion.planner", args)
+        return found
+
+
+def extern_stamp(my_t: Ticket, my_cup: Cup, my_where: tuple[tuple[Point, ...], ...]) -> Ticket:
+    """extern fun stamp, kitchen.koord:13"""
+    my_result: Ticket = EXTERN_STAMP(my_t, my_cup, my_where)
+    return my_result
+
+
+def extern_weigh(my_goods: tuple[tuple[str, int], ...], my_s: tuple[int, ...]) -> float:
+    """extern fun weigh, kitchen.koord:14"""
+    EXTERN_WEIGH.require(len(my_goods) > 0, 15)
+    my_result: float = EXTERN_WEIGH(my_goods, my_s)
+    EXTERN_WEIGH.ensure(my_result >= 0.0, 16, my_result)
+    return my_result
+
+
+def fun_longest(my_words: tuple[str, ...]) -> str:
+    """fun longest, kitchen.koord:18"""
+    my_best: str = ""  # kitchen.koord:19
+    for my_w in my_words:  # kitchen.koord:20
+        if len(my_w) > len(my_best):  # kitchen.koord:21
+            my_best = my_w  # kitchen.koord:22
+    return my_best  # kitchen.koord:23
+
+
+def fun_reduce(my_n: int, my_s: int) -> int:
+    """fun reduce, kitchen.koord:25"""
+    while True:  # kitchen.koord:26
+        if my_n % 2 != 0:  # kitchen.koord:27
+            return power(my_n, 2) - power(2, my_n)  # kitchen.koord:28
+        my_n = my_n // 2  # kitchen.koord:29
+        if my_n < my_s:  # kitchen.koord:30
+            break  # kitchen.koord:31
+    return -my_n  # kitchen.koord:32
+
+
+def fun_heavy(my_c: Cup) -> bool:
+    """fun heavy, kitchen.koord:34"""
+    return my_c.size > 3 and extern_weigh(map_of(((my_c.name, my_c.size),)), set_of((1, 2))) > 2.0  # kitchen.koord:34
 
 
 def init(s: State) -> None:
-    s.shared_x.own = s.motion_position  # kitchen.koord:25
-    if s.pid == 0:  # kitchen.koord:26
-        s.shared_lowest.value = distance(s.motion_position, PARAM_HOME)  # kitchen.koord:27
+    s.shared_x.own = s.motion_position  # kitchen.koord:78
+    if s.pid == 0:  # kitchen.koord:79
+        s.shared_lowest.value = distance(s.motion_position, PARAM_HOME)  # kitchen.koord:80
 
 
 def guard_advance(s: State) -> bool:
-    """pre of Advance, kitchen.koord:29"""
-    return s.local_on.value and s.motion_reached and s.local_count.value < PARAM_LAPS and not s.shared_done.value  # kitchen.koord:30
+    """pre of Advance, kitchen.koord:82"""
+    return s.local_on.value and s.motion_reached and s.local_count.value < PARAM_LAPS and not s.shared_done.value  # kitchen.koord:83
 
 
 def effect_advance(s: State) -> None:
-    """eff of Advance, kitchen.koord:29"""
-    my_goal: Point = (s.shared_x[s.pid] + PARAM_HOME) / 2.0 - 0.25 * Point(0.0, 0.0, 1.0)  # kitchen.koord:32
-    if distance(my_goal, s.motion_position) > PARAM_MARGIN:  # kitchen.koord:33
-        s.motion_target.value = my_goal  # kitchen.koord:34
-    elif s.pid % 2 == 0 and s.n_sys > 1:  # kitchen.koord:35
-        s.motion_target.value = -my_goal + s.shared_x[(s.pid + 1) % s.n_sys]  # kitchen.koord:36
+    """eff of Advance, kitchen.koord:82"""
+    my_goal: Point = (s.shared_x[s.pid] + PARAM_HOME) / 2.0 - 0.25 * Point(0.0, 0.0, 1.0)  # kitchen.koord:85
+    if distance(my_goal, s.motion_position) > PARAM_MARGIN:  # kitchen.koord:86
+        s.motion_target.value = my_goal  # kitchen.koord:87
+    elif s.pid % 2 == 0 and s.n_sys > 1:  # kitchen.koord:88
+        s.motion_target.value = -my_goal + s.shared_x[(s.pid + 1) % s.n_sys]  # kitchen.koord:89
     else:
-        my_goal = Point(abs(my_goal.x), min(my_goal.y, s.local_level.value), max(my_goal.z, sqrt(4.0)))  # kitchen.koord:38
-        s.motion_target.value = my_goal  # kitchen.koord:39
-    s.local_count.value = s.local_count.value + 1  # kitchen.koord:40
-    s.shared_class.own = s.local_count.value // 2 if s.local_on.value else -(s.local_count.value - 1)  # kitchen.koord:41
-    s.local_level.value = s.local_level.value / float(s.local_count.value + 1)  # kitchen.koord:42
-    s.shared_x.own = s.motion_position  # kitchen.koord:43
+        my_goal = Point(abs(my_goal.x), min(my_goal.y, s.local_level.value), max(my_goal.z, sqrt(4.0)))  # kitchen.koord:91
+        s.motion_target.value = my_goal  # kitchen.koord:92
+    s.local_count.value = s.local_count.value + 1  # kitchen.koord:93
+    s.shared_class.own = s.local_count.value // 2 if s.local_on.value else -(s.local_count.value - 1)  # kitchen.koord:94
+    s.local_level.value = s.local_level.value / float(s.local_count.value + 1)  # kitchen.koord:95
+    s.shared_x.own = s.motion_position  # kitchen.koord:96
+
+
+def guard_collect(s: State) -> bool:
+    """pre of Collect, kitchen.koord:98"""
+    return s.motion_position in Rect(PARAM_HOME, Point(0.0, 0.0, 0.0)) or s.local_spot.value not in Ball(PARAM_HOME, 1.0) and (0 < s.local_count.value and s.local_count.value < 5)  # kitchen.koord:99
+
+
+def effect_collect(s: State) -> None:
+    """eff of Collect, kitchen.koord:98"""
+    for my_c in PARAM_CUPS:  # kitchen.koord:101
+        s.shared_waiting.value = appended(s.shared_waiting.value, my_c)  # kitchen.koord:102
+        if my_c.size == 2 or "e" in my_c.name:  # kitchen.koord:103
+            continue  # kitchen.koord:104
+    for my_i in range(1, PARAM_LAPS, 2):  # kitchen.koord:105
+        s.local_seen.value = set_with(s.local_seen.value, (my_i, s.local_on.value))  # kitchen.koord:106
+    for my_i_2 in range(s.n_sys):  # kitchen.koord:107
+        if (my_i_2, False) in s.local_seen.value and s.shared_x[my_i_2] != PARAM_HOME:  # kitchen.koord:108
+            s.local_seen.value = union(s.local_seen.value, set_of(((my_i_2, True),)))  # kitchen.koord:109
+    for my_n, my_b in s.local_seen.value:  # kitchen.koord:110
+        s.local_text.value = s.local_text.value + str(my_n) + str(my_b)  # kitchen.koord:111
+    for my_p, my_s in s.motion_pscan:  # kitchen.koord:112
+        s.local_scan.value = my_s  # kitchen.koord:113
+        s.local_level.value = s.local_level.value + (sum(my_s.ranges, 0.0) + atan2(my_p.y, my_p.x))  # kitchen.koord:114
+    my_c_2: Cup = first(s.shared_waiting.value)  # kitchen.koord:115
+    s.shared_waiting.value = without(s.shared_waiting.value, 0)  # kitchen.koord:115
+    s.local_tray.value = replace(s.local_tray.value, class_=appended(s.local_tray.value.class_, my_c_2))  # kitchen.koord:116
+    s.local_tray.value = replace(s.local_tray.value, class_=updated(s.local_tray.value.class_, 0, replace(at(s.local_tray.value.class_, 0), size=at(s.local_tray.value.class_, 0).size + (round(s.local_level.value) + floor(at(s.local_levels.value, s.local_count.value))))))  # kitchen.koord:117
+    s.local_tray.value = replace(s.local_tray.value, None_=(s.local_count.value, fun_longest((s.local_text.value, at(s.local_tray.value.class_, 0).name[1:3]))))  # kitchen.koord:118
+    s.local_text.value = s.local_tray.value.None_[1]  # kitchen.koord:119
+    s.local_levels.value = inserted(s.local_levels.value, 0, exp(s.local_level.value))  # kitchen.koord:120
+    s.local_levels.value = removed(s.local_levels.value, 2.5)  # kitchen.koord:121
+    s.local_levels.value = extended(s.local_levels.value, tuple(sorted(s.local_levels.value))[:2] + tuple(reversed(s.local_levels.value)))  # kitchen.koord:122
+    s.local_level.value = at(s.local_levels.value, len(s.local_levels.value) - 1)  # kitchen.koord:123
+    s.local_levels.value = popped(s.local_levels.value)  # kitchen.koord:123
+    my_where: int = index_of(s.local_levels.value, s.local_level.value) + s.local_levels.value.count(s.local_level.value) + fun_reduce(s.local_count.value, len(s.local_levels.value))  # kitchen.koord:124
+    s.local_ticket.value = extern_stamp(s.local_ticket.value, my_c_2, s.shared_paths.all)  # kitchen.koord:125
+    if fun_heavy(my_c_2):  # kitchen.koord:126
+        s.emit("Log.stdout", "heavy ", my_c_2.name, str(my_where), " at ", shown(my_c_2.at))  # kitchen.koord:127
+
+
+def guard_plan(s: State) -> bool:
+    """pre of Plan, kitchen.koord:129"""
+    return len(s.shared_waiting.value) > 0  # kitchen.koord:130
+
+
+def effect_plan(s: State) -> None:
+    """eff of Plan, kitchen.koord:129"""
+    my_c: Cup = first(s.shared_waiting.value)  # kitchen.koord:132
+    my_way: tuple[Point, ...] = s.motion_planner(my_c.at, (Grid(1, 2, 0.5),))  # kitchen.koord:133
+    if len(my_way) > 0 and clear(my_way, s.shared_paths.all, PARAM_MARGIN) and path_distance(my_way, (PARAM_HOME,)) > 1.0:  # kitchen.koord:134
+        s.motion_path.value = my_way  # kitchen.koord:135
+        s.shared_paths.own = my_way[:3]  # kitchen.koord:136
+    s.local_known.value = merge(s.local_known.value, mark_free(s.local_known.value, cell(my_c.at, 0.5)))  # kitchen.koord:137
+    if is_known(s.local_known.value, Grid(1, 1, 0.5)) and map_get(s.shared_names.value, s.pid, "") != my_c.name:  # kitchen.koord:138
+        s.shared_names.value = map_with(s.shared_names.value, s.pid, my_c.name)  # kitchen.koord:139
+        s.local_pose.value = Pose(center(Grid(1, 1, 0.5)), s.local_pose.value.yaw)  # kitchen.koord:140
+    for my_k in keys(s.shared_names.value):  # kitchen.koord:141
+        if map_at(s.shared_names.value, my_k) == map_at(PARAM_LABELS, 1) and not has_key(PARAM_LABELS, my_k) and my_k not in keys(s.shared_names.value):  # kitchen.koord:142
+            s.shared_names.value = map_without(s.shared_names.value, my_k)  # kitchen.koord:143
+    for my_k_2, my_v in s.shared_names.value:  # kitchen.koord:144
+        s.local_text.value = my_v if my_k_2 > 1 else at(s.local_text.value, 0)  # kitchen.koord:145
+    s.shared_waiting.value = without(s.shared_waiting.value, 0)  # kitchen.koord:146
 
 
 def guard_finish(s: State) -> bool:
-    """pre of Finish, kitchen.koord:45"""
-    return s.local_count.value >= PARAM_LAPS or s.shared_done.value  # kitchen.koord:46
+    """pre of Finish, kitchen.koord:148"""
+    return s.local_count.value >= PARAM_LAPS or s.shared_done.value  # kitchen.koord:149
 
 
 def effect_finish(s: State) -> None:
-    """eff of Finish, kitchen.koord:45"""
-    s.shared_done.value = True  # kitchen.koord:48
-    s.local_on.value = False  # kitchen.koord:49
-    s.local_spot.value = s.motion_target.value  # kitchen.koord:50
-    raise Stopped  # kitchen.koord:51
+    """eff of Finish, kitchen.koord:148"""
+    s.shared_done.value = True  # kitchen.koord:151
+    s.local_on.value = False  # kitchen.koord:152
+    s.local_spot.value = s.motion_target.value  # kitchen.koord:153
+    raise Stopped  # kitchen.koord:154
 
 
 # Line of this file -> line of kitchen.koord.
-LINES: dict[int, int] = {15: 2, 16: 3, 17: 4, 39: 25, 40: 26, 41: 27, 46: 30, 51: 32, 52: 33, 53: 34, 54: 35, 55: 36, 57: 38, 58: 39, 59: 40, 60: 41, 61: 42, 62: 43, 67: 46, 72: 48, 73: 49, 74: 50, 75: 51, 87: 19, 88: 20, 89: 21, 90: 22, 93: 13, 94: 14, 95: 16, 96: 17}
+LINES: dict[int, int] = {66: 36, 67: 37, 68: 38, 69: 39, 70: 40, 129: 19, 130: 20, 131: 21, 132: 22, 133: 23, 138: 26, 139: 27, 140: 28, 141: 29, 142: 30, 143: 31, 144: 32, 149: 34, 153: 78, 154: 79, 155: 80, 160: 83, 165: 85, 166: 86, 167: 87, 168: 88, 169: 89, 171: 91, 172: 92, 173: 93, 174: 94, 175: 95, 176: 96, 181: 99, 186: 101, 187: 102, 188: 103, 189: 104, 190: 105, 191: 106, 192: 107, 193: 108, 194: 109, 195: 110, 196: 111, 197: 112, 198: 113, 199: 114, 200: 115, 201: 115, 202: 116, 203: 117, 204: 118, 205: 119, 206: 120, 207: 121, 208: 122, 209: 123, 210: 123, 211: 124, 212: 125, 213: 126, 214: 127, 219: 130, 224: 132, 225: 133, 226: 134, 227: 135, 228: 136, 229: 137, 230: 138, 231: 139, 232: 140, 233: 141, 234: 142, 235: 143, 236: 144, 237: 145, 238: 146, 243: 149, 248: 151, 249: 152, 250: 153, 251: 154, 263: 64, 264: 65, 265: 66, 266: 67, 267: 68, 268: 69, 269: 70, 270: 71, 271: 72, 272: 73, 273: 74, 274: 75, 277: 55, 278: 56, 279: 57, 280: 59, 281: 60, 282: 61, 283: 62}
 
 PROGRAM = Program(
     name="kitchen",
     source="kitchen.koord",
-    program_hash="0f5bb0004705f921",
-    interface_hash="dd5868b9d72687ba",
+    program_hash="032a0f3569d7e21f",
+    interface_hash="0078c4720991478f",
     locals=(
-        Variable("count", "local", int, Fixed(9), lambda: 0),  # kitchen.koord:19
-        Variable("level", "local", float, Fixed(9), lambda: PARAM_MARGIN * 2.0),  # kitchen.koord:20
-        Variable("on", "local", bool, Fixed(1), lambda: True),  # kitchen.koord:21
-        Variable("spot", "local", Point, Fixed(28), lambda: PARAM_HOME),  # kitchen.koord:22
+        Variable("count", "local", int, Fixed(9), lambda: 0),  # kitchen.koord:64
+        Variable("level", "local", float, Fixed(9), lambda: PARAM_MARGIN * 2.0),  # kitchen.koord:65
+        Variable("on", "local", bool, Fixed(1), lambda: True),  # kitchen.koord:66
+        Variable("spot", "local", Point, Fixed(28), lambda: PARAM_HOME),  # kitchen.koord:67
+        Variable("seen", "local", tuple[tuple[int, bool], ...], Distinct(4096, Parts((Fixed(9), Fixed(1)))), lambda: ()),  # kitchen.koord:68
+        Variable("known", "local", GridMap, Cells(100), lambda: area(Point(0.0, 0.0, 0.0), Point(5.0, 5.0, 0.0), 0.5)),  # kitchen.koord:69
+        Variable("scan", "local", Scan, Rays(4096), lambda: Scan()),  # kitchen.koord:70
+        Variable("pose", "local", Pose, Fixed(38), lambda: Pose(PARAM_HOME, 3.141592653589793 / 2.0)),  # kitchen.koord:71
+        Variable("tray", "local", Tray, Parts((Parts((Fixed(28), Text(16), Fixed(9)), ("at", "name", "size")), Many(3, Parts((Fixed(28), Text(16), Fixed(9)), ("at", "name", "size"))), Parts((Fixed(9), Text(256)))), ("first", "class_", "None_")), lambda: Tray(Cup(Point(1.0, 2.0, 3.0), "it's a \"cup\"", 0), (), (0, ""))),  # kitchen.koord:72
+        Variable("ticket", "local", Ticket, Blob(256, "Ticket"), lambda: Opaque()),  # kitchen.koord:73
+        Variable("text", "local", str, Text(4096), lambda: ""),  # kitchen.koord:74
+        Variable("levels", "local", tuple[float, ...], Many(4096, Fixed(9)), lambda: (1.0, 2.5)),  # kitchen.koord:75
     ),
     shared=(
-        Variable("x", "allread", Point, Fixed(28), lambda: Point(0.0, 0.0, 0.0)),  # kitchen.koord:13
-        Variable("class", "allread", int, Fixed(9), lambda: -1),  # kitchen.koord:14
-        Variable("lowest", "allwrite", float, Fixed(9), lambda: 1000.0),  # kitchen.koord:16
-        Variable("done", "allwrite", bool, Fixed(1), lambda: False),  # kitchen.koord:17
+        Variable("x", "allread", Point, Fixed(28), lambda: Point(0.0, 0.0, 0.0)),  # kitchen.koord:55
+        Variable("class", "allread", int, Fixed(9), lambda: -1),  # kitchen.koord:56
+        Variable("paths", "allread", tuple[Point, ...], Many(3, Fixed(28)), lambda: ()),  # kitchen.koord:57
+        Variable("lowest", "allwrite", float, Fixed(9), lambda: 1000.0),  # kitchen.koord:59
+        Variable("done", "allwrite", bool, Fixed(1), lambda: False),  # kitchen.koord:60
+        Variable("names", "allwrite", tuple[tuple[int, str], ...], Pairs(3, Fixed(9), Text(8)), lambda: ()),  # kitchen.koord:61
+        Variable("waiting", "allwrite", tuple[Cup, ...], Many(2, Parts((Fixed(28), Text(16), Fixed(9)), ("at", "name", "size"))), lambda: ()),  # kitchen.koord:62
     ),
     ports=(
         Port("Motion.position", "sensor", Point),
         Port("Motion.reached", "sensor", bool),
+        Port("Motion.pscan", "sensor", tuple[tuple[Point, Scan], ...]),
         Port("Motion.target", "actuator", Point, Fixed(28), lambda: Point()),
+        Port("Motion.path", "actuator", tuple[Point, ...], Many(4096, Fixed(28)), lambda: ()),
+        Port("Motion.planner", "callable", tuple[Point, ...]),
+        Port("Log.stdout", "stream", str),
     ),
     init=init,
     events=(
-        Event("Advance", 29, guard_advance, effect_advance),
-        Event("Finish", 45, guard_finish, effect_finish),
+        Event("Advance", 82, guard_advance, effect_advance),
+        Event("Collect", 98, guard_collect, effect_collect),
+        Event("Plan", 129, guard_plan, effect_plan, 0),
+        Event("Finish", 148, guard_finish, effect_finish),
     ),
     begin=State,
     file=__file__,
     lines=LINES,
-    locks=(),
-    library=None,
+    locks=(("paths", "names", "waiting"),),
+    library=LIBRARY,
 )

@@ -1,0 +1,87 @@
+"""Koord text -> the program that runs on robots, with the user's Python beside it; one event of it at a time."""
+
+from __future__ import annotations
+
+import sys
+from types import ModuleType
+from typing import Any
+
+from koordgen.check import check
+from koordgen.emit.program import program_text
+from koordgen.ir.decl import Program as IR
+from koordgen.ir.verify import verify
+from koordgen.runtime import program as rt
+from koordgen.runtime.values import Point
+from koordgen.source import Source
+from koordgen.syntax.parse import parse
+
+MOTION = """using Motion:
+  sensors: Point position
+  actuators:
+    Point target
+    List<Point> path
+  PathPlanner planner
+using Log:
+  stream stdout
+"""
+
+
+def checked(text: str) -> IR:
+    """The IR of a program that has no mistakes."""
+    tree, found = parse(Source("a.koord", text))
+    assert not found, found
+    program, wrong = check(tree, Source("a.koord", text))
+    assert program is not None, wrong
+    verify(program)
+    return program
+
+
+def load(text: str, functions: str = "") -> rt.Program:
+    """The generated program; `functions` is the text of the Python beside it."""
+    program: rt.Program = _module("generated", program_text(checked(text))).PROGRAM
+    if program.library is not None and functions:
+        program.library._module = _module("a_functions", functions)
+        del sys.modules["a_functions"]
+    return program
+
+
+def _module(name: str, text: str) -> Any:
+    """Annotations are looked up in the module that a class says it is of."""
+    module = sys.modules[name] = ModuleType(name)
+    module.__file__ = f"{name}.py"
+    exec(compile(text, f"{name}.py", "exec"), vars(module))
+    return module
+
+
+def frame(program: rt.Program, pid: int = 0, n_sys: int = 3, call: Any = rt.no_ports, **changed: Any) -> rt.Frame:
+    """First values everywhere, but for those that are given by name."""
+    ports = {"Motion.position": Point(1, 2, 3), "Motion.target": Point(), "Motion.path": ()}
+    shared = {v.name: (v.initial(),) * n_sys if v.kind == "allread" else v.initial() for v in program.shared}
+    locals_ = {v.name: v.initial() for v in program.locals}
+    return rt.Frame(
+        pid,
+        n_sys,
+        {name: changed.get(name, value) for name, value in locals_.items()},
+        {name: changed.get(name, value) for name, value in shared.items()},
+        ports,
+        ports,
+        call,
+    )
+
+
+def step(program: rt.Program, given: rt.Frame | None = None) -> rt.Effects | rt.Fault:
+    """What the first enabled event does."""
+    given = given or frame(program)
+    event = rt.choose(program, given)
+    if isinstance(event, rt.Fault):
+        return event
+    assert event is not None
+    return rt.run(program, event.effect, given, event.line)
+
+
+def locals_after(text: str, functions: str = "", **changed: Any) -> dict[str, Any]:
+    """The locals after the first enabled event of a program, which must have no fault."""
+    program = load(text, functions)
+    done = step(program, frame(program, **changed))
+    assert isinstance(done, rt.Effects), done
+    return dict(done.locals)
