@@ -118,9 +118,7 @@ class Many:
         return _head(self.capacity, 16, 0) + self.capacity * self.element.bytes
 
     def flaw(self, value: tuple[Any, ...]) -> str:
-        return _excess(f"one of {len(value)} elements", len(value), self.capacity) or _first(
-            self.element.flaw(v) for v in value
-        )
+        return _elements("list", value, self.capacity, self.element)
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +133,8 @@ class Distinct:
         return Many(self.capacity, self.element).bytes
 
     def flaw(self, value: tuple[Any, ...]) -> str:
-        return Many(self.capacity, self.element).flaw(value) or ("" if is_set(value) else "a set out of order")
+        flaw = _elements("set", value, self.capacity, self.element)
+        return flaw or ("" if is_set(value) else "a set out of order")
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,14 +147,11 @@ class Pairs:
 
     @property
     def bytes(self) -> int:
-        return self._pairs.bytes
+        return Many(self.capacity, Parts((self.key, self.value))).bytes
 
     def flaw(self, value: tuple[tuple[Any, Any], ...]) -> str:
-        return self._pairs.flaw(value) or ("" if is_map(value) else "a map out of order")
-
-    @property
-    def _pairs(self) -> Many:
-        return Many(self.capacity, Parts((self.key, self.value)))
+        flaw = _elements("map", value, self.capacity, Parts((self.key, self.value)))
+        return flaw or ("" if is_map(value) else "a map out of order")
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,6 +181,11 @@ def _head(count: int, shortest: int, short: int) -> int:
 
 def _excess(what: str, count: int, capacity: int) -> str:
     return f"{what}, beyond its `max {capacity}`" if count > capacity else ""
+
+
+def _elements(what: str, value: tuple[Any, ...], capacity: int, element: Bound) -> str:
+    excess = _excess(f"a {what} of {len(value)} elements", len(value), capacity)
+    return excess or _first(element.flaw(v) for v in value)
 
 
 def _first(flaws: Iterable[str]) -> str:

@@ -50,7 +50,7 @@ FUN = "fun half(int a, int b) -> int:\n  int c = 3\n  return c + a // b  # here\
         ),
         (
             "local: List<int> xs max 2\n" + EVENT + "    for i in range(3):\n      xs.append(i)  # here\n    int n = 1\n",
-            "xs would become one of 3 elements, beyond its `max 2`",
+            "xs would become a list of 3 elements, beyond its `max 2`",
         ),
         (
             "allwrite: string s max 4\n" + EVENT + '    s = "ab"\n    s = s + "äö"  # here\n',
@@ -58,7 +58,7 @@ FUN = "fun half(int a, int b) -> int:\n  int c = 3\n  return c + a // b  # here\
         ),
         (
             "allwrite: Map<int, List<int>> m max 2, 1\n" + EVENT + "    m[1] = [1]\n    m[2] = [1, 2]  # here\n",
-            "m would become one with one of 2 elements, beyond its `max 1`",
+            "m would become one with a list of 2 elements, beyond its `max 1`",
         ),
         (
             "local: GridMap m max 8\n" + EVENT + "    m = GridMap(Point(0,0,0), Point(3,3,0), 1)  # here\n",

@@ -1,0 +1,105 @@
+"""Capacities: what fits, what is refused from the network, how many bytes there can be."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import pytest
+
+from koordgen.runtime.bounds import Blob, Bound, Cells, Distinct, Fixed, Many, Pairs, Parts, Rays, Text, fits
+from koordgen.runtime.gridmap import GridMap
+from koordgen.runtime.layout import Layout, TooLarge
+from koordgen.runtime.program import Variable
+from koordgen.runtime.values import Grid, Opaque, Point, Scan
+from koordgen.runtime.wire import Closing, Write
+
+INT, POINT = Fixed(9), Fixed(28)
+
+
+class Task(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    label: str = ""
+    at: Point = Point()
+
+
+TASK = Parts((Text(4), POINT), ("label", "at"))
+
+
+@pytest.mark.parametrize(
+    ("bound", "good", "bad", "flaw"),
+    [
+        (INT, 2**63 - 1, 2**63, "an int beyond 64 bits, which no robot may use"),
+        (INT, -(2**63), -(2**63) - 1, "an int beyond 64 bits, which no robot may use"),
+        (Fixed(28), Grid(2**63 - 1, 0, 1.0), Grid(0, 2**63, 1.0), "an int beyond 64 bits, which no robot may use"),
+        (Text(4), "äö", "äöx", "a text of 5 bytes, beyond its `max 4`"),
+        (Text(4), "", "\ud800", "a text that is not Unicode"),
+        (Cells(4), GridMap(1.0, 0, 0, 2, 2, b"\0"), GridMap(1.0, 0, 0, 5, 1, b"\0\0"), "a map of 5 cells, beyond its `max 4`"),
+        (Cells(4), GridMap(), GridMap(1.0, 0, 0, 2, 2, b""), "a broken map"),
+        (Rays(1), Scan((1.0,), (1.0,), 2.0), Scan((), (1.0, 2.0), 2.0), "a scan of 2 rays, beyond its `max 1`"),
+        (Blob(2, "Ticket"), Opaque(b"12"), Opaque(b"123"), "a Ticket of 3 bytes, beyond its `max 2`"),
+        (Many(2, INT), (1, 2), (1, 2, 3), "a list of 3 elements, beyond its `max 2`"),
+        (Many(2, INT), (1, 2), (1, 2**63), "one with an int beyond 64 bits, which no robot may use"),
+        (Many(2, Many(1, TASK)), ((Task(),),), ((Task("12345"),),), "one with a text of 5 bytes, beyond its `max 4`"),
+        (Distinct(2, INT), (1, 2), (2, 1), "a set out of order"),
+        (Distinct(2, INT), (), (1, 1), "a set out of order"),
+        (Distinct(2, INT), (1, 2), (1, 2, 3), "a set of 3 elements, beyond its `max 2`"),
+        (Pairs(2, INT, INT), ((1, 9), (2, 0)), ((1, 9), (1, 0)), "a map out of order"),
+        (Pairs(2, INT, Text(1)), ((1, "a"),), ((1, "ab"),), "one with a text of 2 bytes, beyond its `max 1`"),
+        (Many(3, Distinct(2, INT)), ((1,), ()), ((1,), (3, 2)), "one with a set out of order"),
+    ],
+)  # fmt: skip
+def test_flaws(bound: Bound, good: Any, bad: Any, flaw: str) -> None:
+    assert bound.flaw(good) == "" and fits(bound, good)
+    assert bound.flaw(bad) == flaw and not fits(bound, bad)
+
+
+SHARED = (
+    Variable("ids", "allwrite", tuple[int, ...], Distinct(3, INT), lambda: ()),
+    Variable("names", "allwrite", tuple[tuple[int, str], ...], Pairs(2, INT, Text(8)), lambda: ()),
+    Variable("map", "allread", GridMap, Cells(16), GridMap),
+    Variable("tasks", "allread", tuple[Task, ...], Many(2, TASK), lambda: ()),
+)
+
+
+def closing(**values: Any) -> Closing:
+    names = [v.name for v in SHARED]
+    writes = sorted((names.index(n), msgspec.msgpack.encode(v)) for n, v in values.items())
+    return Closing(1, 4, 4, False, False, tuple(Write(i, msgspec.Raw(data)) for i, data in writes))
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"ids": (2, 1)},
+        {"ids": (1, 2, 3, 4)},
+        {"names": ((1, "a"), (1, "b"))},
+        {"names": ((1, "123456789"),)},
+        {"map": GridMap(1.0, 0, 0, 4, 4, b"\0\0\0")},
+        {"map": GridMap(1.0, 0, 0, 4, 4, b"\x02\0\0\0")},
+        {"map": GridMap(1.0, 0, 0, 4, 5, bytes(5))},
+        {"tasks": (("1", (0.0, 0.0, float("nan"))),)},
+        {"tasks": (("1", (0.0, 0.0)), ("2",), ("3",))},
+        {"tasks": (("1", (0.0, 0.0, 0.0), 4),)},
+        {"ids": (1, 2), "names": ((1, 2),)},
+    ],
+)
+def test_what_no_program_can_write_is_refused_from_the_network(values: dict[str, Any]) -> None:
+    layout = Layout(SHARED, 3)
+    assert layout.read(closing(**values)) is None
+
+
+def test_what_a_program_wrote_is_read() -> None:
+    layout = Layout(SHARED, 3)
+    values = {
+        "ids": (1, 5),
+        "names": ((1, "a"), (2, "")),
+        "map": GridMap(1.0, 0, 0, 4, 4, b"\3\1\0\0"),
+        "tasks": (Task("a", Point(1, 2, 3)),),
+    }
+    written = Closing(1, 4, 4, False, True, layout.writes(values))
+    assert layout.read(written) == list(enumerate(values.values()))
+
+
+def test_a_round_that_fits_no_datagram_is_told() -> None:
+    with pytest.raises(TooLarge, match="up to 1825 bytes; with 3 robots a datagram has room for 1002"):
+        Layout((Variable("path", "allread", tuple[Point, ...], Many(64, POINT), lambda: ()),), 3)
