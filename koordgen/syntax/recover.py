@@ -203,7 +203,8 @@ def _heads(part: Tokens, hole: Any, after: Any, present: set[str]) -> Iterator[T
     """Headers that may have been meant by one that cannot be read; `after` follows its block."""
     first = part[0]
     colon = _mark(":", part[-1])
-    if first[0] in _NAMED and len(part) > 1 and part[1][0] == "NAME":
+    function = first[0] == "def" and any(token[0] in ("(", "->") for token in part)  # as in Python
+    if first[0] in _NAMED and len(part) > 1 and part[1][0] == "NAME" and not function:
         yield [first, part[1], colon]
     if first[0] == "else":
         yield [_mark("elif", first), hole, colon]
