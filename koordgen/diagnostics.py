@@ -18,7 +18,6 @@ Severity = Literal["error", "warning", "note"]
 CATALOGUE: dict[str, str] = {
     "K001": "something else is expected here",
     "K002": "unexpected character",
-    "K003": "not supported by this version yet",
     "K004": "tab in indentation",
     "K005": "indentation matches no enclosing block",
     "K006": "unpaired bracket",

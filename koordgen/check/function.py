@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from koordgen.check.base import condition
-from koordgen.check.context import PREDEFINED, Context, Temp
+from koordgen.check.context import Context, Temp
 from koordgen.check.graph import ordered
-from koordgen.check.names import enter, owns, unique
+from koordgen.check.names import enter, owns, reserved, unique
 from koordgen.check.stmt import check_block
 from koordgen.check.types import per_robot, resolve
 from koordgen.check.walk import nodes, statements
@@ -125,7 +125,7 @@ def _temps(
     for node, (name, type_) in zip(written, ((p.name, p.type) for p in parameters), strict=True):
         entity = c.entities.get(name)
         first = scope.get(name) or (None if isinstance(entity, (decl.Local, decl.Shared, decl.Module)) else entity)
-        if name in PREDEFINED:
+        if reserved(name):
             c.error("K011", f"{name} is predefined", node.span, "choose another name")
         elif first is not None:
             label = Label(first.span, "declared here first")

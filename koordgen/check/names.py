@@ -13,7 +13,6 @@ Owner = (
     ast.Variable | ast.Param | ast.Using | ast.RecordDef | ast.ExternType | ast.Function | ast.ExternFunction
     | ast.SpecFunction
 )  # fmt: skip
-_FUNCTIONS = (ast.Function, ast.ExternFunction, ast.SpecFunction)
 
 
 def claim(program: ast.Program, c: Context) -> None:
@@ -36,7 +35,7 @@ def claim(program: ast.Program, c: Context) -> None:
 
 
 def _take(name: str, node: Owner, kind: str, kinds: dict[str, str], c: Context) -> None:
-    if name in PREDEFINED and not (isinstance(node, _FUNCTIONS) and name in FUNCTIONS and name.islower()):
+    if reserved(name):
         c.error("K011", f"{name} is predefined", node.span, "choose another name")
         return
     first = c.owners.setdefault(name, node)
@@ -48,6 +47,12 @@ def _take(name: str, node: Owner, kind: str, kinds: dict[str, str], c: Context) 
     alike = isinstance(first, ast.Variable) and isinstance(node, ast.Variable) and first.type == node.type
     if not (alike and kinds[name] == kind):
         c.entities[name] = None
+
+
+def reserved(name: str) -> bool:
+    """Whether no declaration may have a name. What a builtin function is called is free, as in Python: 2020 programs
+    have variables called `sum`; types and the values they make are not."""
+    return name in PREDEFINED and not (name in FUNCTIONS and name.islower())
 
 
 def owns(name: str, node: Owner, c: Context) -> bool:
