@@ -131,6 +131,24 @@ def turns(seed: int, noise: float) -> list[tuple[Point, Scan]]:
     return found
 
 
+def first_turn(world: World, seed: int) -> int:
+    """The step in which a lidar looks first."""
+    seeing = lidar(world, SimulatedCar(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4), seed=seed)
+    sent: list[bytes] = []
+    seeing._port.send = sent.append  # type: ignore[method-assign]
+    steps = 0
+    while not sent:
+        seeing.step(steps * STEP)
+        steps += 1
+    seeing.close()
+    return steps
+
+
+def test_robots_do_not_all_look_in_the_same_step(world: World) -> None:
+    found = [first_turn(world, seed) for seed in range(6)]
+    assert len(set(found)) > 3 and max(found) <= PERIOD / STEP + 1
+
+
 def test_noise_is_seeded_and_leaves_nothing_alone() -> None:
     first = turns(3, 0.02)
     assert first == turns(3, 0.02) != turns(4, 0.02)

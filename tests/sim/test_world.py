@@ -152,6 +152,24 @@ def test_a_car_on_its_side_has_no_wheels_on_the_floor(world: World) -> None:
     assert abs(car.state().velocity[0]) < 0.01
 
 
+def test_obstacles_are_no_work_for_the_physics(world: World) -> None:
+    for k in range(3):
+        world.obstacle((0.5 * k, 0.0, 0.0), (0.5 * k + 0.7, 1.0, 1.0))  # on the floor, into one another
+    run(world, 0.1)
+    assert not world.bullet.getContactPoints(physicsClientId=world.client)
+
+
+def test_rays_end_at_obstacles_and_robots_but_not_at_the_floor(world: World) -> None:
+    looking = SimulatedQuadrotor(world, (0.0, 0.0, 2.0), 0.0)
+    SimulatedQuadrotor(world, (3.0, 0.0, 2.0), 0.0)
+    world.obstacle((-1.0, -1.0, 0.0), (-0.5, 1.0, 1.5))
+    ends = [(0.0, 0.0, -1.0), (6.0, 0.0, 2.06), (-0.75, 0.0, 0.06), (0.0, 6.0, 2.06)]
+    down, robot, obstacle, nothing = world.rays((0.0, 0.0, 2.06), ends, looking.rigid)
+    assert down is None and nothing is None
+    assert robot == pytest.approx((3.0 - 0.18) / 6.0, abs=1e-3)
+    assert obstacle == pytest.approx(0.5 / 0.75, abs=1e-3)
+
+
 def test_a_car_does_not_drive_through_an_obstacle(world: World) -> None:
     wall = world.obstacle((1.0, -1.0, 0.0), (1.1, 1.0, 1.0))
     beside = world.obstacle((-1.0, 0.15, 0.0), (1.05, 1.0, 1.0))  # overlaps the wall; 1 cm beside the car
