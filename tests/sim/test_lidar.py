@@ -135,7 +135,7 @@ def first_turn(world: World, seed: int) -> int:
     """The step in which a lidar looks first."""
     seeing = lidar(world, SimulatedCar(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4), seed=seed)
     sent: list[bytes] = []
-    seeing._port.send = sent.append  # type: ignore[method-assign]
+    seeing._port.send = sent.append  # type: ignore[method-assign, assignment]
     steps = 0
     while not sent:
         seeing.step(steps * STEP)
