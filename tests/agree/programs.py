@@ -1,192 +1,391 @@
-"""Random well-typed IR programs over one fixed set of declarations, and random states for them."""
+"""Random well-typed IR programs of the whole language, and random states for them. The same seed, the same program."""
 
 from __future__ import annotations
 
-from functools import cache
-from typing import Any
-
-from hypothesis import strategies as st
+from random import Random
+from typing import Literal
 
 from koordgen.ir import decl as d
 from koordgen.ir import expr as e
 from koordgen.ir import stmt as s
-from koordgen.ir.types import BOOL, FLOAT, INT, POINT, Scalar
-from koordgen.source import Span
+from koordgen.ir.types import (
+    BOOL,
+    FLOAT,
+    INT,
+    PLANNER,
+    POINT,
+    SCAN,
+    STREAM,
+    STRING,
+    MapOf,
+    PerRobot,
+    RecordType,
+    Sequence,
+    TupleOf,
+    Type,
+    list_of,
+)
+from koordgen.node import Node, replace
+from koordgen.semantics import step
+from koordgen.semantics.state import Robot, State, Store
+from koordgen.semantics.values import Value
+from tests.agree.expressions import Expressions
+from tests.agree.general import PATH, Temp, binary, call, compare, length
+from tests.agree.kinds import AT, TICKET, constant, random_type, random_value, sized, whole
 
 N_SYS = 3
-DIVISIONS = ("/", "//", "%")
-AT = Span(1, 1, 1, 2)
-VARIABLES = {"i": INT, "f": FLOAT, "b": BOOL, "p": POINT}
-ZERO: dict[Scalar, e.Expr] = {
-    INT: e.Const(2, INT, AT),
-    FLOAT: e.Const(1.5, FLOAT, AT),
-    BOOL: e.Const(False, BOOL, AT),
-    POINT: e.Builtin("Point", (e.Const(1.0, FLOAT, AT), e.Const(2.0, FLOAT, AT), e.Const(0.5, FLOAT, AT)), POINT, AT),
-}
-PORTS = (
-    d.Port("position", POINT, "sensor", AT),
-    d.Port("reached", BOOL, "sensor", AT),
-    d.Port("target", POINT, "actuator", AT),
-)
-
-ints = st.sampled_from([0, 1, 1, 2, 2, 3, 3, 4, 5, 6, 7, 8, 9, 2**62, 10**30])
-floats = st.sampled_from([0.0, 0.5, 0.5, 1.0, 1.0, 2.5, 2.5, 3.25, 4.0, 1e-3, 1e9, 1e308])
+MODULE = "Motion"
+KINDS = ("assign",) * 3 + ("update",) * 3 + ("let", "let", "if", "for", "for", "while", "emit", "pop", "leave")
 
 
-def _leaves(type_: Scalar, temps: tuple[tuple[str, Scalar], ...]) -> st.SearchStrategy[e.Expr]:
-    name = next(n for n, t in VARIABLES.items() if t == type_)
-    found: list[st.SearchStrategy[e.Expr]] = [
-        st.just(e.ParamRead(f"param_{name}", type_, AT)),
-        st.just(e.LocalRead(f"local_{name}", type_, AT)),
-        st.just(e.SharedRead(f"all_{name}", type_, AT)),
-        *(st.just(e.TempRead(n, t, AT)) for n, t in temps if t == type_),
+def random_program(seed: int) -> d.Program:
+    """A program of up to four events over declarations of its own."""
+    rng = Random(seed)
+    records = _records(rng)
+    types = [random_type(rng, 3, records) for _ in range(rng.randrange(3, 6))]
+    types += [INT, FLOAT, BOOL, POINT, STRING, list_of(INT), rng.choice((PATH, list_of(TupleOf((POINT, SCAN)))))]
+    program = d.Program(
+        name="random",
+        path="random.koord",
+        records=tuple([d.Record(r, constants(rng, [field for _, field in r.fields]), AT) for r in records]),
+        extern_types=(d.ExternType(str(TICKET), AT),),
+        functions=(),
+        externs=(),
+        specs=(),
+        params=(),
+        modules=(_module(rng, types), d.Module("Log", (d.Port("stdout", STREAM, "stream", AT),), (), AT)),
+        shared=(),
+        locals=(),
+        locks=(),
+        init=(),
+        events=(),
+        properties=(),
+    )
+    program = replace(program, params=_params(rng, types))
+    program = replace(program, shared=_shared(rng, types, program), locals=_locals(rng, types, program))
+    program = replace(program, externs=_externs(rng, types, program))
+    for index in range(rng.randrange(1, 4)):
+        program = replace(program, functions=(*program.functions, _function(rng, types, program, index)))
+    if rng.random() < 0.5:
+        program = replace(program, init=Statements(rng, program, "init", "i").block(2, 2))
+    return _locked(replace(program, events=_events(rng, program)), rng)
+
+
+def constants(rng: Random, types: list[Type]) -> tuple[e.Expr, ...]:
+    return tuple([constant(random_value(rng, type_), type_) for type_ in types])
+
+
+def _records(rng: Random) -> tuple[RecordType, ...]:
+    found: tuple[RecordType, ...] = ()
+    for name in ("Task", "Crew", "Depot")[: rng.randrange(1, 4)]:
+        fields = [sized(random_type(rng, 2, found), rng) for _ in range(rng.randrange(1, 4))]
+        found = (*found, RecordType(name, tuple([(f"field{i}", field) for i, field in enumerate(fields)])))
+    return found
+
+
+def _module(rng: Random, types: list[Type]) -> d.Module:
+    ports = [
+        d.Port("position", POINT, "sensor", AT),
+        d.Port("reached", BOOL, "sensor", AT),
+        d.Port("seen", sized(rng.choice(types), rng), "sensor", AT),
+        d.Port("target", POINT, "actuator", AT),
+        d.Port("path", PATH, "actuator", AT),
+        d.Port("order", sized(rng.choice(types), rng), "actuator", AT),
+        d.Port("planner", PLANNER, "callable", AT),
     ]
-    match type_.name:
-        case "int":
-            found += [ints.map(lambda v: e.Const(v, INT, AT)), st.sampled_from([e.Pid(INT, AT), e.NSys(INT, AT)])]
-        case "float":
-            found += [floats.map(lambda v: e.Const(v, FLOAT, AT))]
-        case "bool":
-            found += [st.booleans().map(lambda v: e.Const(v, BOOL, AT)), st.just(_port("reached", BOOL))]
-        case "Point":
-            found += [st.just(_port("position", POINT)), st.just(_port("target", POINT))]
-    return st.one_of(found)
+    return d.Module(MODULE, tuple(ports), (), AT)
 
 
-def _port(name: str, type_: Scalar) -> e.Expr:
-    return e.PortRead("Motion", name, type_, AT)
+def _params(rng: Random, types: list[Type]) -> tuple[d.Param, ...]:
+    chosen = rng.sample(types, 3)
+    return tuple([d.Param(f"p{i}", t, constant(random_value(rng, t), t), AT) for i, t in enumerate(chosen)])
 
 
-def _indices(any_int: st.SearchStrategy[e.Expr]) -> st.SearchStrategy[e.Expr]:
-    """Indices that mostly name a robot: what is discarded shows little."""
-    pid: e.Expr = e.Pid(INT, AT)
-    constant = st.integers(0, N_SYS - 1).map(lambda v: e.Const(v, INT, AT))
-    within = any_int.map(lambda i: e.Binary("%", i, e.NSys(INT, AT), False, INT, AT))
-    return st.one_of(st.just(pid), constant, within, within, any_int)
+def _initial(rng: Random, type_: Type, program: d.Program) -> e.Expr:
+    if rng.random() < 0.2:
+        return Expressions(rng, program, "literal").expr(type_, 1)
+    return constant(random_value(rng, type_, wild=False), type_)
 
 
-@cache  # strategies are costly to build and the same few are asked for again and again
-def expressions(type_: Scalar, depth: int = 3, temps: tuple[tuple[str, Scalar], ...] = ()) -> st.SearchStrategy[e.Expr]:
-    """Expressions of a type, at most so deep."""
-    leaves = _leaves(type_, temps)
-    if depth == 0:
-        return leaves
-
-    def sub(of: Scalar) -> st.SearchStrategy[e.Expr]:
-        return st.deferred(lambda: expressions(of, depth - 1, temps))
-
-    def binary(ops: list[str], left: Scalar, right: Scalar) -> st.SearchStrategy[e.Expr]:
-        return st.builds(
-            lambda o, a, b: e.Binary(o, a, b, o not in DIVISIONS, type_, AT),
-            st.sampled_from(ops),
-            sub(left),
-            sub(right),
-        )
-
-    def call(name: str, *args: Scalar) -> st.SearchStrategy[e.Expr]:
-        return st.tuples(*(sub(a) for a in args)).map(lambda given: e.Builtin(name, given, type_, AT))
-
-    name = next(n for n, t in VARIABLES.items() if t == type_)
-    found: list[st.SearchStrategy[e.Expr]] = [
-        leaves,
-        st.builds(lambda c, a, b: e.Conditional(c, a, b, type_, AT), sub(BOOL), sub(type_), sub(type_)),
-        _indices(sub(INT)).map(lambda i: e.SlotRead(f"each_{name}", i, False, type_, AT)),
-    ]
-    match type_.name:
-        case "int":
-            found += [binary(["+", "-", "*", "//", "%"], INT, INT), call("abs", INT), call("min", INT, INT)]
-            found += [sub(INT).map(lambda a: e.Unary("-", a, INT, AT)), call("max", INT, INT)]
-        case "float":
-            found += [binary(["+", "-", "*", "/", "//", "%"], FLOAT, FLOAT), call("abs", FLOAT), call("sqrt", FLOAT)]
-            found += [sub(FLOAT).map(lambda a: e.Unary("-", a, FLOAT, AT)), call("min", FLOAT, FLOAT)]
-            found += [sub(INT).map(lambda a: e.Widen(a, FLOAT, AT)), call("distance", POINT, POINT)]
-            found += [st.builds(lambda p, c: e.Coordinate(p, c, FLOAT, AT), sub(POINT), st.sampled_from("xyz"))]
-        case "bool":
-            found += [sub(BOOL).map(lambda a: e.Unary("not", a, BOOL, AT))]
-            found += [
-                st.builds(
-                    lambda o, a, b: e.Logic(o, a, b, BOOL, AT), st.sampled_from(["and", "or"]), sub(BOOL), sub(BOOL)
-                )
-            ]
-            for of, ops in ((INT, "== != < <= > >="), (FLOAT, "== != < <= > >="), (POINT, "== !="), (BOOL, "== !=")):
-                found += [
-                    st.builds(
-                        lambda o, a, b: e.Compare(o, a, b, BOOL, AT), st.sampled_from(ops.split()), sub(of), sub(of)
-                    )
-                ]
-        case "Point":
-            found += [binary(["+", "-"], POINT, POINT), binary(["*", "/"], POINT, FLOAT), binary(["*"], FLOAT, POINT)]
-            found += [sub(POINT).map(lambda a: e.Unary("-", a, POINT, AT)), call("Point", FLOAT, FLOAT, FLOAT)]
-    return st.one_of(found)
-
-
-def _place(name: str, type_: Scalar) -> st.SearchStrategy[s.Place]:
-    found: list[s.Place] = [s.LocalPlace(f"local_{name}"), s.SharedPlace(f"all_{name}"), s.OwnSlot(f"each_{name}")]
-    if type_ == POINT:
-        found.append(s.PortPlace("Motion", "target"))
-    return st.sampled_from(found)
-
-
-@st.composite
-def blocks(
-    draw: st.DrawFn, depth: int = 2, temps: tuple[tuple[str, Scalar], ...] = (), prefix: str = "t"
-) -> tuple[s.Stmt, ...]:
-    """Blocks of one to three statements; temporaries have names that are unique within an event."""
-    found: list[s.Stmt] = []
-    for index in range(draw(st.integers(1, 3))):
-        name, type_ = draw(st.sampled_from(sorted(VARIABLES.items())))
-        value = expressions(type_, 2, temps)
-        match draw(st.sampled_from(["assign", "assign", "assign", "let", "if", "temp", "stop"])):
-            case "let":
-                temp = f"{prefix}{index}"
-                found.append(s.Let(temp, type_, draw(value), AT))
-                temps = (*temps, (temp, type_))
-            case "if" if depth:
-                orelse = draw(st.just(()) | blocks(depth - 1, temps, f"{prefix}{index}e"))
-                condition = draw(expressions(BOOL, 2, temps))
-                found.append(s.If(condition, draw(blocks(depth - 1, temps, f"{prefix}{index}i")), orelse, AT))
-            case "temp" if temps:
-                temp, of = draw(st.sampled_from(temps))
-                found.append(s.Assign(s.TempPlace(temp), draw(expressions(of, 2, temps)), AT))
-            case "stop" if index:
-                found.append(s.Stop(AT))
-                break
-            case _:
-                found.append(s.Assign(draw(_place(name, type_)), draw(value), AT))
+def _shared(rng: Random, types: list[Type], program: d.Program) -> tuple[d.Shared, ...]:
+    found = []
+    for i, type_ in enumerate([INT, POINT, PATH, *rng.sample(types, 4)]):
+        kind: Literal["allread", "allwrite"] = "allread" if rng.random() < 0.5 else "allwrite"
+        type_ = sized(type_, rng) if i > 2 else type_
+        found.append(d.Shared(f"s{i}", kind, type_, _initial(rng, type_, program), AT))
     return tuple(found)
 
 
-@st.composite
-def programs(draw: st.DrawFn) -> d.Program:
-    """A program of one to three random events."""
-    events = tuple(
-        d.Event(
-            f"Event{i}",
-            draw(expressions(BOOL, 2)) if draw(st.integers(0, 2)) == 0 else e.Const(True, BOOL, AT),
-            draw(blocks()),
-            AT,
+def _locals(rng: Random, types: list[Type], program: d.Program) -> tuple[d.Local, ...]:
+    sizes = [sized(type_, rng) for type_ in types]
+    return tuple([d.Local(f"v{i}", t, _initial(rng, t, program), AT) for i, t in enumerate(sizes)])
+
+
+def _parameters(rng: Random, types: list[Type], program: d.Program, prefix: str) -> tuple[d.Parameter, ...]:
+    chosen = rng.sample(types, rng.randrange(1, 4))
+    slots = [v.type for v in program.shared if v.kind == "allread"]
+    if slots and rng.random() < 0.4:
+        chosen.append(PerRobot(rng.choice(slots)))
+    return tuple([d.Parameter(f"{prefix}{i}", t) for i, t in enumerate(chosen)])
+
+
+def _externs(rng: Random, types: list[Type], program: d.Program) -> tuple[d.ExternFunction, ...]:
+    found = []
+    for index in range(rng.randrange(1, 3)):
+        parameters = _parameters(rng, types, program, "a")
+        result = rng.choice((*types, TICKET))
+        formulas = Expressions(rng, program, "contract")
+        formulas.temps = [Temp(p.name, p.type, False) for p in parameters]
+        requires = tuple([_mostly(formulas, rng) for _ in range(rng.randrange(2))])
+        formulas.temps.append(Temp("result", result, False))
+        ensures = tuple([_mostly(formulas, rng) for _ in range(rng.randrange(2))])
+        found.append(d.ExternFunction(f"outside{index}", parameters, result, requires, ensures, AT))
+    return tuple(found)
+
+
+def _mostly(formulas: Expressions, rng: Random) -> e.Expr:
+    """A condition that holds more often than not."""
+    found = formulas.expr(BOOL, 2)
+    often = compare("<", formulas.leaf(INT), whole(5))
+    return found if rng.random() < 0.2 else e.Logic("or", found, often, BOOL, AT)
+
+
+def _function(rng: Random, types: list[Type], program: d.Program, index: int) -> d.Function:
+    statements = Statements(rng, program, "function", "l")
+    parameters = _parameters(rng, types, program, "q")
+    statements.temps = [Temp(p.name, p.type, not isinstance(p.type, PerRobot)) for p in parameters]
+    statements.result = rng.choice((*types, INT, BOOL))
+    block = (*statements.block(2, 3), s.Return(statements.expr(statements.result, 2), AT))
+    return d.Function(f"inside{index}", parameters, statements.result, block, AT)
+
+
+def _events(rng: Random, program: d.Program) -> tuple[d.Event, ...]:
+    found = []
+    count = rng.randrange(2, 5)
+    for i in range(count):
+        guard: e.Expr = e.Const(True, BOOL, AT)
+        if i < count - 1:
+            guard = Expressions(rng, program, "guard").expr(BOOL, 3)
+        effect = Statements(rng, program, "effect", "t").block(2, rng.randrange(3, 7))
+        found.append(d.Event(f"Event{i}", guard, effect, None, AT))
+    return tuple(found)
+
+
+def _locked(program: d.Program, rng: Random) -> d.Program:
+    """The program with some of its events atomic: shared variables of one transaction are of one group."""
+    used = {}
+    for event in program.events:
+        kinds = (e.SlotRead, e.SlotsRead, e.SharedRead, s.OwnSlot, s.SharedPlace)
+        names = {node.name for node in nodes((event.guard, event.effect)) if isinstance(node, kinds)}
+        if names and rng.random() < 0.3:
+            used[event.name] = names
+    groups: list[set[str]] = []
+    for names in used.values():
+        meeting = [group for group in groups if group & names]
+        groups = [group for group in groups if group not in meeting] + [names.union(*meeting)]
+    lock = {name: next(i for i, g in enumerate(groups) if names & g) for name, names in used.items()}
+    events = tuple([replace(event, lock=lock.get(event.name)) for event in program.events])
+    return replace(program, events=events, locks=tuple([tuple(sorted(group)) for group in groups]))
+
+
+def nodes(root: object) -> list[Node]:
+    """All nodes of a tree, or of a tuple of trees."""
+    pending, found = [root], []
+    for item in pending:  # grows meanwhile
+        if isinstance(item, tuple):
+            pending.extend(item)
+        elif isinstance(item, Node):
+            found.append(item)
+            pending.extend([getattr(item, field) for field in type(item).__match_args__ if field != "span"])  # type: ignore[attr-defined]
+    return found
+
+
+class Statements(Expressions):
+    """Statements of one place; temps have names that are unique there."""
+
+    def __init__(self, rng: Random, program: d.Program, place: str, prefix: str) -> None:
+        super().__init__(rng, program, place)
+        self.prefix = prefix
+        self.minted = 0
+        self.loops = 0
+        self.result: Type | None = None
+
+    def mint(self, type_: Type, writable: bool = True) -> Temp:
+        self.minted += 1
+        return Temp(f"{self.prefix}{self.minted}", type_, writable)
+
+    def block(self, depth: int, count: int) -> s.Block:
+        """So many statements or some more; their temps end with it."""
+        kept = list(self.temps)
+        found: list[s.Stmt] = []
+        for _ in range(count):
+            kind = self.rng.choice(KINDS)
+            if depth == 0 and kind in ("if", "for", "while"):
+                kind = "assign"
+            found += getattr(self, f"{kind}s" if kind != "leave" else "leaves")(depth)
+            if isinstance(found[-1] if found else None, (s.Break, s.Continue, s.Stop, s.Return)):
+                break
+        self.temps = kept
+        return tuple(found)
+
+    def places(self) -> list[tuple[s.Place, Type, e.Expr]]:
+        """All that can be written here, with what reads it."""
+        found: list[tuple[s.Place, Type, e.Expr]] = [
+            (s.TempPlace(t.name), t.type, e.TempRead(t.name, t.type, AT)) for t in self.temps if t.writable
+        ]
+        if self.place == "function":
+            return found
+        p = self.program
+        found += [(s.LocalPlace(v.name), v.type, e.LocalRead(v.name, v.type, AT)) for v in p.locals]
+        for v in p.shared:
+            if v.kind == "allread":
+                found.append((s.OwnSlot(v.name), v.type, e.SlotRead(v.name, e.Pid(INT, AT), True, v.type, AT)))
+            elif self.place != "init":
+                found.append((s.SharedPlace(v.name), v.type, e.SharedRead(v.name, v.type, AT)))
+        for m in p.modules:
+            for port in m.ports:
+                if port.direction == "actuator":
+                    read = e.PortRead(m.name, port.name, False, port.type, AT)
+                    found.append((s.PortPlace(m.name, port.name), port.type, read))
+        return found
+
+    def assigns(self, depth: int) -> list[s.Stmt]:
+        places = self.places()
+        if not places:
+            return self.lets(depth)
+        place, type_, _ = self.rng.choice(places)
+        return [s.Assign(place, self.expr(type_, 3), AT)]
+
+    def updates(self, depth: int) -> list[s.Stmt]:
+        """`xs.append(v)`, `r.f[i] = v` and such, as the checker spells them."""
+        places = [found for found in self.places() if isinstance(found[1], (Sequence, MapOf, TupleOf, RecordType))]
+        if not places:
+            return self.assigns(depth)
+        place, _, read = self.rng.choice(places)
+        return [s.Assign(place, self.updated(read, 2), AT)]
+
+    def lets(self, depth: int) -> list[s.Stmt]:
+        type_ = random_type(self.rng, 2, tuple([r.type for r in self.program.records]))
+        if self.rng.random() < 0.6:
+            known = [t for t in self.known() if not isinstance(t, PerRobot)]
+            type_ = self.rng.choice(known)
+        value = self.expr(type_, 2)
+        temp = self.mint(type_)
+        self.temps.append(temp)
+        return [s.Let(temp.name, type_, value, AT)]
+
+    def ifs(self, depth: int) -> list[s.Stmt]:
+        orelse: s.Block = ()
+        condition = self.expr(BOOL, 2)
+        then = self.block(depth - 1, self.rng.randrange(1, 3))
+        if self.rng.random() < 0.5:
+            orelse = self.block(depth - 1, self.rng.randrange(1, 3))
+        return [s.If(condition, then, orelse, AT)]
+
+    def body(self, depth: int) -> s.Block:
+        busy, self.busy = self.busy, True
+        self.loops += 1
+        block = self.block(depth - 1, self.rng.randrange(1, 4))
+        self.loops -= 1
+        self.busy = busy
+        return block
+
+    def fors(self, depth: int) -> list[s.Stmt]:
+        values, element = self.domain()
+        types: tuple[Type, ...] = (element,)
+        if isinstance(element, TupleOf) and self.rng.random() < 0.7:
+            types = element.items
+        kept = list(self.temps)
+        taken = [self.mint(type_) for type_ in types]
+        self.temps += taken
+        block = self.body(depth)
+        self.temps = kept
+        return [s.For(tuple([t.name for t in taken]), types, values, block, AT)]
+
+    def domain(self) -> tuple[e.Expr, Type]:
+        """What a loop runs over: not very long."""
+        choice = self.rng.randrange(7)
+        if choice < 2:
+            start, stop = (e.Binary("%", self.expr(INT, 1), whole(5), True, INT, AT) for _ in "ab")
+            step_ = self.rng.choice((1, 1, 2, -1, -2, 3))
+            return e.Range(whole(0) if self.rng.random() < 0.5 else start, stop, step_, list_of(INT), AT), INT
+        if choice == 2 and self.place != "function":
+            return e.Ids(list_of(INT), AT), INT
+        known = [t for t in self.known() if isinstance(t, (Sequence, MapOf, PerRobot))]
+        shared = [PerRobot(v.type) for v in self.program.shared if v.kind == "allread"]
+        type_ = self.rng.choice([*known, *(shared if self.place == "effect" else []), list_of(TupleOf((INT, STRING)))])
+        if isinstance(type_, PerRobot):
+            found = self.slots(type_.element)
+            assert found is not None
+            return found, type_.element
+        assert isinstance(type_, (Sequence, MapOf))
+        return self.expr(type_, 2), type_.key if isinstance(type_, MapOf) else type_.element
+
+    def whiles(self, depth: int) -> list[s.Stmt]:
+        """A counter that goes up first of all, so that every way through it ends."""
+        counter = self.mint(INT, writable=False)
+        read = e.TempRead(counter.name, INT, AT)
+        kept = list(self.temps)
+        self.temps.append(counter)
+        condition: e.Expr = compare("<", read, whole(self.rng.randrange(1, 5)))
+        if self.rng.random() < 0.4:
+            condition = e.Logic("and", condition, self.expr(BOOL, 2), BOOL, AT)
+        count = s.Assign(s.TempPlace(counter.name), binary("+", read, whole(1), INT), AT)
+        block = (count, *self.body(depth))
+        self.temps = kept if self.rng.random() < 0.5 else [*kept, counter]
+        return [s.Let(counter.name, INT, whole(0), AT), s.While(condition, block, AT)]
+
+    def emits(self, depth: int) -> list[s.Stmt]:
+        if self.place == "function":
+            return self.lets(depth)
+        items = [self.expr(STRING, 2) for _ in range(self.rng.randrange(1, 4))]
+        return [s.Emit("Log", "stdout", tuple(items), AT)]
+
+    def pops(self, depth: int) -> list[s.Stmt]:
+        """`T x = xs.pop()`: read, then remove; under a test that there is something."""
+        found = [(p, t, r) for p, t, r in self.places() if isinstance(t, Sequence) and t.name in ("List", "Queue")]
+        if not found:
+            return self.assigns(depth)
+        place, type_, xs = self.rng.choice(found)
+        assert isinstance(type_, Sequence)
+        temp = self.mint(type_.element, writable=False)
+        last = binary("-", length(xs), whole(1), INT)
+        if type_.name == "Queue":
+            value, left = call("first", type_.element, xs), call("without", type_, xs, whole(0))
+        else:
+            value, left = e.At(xs, last, False, type_.element, AT), call("popped", type_, xs)
+        both = (s.Let(temp.name, type_.element, value, AT), s.Assign(place, left, AT))
+        return [s.If(compare("<", whole(0), length(xs)), both, (), AT)]
+
+    def leaves(self, depth: int) -> list[s.Stmt]:
+        """Out of a loop, a function, an event: now and then."""
+        out: s.Stmt
+        if self.loops and self.rng.random() < 0.8:
+            out = self.rng.choice((s.Break(AT), s.Continue(AT)))
+        elif self.result is not None:
+            out = s.Return(self.expr(self.result, 2), AT)
+        elif self.place != "function" and self.rng.random() < 0.5:
+            out = s.Stop(AT)
+        else:
+            return self.assigns(depth)
+        before = self.assigns(depth) if self.rng.random() < 0.5 else []
+        return [s.If(self.expr(BOOL, 2), (*before, out), (), AT)]
+
+
+def random_state(rng: Random, program: d.Program) -> State:
+    """A state at a round's start with random values everywhere."""
+    start = step.initial(program, N_SYS)
+    ports = [(f"{m.name}.{p.name}", p) for m in program.modules for p in m.ports]
+    robots = tuple(
+        Robot(
+            {v.name: random_value(rng, v.type) for v in program.locals},
+            {name: random_value(rng, p.type) for name, p in ports if p.direction in ("sensor", "actuator")},
+            False,
         )
-        for i in range(draw(st.integers(1, 3)))
+        for _ in range(N_SYS)
     )
-    return d.Program(
-        name="random",
-        path="random.koord",
-        params=tuple(d.Param(f"param_{n}", t, ZERO[t], AT) for n, t in VARIABLES.items()),
-        modules=(d.Module("Motion", PORTS, AT),),
-        shared=(
-            *(d.Shared(f"each_{n}", "allread", t, ZERO[t], AT) for n, t in VARIABLES.items()),
-            *(d.Shared(f"all_{n}", "allwrite", t, ZERO[t], AT) for n, t in VARIABLES.items()),
-        ),
-        locals=tuple(d.Local(f"local_{n}", t, ZERO[t], AT) for n, t in VARIABLES.items()),
-        init=(),
-        events=events,
-    )
-
-
-points = st.tuples(*[st.floats(-100, 100).map(lambda v: round(v, 3))] * 3)
-VALUES: dict[Scalar, st.SearchStrategy[Any]] = {
-    INT: st.integers(-5, 9) | st.sampled_from([1, 2, 3, 2**62, -(2**63)]),
-    FLOAT: st.floats(-100, 100).map(lambda v: round(v, 3)) | st.sampled_from([1e300, -0.0]),
-    BOOL: st.booleans(),
-    POINT: points,
-}
+    slots: dict[str, tuple[Value, ...]] = {
+        v.name: tuple([random_value(rng, v.type) for _ in range(N_SYS)]) for v in program.shared if v.kind == "allread"
+    }
+    cells = {v.name: random_value(rng, v.type) for v in program.shared if v.kind == "allwrite"}
+    return start._replace(robots=robots, store=Store(slots, cells), round=1)
