@@ -3,7 +3,6 @@ order; init and the events in the order of their writing."""
 
 from __future__ import annotations
 
-import gc
 import os
 from typing import Any
 
@@ -31,13 +30,7 @@ from koordgen.syntax import decl as ast
 def check(program: ast.Program, source: Source) -> tuple[decl.Program | None, list[Diagnostic]]:
     """The typed program, or None where there are errors; and all that was found, in the order of the text."""
     c = Context(source, program)
-    collecting = gc.isenabled()
-    gc.disable()  # neither tree has cycles; collecting while the second one grows costs a quarter of the time
-    try:
-        checked = _program(program, c)
-    finally:
-        if collecting:
-            gc.enable()
+    checked = _program(program, c)
     found = in_order(c.found)
     return (None if any(d.severity == "error" for d in found) else checked), found
 

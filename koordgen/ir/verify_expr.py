@@ -208,9 +208,8 @@ class Expressions:
             case Sequence(_, element) | PerRobot(element) | MapOf(element):
                 self.typed(item, element)
             case _:
-                whole = {STRING: STRING, RECT: POINT, BALL: POINT}
-                must(held in whole, f"nothing is in a {held}", values.span)
-                self.typed(item, whole[held])  # type: ignore[index]
+                must(held in (STRING, RECT, BALL), f"nothing is in a {held}", values.span)
+                self.typed(item, STRING if held == STRING else POINT)
         return BOOL
 
     def element(self, node: expr.Expr) -> Type:
