@@ -77,6 +77,8 @@ CATALOGUE: dict[str, str] = {
     "B002": "the target offers no such port",
     "B003": "the target's port has another type",
     "B004": "a round's writes do not fit in a datagram",
+    "B005": "a driver cannot serve the module",
+    "B006": "the Python beside the program lacks something",
 }
 
 
@@ -115,6 +117,14 @@ def in_order(found: Iterable[Diagnostic]) -> list[Diagnostic]:
     """In the order of the text, each once (places take no part in the equality of nodes)."""
     once = {(d.span.line, d.span.column, d.code, d.message): d for d in found}
     return [once[key] for key in sorted(once)]
+
+
+def together(unread: Iterable[Diagnostic], found: Iterable[Diagnostic]) -> list[Diagnostic]:
+    """What the parser and the checker say of one text, in its order. In a line that could not be read all else is an
+    echo: it is left out."""
+    unread = list(unread)
+    lines = {d.span.line for d in unread}
+    return in_order([*unread, *(d for d in found if d.span.line not in lines)])
 
 
 def render(diagnostic: Diagnostic, source: Source) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from koordgen.check import check
-from koordgen.diagnostics import Diagnostic, in_order
+from koordgen.diagnostics import Diagnostic, together
 from koordgen.ir.decl import Program
 from koordgen.ir.verify import verify
 from koordgen.node import Node
@@ -18,7 +18,7 @@ from koordgen.syntax.parse import parse
 if TYPE_CHECKING:
     from koordgen.bundle.plan import Files
     from koordgen.check.params import Value
-    from koordgen.fleet import Fleet
+    from koordgen.fleet import Driver, Fleet
     from koordgen.manifest import Target
 
 
@@ -67,7 +67,7 @@ def check_file(path: str) -> Checked:
     parsed, unread = parse(source)
     program, found = check(parsed, source)
     if unread or program is None:
-        raise Rejected([(source, d) for d in in_order([*unread, *found])])
+        raise Rejected([(source, d) for d in together(unread, found)])
     verify(program)
     return Checked(source, program, tuple(found))
 
@@ -84,10 +84,15 @@ def dump(path: str, after: str) -> str:
 
 
 def plan_file(
-    path: str, wanted: Sequence[str], fleet_path: str | None, params: Mapping[str, Value]
+    path: str,
+    wanted: Sequence[str],
+    fleet_path: str | None,
+    params: Mapping[str, Value],
+    functions: str | None = None,
 ) -> tuple[Checked, dict[str, Files]]:
-    """check, fleet, params, verify, ports, budget, plan: the bundles of one build, in memory. `wanted` are
-    names of targets that exist. Raises Rejected, BadParam, ManifestError."""
+    """check, fleet, params, verify, ports, budget, Python beside, plan: the bundles of one build, in memory. `wanted`
+    are names of targets that exist; `functions` is the file of the extern functions, if not the usual one. Raises
+    Rejected, BadParam, ManifestError."""
     from koordgen import manifest, resources
     from koordgen.bundle.budget import check_budget
     from koordgen.bundle.offer import check_ports
@@ -108,11 +113,38 @@ def plan_file(
     used = tuple(targets[name] for name in sorted(needed))
     program = with_params(checked.program, given)
     verify(program)
-    wrong = [*check_ports(program, used), *(check_budget(program, len(fleet.robots)) if fleet else ())]
-    if wrong:
-        raise Rejected([(checked.source, d) for d in wrong])
+    drivers = fleet.drivers if fleet else {}
+    wrong = [*check_ports(program, used, drivers), *(check_budget(program, len(fleet.robots)) if fleet else ())]
+    own, missing = _beside(program, path, fleet_path, drivers, used, functions)
+    if wrong or missing:
+        raise Rejected([(checked.source, d) for d in (*wrong, *missing)])
     source = Path(path).read_bytes()
-    return checked, plan(read_ingredients(program, source, used, fleet, resources.package()), wanted)
+    return checked, plan(read_ingredients(program, source, used, fleet, resources.package(), own), wanted)
+
+
+def _beside(
+    program: Program,
+    path: str,
+    fleet_path: str | None,
+    drivers: Mapping[str, Driver],
+    targets: tuple[Target, ...],
+    functions: str | None,
+) -> tuple[dict[str, Path], list[Diagnostic]]:
+    """The user's own Python that goes into bundles, by its path there, and what is wrong with it."""
+    from koordgen.bundle.functions import check_functions, functions_file
+    from koordgen.emit.program import functions_module
+
+    folder = Path(path).parent
+    file = functions_file(program, folder, functions)
+    wrong = check_functions(program, file)
+    own = {f"{functions_module(program)}.py": file} if file else {}
+    if fleet_path is not None and drivers:
+        from koordgen.bundle.drivers import check_drivers, driver_files
+
+        served = driver_files(drivers, program, [Path(fleet_path).parent, folder])
+        wrong += check_drivers(program, drivers, served, targets)
+        own |= {drivers[name].path: found for name, found in served.items()}
+    return own, wrong
 
 
 def read_fleet(path: str, targets: Mapping[str, Target], program: Program) -> tuple[Fleet, dict[str, Value]]:

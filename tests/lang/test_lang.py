@@ -10,7 +10,7 @@ from typing import NamedTuple
 import pytest
 
 from koordgen.check import check
-from koordgen.diagnostics import CATALOGUE, Diagnostic
+from koordgen.diagnostics import CATALOGUE, Diagnostic, together
 from koordgen.ir.printer import show
 from koordgen.ir.verify import verify
 from koordgen.source import Source
@@ -46,15 +46,13 @@ CASES = list(cases())
 def found(text: str) -> list[Diagnostic]:
     """Everything the front end has to say of a program; a right one is verified and printed as well."""
     source = Source("case.koord", text)
-    tree, diagnostics = parse(source)
-    if tree is not None:
-        program, more = check(tree, source)
-        diagnostics += more
-        assert (program is None) == any(d.severity == "error" for d in diagnostics)
-        if program is not None:
-            verify(program)
-            assert show(program)
-    return diagnostics
+    tree, unread = parse(source)
+    program, diagnostics = check(tree, source)
+    assert (program is None) == any(d.severity == "error" for d in diagnostics)
+    if program is not None and not unread:
+        verify(program)
+        assert show(program)
+    return together(unread, diagnostics)
 
 
 def wanted(text: str) -> list[tuple[int, str, str, str]]:
