@@ -11,11 +11,14 @@ import pytest
 
 from koordgen import explain, fleet, manifest
 from koordgen.bundle.budget import check_budget
+from koordgen.bundle.drivers import check_drivers, driver_files
+from koordgen.bundle.functions import check_functions, functions_file
 from koordgen.bundle.offer import check_ports
 from koordgen.check import check
 from koordgen.cli import main
-from koordgen.diagnostics import CATALOGUE
+from koordgen.diagnostics import CATALOGUE, together
 from koordgen.explain import Explanation, explanation, show
+from koordgen.fleet import Driver
 from koordgen.ir.decl import Program
 from koordgen.pipeline import Rejected, read_source
 from koordgen.source import Source, Span
@@ -29,12 +32,10 @@ def codes(*letters: str) -> list[str]:
 
 
 def of_program(text: str) -> tuple[Program | None, list[str]]:
-    tree, found = parse(Source("example.koord", text))
-    program = None
-    if tree is not None:
-        program, more = check(tree, Source("example.koord", text))
-        found = found + more
-    return program, [d.code for d in found]
+    source = Source("example.koord", text)
+    tree, unread = parse(source)
+    program, found = check(tree, source)
+    return None if unread else program, [d.code for d in together(unread, found)]
 
 
 def examples(found: Explanation) -> Iterator[tuple[str, str, set[str]]]:
@@ -116,8 +117,19 @@ def test_examples_of_an_encoding(tmp_path: Path) -> None:
     assert of_program(read_source(str(path)).text)[1] == []
 
 
+def with_driver(program: Program, note: str, folder: Path) -> list[Diagnostic]:
+    """What the build tells of a driver that has the sensors of the note."""
+    given = re.search(r"whose (\w+) has the sensors `(.*)`", note)
+    if not given:
+        return []
+    methods = "  def sense(self): return {}\n  def command(self, actuators): pass\n"
+    (folder / "own.py").write_text(f"class Own:\n  sensors = {given[2]}\n{methods}")
+    drivers = {given[1]: Driver("own", "Own")}
+    return check_drivers(program, drivers, driver_files(drivers, program, [folder]), ())
+
+
 @pytest.mark.parametrize("code", codes("B"))
-def test_examples_of_builds(code: str) -> None:
+def test_examples_of_builds(code: str, tmp_path: Path) -> None:
     found = explanation(code)
     target = re.search(r"--target (\w+)", found.wrong_note)
     robots = re.search(r"of (\d+) robots", found.wrong_note)
@@ -127,5 +139,7 @@ def test_examples_of_builds(code: str) -> None:
         assert program is not None
         assert before == []
         told = check_ports(program, [manifest.load(target[1])] if target else [])
+        told += check_functions(program, functions_file(program, tmp_path, None))
+        told += with_driver(program, found.wrong_note, tmp_path)
         told += check_budget(program, int(robots[1]) if robots else 1)
         assert {d.code for d in told} == wanted, note
