@@ -128,6 +128,9 @@ def _build_options(command: argparse.ArgumentParser, fleet_required: bool = Fals
     command.add_argument(
         "--param", metavar="NAME=VALUE", action="append", default=[], help="a param's value; goes before the fleet's"
     )
+    command.add_argument(
+        "--functions", metavar="FILE", help="Python of the extern functions (default: <app>_functions.py beside it)"
+    )
     _format_option(command)
 
 
@@ -277,7 +280,7 @@ def _planned(options: argparse.Namespace, targets: list[str]) -> tuple[dict[str,
     from koordgen.pipeline import plan_file
 
     try:
-        checked, bundles = plan_file(options.program, targets, options.fleet, _params(options.param))
+        checked, bundles = plan_file(options.program, targets, options.fleet, _params(options.param), options.functions)
     except BadParam as error:
         raise Failure(USAGE, str(error)) from None
     except ManifestError as error:

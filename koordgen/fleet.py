@@ -6,12 +6,15 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import yaml
+
 from koordgen.located import Reader, Report, YamlNode
 from koordgen.manifest import SETTING_TYPES, Setting, Target
 from koordgen.node import Node
 from koordgen.source import Source
 
 _NAME = re.compile(r"[a-z][a-z0-9_-]{0,31}")
+_DRIVER = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", re.ASCII)
 _ADDRESS = re.compile(r"([A-Za-z0-9.-]+|\[[0-9A-Fa-f:.]+\]):(\d{1,5})")
 # Thresholds of the safety layer, with the defaults of koordgen/runtime/settings.py (a test compares them).
 SAFETY = {"position_stale": 0.5, "position_lost": 2.0, "missed_rounds": 10, "outside_fence": 0.5}
@@ -35,9 +38,20 @@ class Robot(Node):
     settings: dict[str, Any]
 
 
+class Driver(Node):
+    """The class `name` that serves a module; `module` is its Python module, dotted, `path` the file of that."""
+
+    module: str
+    name: str
+
+    @property
+    def path(self) -> str:
+        return f"{self.module.replace('.', '/')}.py"
+
+
 class Fleet(Node):
     """A checked fleet file; plain values, as they go into the bundles' JSON. `harness` is keyed by target name;
-    `params` are plain values: numbers, bools, texts, lists, tables."""
+    `params` are plain values: numbers, bools, texts, lists, tables; `drivers` is keyed by module."""
 
     application_id: int
     delta: float
@@ -48,6 +62,8 @@ class Fleet(Node):
     insecure: bool
     params: dict[str, Any]
     safety: dict[str, float]
+    planner_budget: float  # seconds that a planner may take within an event
+    drivers: dict[str, Driver]
     robots: tuple[Robot, ...]
     harness: dict[str, dict[str, Any]]
 
@@ -63,7 +79,8 @@ def read(source: Source, targets: Mapping[str, Target], params: Mapping[str, Fit
 
     reader = Reader(source, counted)
     harnesses = sorted(name for name, t in targets.items() if t.kind == "harness")
-    optional = ["application_id", "key", "insecure", "params", "safety", "obstacles", *harnesses]
+    optional = ["application_id", "key", "insecure", "params", "safety", "obstacles", "modules"]
+    optional += ["planner_budget", *harnesses]
     top = reader.table(reader.document(), "the fleet file", ["delta", "origin", "geofence", "robots"], optional)
     origin = reader.table(top.get("origin"), "origin", ["latitude", "longitude", "altitude"], [])
     insecure = bool(reader.scalar(top.get("insecure"), "insecure", bool))
@@ -81,6 +98,8 @@ def read(source: Source, targets: Mapping[str, Target], params: Mapping[str, Fit
         insecure=insecure,
         params=_params(reader, top.get("params"), params),
         safety=_safety(reader, top.get("safety")),
+        planner_budget=reader.number(top.get("planner_budget"), "planner_budget (seconds)", 0.0005, 1.0) or 0.01,
+        drivers=_drivers(reader, top.get("modules")),
         robots=_robots(reader, top.get("robots"), targets),
         harness={n: _settings(reader, top[n], n, targets[n].settings) for n in harnesses if n in top},
     )
@@ -119,6 +138,18 @@ def _params(reader: Reader, node: YamlNode | None, known: Mapping[str, Fits]) ->
         misfit = known[name](found[name])
         if misfit:
             reader.report("F004", misfit, value)
+    return found
+
+
+def _drivers(reader: Reader, node: YamlNode | None) -> dict[str, Driver]:
+    found: dict[str, Driver] = {}
+    named = [key.value for key, _ in node.value] if isinstance(node, yaml.MappingNode) else []
+    for module, value in reader.table(node, "modules", [], named).items():
+        text: str = reader.scalar(value, f"the driver of {module}", str) or "a:A"
+        if not _DRIVER.fullmatch(text):
+            reader.report("F005", f"{text!r} names no driver class", value, "for example drivers.hvac:Hvac")
+        path, _, name = text.partition(":")
+        found[module] = Driver(path, name)
     return found
 
 

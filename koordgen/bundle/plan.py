@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from koordgen import __version__
@@ -23,7 +24,7 @@ Files = dict[str, bytes]
 
 class Ingredients(Node):
     """All that a plan is made from, read beforehand. `common` are the files that every bundle holds, `target_files`
-    those of each target by its name, both by their path inside a bundle."""
+    those of each target by its name, `beside` the user's own Python, all by their path inside a bundle."""
 
     program: Program
     source: bytes
@@ -31,6 +32,7 @@ class Ingredients(Node):
     fleet: Fleet | None
     common: Files
     target_files: dict[str, Files]
+    beside: Files
 
 
 def plan(these: Ingredients, wanted: Iterable[str]) -> dict[str, Files]:
@@ -69,7 +71,8 @@ def _agent(these: Ingredients, target: Target, text: bytes, robot: Robot | None)
     files = {
         **these.common,
         **these.target_files[target.name],
-        "__main__.py": render("main_agent.py", module=module, name=name).encode(),
+        **these.beside,
+        "__main__.py": render("main_agent.py", module=module, name=name, drivers=_drivers(these)).encode(),
         "program.py": text,
         program.path: these.source,
         "requirements.txt": _requirements(target),
@@ -78,6 +81,12 @@ def _agent(these: Ingredients, target: Target, text: bytes, robot: Robot | None)
     if robot is not None and fleet is not None:
         files["settings.json"] = _json(settings(program, fleet, robot))
     return _finished(files)
+
+
+def _drivers(these: Ingredients) -> list[tuple[str, str, str]]:
+    """(module of the program, Python module, class) of each driver that agents need."""
+    named = these.fleet.drivers if these.fleet else {}
+    return [(m.name, named[m.name].module, named[m.name].name) for m in these.program.modules if m.name in named]
 
 
 def _harness(these: Ingredients, target: Target, agents: dict[str, Files]) -> Files:
@@ -139,6 +148,7 @@ def settings(program: Program, fleet: Fleet, robot: Robot) -> dict[str, Any]:
         **shared,
         "key_file": fleet.key or None,
         "insecure": fleet.insecure,
+        "planner_budget": fleet.planner_budget,
         "safety": fleet.safety,
         "body": robot.settings,
     }
@@ -168,13 +178,20 @@ def _scenario(these: Ingredients, fleet: Fleet, harness: Target) -> dict[str, An
 
 
 def read_ingredients(
-    program: Program, source: bytes, targets: tuple[Target, ...], fleet: Fleet | None, package: Path
+    program: Program,
+    source: bytes,
+    targets: tuple[Target, ...],
+    fleet: Fleet | None,
+    package: Path,
+    beside: Mapping[str, Path] = MappingProxyType({}),
 ) -> Ingredients:
-    """Reads every file that is copied whole. `package` is the koordgen package itself."""
+    """Reads every file that is copied whole. `package` is the koordgen package itself; `beside` are the user's own
+    files by their path inside a bundle."""
     common = {"koordgen/__init__.py": (package / "__init__.py").read_bytes()}
     common.update(_folder(package / "runtime", "koordgen/runtime"))
+    own = {path: file.read_bytes() for path, file in beside.items()}
     common["targets/__init__.py"] = (targets[0].folder.parent / "__init__.py").read_bytes()
-    return Ingredients(program, source, targets, fleet, common, {t.name: _target_files(t) for t in targets})
+    return Ingredients(program, source, targets, fleet, common, {t.name: _target_files(t) for t in targets}, own)
 
 
 def _target_files(target: Target) -> Files:

@@ -19,6 +19,7 @@ from types import FrameType
 from typing import TextIO
 
 from koordgen.runtime.clock import SystemClock
+from koordgen.runtime.drivers import Drivers, with_drivers
 from koordgen.runtime.extern import BadExtern
 from koordgen.runtime.layout import Layout, TooLarge
 from koordgen.runtime.machine import INTERNAL, OK, SURROUNDINGS, WRONG_PROGRAM, Agent
@@ -36,11 +37,15 @@ INTERRUPTED = 130
 LONGEST_WAIT = 0.1  # seconds: how soon a signal is seen
 PIECE = 200  # characters that a pipe or terminal takes whole when it says that it takes any
 
+NO_DRIVERS: Drivers = {}
 PlatformType = Callable[[Settings, bytes | None], Platform]
 
 
-def main(program: Program, platform_type: PlatformType, root: Path, argv: Sequence[str]) -> int:
-    """Run robot `program` on the body `platform_type` makes, with the settings in `root`; returns the exit status."""
+def main(
+    program: Program, platform_type: PlatformType, root: Path, argv: Sequence[str], drivers: Drivers = NO_DRIVERS
+) -> int:
+    """Run robot `program` on the body `platform_type` makes, with the settings in `root`; `drivers` makes those of
+    modules that the body does not offer. Returns the exit status."""
     arguments = _arguments(program, argv)
     if isinstance(arguments, int):
         return arguments
@@ -51,6 +56,7 @@ def main(program: Program, platform_type: PlatformType, root: Path, argv: Sequen
         if program.library is not None:
             program.library.load()  # importing may take longer than a round
         platform = platform_type(settings, key)
+        platform = with_drivers(platform, program, drivers)
         if arguments.check:
             return _check(program, settings, platform)
         return _run(program, settings, key, platform, quiet=arguments.quiet)

@@ -9,12 +9,41 @@ def root(context, missing=missing):
     if 0: yield None
     l_0_module = resolve('module')
     l_0_name = resolve('name')
+    l_0_drivers = resolve('drivers')
     pass
     yield '"""Runs this robot: `python3 <this folder>`, see README.md."""\n\nimport sys\nfrom pathlib import Path\n\nHERE = Path(__file__).resolve().parent\n\nif __name__ == "__main__":\n    try:\n        from koordgen.runtime.agent import main\n        from program import PROGRAM\n        from '
     yield str((undefined(name='module') if l_0_module is missing else l_0_module))
     yield ' import '
     yield str((undefined(name='name') if l_0_name is missing else l_0_name))
-    yield ' as Body\n    except ModuleNotFoundError as missing:\n        print(f"error: the Python package {missing.name!r} is missing\\n"\n              f"  help: {sys.executable} -m pip install -r {HERE / \'requirements.txt\'}", file=sys.stderr)\n        raise SystemExit(5) from None\n    raise SystemExit(main(PROGRAM, Body, HERE, sys.argv[1:]))\n'
+    yield ' as Body\n'
+    l_1_loop = missing
+    for (l_1__, l_1_driver, l_1_class), l_1_loop in LoopContext((undefined(name='drivers') if l_0_drivers is missing else l_0_drivers), undefined):
+        _loop_vars = {}
+        pass
+        yield '        from '
+        yield str(l_1_driver)
+        yield ' import '
+        yield str(l_1_class)
+        yield ' as Driver'
+        yield str(environment.getattr(l_1_loop, 'index'))
+        yield '\n'
+    l_1_loop = l_1__ = l_1_driver = l_1_class = missing
+    yield '    except ModuleNotFoundError as missing:\n        print(f"error: the Python package {missing.name!r} is missing\\n"\n              f"  help: {sys.executable} -m pip install -r {HERE / \'requirements.txt\'}", file=sys.stderr)\n        raise SystemExit(5) from None\n    raise SystemExit(main(PROGRAM, Body, HERE, sys.argv[1:]'
+    if (undefined(name='drivers') if l_0_drivers is missing else l_0_drivers):
+        pass
+        yield ', {'
+        l_1_loop = missing
+        for (l_1_served, l_1__, l_1__), l_1_loop in LoopContext((undefined(name='drivers') if l_0_drivers is missing else l_0_drivers), undefined):
+            _loop_vars = {}
+            pass
+            yield '"'
+            yield str(l_1_served)
+            yield '": Driver'
+            yield str(environment.getattr(l_1_loop, 'index'))
+            yield str((', ' if (not environment.getattr(l_1_loop, 'last')) else cond_expr_undefined("the inline if-expression on line 20 in 'main_agent.py' evaluated to false and no else section was defined.")))
+        l_1_loop = l_1_served = l_1__ = missing
+        yield '}'
+    yield '))\n'
 
 blocks = {}
-debug_info = '12=14'
+debug_info = '12=15&13=20&14=24&20=32'
