@@ -210,11 +210,12 @@ class Difference(AssertionError):
     """The two meanings of a program differ."""
 
 
+def nothing(generated: Generated) -> None:
+    """A generated program stays as it is."""
+
+
 def agree(
-    seed: int,
-    seen: Counter[str],
-    emitted: Pass = untouched,
-    spoil: Callable[[Generated], None] = lambda generated: None,
+    seed: int, seen: Counter[str], emitted: Pass = untouched, spoil: Callable[[Generated], None] = nothing
 ) -> d.Program:
     """One random program on a few random states: both meanings must be the same on every robot. `emitted` and
     `spoil` seed faults."""

@@ -82,7 +82,7 @@ class Expressions(General):
 
         def power(n: int) -> e.Expr:
             base = e.Binary("%", self.expr(INT, n), whole(self.rng.choice((5, -5))), True, INT, AT)
-            return binary("**", base, self.expr(INT, n) if self.wild(0.1) else whole(self.rng.randrange(4)), INT)
+            return binary("**", base, self.expr(INT, n) if self.wild(0.25) else whole(self.rng.randrange(4)), INT)
 
         def counted(n: int) -> e.Expr:
             element = self.rng.choice((INT, STRING, POINT, FLOAT))
@@ -134,7 +134,8 @@ class Expressions(General):
             return binary(self.rng.choice(("/", "/", "//", "%")), self.expr(FLOAT, n), by, FLOAT)
 
         def power(n: int) -> e.Expr:
-            return binary("**", positive(n), call("sin", FLOAT, self.expr(FLOAT, n)), FLOAT)
+            base = self.expr(FLOAT, n) if self.wild(0.2) else positive(n)
+            return binary("**", base, call("sin", FLOAT, self.expr(FLOAT, n)), FLOAT)
 
         def angle(n: int) -> e.Expr:
             inner = call("sin", FLOAT, self.expr(FLOAT, n))
@@ -224,6 +225,8 @@ class Expressions(General):
         return [joined, character, shown, lambda n: self.sliced(STRING, n)]
 
     def letter(self, text: e.Expr, n: int) -> e.Expr:
+        if self.wild(0.1):
+            return e.At(text, self.expr(INT, n), False, STRING, AT)
         return e.At(text, remainder(self.expr(INT, n), length(text)), self.rng.random() < 0.5, STRING, AT)
 
     def sliced(self, type_: Type, n: int) -> e.Expr:
@@ -358,6 +361,8 @@ class Expressions(General):
                 return call("inserted", type_, xs, self.leaf(INT) if self.wild(0.1) else at, self.expr(element, n))
             case "remove":
                 v = self.leaf(element)
+                if self.rng.random() < 0.5:  # perhaps one of two
+                    return call("removed", type_, call("appended", type_, xs, v), v)
                 return when(e.Contains(v, xs, BOOL, AT), call("removed", type_, xs, v), xs)
             case "pop":
                 left = call("popped", type_, xs)

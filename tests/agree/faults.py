@@ -15,7 +15,7 @@ from koordgen.node import Node, replace
 from koordgen.semantics import builtins, eval, exec
 from koordgen.semantics.eval import View
 from koordgen.semantics.values import Value, items
-from tests.agree.both import Generated, Pass, untouched
+from tests.agree.both import Generated, Pass, nothing, untouched
 from tests.agree.general import binary, when
 from tests.agree.kinds import whole
 
@@ -28,7 +28,7 @@ class Fault(NamedTuple):
 
     name: str
     emitted: Pass = untouched
-    spoil: Callable[[Generated], None] = lambda generated: None
+    spoil: Callable[[Generated], None] = nothing
     patch: Callable[[pytest.MonkeyPatch], None] = lambda monkeypatch: None
 
 

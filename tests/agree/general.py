@@ -220,6 +220,8 @@ class General:
         """An element of what is not empty."""
         if self.rng.random() < 0.3:
             return call(self.rng.choice(("first", "last")), type_, xs)
+        if self.wild(0.15):
+            return e.At(xs, self.expr(INT, n), False, type_, AT)
         proved = self.rng.random() < 0.5
         return e.At(xs, remainder(self.expr(INT, n), length(xs)), proved, type_, AT)
 

@@ -31,7 +31,7 @@ from koordgen.semantics.state import Robot, State, Store
 from koordgen.semantics.values import Value
 from tests.agree.expressions import Expressions
 from tests.agree.general import PATH, Temp, binary, call, compare, length
-from tests.agree.kinds import AT, TICKET, constant, random_type, random_value, sized, whole
+from tests.agree.kinds import AT, KEYS, TICKET, constant, random_type, random_value, sized, whole
 
 N_SYS = 3
 MODULE = "Motion"
@@ -43,6 +43,7 @@ def random_program(seed: int) -> d.Program:
     rng = Random(seed)
     records = _records(rng)
     types = [random_type(rng, 3, records) for _ in range(rng.randrange(3, 6))]
+    types.append(rng.choice((Sequence("Set", rng.choice(KEYS), 64), MapOf(rng.choice(KEYS), rng.choice(types), 64))))
     types += [INT, FLOAT, BOOL, POINT, STRING, list_of(INT), rng.choice((PATH, list_of(TupleOf((POINT, SCAN)))))]
     program = d.Program(
         name="random",
@@ -298,9 +299,19 @@ class Statements(Expressions):
         kept = list(self.temps)
         taken = [self.mint(type_) for type_ in types]
         self.temps += taken
-        block = self.body(depth)
+        block = (*self.meddling(values), *self.body(depth))
         self.temps = kept
         return [s.For(tuple([t.name for t in taken]), types, values, block, AT)]
+
+    def meddling(self, values: e.Expr) -> list[s.Stmt]:
+        """Changes to what a loop runs over, which the loop must not see."""
+        places = [place for place, _, read in self.places() if read == values]
+        if not places or self.rng.random() < 0.5:
+            return []
+        busy, self.busy = self.busy, True
+        found: list[s.Stmt] = [s.Assign(places[0], self.updated(values, 1), AT)]
+        self.busy = busy
+        return found
 
     def domain(self) -> tuple[e.Expr, Type]:
         """What a loop runs over: not very long."""
@@ -319,7 +330,7 @@ class Statements(Expressions):
             assert found is not None
             return found, type_.element
         assert isinstance(type_, (Sequence, MapOf))
-        return self.expr(type_, 2), type_.key if isinstance(type_, MapOf) else type_.element
+        return self.expr(type_, self.rng.randrange(3)), type_.key if isinstance(type_, MapOf) else type_.element
 
     def whiles(self, depth: int) -> list[s.Stmt]:
         """A counter that goes up first of all, so that every way through it ends."""

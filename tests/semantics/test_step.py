@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from koordgen.check import check
-from koordgen.ir.decl import Program
 from koordgen.runtime.values import Point
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exec import Writes
 from koordgen.semantics.state import State
 from koordgen.semantics.step import Step, initial, round_, run_init, sense
 from koordgen.semantics.values import Value
-from koordgen.source import Source
-from koordgen.syntax.parse import parse
+from tests.semantics.programs import compiled, event
 
 HEAD = """
 using Motion:
@@ -28,26 +25,12 @@ local: int count
 """
 
 
-def compiled(text: str) -> Program:
-    source = Source("t.koord", text)
-    tree, found = parse(source)
-    assert tree is not None, found
-    program, found = check(tree, source)
-    assert program is not None, found
-    return program
-
-
 def after(events: str, robots: int = 3, rounds: int = 1, skipping: tuple[int, ...] = ()) -> tuple[State, list[Step]]:
     program = compiled(HEAD + events)
     state, steps = run_init(program, initial(program, robots))
     for _ in range(rounds):
         state, steps = round_(program, state, skipping)
     return state, steps
-
-
-def event(effect: str, guard: str = "True") -> str:
-    body = "\n".join(f"    {line}" for line in effect.split("\n"))
-    return f"E:\n  pre: {guard}\n  eff:\n{body}\n"
 
 
 def value(expression: str, name: str = "level") -> Value:
