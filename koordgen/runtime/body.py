@@ -114,6 +114,9 @@ class Body:
         self._retired = True
 
 
-def finite(sensors: Mapping[str, Any]) -> str | None:
-    """The first sensor whose value no program may see, or None."""
-    return next((name for name, value in sensors.items() if not transmissible(value)), None)
+def unusable(sensors: Mapping[str, Any]) -> str | None:
+    """The first sensor whose value no program may see, in words, or None."""
+    for name, value in sensors.items():
+        if not transmissible(value):
+            return f"{name} has no value" if value is None else f"{name} is not finite"
+    return None

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from koordgen.runtime.body import Body, finite
+from koordgen.runtime.body import Body, unusable
 from koordgen.runtime.clock import FleetClock
 from koordgen.runtime.link import Link
 from koordgen.runtime.memory import Memory
@@ -164,8 +164,8 @@ class Rounds:
             reason = WOKE_LATE
         elif self._memory.crowded:
             reason = f"not current: {self._names[self._memory.laggard]} lags behind"
-        elif (bad := finite(sensors)) is not None:
-            reason = f"{bad} is not finite"
+        elif (bad := unusable(sensors)) is not None:
+            reason = bad
         else:
             reason = unready
         lagging = reason is not None and reason.startswith("not current")

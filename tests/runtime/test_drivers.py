@@ -1,0 +1,157 @@
+"""Modules served by the user's drivers: what they sense and take, and what happens when they fail."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from koordgen.runtime.bounds import Fixed
+from koordgen.runtime.drivers import Driven, with_drivers
+from koordgen.runtime.platform import Unready
+from koordgen.runtime.program import Cell, Event, Frame, Port, Program
+from koordgen.runtime.values import Point
+from tests.runtime.fleet import FakePlatform, Fleet
+from tests.runtime.lineform import PROGRAM, State
+
+
+class Heating(State):
+    def __init__(self, frame: Frame) -> None:
+        super().__init__(frame)
+        self.temp: float = frame.sensors["HVAC.temp"]
+        self.spots: tuple[Point, ...] = frame.sensors["HVAC.spots"]
+        self.heat: Cell[bool] = self.actuator("HVAC.heat")
+
+
+def heat(s: Heating) -> None:
+    s.heat.value = s.temp < 20
+    s.target.value = s.spots[0]
+
+
+HEATING: Program = replace(
+    PROGRAM,
+    begin=Heating,
+    init=None,
+    ports=(
+        *PROGRAM.ports,
+        Port("HVAC.temp", "sensor", float),
+        Port("HVAC.spots", "sensor", tuple[Point, ...]),
+        Port("HVAC.heat", "actuator", bool, Fixed(1), lambda: False),
+        Port("HVAC.ask", "callable", tuple[Point, ...]),
+    ),
+    events=(Event("Heat", 3, lambda s: True, heat),),
+)
+
+
+class Hvac:
+    def __init__(self) -> None:
+        self.sensed: Any = {"temp": 15, "spots": [[1, 2, 0]], "more": 3}
+        self.taken: list[Mapping[str, Any]] = []
+        self.raises: BaseException | None = None
+        self.closed = False
+
+    def sense(self) -> Any:
+        if self.raises is not None:
+            raise self.raises
+        return self.sensed
+
+    def command(self, actuators: Mapping[str, Any]) -> None:
+        self.taken.append(actuators)
+
+    def call(self, port: str, args: tuple[Any, ...]) -> Any:
+        return [*args, port]
+
+    def close(self) -> None:
+        self.closed = True
+        raise ValueError("at the end")
+
+
+def fleet_with(driver: Hvac) -> tuple[Fleet, FakePlatform]:
+    body = FakePlatform(Point(0, 0, 0))
+    fleet = Fleet(n=1, program=HEATING)
+    fleet.boot(0, with_drivers(body, HEATING, {"HVAC": lambda: driver}))  # type: ignore[arg-type]
+    return fleet, body
+
+
+def test_what_a_driver_senses_goes_to_the_program_and_its_commands_come_back() -> None:
+    driver = Hvac()
+    fleet, body = fleet_with(driver)
+    fleet.run_rounds(3)
+    sensors = fleet.robots[0].records[0].sensors
+    assert repr(sensors["HVAC.temp"]) == "15.0" and sensors["HVAC.spots"] == (Point(1, 2, 0),)
+    assert driver.taken[0] == {"heat": True}
+    assert body.commands[0][1] == {"Motion.target": Point(1, 2, 0)}
+
+
+@pytest.mark.parametrize(
+    "failure",
+    [
+        {"raises": OSError("no bus")},
+        {"raises": SystemExit()},
+        {"sensed": {"temp": float("nan"), "spots": []}},
+        {"sensed": {"temp": "15", "spots": []}},
+        {"sensed": {"temp": 15}},
+        {"sensed": None},
+    ],
+)
+def test_a_driver_that_does_not_sense_makes_its_robot_skip_until_it_does(failure: dict[str, Any]) -> None:
+    driver = Hvac()
+    fleet, _ = fleet_with(driver)
+    fleet.run_rounds(3)
+    before = vars(driver).copy()
+    vars(driver).update(failure)
+    fleet.run(0.5)
+    robot = fleet.robots[0]
+    assert robot.records[-1].effects is None and (robot.records[-1].skipped or "").startswith("HVAC.")
+    vars(driver).update({key: before[key] for key in failure})
+    fleet.run(0.5)
+    assert robot.records[-1].effects is not None and robot.agent.phase == "running"
+
+
+def test_a_mission_waits_for_its_drivers() -> None:
+    driver = Hvac()
+    driver.raises = OSError("no bus")
+    fleet, _ = fleet_with(driver)
+    fleet.run(2)
+    robot = fleet.robots[0]
+    assert robot.agent.phase == "starting"
+    assert any("the driver of HVAC does not sense: OSError: no bus" in line for line in robot.lines)
+    driver.raises = None
+    fleet.run_rounds(2)
+
+
+def test_a_driver_that_takes_no_command_brings_the_robot_to_rest() -> None:
+    class Broken(Hvac):
+        def command(self, actuators: Mapping[str, Any]) -> None:
+            raise OSError("no relay")
+
+    fleet, body = fleet_with(Broken())
+    fleet.run(5, until=lambda: fleet.robots[0].agent.done)
+    assert body.resting is not None
+    assert any("the driver of HVAC did not take a command: OSError: no relay" in line for line in fleet.robots[0].lines)
+
+
+def test_the_rest_of_a_platform() -> None:
+    body, driver = FakePlatform(Point(0, 0, 0)), Hvac()
+    driven = Driven(body, HEATING, {"HVAC": lambda: driver})
+    assert driven.check() == ["a fake body", "driver of HVAC: Hvac"]
+    assert driven.call("HVAC.ask", (1, 2)) == [1, 2, "ask"]
+    assert driven.call("Motion.planner", (Point(),)) == (Point(),)
+    driver.raises = OSError("no bus")
+    with pytest.raises(Unready, match="no bus"):
+        driven.check()
+    driven.close()
+    assert body.closed and driver.closed
+
+
+def test_a_driver_that_cannot_be_made() -> None:
+    def make() -> Hvac:
+        raise OSError("no bus")
+
+    body = FakePlatform(Point(0, 0, 0))
+    with pytest.raises(Unready, match="the driver of HVAC cannot be made: OSError: no bus"):
+        with_drivers(body, HEATING, {"HVAC": make})
+    assert body.closed
+    assert with_drivers(body, HEATING, {}) is body
