@@ -258,8 +258,13 @@ def _stop(node: tree.Stop, c: Context, out: Out) -> None:
     out.append(stmt.Stop(node.span))
 
 
-def _nothing(node: tree.Pass | tree.BrokenStmt, c: Context, out: Out) -> None:
+def _nothing(node: tree.Pass, c: Context, out: Out) -> None:
     pass
+
+
+def _broken(node: tree.BrokenStmt, c: Context, out: Out) -> None:
+    """What it does is not known: indices and divisors behind it are not judged."""
+    c.poisoned = True
 
 
 STATEMENTS.update(
@@ -277,6 +282,6 @@ STATEMENTS.update(
         tree.Continue: _continue,
         tree.Pass: _nothing,
         tree.Stop: _stop,
-        tree.BrokenStmt: _nothing,
+        tree.BrokenStmt: _broken,
     }
 )

@@ -17,6 +17,7 @@ from koordgen.check.linear import (
     Choice,
     Fact,
     Formula,
+    Length,
     Linear,
     Or,
     Quotient,
@@ -88,6 +89,28 @@ def test_conjunctions_with_small_factors_are_decided(rows: list[Formula]) -> Non
 @given(formulas, st.sampled_from(FLEETS))
 def test_a_formula_and_its_negation_differ(formula: Formula, values: dict[str, int]) -> None:
     assert truth(negate(formula), values) is (not truth(formula, values))
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.recursive(
+        st.builds(AtLeastZero, simple), lambda f: st.one_of(st.builds(lambda a, b: And((a, b)), f, f), f.map(negate))
+    ),
+    small,
+    st.sampled_from(FLEETS),
+)
+def test_what_held_before_a_step_is_known_of_the_value_after_it(
+    formula: Formula, by: int, values: dict[str, int]
+) -> None:
+    """`pid = pid + by`, if one could write it."""
+    after = {**values, PID: values[PID] + by}
+    assert truth(linear.shifted(formula, PID, by), after) is truth(formula, values)
+
+
+def test_a_length_is_never_negative() -> None:
+    size = variable(Length("local xs"))
+    assert unsat((less(size, constant(0)),))
+    assert not unsat((less(size, constant(1)),))
 
 
 def test_facts_contradict_themselves_only() -> None:
