@@ -32,20 +32,20 @@ _MODULES: dict[str, tuple[str, ...]] = {
 HOME = {name: module for module, names in _MODULES.items() for name in names}
 
 
+_WORD = re.compile(r"(?<![\w.\"'])([A-Za-z_]\w*)(\(?)")
+
+
 def imports(body: str) -> tuple[list[str], list[str], list[str]]:
-    """The import lines that a module's text needs: of Python's library, of packages, of the runtime."""
+    """The import lines that a module's text needs: of Python's library, of packages, of the runtime. Functions are
+    called, never spoken of; a class may stand in an annotation."""
+    used = {word for word, called in _WORD.findall(body) if called or word[0].isupper()}
     groups: tuple[list[str], list[str], list[str]] = ([], [], [])
     for module, names in _MODULES.items():
-        found = [name for name in names if _used(name, body)]
+        found = [name for name in names if name in used]
         if found:
             group = groups[2 if module.startswith("koordgen") else 1 if module.startswith("msgspec") else 0]
             group += _lines(module, found)
     return groups
-
-
-def _used(name: str, body: str) -> bool:
-    """Functions are called, never spoken of; a class may stand in an annotation."""
-    return bool(re.search(rf"(?<![\w.\"']){name}" + (r"\b" if name[0].isupper() else r"\("), body))
 
 
 def _lines(module: str, names: list[str]) -> Iterator[str]:
