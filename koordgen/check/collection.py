@@ -14,12 +14,13 @@ from koordgen.check.base import (
     same,
     widened,
 )
-from koordgen.check.context import PREDEFINED, Context, Temp
+from koordgen.check.context import Context, Temp
 from koordgen.check.facts import range_facts
 from koordgen.check.name import declared_port, module_named, shared_in_init
+from koordgen.check.names import reserved
 from koordgen.diagnostics import Label
 from koordgen.ir import expr as ir
-from koordgen.ir.decl import Local, Shared
+from koordgen.ir.decl import Local, Module, Shared
 from koordgen.ir.types import (
     BALL,
     BOOL,
@@ -376,17 +377,18 @@ def check_quantified(node: ast.Quantified, c: Context, wanted: Type | None = Non
 
 
 def declare(name: str, type_: Type, span: Span, c: Context) -> Temp | None:
-    """A new name for the innermost block; None after reporting that it is taken (its uses are then of the new type)."""
+    """A new name for the innermost block; None after reporting that it is taken (its uses are then of the new type).
+    In a function it may be that of a variable or module, which functions cannot read anyway."""
     temp = Temp(c.mint(name), type_, span)
-    earlier = c.temp(name)
-    if earlier is None and name not in c.entities and name not in PREDEFINED:
+    earlier, entity = c.temp(name), c.entities.get(name)
+    unseen = bool(c.function) and isinstance(entity, (Local, Shared, Module))
+    if earlier is None and (unseen or name not in c.entities) and not reserved(name):
         c.scopes[-1][name] = temp
         return temp
-    entity = c.entities.get(name)
     first = earlier.span if earlier is not None else entity.span if entity is not None else None
     labels = (Label(first, "declared here first"),) if first is not None else ()
     what = "is declared already" if earlier is not None or name in c.entities else "is predefined"
     c.error("K011", f"{name} {what}", span, "choose another name", labels)
-    if earlier is None and name not in c.entities:
+    if earlier is None:
         c.scopes[-1][name] = temp
     return None
