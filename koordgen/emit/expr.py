@@ -43,7 +43,7 @@ def _text(node: ir.Expr, names: Names) -> tuple[str, int]:
             return literal(value), _SIGN if negative else _ATOM
         case ir.Widen(ir.Const(value)):
             return repr(float(value)), _ATOM
-        case ir.Widen(ir.Unary("-", ir.Const(value))):
+        case ir.Widen(ir.Unary("-", ir.Const(value))) if value != 0:  # -0 is 0, and no -0.0
             return f"-{float(value)!r}", _SIGN
         case ir.Widen(operand):
             return f"float({text(operand, names)})", _ATOM

@@ -11,7 +11,7 @@ from koordgen.emit.expr import text
 from koordgen.emit.names import Names
 from koordgen.ir import expr as ir
 from koordgen.ir.decl import Program
-from koordgen.ir.types import INT
+from koordgen.ir.types import FLOAT, INT
 from koordgen.source import Span
 
 AT = Span(1, 1, 1, 2)
@@ -52,3 +52,10 @@ def test_under_a_sign_a_not_and_a_condition(op: str) -> None:
     chosen = ir.Conditional(inner, A, B, INT, AT)
     assert same(text(node(op, chosen, C), NAMES), f"(5 if 5 {op} 7 else 7) {op} 9")
     assert same(text(ir.Field(inner, "x", INT, AT), NAMES), f"(5 {op} 7).x")
+
+
+def test_a_widened_minus_zero_has_no_sign() -> None:
+    """-0 is an int before it is widened; -0.0 and 0.0 are two floats."""
+    minus = ir.Unary("-", ir.Const(0, INT, AT), INT, AT)
+    assert repr(eval(text(ir.Widen(minus, FLOAT, AT), NAMES))) == "0.0"
+    assert text(ir.Widen(ir.Unary("-", A, INT, AT), FLOAT, AT), NAMES) == "-5.0"
