@@ -45,8 +45,9 @@ def interface_hash(program: ir.Program) -> str:
 
 
 def functions_module(program: ir.Program) -> str:
-    """The module beside a generated program that holds its extern functions and types."""
-    return f"{program.name}_functions"
+    """The module beside a generated program that holds its extern functions and types; what can be in a file's name and
+    not in a module's is an underscore."""
+    return re.sub(r"\W", "_", f"{program.name}_functions")
 
 
 def _digest(text: str) -> str:
