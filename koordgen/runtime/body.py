@@ -67,7 +67,7 @@ class Body:
         return values
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
-        """Ask a callable port, within an event. Raises what the platform raises; ValueError for an answer that is none."""
+        """Ask a callable port, within an event. Raises what the platform raises; ValueError for what is no answer."""
         began = time.perf_counter()
         found = self._platform.call(port, args)
         took = time.perf_counter() - began

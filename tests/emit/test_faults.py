@@ -49,7 +49,9 @@ FUN = "fun half(int a, int b) -> int:\n  int c = 3\n  return c + a // b  # here\
             "x would become an int beyond 64 bits",
         ),
         (
-            "local: List<int> xs max 2\n" + EVENT + "    for i in range(3):\n      xs.append(i)  # here\n    int n = 1\n",
+            "local: List<int> xs max 2\n"
+            + EVENT
+            + "    for i in range(3):\n      xs.append(i)  # here\n    int n = 1\n",
             "xs would become a list of 3 elements, beyond its `max 2`",
         ),
         (
@@ -68,9 +70,12 @@ FUN = "fun half(int a, int b) -> int:\n  int c = 3\n  return c + a // b  # here\
             MOTION + "local: float z = 1e300\n" + EVENT + "    Motion.path = [Point(0, 0, z * z)]  # here\n",
             "Motion.path would become (Point(x=0.0, y=0.0, z=inf),), which no robot may use",
         ),
-        (MOTION + "local: List<Point> p\n" + EVENT + "    p = Motion.planner(Point(0, 0, 0))  # here\n", "LookupError: nothing serves"),
+        (
+            MOTION + "local: List<Point> p\n" + EVENT + "    p = Motion.planner(Point(0, 0, 0))  # here\n",
+            "LookupError: nothing serves",
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_fault_names_its_line(text: str, reason: str) -> None:
     found = fault(text)
     assert found.reason.startswith(reason), found

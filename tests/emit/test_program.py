@@ -21,7 +21,11 @@ def event(body: str) -> str:
     ("declared", "body", "value"),
     [
         ("List<int> v = [1, 2, 3]", "v = v[1:] + [v[0]]", (2, 3, 1)),
-        ("List<int> v = [1, 2]", "v.append(7)\nv.insert(1, 5)\nv.extend([9])\nv.remove(1)\nint i = v.pop(0)\nv[0] = i", (5, 7, 9)),
+        (
+            "List<int> v = [1, 2]",
+            "v.append(7)\nv.insert(1, 5)\nv.extend([9])\nv.remove(1)\nint i = v.pop(0)\nv[0] = i",
+            (5, 7, 9),
+        ),
         ("Queue<int> v", "v.push(3)\nv.push(4)\nint i = v.pop()\nv.push(i)", (4, 3)),
         ("Set<string> v", 'v.add("b")\nv.add("a")\nv.add("b")', ("a", "b")),
         ("Map<int, int> v = {3: 1}", "v[1] = 5\nv[3] += 2\nv[2] = v.get(9, 8)", ((1, 5), (2, 8), (3, 3))),
@@ -35,12 +39,26 @@ def event(body: str) -> str:
         ("int v", "v = 7 // 2 ** 2 - -7 % 4", 0),
         ("float v", "v = sum([1, 2.5]) + 2.0 ** 0.5 * 0", 3.5),
         ("bool v", 'v = "a" in ["b", "a"] and 2 not in {1, 3} and 1 in {1: 2} and "b" in "abc"', True),
-        ("bool v", "v = Point(1, 1, 1) in Rect(Point(2, 0, 1), Point(0, 2, 1)) and Point(3, 0, 0) not in Ball(Point(0, 0, 0), 2.9)", True),
+        (
+            "bool v",
+            "v = Point(1, 1, 1) in Rect(Point(2, 0, 1), Point(0, 2, 1))\n"
+            "v = v and Point(3, 0, 0) not in Ball(Point(0, 0, 0), 2.9)",
+            True,
+        ),
         ("Point v", "v = center(cell(Point(0.7, -0.1, 5), 0.5)) * 2", Point(1.5, -0.5, 0.0)),
-        ("bool v", "GridMap m = mark_free(GridMap(Point(0, 0, 0), Point(2, 2, 0), 1), Grid(1, 1, 1))\nv = is_free(m, Grid(1, 1, 1.0))", True),
-        ("List<(int, int)> v = [(1, 2), (3, 4)]", "v[1] = (v[0][1], 9)\nfor a, b in v:\n  v.append((b, a))", ((1, 2), (2, 9), (2, 1), (9, 2))),
+        (
+            "bool v",
+            "GridMap m = GridMap(Point(0, 0, 0), Point(2, 2, 0), 1)\n"
+            "m = mark_free(m, Grid(1, 1, 1))\nv = is_free(m, Grid(1, 1, 1))",
+            True,
+        ),
+        (
+            "List<(int, int)> v = [(1, 2), (3, 4)]",
+            "v[1] = (v[0][1], 9)\nfor a, b in v:\n  v.append((b, a))",
+            ((1, 2), (2, 9), (2, 1), (9, 2)),
+        ),
     ],
-)  # fmt: skip
+)
 def test_statements(declared: str, body: str, value: object) -> None:
     assert locals_after(f"local:\n  {declared}\n" + event(body))["v"] == value
 
@@ -144,9 +162,9 @@ local:
 
 def test_values_go_to_python_and_come_back() -> None:
     body = (
-        "t = stamp(stamp(t, {}), {\"a\": 1})\nts = several([t, t])\nn = number(ts[1]) * 100 + number(t)\nm = goods(2)\n"
-        "s = ids(s)\nk = tasks(Task(name=\"z\"))\ng = where(g)\nf = half(f)"
-    )  # fmt: skip
+        't = stamp(stamp(t, {}), {"a": 1})\nts = several([t, t])\nn = number(ts[1]) * 100 + number(t)\nm = goods(2)\n'
+        's = ids(s)\nk = tasks(Task(name="z"))\ng = where(g)\nf = half(f)'
+    )
     after = locals_after(EXTERNS + event(body), FUNCTIONS)
     assert isinstance(after["t"], Opaque) and after["t"].data
     assert (after["n"], after["m"], after["s"]) == (904, (("a", 1), ("b", 2)), (1, 2, 3))

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from koordgen import fleet, resources
-from koordgen import manifest
+from koordgen import fleet, manifest, resources
 from koordgen.bundle.plan import Files, plan, read_ingredients
 from koordgen.pipeline import check_file
 from koordgen.source import Source
@@ -36,7 +35,8 @@ def bundles(name: str) -> dict[str, Files]:
 
 def readable(name: str) -> dict[str, bytes]:
     """What differs from program to program, and the list of all files."""
-    generated = ("__main__.py", "program.py", "README.md", "requirements.txt", "settings.json", "scenario.json", "fleet.json")
+    code = ("__main__.py", "program.py")
+    generated = (*code, "README.md", "requirements.txt", "settings.json", "scenario.json", "fleet.json")
     files: dict[str, bytes] = {}
     for bundle, contents in bundles(name).items():
         files[f"{bundle}/FILES"] = "".join(f"{path}\n" for path in sorted(contents)).encode()

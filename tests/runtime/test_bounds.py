@@ -33,7 +33,12 @@ TASK = Parts((Text(4), POINT), ("label", "at"))
         (Fixed(28), Grid(2**63 - 1, 0, 1.0), Grid(0, 2**63, 1.0), "an int beyond 64 bits, which no robot may use"),
         (Text(4), "äö", "äöx", "a text of 5 bytes, beyond its `max 4`"),
         (Text(4), "", "\ud800", "a text that is not Unicode"),
-        (Cells(4), GridMap(1.0, 0, 0, 2, 2, b"\0"), GridMap(1.0, 0, 0, 5, 1, b"\0\0"), "a map of 5 cells, beyond its `max 4`"),
+        (
+            Cells(4),
+            GridMap(1.0, 0, 0, 2, 2, b"\0"),
+            GridMap(1.0, 0, 0, 5, 1, b"\0\0"),
+            "a map of 5 cells, beyond its `max 4`",
+        ),
         (Cells(4), GridMap(), GridMap(1.0, 0, 0, 2, 2, b""), "a broken map"),
         (Rays(1), Scan((1.0,), (1.0,), 2.0), Scan((), (1.0, 2.0), 2.0), "a scan of 2 rays, beyond its `max 1`"),
         (Blob(2, "Ticket"), Opaque(b"12"), Opaque(b"123"), "a Ticket of 3 bytes, beyond its `max 2`"),
@@ -47,7 +52,7 @@ TASK = Parts((Text(4), POINT), ("label", "at"))
         (Pairs(2, INT, Text(1)), ((1, "a"),), ((1, "ab"),), "one with a text of 2 bytes, beyond its `max 1`"),
         (Many(3, Distinct(2, INT)), ((1,), ()), ((1,), (3, 2)), "one with a set out of order"),
     ],
-)  # fmt: skip
+)
 def test_flaws(bound: Bound, good: Any, bad: Any, flaw: str) -> None:
     assert bound.flaw(good) == "" and fits(bound, good)
     assert bound.flaw(bad) == flaw and not fits(bound, bad)

@@ -63,7 +63,7 @@ def test_each_lock_has_one_holder_a_round_and_everyone_has_a_turn(n_sys: int) ->
         Conditions(delay=0.001, jitter=0.004),
         Conditions(loss=0.3, duplication=0.2, delay=0.001, jitter=0.03),
     ],
-)  # fmt: skip
+)
 def test_an_atomic_counter_loses_no_update(conditions: Conditions, seed: int) -> None:
     fleet = Fleet(n=5, seed=seed, conditions=conditions, program=COUNTER).boot_all()
     fleet.run(
