@@ -18,7 +18,6 @@ from koordgen.node import replace
 from koordgen.source import Span
 from koordgen.syntax import expr as ast
 
-_ALL = f"the functions are {', '.join(FUNCTIONS)}"
 _NO_FUNCTIONS = {
     "int": "a float never becomes an int by itself: floor, ceil and round make one",
     "float": "an int becomes a float by itself",
@@ -102,7 +101,9 @@ def _no_function(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
         return c.poison(node.span)
     own = [n for n, e in c.entities.items() if isinstance(e, (decl.Function, decl.ExternFunction, decl.Record))]
     help = c.nearest(name, [*own, *FUNCTIONS], {"dist": "distance", "length": "len", "size": "len", "norm": "distance"})
-    return c.error("K010", f"{name} is not defined", function.span, help or _ALL)
+    taken = "..." if node.args else ""
+    define = f"define it: 'fun {name}({taken}) -> Type:', or 'extern fun {name}({taken}) -> Type' for one in Python"
+    return c.error("K010", f"{name} is not defined", function.span, help or define)
 
 
 # Arguments

@@ -75,7 +75,8 @@ def _named(name: str, span: Span, c: Context, port: bool) -> Type:
         c.error("K014", f"{name} needs the types of what it holds", span, f"write {name}<{_holes(name)}>")
     else:
         help = c.nearest(name, [*NAMED, *GENERIC, *c.types], _MEANT)
-        c.error("K016", f"{name} is not a type", span, help)
+        define = f"define it: 'def {name}:' with its fields" if name[0].isupper() else ""
+        c.error("K016", f"{name} is not a type", span, help or define)
     return POISON
 
 
