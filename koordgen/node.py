@@ -4,6 +4,9 @@ What a frozen dataclass gives, at a tenth of its start-up cost: `@dataclass(froz
 functions a class at every import (0.45 ms each, 30 ms for the trees of this compiler, more than all else
 that `koordgen check` does on a small program); here one `__init__` is compiled for each number of fields, each class
 has a copy of it with its own names, and the rest is shared.
+
+That nodes do not change is held by mypy, not at run time: a `__setattr__` that refuses would make each field of each
+node ten times as expensive to set, and a tree three times as expensive to build.
 """
 
 from __future__ import annotations
@@ -14,18 +17,18 @@ from typing import Any, TypeVar, dataclass_transform
 
 N = TypeVar("N", bound="Node")
 _APART = ("span", "capacity")
-_INITS: dict[int, CodeType] = {}  # of `__init__(self, _0, _1)` by number of fields: hands each value to a slot's setter
+_INITS: dict[int, CodeType] = {}  # of `__init__(self, _0, _1)` by number of fields
 
 
-def _init(fields: tuple[str, ...], setters: dict[str, Any], defaults: tuple[object, ...]) -> FunctionType:
+def _init(fields: tuple[str, ...], defaults: tuple[object, ...]) -> FunctionType:
     code = _INITS.get(len(fields))
     if code is None:
         head = "".join(f", _{i}" for i in range(len(fields)))
-        lines = "".join(f"\n set_{i}(self, _{i})" for i in range(len(fields)))
+        lines = "".join(f"\n self._{i} = _{i}" for i in range(len(fields)))
         scope: dict[str, Any] = {}
         exec(f"def __init__(self{head}):{lines}", scope)
         code = _INITS[len(fields)] = scope["__init__"].__code__
-    return FunctionType(code.replace(co_varnames=("self", *fields)), setters, "__init__", defaults)
+    return FunctionType(code.replace(co_varnames=("self", *fields), co_names=fields), {}, "__init__", defaults)
 
 
 class _NodeMeta(type):
@@ -41,8 +44,7 @@ class _NodeMeta(type):
         compared = [f for f in fields if f not in _APART]
         cls._compared = attrgetter(*compared) if compared else type  # type: ignore[attr-defined]
         if fields:
-            setters = {f"set_{i}": getattr(cls, f).__set__ for i, f in enumerate(fields)}
-            cls.__init__ = _init(fields, setters, defaults)  # type: ignore[misc]
+            cls.__init__ = _init(fields, defaults)  # type: ignore[misc]
         return cls
 
 
@@ -53,12 +55,6 @@ class Node(metaclass=_NodeMeta):
     (how much a variable of a type may hold)."""
 
     _compared: Any  # a node -> its fields that count in comparisons
-
-    def __setattr__(self, name: str, value: object) -> None:
-        raise AttributeError(f"{type(self).__name__} is immutable")
-
-    def __delattr__(self, name: str) -> None:
-        raise AttributeError(f"{type(self).__name__} is immutable")
 
     def __eq__(self, other: Any) -> bool:
         return self is other or (type(self) is type(other) and self._compared(self) == self._compared(other))

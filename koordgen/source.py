@@ -26,9 +26,9 @@ class Source:
 
     def _line_starts(self) -> list[int]:
         if self._starts is None:
-            starts = [0]
-            starts.extend(i + 1 for i, c in enumerate(self.text) if c == "\n")
-            self._starts = starts
+            starts = self._starts = [0]
+            while end := self.text.find("\n", starts[-1]) + 1:
+                starts.append(end)
         return self._starts
 
     def line(self, number: int) -> str:

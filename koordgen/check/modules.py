@@ -40,11 +40,11 @@ def modules(sections: list[ast.Using], c: Context) -> list[decl.Module]:
 def _add(
     node: ast.Port, under: Literal["sensor", "actuator", ""], module: str, ports: dict[str, decl.Port], c: Context
 ) -> None:
+    if isinstance(node.type, BrokenType):
+        return  # its name is a guess
     type_ = resolve(node.type, c, True)
     first = ports.get(node.name)
     if first is not None:
-        if isinstance(node.type, BrokenType):
-            return  # its name is a guess
         label = Label(first.span, "declared here first")
         c.error("K011", f"the port {module}.{node.name} is declared twice", node.span, labels=(label,))
         return

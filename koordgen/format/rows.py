@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from koordgen.syntax.layout import _TOKEN
-
-_GOES_ON = frozenset(("and", "or", "&&", "||"))
+from koordgen.syntax.layout import GOES_ON, TOKEN, kind_of
 
 
 class Row:
@@ -28,8 +26,9 @@ def rows(text: str) -> list[Row]:
     row = Row()
     depth, indent, line_start = 0, 0, 0
     fresh = True  # nothing of this statement has been seen
-    for match in _TOKEN.finditer(text):
-        kind, token = match.lastgroup, match[0]
+    for match in TOKEN.finditer(text):
+        token = match[0]
+        kind = kind_of(token)
         if kind == "SPACE":
             if fresh:
                 indent = len(token)
@@ -69,7 +68,7 @@ def _end(row: Row, found: list[Row]) -> None:
 def _join(found: list[Row]) -> None:
     """A row that begins with `and` or `or` goes on with the statement before, and so do comments between them."""
     for i, row in enumerate(found):
-        if row.tokens and row.tokens[0] in _GOES_ON:
+        if row.tokens and row.tokens[0] in GOES_ON:
             row.inside = True
             for before in reversed(found[:i]):
                 if before.tokens:

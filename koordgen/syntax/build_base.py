@@ -31,15 +31,17 @@ def token_span(token: tuple[str, str, int, int]) -> Span:
 
 def reach(first: Any, last: Any) -> Span:
     """From the beginning of one token or node to the end of another."""
-    if type(first) is tuple:
+    if first.__class__ is tuple:
         line, column = first[2], first[3]
     else:
-        line, column = first.span.line, first.span.column
-    if type(last) is tuple:
+        start = first.span
+        line, column = start.line, start.column
+    if last.__class__ is tuple:
         return Span(line, column, last[2], last[3] + len(last[1]))
-    return Span(line, column, last.span.end_line, last.span.end_column)
+    end = last.span
+    return Span(line, column, end.end_line, end.end_column)
 
 
 def nodes(children: Children) -> tuple[Any, ...]:
     """The children that are neither tokens nor blocks."""
-    return tuple(c for c in children if type(c) is not tuple)
+    return tuple([c for c in children if c.__class__ is not tuple])

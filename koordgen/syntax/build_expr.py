@@ -39,7 +39,7 @@ def compare(c: Children) -> expr.Compare:
     rest: list[tuple[str, expr.Expr]] = []
     op = ""
     for child in c[1:]:
-        if type(child) is tuple:
+        if child.__class__ is tuple:
             op = f"{op} {child[1]}" if op else child[1]
         else:
             rest.append((op, child))
@@ -52,7 +52,11 @@ def binary(c: Children) -> expr.Binary:
 
 
 def attribute(c: Children) -> expr.Attribute:
-    return expr.Attribute(c[0], c[2][1], token_span(c[2]), reach(c[0], c[2]))
+    value = c[0]
+    _, text, line, column = c[2]
+    end = column + len(text)
+    span = value.span
+    return expr.Attribute(value, text, Span(line, column, line, end), Span(span.line, span.column, line, end))
 
 
 def primed(c: Children) -> expr.Primed:
@@ -78,11 +82,14 @@ def keyword(c: Children) -> expr.Keyword:
 
 
 def name(c: Children) -> expr.Name:
-    return expr.Name(c[0][1], token_span(c[0]))
+    _, text, line, column = c[0]
+    return expr.Name(text, Span(line, column, line, column + len(text)))
 
 
 def integer(c: Children) -> expr.Literal:
-    text = c[0][1]
+    _, text, line, column = c[0]
+    if len(text) < 19 and (text[0] != "0" or text == "0"):
+        return expr.Literal(int(text), Span(line, column, line, column + len(text)))
     digits = text.lstrip("0") or "0"
     value = int(digits) if len(digits) < 20 else 2**63
     if value >= 2**63:

@@ -28,20 +28,26 @@ KEYWORDS = frozenset(
 )  # fmt: skip
 GENERICS = frozenset(("List", "Map", "Set", "Queue"))
 _SOFT = frozenset(("max", "type", "requires", "ensures"))  # words of the language in one place each, names elsewhere
-_WORDS = KEYWORDS | GENERICS | _SOFT
+_MARKS = frozenset(
+    (
+        "//=", "**=", "**", "+=", "-=", "*=", "/=", "%=", "//", "<<", "==", "!=", "<=", ">=", "&&", "||", "->",
+        *"-+*/%<>=:.,()[]{}!",
+    )
+)  # fmt: skip
+_BEFORE_PRIME = frozenset("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789_])'")
 
-_TOKEN = re.compile(
-    r"(?P<NAME>[A-Za-z_][A-Za-z0-9_]*)"
-    r"|(?P<SPACE>[ \t]+)"
-    r"|(?P<NEWLINE>\n)"
-    r"|(?P<FLOAT>(?:[0-9]+\.[0-9]+(?:[eE][+-]?[0-9]+)?|[0-9]+[eE][+-]?[0-9]+|\.[0-9]+(?:[eE][+-]?[0-9]+)?)"
-    r"(?![A-Za-z0-9_]))"
-    r"|(?P<INT>[0-9]+(?![A-Za-z0-9_]|\.[0-9]))"
-    r"|(?P<STRING>\"[^\"\\\n]*(?:\\.[^\"\\\n]*)*\"|(?<![A-Za-z0-9_\])'])'[^'\\\n]*(?:\\.[^'\\\n]*)*')"
-    r"|(?P<MARK>//=|\*\*=?|[-+*/%]=|//|<<|[=!<>]=|&&|\|\||->|[-+*/%<>=:.,()\[\]{}!]|(?<=[A-Za-z0-9_\])'])')"
-    r"|(?P<COMMENT>\#[^\n]*)"
-    r"|(?P<CONTINUED>\\[ \t]*\n)"
-    r"|(?P<BAD>[0-9][A-Za-z0-9_.]*|[\"'][^\n]*|.)"
+# It has no groups, so that `findall` gives texts: a text alone says what it is, but for a single quote; see `kind_of`.
+TOKEN = re.compile(
+    r"[A-Za-z_][A-Za-z0-9_]*"
+    r"|[ \t]+"
+    r"|\n"
+    r"|(?:[0-9]+\.[0-9]+(?:[eE][+-]?[0-9]+)?|[0-9]+[eE][+-]?[0-9]+|\.[0-9]+(?:[eE][+-]?[0-9]+)?)(?![A-Za-z0-9_])"
+    r"|[0-9]+(?![A-Za-z0-9_]|\.[0-9])"
+    r"|\"[^\"\\\n]*(?:\\.[^\"\\\n]*)*\"|(?<![A-Za-z0-9_\])'])'[^'\\\n]*(?:\\.[^'\\\n]*)*'"
+    r"|//=|\*\*=?|[-+*/%]=|//|<<|[=!<>]=|&&|\|\||->|[-+*/%<>=:.,()\[\]{}!]|(?<=[A-Za-z0-9_\])'])'"
+    r"|\#[^\n]*"
+    r"|\\[ \t]*\n"
+    r"|[0-9][A-Za-z0-9_.]*|[\"'][^\n]*|."  # what is wrong
 )
 # What begins a line that no bracket reaches: the one before was not closed.
 _BEGINS = re.compile(
@@ -50,9 +56,64 @@ _BEGINS = re.compile(
     r"|[ ]*(?:if\b[^\n]*|else[ \t]*):[ \t]*(?:[\n#])"
     r"|[A-Za-z_][A-Za-z0-9_]*[ \t]*:[ \t]*(?:[\n#]|pre\b|eff\b)"
 )
+# The same, but for `name = ` alone: it may be an argument of a call.
+_ASSIGNS = re.compile(
+    r"[ ]*[A-Za-z_][A-Za-z0-9_]*(?P<more>(?:\.[A-Za-z_][A-Za-z0-9_]*|\[[^\]\n]*\])*(?:[ ]+[A-Za-z_][A-Za-z0-9_]*)?)"
+    r"[ \t]*(?:[-+*/%]|//|\*\*)?=(?!=)"
+)
 _NO_BRACES = "a block stands in no braces: its header ends with ':' and its lines are indented"
-_GOES_ON = frozenset(("and", "or", "&&", "||"))  # no line begins with one
+GOES_ON = frozenset(("and", "or", "&&", "||"))  # no line begins with one
 _CLOSES = {")": "(", "]": "[", "}": "{"}
+_BRACKETS = frozenset("()[]{}")
+
+
+def kind_of(token: str) -> str:
+    """What a text is that TOKEN has found: NAME SPACE NEWLINE CONTINUED COMMENT INT FLOAT STRING MARK BAD. Of a
+    single quote only what stands before it says whether it is a MARK: here it is BAD."""
+    first = token[0]
+    if token in _MARKS:
+        return "MARK"
+    if token.isascii() and token.isidentifier():
+        return "NAME"
+    if first in " \t":
+        return "SPACE"
+    if first == "#":
+        return "COMMENT"
+    if token[-1] == "\n":
+        return "NEWLINE" if token == "\n" else "CONTINUED"
+    if first in "\"'":
+        inside = token[1:-1]
+        escaped = (len(inside) - len(inside.rstrip("\\"))) % 2 == 1
+        return "STRING" if len(token) > 1 and token[-1] == first and not escaped else "BAD"
+    if first in ".0123456789":
+        return "INT" if token.isdigit() else "FLOAT" if _is_float(token) else "BAD"
+    return "BAD"
+
+
+def _is_float(token: str) -> bool:
+    try:
+        float(token)
+    except ValueError:
+        return False
+    return "_" not in token
+
+
+class _Kinds(dict[str, str | None]):
+    """By the text of a token, its type; None where more is to be done than to append it. For one text, so that what
+    it holds goes with it."""
+
+    def __missing__(self, token: str) -> str | None:
+        kind = kind_of(token)
+        known: str | None = None
+        if kind == "NAME":
+            known = token if token in KEYWORDS else "GENERIC" if token in GENERICS else kind
+            known = None if token in _SOFT else known
+        elif kind == "MARK":
+            known = None if token in _BRACKETS else token
+        elif kind in ("INT", "FLOAT", "STRING") or (kind == "BAD" and token[0] not in "\"'"):
+            known = kind
+        self[token] = known
+        return known
 
 
 class Chunk:
@@ -82,46 +143,56 @@ class _Layout:
         self.brackets: list[Token] = []
 
     def read(self, text: str) -> None:
-        line, line_start, indent, tab = 1, 0, 0, -1
+        line, line_start, column, indent, tab = 1, 0, 1, 0, -1
         fresh = True  # nothing of this logical line has been seen
         first = 0  # where in the chunk the logical line starts
-        for match in _TOKEN.finditer(text):
-            kind = match.lastgroup
-            if kind == "SPACE":
+        kinds = _Kinds()
+        append = self.chunk.tokens.append
+        for token in TOKEN.findall(text):
+            kind = kinds[token]
+            if kind is not None and not fresh:
+                append((kind, token, line, column))
+            elif token[0] in " \t":
                 if fresh:
-                    indent = match.end() - match.start()
-                    tab = match[0].find("\t")
-                continue
-            if kind == "COMMENT":
-                continue
-            column = match.start() - line_start + 1
-            if kind == "NEWLINE" or kind == "CONTINUED":
-                if kind == "NEWLINE" and (not self.brackets or self._abandoned(text, match.end())):
+                    indent, tab = len(token), token.find("\t")
+            elif token[-1] == "\n":
+                if token == "\n" and (not self.brackets or self._abandoned(text, line_start + column)):
                     if not fresh:
                         self._end_line(line, column, first)
                     fresh, indent, tab = True, 0, -1
-                line, line_start = line + 1, match.end()
+                line, line_start, column = line + 1, line_start + column - 1 + len(token), 1
                 continue
-            token = match[0]
-            if fresh:
-                fresh = False
-                if token not in _GOES_ON or not self._goes_on(indent):
-                    self._start_line(line, indent, tab)
-                    first = len(self.chunk.tokens)
-            if kind == "MARK":
-                if token in "()[]{}":
-                    self._bracket((token, token, line, column))
-                kind = token
-            elif kind == "NAME" and token in _WORDS:
-                kind = self._word(token)
-            elif kind == "BAD" and token[0] in "\"'":
-                kind, token = self._open_string(token, line, column)
-            self.chunk.tokens.append((str(kind), token, line, column))
+            elif token[0] != "#":
+                if fresh:
+                    fresh = False
+                    if token not in GOES_ON or not self._goes_on(indent):
+                        self._start_line(line, indent, tab)
+                        first = len(self.chunk.tokens)
+                        append = self.chunk.tokens.append
+                if kind is None:
+                    at = line_start + column - 1
+                    kind = self._special(token, text[at - 1 : at], line, column)
+                append((kind, token, line, column))
+            column += len(token)
         if self.brackets:
             self._never_closed()
         if not fresh:
-            self._end_line(line, len(text) - line_start + 1, first)
+            self._end_line(line, column, first)
         self._end_chunk(line, 1)
+
+    def _special(self, token: str, before: str, line: int, column: int) -> str:
+        """The type of a token whose text alone does not settle everything; `before` is the character before it."""
+        if token in _BRACKETS:
+            self._bracket((token, token, line, column))
+            return token
+        if token in _SOFT:
+            return self._soft(token)
+        if token == "'" and before in _BEFORE_PRIME:
+            return token
+        # A string that its line does not close is told here: it may hide closing brackets.
+        self._report("K001", "this string is not closed", line, column, f"a string ends with {token[0]} on its line")
+        self.brackets.clear()
+        return "STRING"
 
     def _start_line(self, line: int, indent: int, tab: int) -> None:
         if tab >= 0:
@@ -177,7 +248,11 @@ class _Layout:
     def _abandoned(self, text: str, position: int) -> bool:
         """Whether what follows a line end shows that the open brackets were forgotten; they are told then."""
         if _BEGINS.match(text, position) is None:
-            return False
+            assigns = _ASSIGNS.match(text, position)
+            bracket, last = self.brackets[-1][0], self.chunk.tokens[-1][0]
+            argument = bracket == "(" and last in ("(", ",")
+            if assigns is None or last == "{" or (argument and not assigns["more"]):
+                return False
         self._never_closed()
         self.brackets.clear()
         return True
@@ -196,12 +271,8 @@ class _Layout:
         tokens.pop()
         return True
 
-    def _word(self, text: str) -> str:
-        """The type of the token of a word of the language."""
-        if text in KEYWORDS:
-            return text
-        if text in GENERICS:
-            return "GENERIC"
+    def _soft(self, text: str) -> str:
+        """The type of the token of a word that is one of the language in one place only."""
         tokens = self.chunk.tokens
         last = tokens[-1][0] if tokens else ""
         if text == "max":  # behind `Type name` or `Type name[size]`
@@ -212,12 +283,6 @@ class _Layout:
         else:  # the contracts of an extern function
             meant = last in ("INDENT", "NEWLINE", "DEDENT", ":") and tokens[0][0] == "extern"
         return text if meant else "NAME"
-
-    def _open_string(self, text: str, line: int, column: int) -> tuple[str, str]:
-        """A string that its line does not close is told here: it may hide closing brackets."""
-        self._report("K001", "this string is not closed", line, column, f"a string ends with {text[0]} on its line")
-        self.brackets.clear()
-        return "STRING", text
 
     def _report(
         self, code: str, message: str, line: int, column: int, help: str = "", labels: tuple[Label, ...] = ()

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from koordgen._generated.grammar import RULES, START, STATES
+from koordgen._generated.grammar import RULES, STATES
 from koordgen.diagnostics import Diagnostic
 from koordgen.syntax.habits import HABITS, headers
 from koordgen.syntax.layout import KEYWORDS, Token
 from koordgen.syntax.marks import MARKS
-from koordgen.syntax.parse import planned
 from koordgen.syntax.spelling import misspelt
 from koordgen.syntax.spot import Spot, behind, place, shown
 
@@ -45,10 +44,10 @@ _WORDS = {
 def explain(tokens: list[Token], position: int, states: list[int]) -> Diagnostic:
     """The diagnostic for `tokens[position]`, with which the parser cannot go on.
 
-    Its stack of `states` does not say what could have stood there: an LALR parser applies rules first and sees
-    afterwards that the token does not fit. That is asked of the stack before.
+    `states` is its stack behind the token before, when no rule is applied yet because of the refused one: an LALR
+    parser applies rules first and sees afterwards that a token does not fit; by then what would have fitted is lost.
     """
-    spot = Spot(tokens, position, _acceptable(_read(tokens[:position])))
+    spot = Spot(tokens, position, _acceptable(states))
     for rule in (*MARKS, *HABITS, _indentation, _equals, misspelt, headers, _colon, _taken, _one_formula):
         told = rule(spot)
         if told is not None:
@@ -142,19 +141,6 @@ def _expected(spot: Spot) -> Diagnostic:
     if spot.ends and spot.wants_expression and spot.before_is(*_OPERATORS, "=", "||", "&&", *_AUGMENTED):
         help = "a line goes on after '\\', inside brackets, or where the next one begins with 'and' or 'or'"
     return spot.error(f"expected {_list(spot.expected)}{after}, {found}", help)
-
-
-def _read(tokens: list[Token]) -> list[int]:
-    """The parser's stack when these tokens, which fit, are read and nothing is known of the next one."""
-    states = [START]
-    for token in tokens:
-        while (action := planned(states[-1], token[0])) is not None and action < 0:
-            made, length, _ = RULES[-action - 1]
-            del states[len(states) - length :]
-            states.append(STATES[states[-1]][made])
-        assert action is not None
-        states.append(action)
-    return states
 
 
 def _acceptable(states: list[int]) -> set[str]:

@@ -89,12 +89,14 @@ def _splicing(make: Callable[[list[Any]], Any]) -> Callable[[list[Any]], Any]:
 def _spliced(children: list[Any]) -> list[Any]:
     """The lists that `_rules` made, dissolved; the first one is used further, so that long blocks stay linear."""
     first = children[0]
-    result: list[Any] = first if type(first) is list else [first]
+    if first.__class__ is not list:
+        first = [first]
     for child in children[1:]:
-        if type(child) is list:
-            result.extend(child)
+        if child.__class__ is list:
+            first += child
         else:
-            result.append(child)
+            first.append(child)
+    result: list[Any] = first
     return result
 
 
@@ -109,15 +111,16 @@ def run(tokens: Sequence[Any]) -> Any:
         while action.__class__ is tuple:
             length, make, after = action
             if length == 1:
-                states.pop()
                 if make is not None:
                     values[-1] = make(values[-1:])
+                state, action = after[states[-2]]
+                states[-1] = state
             else:
                 children = values[-length:]
                 del values[-length:], states[-length:]
                 values.append(make(children))
-            state, action = after[states[-1]]
-            states.append(state)
+                state, action = after[states[-1]]
+                states.append(state)
         if action is None:
             if state != END:
                 raise Stuck(position)
@@ -176,9 +179,14 @@ def measure(section: Node) -> None:
         if blocks > DEEPEST_BLOCKS:
             raise build.refused("K007", f"blocks are nested more than {DEEPEST_BLOCKS} deep", node.span)
         if depth > DEEPEST_TREE:
-            message = f"this expression is nested more than {DEEPEST_TREE} deep"
-            raise build.refused("K007", message, node.span, "give parts of it names of their own")
+            raise too_deep(node.span)
         for field in type(node).__match_args__:
             child = getattr(node, field)
             if isinstance(child, (Node, tuple)) and type(child) is not Span:
                 pending.append((child, blocks, depth))
+
+
+def too_deep(span: Span) -> build.Refused:
+    """To be raised: the expression there is nested too deeply."""
+    message = f"this expression is nested more than {DEEPEST_TREE} deep"
+    return build.refused("K007", message, span, "give parts of it names of their own")

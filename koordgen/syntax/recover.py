@@ -2,7 +2,7 @@
 
 What is replaced is a line at most, or a block where its header says nothing. Which replacement fits is asked of the
 tables: each candidate, the one that keeps most first, is run from the state before its line. Right programs never
-come here, so nothing here has to be fast; a section is parsed once more for each mistake in it.
+come here, so nothing here has to be fast, only linear; a section is parsed once more for each mistake in it.
 """
 
 from __future__ import annotations
@@ -14,11 +14,13 @@ from koordgen._generated.grammar import RULES, START, STATES
 from koordgen.diagnostics import Diagnostic
 from koordgen.source import Span
 from koordgen.syntax import build, decl
+from koordgen.syntax.build_base import token_span
 from koordgen.syntax.layout import Chunk
 from koordgen.syntax.mistake import explain
-from koordgen.syntax.parse import Stuck, planned, section
+from koordgen.syntax.parse import DEEPEST_TREE, Stuck, planned, section, too_deep
 
 MOST_FAULTS = 30  # told of one text
+_DEEPEST_STACK = 20 * DEEPEST_TREE  # states; more than any tree and any blocks that are allowed need
 
 _MARGINS = ("NEWLINE", "INDENT", "DEDENT")
 _NAMED = ("using", "def", "invariant", "axiom")  # headers of a word and a name
@@ -96,7 +98,10 @@ class _Repair:
         if ended and self.touched:  # repairs have left too little or too much
             self.hopeless = True
             return
-        first = self._tell(explain(self.tokens, position, _closed(states, self.tokens[position])), position)
+        if len(states) > _DEEPEST_STACK:
+            first = self._tell(too_deep(token_span(self.tokens[position])).diagnostic, position)
+        else:
+            first = self._tell(explain(self.tokens, position, states), position)
         if kind == "INDENT":
             self._deeper(position, states)
         elif blockless:
@@ -242,22 +247,14 @@ def _advanced(states: States, tokens: Sequence[Any]) -> States | None:
     """The stack of states behind the tokens; None when they do not fit. `$END` fits where the section is complete."""
     stack = list(states)
     for token in tokens:
-        stack = _closed(stack, token)
-        action = planned(stack[-1], token[0])
+        while (action := planned(stack[-1], token[0])) is not None and action < 0:
+            made, length, _ = RULES[-action - 1]
+            del stack[len(stack) - length :]
+            stack.append(STATES[stack[-1]][made])
         if action is not None:
             stack.append(action)
         elif token[0] != "$END" or STATES[stack[-1]]:
             return None
-    return stack
-
-
-def _closed(states: States, token: Any) -> States:
-    """The stack of states when all rules are applied that come before the token."""
-    stack = list(states)
-    while (action := planned(stack[-1], token[0])) is not None and action < 0:
-        made, length, _ = RULES[-action - 1]
-        del stack[len(stack) - length :]
-        stack.append(STATES[stack[-1]][made])
     return stack
 
 
@@ -288,14 +285,19 @@ def _block_end(tokens: Tokens, position: int) -> int:
 
 
 def _parts(line: Tokens) -> list[Tokens]:
-    """The line cut behind each colon outside of brackets: headers, and what stands behind them."""
+    """The line cut behind each colon that is neither in brackets nor a quantifier's: headers, and what stands behind
+    them."""
     parts: list[Tokens] = [[]]
-    depth = 0
+    depth = quantifiers = 0
+    cut = False
     for token in line:
-        if parts[-1] and parts[-1][-1][0] == ":" and depth == 0:
+        if cut:
             parts.append([])
         parts[-1].append(token)
         depth += _depth([token])
+        cut = token[0] == ":" and depth == 0 and quantifiers == 0
+        if depth == 0:
+            quantifiers += (token[0] in ("forall", "exists")) - (token[0] == ":" and quantifiers > 0)
     return parts
 
 
