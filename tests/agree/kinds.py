@@ -68,21 +68,21 @@ def random_type(rng: Random, depth: int, records: tuple[RecordType, ...] = ()) -
             return TupleOf((inner, random_type(rng, depth - 1, records)))
 
 
-def sized(type_: Type, rng: Random) -> Type:
-    """The type with capacities, some of them tight."""
+def sized(type_: Type, rng: Random, tight: float = 0.06) -> Type:
+    """The type with capacities, this share of them tight."""
 
-    def room(tight: int) -> int:
-        return tight if rng.random() < 0.06 else 64
+    def room(least: int) -> int:
+        return least if rng.random() < tight else 64
 
     match type_:
         case Sized(name):
             return Sized(name, 4 * room(3))
         case Sequence(name, element):
-            return Sequence(name, sized(element, rng), room(4))
+            return Sequence(name, sized(element, rng, tight), room(4))
         case MapOf(key, value):
-            return MapOf(sized(key, rng), sized(value, rng), room(4))
+            return MapOf(sized(key, rng, tight), sized(value, rng, tight), room(4))
         case TupleOf(items):
-            return TupleOf(tuple([sized(item, rng) for item in items]))
+            return TupleOf(tuple([sized(item, rng, tight) for item in items]))
         case _:
             return type_
 

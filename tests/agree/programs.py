@@ -88,10 +88,10 @@ def _module(rng: Random, types: list[Type]) -> d.Module:
     ports = [
         d.Port("position", POINT, "sensor", AT),
         d.Port("reached", BOOL, "sensor", AT),
-        d.Port("seen", sized(rng.choice(types), rng), "sensor", AT),
+        d.Port("seen", rng.choice(types), "sensor", AT),
         d.Port("target", POINT, "actuator", AT),
         d.Port("path", PATH, "actuator", AT),
-        d.Port("order", sized(rng.choice(types), rng), "actuator", AT),
+        d.Port("order", sized(rng.choice(types), rng, tight=0), "actuator", AT),
         d.Port("planner", PLANNER, "callable", AT),
     ]
     return d.Module(MODULE, tuple(ports), (), AT)

@@ -1,4 +1,4 @@
-"""What the checker has proved holds in random states of every right program there is; where not, InternalError rises."""
+"""What the checker has proved holds in random states of all right programs there are; InternalError rises where not."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import pytest
 
 from koordgen.check import check
 from koordgen.ir import decl, expr
+from koordgen.semantics import exec
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exec import NoMeaning, Writes
 from koordgen.semantics.property import holds_property
@@ -83,6 +84,12 @@ def random_state(rng: Random, program: decl.Program, n_sys: int) -> State:
     }
     cells = {v.name: random_value(rng, v.type) for v in program.shared if v.kind == "allwrite"}
     return State(params, robots, Store(slots, cells), 1)
+
+
+@pytest.fixture(autouse=True)
+def short_loops(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some of these programs are examples of loops without an end."""
+    monkeypatch.setattr(exec, "MAX_TURNS", 300)
 
 
 @pytest.mark.parametrize(("name", "program"), PROGRAMS, ids=[name for name, _ in PROGRAMS])

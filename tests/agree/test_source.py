@@ -1,0 +1,75 @@
+"""Random programs as Koord text, read and checked again, mean the same; what the checker proves of them holds."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from random import Random
+from typing import Any
+
+import pytest
+
+from koordgen.check import check
+from koordgen.ir import decl as d
+from koordgen.ir import expr as e
+from koordgen.ir.verify import verify
+from koordgen.source import Source
+from koordgen.syntax.parse import parse
+from tests.agree.both import Meant
+from tests.agree.programs import N_SYS, nodes, random_program, random_state
+from tests.agree.source import Unwritable, source
+
+# What is wrong for certain is refused: indices, divisors and exponents that random programs chance upon.
+CERTAIN = {"K012", "K030", "K032", "K036"}
+
+
+def checked_again(program: d.Program, seen: Counter[str]) -> d.Program | None:
+    """The program that its text is read as; None where it has no text or is refused for a certain fault."""
+    try:
+        text = source(program)
+    except Unwritable:
+        seen["no text"] += 1
+        return None
+    tree, unread = parse(Source("random.koord", text))
+    assert not unread, (unread, text)
+    again, found = check(tree, Source("random.koord", text))
+    wrong = {x.code for x in found if x.severity == "error"}
+    assert wrong <= CERTAIN, ([x for x in found if x.code in wrong - CERTAIN], text)
+    seen["refused" if again is None else "right"] += 1
+    return again
+
+
+def parts(found: tuple[Any, ...]) -> tuple[Any, ...]:
+    """A lock is known by another number."""
+    event, lock, outcome = found
+    return event, lock is None, outcome
+
+
+def run(seeds: Iterable[int]) -> Counter[str]:
+    seen: Counter[str] = Counter()
+    for seed in seeds:
+        program = random_program(seed)
+        again = checked_again(program, seen)
+        if again is None:
+            continue
+        verify(again)
+        seen["proved"] += len([n for n in nodes(again) if isinstance(n, (e.At, e.SlotRead, e.Slice)) and n.proved])
+        before, after = Meant(program), Meant(again)
+        rng = Random(-seed - 1)
+        for _ in range(2):
+            state = random_state(rng, program)
+            for pid in range(N_SYS):
+                assert parts(after.event(state, pid)) == parts(before.event(state, pid)), (seed, pid, source(program))
+    return seen
+
+
+def test_text_means_what_its_ir_means() -> None:
+    seen = run(range(60))
+    assert seen["right"] > 45 and seen["proved"] > 500, seen
+
+
+@pytest.mark.slow
+def test_1000_texts_mean_what_their_ir_means() -> None:
+    seen = run(range(5000, 6000))
+    print(seen)
+    assert seen["right"] > 750, seen
