@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from koordgen import __version__
 from koordgen.bundle.write import SUMS, sums
-from koordgen.emit.program import interface_hash, program_hash, program_text
+from koordgen.emit.program import functions_module, interface_hash, program_hash, program_text
 from koordgen.emit.render import render
 from koordgen.ir.decl import Program
 from koordgen.manifest import Target
@@ -38,7 +38,7 @@ class Ingredients(Node):
 def plan(these: Ingredients, wanted: Iterable[str]) -> dict[str, Files]:
     """Bundle name -> relative path -> bytes, for the targets named in `wanted`: with a fleet one bundle a robot,
     the harnesses that were asked for, and `fleet`; without one, one bundle a target."""
-    text = program_text(these.program).encode()
+    text = program_text(these.program, _functions(these)).encode()
     agents = {t.name: t for t in these.targets if t.kind == "agent"}
     harnesses = [t for t in these.targets if t.kind == "harness" and t.name in wanted]
     if these.fleet is None:
@@ -47,7 +47,7 @@ def plan(these: Ingredients, wanted: Iterable[str]) -> dict[str, Files]:
     else:
         built = {r.name: _agent(these, agents[r.target], text, r) for r in these.fleet.robots}
         bundles = {r.name: built[r.name] for r in these.fleet.robots if r.target in wanted}
-        bundles["fleet"] = _finished({"fleet.json": _json(_facts(these.program, these.fleet))})
+        bundles["fleet"] = _finished({"fleet.json": _json(_facts(these.program, these.fleet, _functions(these)))})
     for harness in harnesses:
         bundles[harness.name] = _harness(these, harness, built)
     return bundles
@@ -65,7 +65,7 @@ def _agent(these: Ingredients, target: Target, text: bytes, robot: Robot | None)
         "summary": target.summary,
         "source": program.path,
         "version": __version__,
-        "program_hash": program_hash(program),
+        "program_hash": program_hash(program, _functions(these)),
         "interface_hash": interface_hash(program),
     }
     files = {
@@ -81,6 +81,10 @@ def _agent(these: Ingredients, target: Target, text: bytes, robot: Robot | None)
     if robot is not None and fleet is not None:
         files["settings.json"] = _json(settings(program, fleet, robot))
     return _finished(files)
+
+
+def _functions(these: Ingredients) -> bytes:
+    return these.beside.get(f"{functions_module(these.program)}.py", b"")
 
 
 def _drivers(these: Ingredients) -> list[tuple[str, str, str]]:
@@ -123,11 +127,11 @@ def _json(value: Any) -> bytes:
     return (json.dumps(value, indent=2) + "\n").encode()
 
 
-def _facts(program: Program, fleet: Fleet) -> dict[str, Any]:
+def _facts(program: Program, fleet: Fleet, functions: bytes = b"") -> dict[str, Any]:
     """What all robots of the fleet share."""
     return {
         "app": program.name,
-        "program_hash": program_hash(program),
+        "program_hash": program_hash(program, functions),
         "interface_hash": interface_hash(program),
         "application_id": fleet.application_id,
         "delta": fleet.delta,
@@ -156,7 +160,7 @@ def settings(program: Program, fleet: Fleet, robot: Robot) -> dict[str, Any]:
 
 def _scenario(these: Ingredients, fleet: Fleet, harness: Target) -> dict[str, Any]:
     by_name = {t.name: t for t in these.targets}
-    facts = _facts(these.program, fleet)
+    facts = _facts(these.program, fleet, _functions(these))
     return {
         "app": these.program.name,
         "source": these.program.path,

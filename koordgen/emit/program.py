@@ -24,9 +24,10 @@ _MARK = "  # {}:"
 _LINES = "\nLINES: dict[int, int] = {"
 
 
-def program_text(program: ir.Program) -> str:
-    """The generated module, which compiles; anything else is a mistake of this compiler (SyntaxError)."""
-    values = _values(program, Names(program))
+def program_text(program: ir.Program, functions: bytes = b"") -> str:
+    """The generated module, which compiles; anything else is a mistake of this compiler (SyntaxError). `functions` is
+    the user's Python file, if there is one."""
+    values = {**_values(program, Names(program)), "program_hash": program_hash(program, functions)}
     body = render("program_state.py", **values).strip("\n") + "\n" + render("program.py", **values)
     text = _head(program, body) + ("\n\n" if body.startswith("class ") else "\n") + body
     text = text.replace(_LINES, _LINES + _lines(text, program.path), 1)  # a literal has no raw end of line
@@ -34,9 +35,10 @@ def program_text(program: ir.Program) -> str:
     return text
 
 
-def program_hash(program: ir.Program) -> str:
-    """16 hexadecimal digits over all that the program means; where it stands in the source takes no part."""
-    return _digest(repr(program))
+def program_hash(program: ir.Program, functions: bytes = b"") -> str:
+    """16 hexadecimal digits over all that the program means, its extern functions included; where it stands in the
+    source takes no part. Robots with different ones refuse one another."""
+    return _digest(f"{program!r} {blake2s(functions).hexdigest()}")
 
 
 def interface_hash(program: ir.Program) -> str:
@@ -61,7 +63,6 @@ def _values(program: ir.Program, names: Names) -> dict[str, Any]:
         "name_literal": expr.literal(program.name),
         "path_literal": expr.literal(program.path),
         "library": expr.literal(functions_module(program)),
-        "program_hash": program_hash(program),
         "interface_hash": interface_hash(program),
         "extern_types": [(expr.literal(t.name), names.extern_types[t.name]) for t in program.extern_types],
         "records": [_record(r, program, names) for r in _ordered(program.records)],

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -34,6 +36,21 @@ def test_another_file_goes_by_the_usual_name(tmp_path: Path) -> None:
     other = tmp_path / "other.py"
     other.write_bytes((EXAMPLES / "mapping/mapping_functions.py").read_bytes() + b"\n# another\n")
     assert planned("mapping", str(other))["alice"]["mapping_functions.py"].endswith(b"# another\n")
+
+
+def test_robots_with_other_functions_refuse_one_another(tmp_path: Path) -> None:
+    """The program's hash, which peers compare, covers what its extern functions do."""
+    other = tmp_path / "other.py"
+    other.write_bytes((EXAMPLES / "mapping/mapping_functions.py").read_bytes() + b"\n# another\n")
+
+    def hashes(bundles: dict[str, dict[str, bytes]]) -> set[str]:
+        text = bundles["alice"]["program.py"].decode()
+        found = set(re.findall(r'program_hash="(\w{16})"', text))
+        assert found == {json.loads(bundles["fleet"]["fleet.json"])["program_hash"]}
+        return found
+
+    assert hashes(planned("mapping")) == hashes(planned("mapping"))
+    assert hashes(planned("mapping")) != hashes(planned("mapping", str(other)))
 
 
 def test_a_build_without_the_functions_is_refused(tmp_path: Path) -> None:

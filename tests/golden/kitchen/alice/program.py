@@ -257,7 +257,7 @@ LINES: dict[int, int] = {66: 36, 67: 37, 68: 38, 69: 39, 70: 40, 129: 19, 130: 2
 PROGRAM = Program(
     name="kitchen",
     source="kitchen.koord",
-    program_hash="032a0f3569d7e21f",
+    program_hash="f673908ac1d10545",
     interface_hash="0078c4720991478f",
     locals=(
         Variable("count", "local", int, Fixed(9), lambda: 0),  # kitchen.koord:64

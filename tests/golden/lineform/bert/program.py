@@ -42,7 +42,7 @@ LINES: dict[int, int] = {25: 10, 30: 13, 35: 15, 36: 16, 50: 7}
 PROGRAM = Program(
     name="lineform",
     source="lineform.koord",
-    program_hash="539b4d94cf4b3f06",
+    program_hash="2751bd73a76f9758",
     interface_hash="4037aa01d19f1ddd",
     locals=(
     ),
