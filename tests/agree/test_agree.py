@@ -10,12 +10,15 @@ from collections.abc import Iterable
 
 import pytest
 
+from koordgen.emit.program import program_text
 from koordgen.ir import expr, stmt
 from koordgen.ir.builtins import FUNCTIONS, METHODS, UPDATE_SIGNATURES
 from koordgen.ir.verify import verify
-from tests.agree.both import Difference, agree
+from koordgen.semantics.step import initial
+from tests.agree.both import Difference, Generated, Meant, agree
 from tests.agree.faults import COMMON, RARE, Fault
-from tests.agree.programs import nodes, random_program
+from tests.agree.programs import N_SYS, nodes, random_program
+from tests.semantics.programs import compiled
 
 # These stand in properties and assumptions only, of which there is no generated code.
 FORMULAS = {"Quantified", "LocalOf", "PortOf"}
@@ -80,3 +83,27 @@ def test_a_seeded_fault_is_found(fault: Fault, monkeypatch: pytest.MonkeyPatch) 
 @pytest.mark.parametrize("fault", RARE, ids=lambda fault: fault.name)
 def test_a_rare_seeded_fault_is_found(fault: Fault, monkeypatch: pytest.MonkeyPatch) -> None:
     assert programs_until_found(fault, 2000, monkeypatch)
+
+
+NANS = """
+local:
+  bool list
+  bool item
+  bool point
+E:
+  pre: True
+  eff:
+    float nan = 1e308 * 10 - 1e308 * 10
+    List<float> nans = [nan]
+    Point p = Point(nan, 0, 0)
+    list = nans == nans
+    item = nan in nans
+    point = p == p
+"""
+
+
+@pytest.mark.xfail(strict=True, reason="Python compares what is in tuples and Structs by identity first")
+def test_nan_equals_nothing_within_lists_and_points_too() -> None:
+    program = compiled(NANS)
+    state = initial(program, N_SYS)
+    assert Generated(program, program_text(program)).event(state, 0) == Meant(program).event(state, 0)
