@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from koordgen.check.context import Context
-from koordgen.check.facts import learned, variable_of
+from koordgen.check.facts import variable_of
 from koordgen.ir import expr as ir
 from koordgen.ir import stmt
 from koordgen.syntax import stmt as tree
@@ -17,12 +17,12 @@ STATEMENTS: dict[type, Callable[[Any, Context, Out], None]] = {}
 
 
 def check_block(block: tree.Block, c: Context) -> stmt.Block:
-    """The statements of a block; its declarations end with it. `c.flow` is None if no run gets to the end."""
+    """The statements of a block; its declarations end with it. `c.path` is None if no run gets to the end."""
     c.scopes.append({})
     checked: Out = []
     told = False
     for statement in block:
-        if c.flow is None and not told and type(statement) is not tree.Pass:
+        if c.path is None and not told and type(statement) is not tree.Pass:
             c.warn("K043", "this statement can never run: every way to it has stopped or left", statement.span)
             told = True
         STATEMENTS[type(statement)](statement, c, checked)
@@ -33,5 +33,5 @@ def check_block(block: tree.Block, c: Context) -> stmt.Block:
 def learn(place: stmt.Place, value: ir.Expr, c: Context) -> None:
     """After `place = value`: what was known of the place is gone, and its new value may be known."""
     name = variable_of(place)
-    if c.flow is not None and name is not None:
-        c.flow = learned(c.flow, name, value)
+    if c.path is not None and name is not None:
+        c.path = c.path.assigning(name, value)

@@ -226,10 +226,11 @@ def judge_update(name: str, reads: bool, span: Span, c: Context) -> None:
     c.written_shared.add(name)
 
 
-def impossible(condition: Formula, names: frozenset[str], before: Flow) -> bool:
-    """Whether a condition over variables of these names contradicts what is known."""
+def impossible(condition: Formula, before: Flow) -> bool:
+    """Whether a condition contradicts what is known."""
     if condition is linear.UNKNOWN:
         return False
+    names = names_of(condition)
     facts = before.relevant(names)
     if not facts and PID not in names and N_SYS not in names:
         # Nothing is known of these: only what contradicts itself is impossible, and one comparison does not.
@@ -250,15 +251,16 @@ def _one_value(first: Linear, second: Linear) -> bool:
     return len(first.terms) == 1 and abs(first.terms[0][1]) == 1 and second == linear.scale(first, -1)
 
 
-def help_by_negation(c: Context) -> None:
-    """Where the opposite guard would make every index and divisor of the event right, says so."""
+def help_by_negation(written: Span, c: Context) -> None:
+    """Where the opposite of the guard (`written` there) would make every index and divisor right, says so."""
     if not c.refuted or c.guard is None:
         return
-    opposite = linear.negate(c.guard)
+    opposite = linear.negate(c.guard.formula)
     if unsat((opposite,)):
         return
     if all(unsat((*relevant((opposite, *site.facts), site.bad), site.bad)) for site in c.sites):
-        text = c.guard_text if c.guard_text.startswith("(") and c.guard_text.endswith(")") else f"({c.guard_text})"
+        text = c.text(written)
+        text = text if text.startswith("(") and text.endswith(")") else f"({text})"
         for position in c.refuted:
             help = f"with `pre: not {text}` every index and divisor of this event would be right"
             c.found[position] = replace(c.found[position], help=help)
@@ -267,7 +269,8 @@ def help_by_negation(c: Context) -> None:
 def _holds_never(bad: Formula, c: Context) -> bool:
     assert c.flow is not None
     if c.place == "effect":
-        c.sites.append(Site(tuple([k.formula for k in c.flow.known if k.origin is not c.guard]), bad))
+        guard = None if c.guard is None else c.guard.formula
+        c.sites.append(Site(tuple([k.formula for k in c.flow.known if k.origin is not guard]), bad))
     return _never(bad, c)
 
 

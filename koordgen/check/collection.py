@@ -356,7 +356,7 @@ def check_quantified(node: ast.Quantified, c: Context, wanted: Type | None = Non
         help = "a loop goes through them: 'for i in ID:'"
         return c.error("K054", f"'{node.kind}' has a place in properties and contracts only", node.span, help)
     domain = check_domain(node.domain, c)
-    saved = c.flow
+    saved = c.path
     c.scopes.append({})
     temps = []
     for name in node.names:
@@ -368,7 +368,7 @@ def check_quantified(node: ast.Quantified, c: Context, wanted: Type | None = Non
                     c.flow = c.flow.knowing(fact)
     body = condition(node.body, c, f"what follows '{node.kind}'")
     c.scopes.pop()
-    c.flow = saved
+    c.path = saved
     if domain.type is POISON or body.type is POISON or len(temps) < len(node.names):
         return c.poison(node.span)
     for temp in reversed(temps):

@@ -8,6 +8,7 @@ from typing import Literal
 
 from koordgen.check.facts import Flow
 from koordgen.check.linear import Formula
+from koordgen.check.path import Condition, Path, known
 from koordgen.diagnostics import Diagnostic, Edit, Label, Severity
 from koordgen.ir.builtins import CONSTANTS, FUNCTIONS
 from koordgen.ir.decl import (
@@ -70,9 +71,9 @@ class Context:
     def enter(self, place: Place) -> None:
         """Begin a section: no temps, nothing known."""
         self.place: Place = place
-        self.flow: Flow | None = Flow()  # None: no run gets here
-        self.guard: Formula | None = None
-        self.guard_text = ""
+        self.path: Path | None = Path()  # None: no run gets here
+        self.guard: Condition | None = None
+        self.mentions: dict[str, int] = {}  # a variable -> the number of those that were mentioned before it
         self.poisoned = False  # a condition on the way was wrong: what depends on it is not judged
         self.scopes: list[dict[str, Temp]] = [{}]
         self.minted: set[str] = set()
@@ -87,6 +88,19 @@ class Context:
         self.atomic = 0  # how many `atomic` blocks stand around
         self.transaction = False  # the event contains `atomic` somewhere
         self.hoisted: list[Let] = []  # what must be evaluated before the statement that is being checked
+
+    @property
+    def flow(self) -> Flow | None:
+        """What is known here; None: no run gets here."""
+        return None if self.path is None else self.path.flow
+
+    @flow.setter
+    def flow(self, flow: Flow | None) -> None:
+        self.path = None if flow is None else known(flow)
+
+    def mention(self, name: str) -> None:
+        """A variable of the robot, a shared one, or pid, is read or written."""
+        self.mentions.setdefault(name, len(self.mentions))
 
     @cached_property
     def broken(self) -> frozenset[str]:

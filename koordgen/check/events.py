@@ -6,8 +6,8 @@ from koordgen.check import bounds, linear
 from koordgen.check.base import condition
 from koordgen.check.context import Context
 from koordgen.check.decide import unsat
-from koordgen.check.facts import formula
 from koordgen.check.names import unique
+from koordgen.check.path import Condition, is_open
 from koordgen.check.stmt import check_block
 from koordgen.check.walk import statements
 from koordgen.diagnostics import Label
@@ -59,25 +59,24 @@ def _event(
     """The event, and whether its guard always holds."""
     c.enter("guard")
     c.transaction = transaction
-    assert c.flow is not None
+    assert c.path is not None
     guard = condition(pre.condition, c, "a guard")
-    known = formula(guard, c.flow) if guard.type == BOOL else linear.UNKNOWN
     sound, always = not c.refuted, False
+    known = Condition(guard, c.path) if guard.type is BOOL else None
     if hiding is not None:
         label = Label(hiding.span, "always enabled, and earlier")
         message = f"the event {node.name} can never run: {hiding.name} is always chosen first"
         c.warn("K042", message, node.span, labels=(label,))
-    elif guard.type == BOOL and known != linear.UNKNOWN:
-        if unsat((known,)):
+    elif known is not None and not is_open(guard, c.mentions, 0) and known.formula != linear.UNKNOWN:
+        if unsat((known.formula,)):
             c.warn("K041", f"the event {node.name} can never run: its guard never holds", pre.condition.span)
-        always = unsat((linear.negate(known),))
+        always = unsat((linear.negate(known.formula),))
     c.place = "effect"
-    c.poisoned = guard.type != BOOL
+    c.poisoned = known is None
     c.sites, c.refuted = [], []
-    c.guard = known
-    c.guard_text = c.text(pre.condition.span)
-    c.flow = c.flow.knowing(known)
+    if known is not None:
+        c.guard, c.path = known, c.path.passing(known)
     effect = check_block(eff.block, c)
     if sound:
-        bounds.help_by_negation(c)
+        bounds.help_by_negation(pre.condition.span, c)
     return decl.Event(node.name, guard, effect, None, node.span), always

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from koordgen.check import bounds, linear
+from koordgen.check import bounds
 from koordgen.check.base import (
     CHECKERS,
     NUMBERS,
@@ -30,8 +30,8 @@ from koordgen.check.collection import (
 )
 from koordgen.check.context import Context
 from koordgen.check.dialect import modern_logic, modern_not
-from koordgen.check.facts import formula
 from koordgen.check.name import check_attribute, check_name, check_primed
+from koordgen.check.path import Condition
 from koordgen.ir import expr as ir
 from koordgen.ir.types import BOOL, FLOAT, INT, POINT, POISON, STRING, PerRobot, Sequence, Type
 from koordgen.source import Span
@@ -192,13 +192,13 @@ def _pair(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context) -> ir.
 def _logic(node: ast.Logic, c: Context, wanted: Type | None) -> ir.Expr:
     op = modern_logic(node, c)
     left = check_expr(node.left, c)
-    saved, poisoned = c.flow, c.poisoned
+    saved, poisoned = c.path, c.poisoned
     if saved is not None and left.type is BOOL:
-        held = formula(left, saved)
-        c.flow = saved.knowing(held if op == "and" else linear.negate(held))
+        held = Condition(left, saved)
+        c.path = saved.passing(held) if op == "and" else saved.failing(held)
     c.poisoned = poisoned or left.type is POISON
     right = check_expr(node.right, c)
-    c.flow, c.poisoned = saved, poisoned
+    c.path, c.poisoned = saved, poisoned
     if left.type is POISON or right.type is POISON:
         return c.poison(node.span)
     for side in (left, right):
@@ -209,19 +209,20 @@ def _logic(node: ast.Logic, c: Context, wanted: Type | None) -> ir.Expr:
 
 def _conditional(node: ast.Conditional, c: Context, wanted: Type | None) -> ir.Expr:
     held = condition(node.condition, c, "the condition of 'if'")
-    saved, poisoned = c.flow, c.poisoned
-    known = formula(held, saved) if saved is not None and held.type is BOOL else linear.UNKNOWN
-    yes = saved.knowing(known) if saved is not None else None
-    no = saved.knowing(linear.negate(known)) if saved is not None else None
+    saved, poisoned = c.path, c.poisoned
+    yes = no = saved
+    if saved is not None and held.type is BOOL:
+        known = Condition(held, saved)
+        yes, no = saved.passing(known), saved.failing(known)
     c.poisoned = poisoned or held.type is POISON
     first, second = (node.then, yes), (node.orelse, no)
     turned = wanted is None and is_display(node.then) and not is_display(node.orelse)
     checked: list[ir.Expr] = []
-    for side, c.flow in (second, first) if turned else (first, second):
+    for side, c.path in (second, first) if turned else (first, second):
         checked.append(check_expr(side, c, wanted))
         wanted = wanted or checked[0].type
     then, orelse = reversed(checked) if turned else checked
-    c.flow, c.poisoned = saved, poisoned
+    c.path, c.poisoned = saved, poisoned
     if held.type is POISON or then.type is POISON or orelse.type is POISON:
         return c.poison(node.span)
     then, orelse = widened(then, orelse.type), widened(orelse, then.type)

@@ -105,7 +105,7 @@ def _body(node: ast.Function, known: Signature, c: Context) -> decl.Function:
     c.result = None if node.result is None else result
     parameters = _temps(node.parameters, parameters, c)
     block = check_block(node.block, c)
-    if c.flow is not None and not any(isinstance(s, BrokenStmt) for s in statements(node.block)):
+    if c.path is not None and not any(isinstance(s, BrokenStmt) for s in statements(node.block)):
         none = c.result is None
         message = f"the function {node.name} {'has no' if none else 'can end without'} 'return'"
         c.error("K029", message, node.span, "let every way through it end with 'return value'")

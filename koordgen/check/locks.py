@@ -121,7 +121,7 @@ def only_one_robot(c: Context) -> bool:
     # Shared variables that this event has written are a robot's own until the round ends.
     own = {f"shared {name}" for name in c.written_shared}
     here = [fact for fact in c.flow.facts if own.isdisjoint(linear.variables(fact))]
-    return _contradictory(here) or (c.guard is not None and _contradictory([c.guard]))
+    return _contradictory(here) or (c.guard is not None and _contradictory([c.guard.formula]))
 
 
 def _contradictory(facts: list[Formula]) -> bool:

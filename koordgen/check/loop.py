@@ -8,7 +8,7 @@ from koordgen.check.block import Out, check_block
 from koordgen.check.collection import check_domain, declare, elements
 from koordgen.check.context import Context
 from koordgen.check.dialect import old_for
-from koordgen.check.facts import formula, names_of, range_facts
+from koordgen.check.facts import formula, range_facts
 from koordgen.check.name import module_named
 from koordgen.check.progress import ends
 from koordgen.check.update import updates
@@ -73,7 +73,7 @@ def check_while(node: tree.While, c: Context, out: Out) -> None:
         c.flow = start.knowing(known)
         assert before is not None
         first = formula(held, before)
-        if not poisoned and bounds.impossible(first, names_of(first), before):
+        if not poisoned and bounds.impossible(first, before):
             c.warn("K043", f"this loop can never run: {c.text(node.condition.span)} does not hold here", node.span)
     c.poisoned = poisoned or held.type is POISON
     block = _body(node.block, c)

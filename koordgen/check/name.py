@@ -64,11 +64,12 @@ def check_name(node: ast.Name, c: Context, wanted: Type | None = None) -> ir.Exp
     if name not in c.entities:
         return _predefined(node, c)
     entity = c.entities[name]
+    if type(entity) is Local:
+        c.mention(name)
+        return refused("the variable ", name, span, c) or ir.LocalRead(name, entity.type, span)
     match entity:
-        case None:
+        case None | Local():
             return c.poison(span)
-        case Local(type=type_):
-            return refused("the variable ", name, span, c) or ir.LocalRead(name, type_, span)
         case Param(type=type_):
             return ir.ParamRead(name, type_, span)
         case Shared():
@@ -93,6 +94,7 @@ def _shared(name: str, entity: Shared, span: Span, c: Context) -> ir.Expr:
     if entity.kind == "allread":
         return ir.SlotsRead(name, PerRobot(entity.type), span)
     c.read_shared.add(name)
+    c.mention(name)
     return ir.SharedRead(name, entity.type, span)
 
 
@@ -122,6 +124,7 @@ def refused(what: str, name: str, span: Span, c: Context) -> ir.Expr | None:
 def _predefined(node: ast.Name, c: Context) -> ir.Expr:
     name, span = node.name, node.span
     if name == "pid":
+        c.mention(name)
         return (refused("", name, span, c) if c.place != "assume" else None) or ir.Pid(INT, span)
     if name == "N_SYS" or name == "ID":
         wrong = refused("", name, span, c) if c.place not in ("property", "assume") else None

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from koordgen.check import bounds, linear
+from koordgen.check import bounds
 from koordgen.check.base import a, check_expr, condition, default, fitting
 from koordgen.check.block import STATEMENTS, Out, check_block, learn
 from koordgen.check.collection import declare
 from koordgen.check.context import Context
 from koordgen.check.expr import arithmetic
-from koordgen.check.facts import Flow, formula, names_of
 from koordgen.check.loop import check_counted, check_for, check_while
 from koordgen.check.name import declared_port, module_named
+from koordgen.check.path import Condition, Path, is_open, joined
 from koordgen.check.target import Target, check_target
 from koordgen.check.types import resolve
 from koordgen.check.update import check_update, pops, updates
@@ -169,43 +169,37 @@ def _text(value: ir.Expr, c: Context) -> ir.Expr:
 def _if(node: tree.If, c: Context, out: Out) -> None:
     """Each branch knows its own condition and that those before it failed; afterwards holds what all branches leave."""
     checked: list[tuple[ir.Expr, stmt.Block, Span]] = []
-    poisoned, ends = c.poisoned, []
-    outer = c.flow
+    poisoned = c.poisoned
+    ends: list[Path | None] = []
     for branch in node.branches:
+        start = len(c.mentions)
         held = condition(branch.condition, c, "the condition of 'if'")
-        before = c.flow
-        known: linear.Formula = linear.UNKNOWN
-        about: frozenset[str] | None = None
+        before = otherwise = c.path
         if before is not None and held.type is BOOL:
-            known = formula(held, before)
-            about = names_of(known)
-            c.flow = before.knowing(known, about)
-            if not c.poisoned and bounds.impossible(known, about, before):
+            passed = Condition(held, before)
+            if (
+                not c.poisoned
+                and not is_open(held, c.mentions, start)
+                and bounds.impossible(passed.formula, before.flow)
+            ):
                 text = c.text(branch.condition.span)
                 c.warn("K043", f"this branch can never run: {text} never holds here", branch.span)
+            c.path, otherwise = before.passing(passed), before.failing(passed)
         c.poisoned = poisoned or held.type is POISON
         block = check_block(branch.block, c)
-        ends.append(c.flow)
+        ends.append(c.path)
         checked.append((held, block, branch.span))
-        c.flow = before.knowing(linear.negate(known), about) if before is not None else None
+        c.path = otherwise
         c.poisoned = c.poisoned or held.type is POISON
     orelse = check_block(node.orelse, c) if node.orelse else ()
-    ends.append(c.flow)
+    ends.append(c.path)
     c.poisoned = poisoned
-    c.flow = _joined(ends) if outer is not None else None
+    c.path = joined(ends)
     if any(held.type is POISON for held, _, _ in checked):
         return
     for held, block, span in reversed(checked):
         orelse = (stmt.If(held, block, orelse, span),)
     out.extend(orelse)
-
-
-def _joined(ends: list[Flow | None]) -> Flow | None:
-    result: Flow | None = None
-    for end in ends:
-        if end is not None:
-            result = end if result is None else result.joined(end)
-    return result
 
 
 def _atomic(node: tree.Atomic, c: Context, out: Out) -> None:
@@ -226,13 +220,13 @@ def _return(node: tree.Return, c: Context, out: Out) -> None:
     if c.place != "function":
         check_expr(node.value, c)
         c.error("K028", "'return' has no function to leave", node.span, "'stop' holds a robot for good")
-        c.flow = None
+        c.path = None
         return
     value = check_expr(node.value, c, c.result)
     if c.result is None:
         c.result = value.type
     value = fitting(value, c.result, "the result", c)
-    c.flow = None
+    c.path = None
     if value.type is not POISON and c.result is not POISON:
         out.append(stmt.Return(value, node.span))
 
@@ -240,21 +234,21 @@ def _return(node: tree.Return, c: Context, out: Out) -> None:
 def _break(node: tree.Break, c: Context, out: Out) -> None:
     if not c.loops:
         c.error("K028", "'break' has no loop to leave", node.span)
-    c.flow = None
+    c.path = None
     out.append(stmt.Break(node.span))
 
 
 def _continue(node: tree.Continue, c: Context, out: Out) -> None:
     if not c.loops:
         c.error("K028", "'continue' has no loop to go on with", node.span)
-    c.flow = None
+    c.path = None
     out.append(stmt.Continue(node.span))
 
 
 def _stop(node: tree.Stop, c: Context, out: Out) -> None:
     if c.place == "function":
         c.error("K027", "a function cannot stop its robot", node.span, "'return' a result, and stop in the event")
-    c.flow = None
+    c.path = None
     out.append(stmt.Stop(node.span))
 
 

@@ -75,6 +75,7 @@ def _named(node: ast.Name, c: Context) -> Target | None:
     if name not in c.entities:
         _unknown(node, c)
         return None
+    c.mention(name)
     match c.entities[name]:
         case None:
             pass
