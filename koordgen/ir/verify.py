@@ -26,7 +26,7 @@ from koordgen.ir.types import (
     is_key,
 )
 from koordgen.ir.verify_expr import Expressions
-from koordgen.ir.verify_type import must
+from koordgen.ir.verify_type import must, must_not
 from koordgen.source import Span
 
 
@@ -224,7 +224,8 @@ class _Walk(Expressions):
                 assert_never(node)
 
     def target(self, place: stmt.Place, span: Span) -> Type:
-        must(isinstance(place, stmt.TempPlace) or self.place in ("init", "effect"), f"a write in a {self.place}", span)
+        if self.place not in ("init", "effect") and not isinstance(place, stmt.TempPlace):
+            must(False, f"a write in a {self.place}", span)
         match place:
             case stmt.LocalPlace(name):
                 return self.known(self.locals, name, span)
@@ -238,8 +239,8 @@ class _Walk(Expressions):
                 return self.known(self.temps, name, span)
             case stmt.PortPlace(module, port):
                 found = self.ports.get((module, port))
-                must(found is not None and found.direction == "actuator", f"{module}.{port} is no actuator", span)
-                assert found is not None
+                if found is None or found.direction != "actuator":
+                    return must_not(f"{module}.{port} is no actuator", span)
                 return found.type
             case _:
                 assert_never(place)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 from koordgen.ir import decl, expr
 from koordgen.ir.types import (
     BALL,
@@ -94,8 +97,8 @@ class Expressions:
         self.temps[name] = type_
 
     def known(self, declared: dict[str, Type], name: str, span: Span) -> Type:
-        must(name in declared, f"{name} is not declared", span)
-        return declared[name]
+        found = declared.get(name)
+        return must_not(f"{name} is not declared", span) if found is None else found
 
     def typed(self, node: expr.Expr, type_: Type) -> None:
         """A node must be of a type."""
@@ -105,36 +108,46 @@ class Expressions:
 
     def type_of(self, node: expr.Expr) -> Type:
         """The type of a node, which its parts agree with."""
-        places = _PLACES.get(type(node))
+        kind = type(node)
+        places = _PLACES.get(kind)
         if places is not None and self.place not in places:
-            must(False, f"a {type(node).__name__} in a {self.place}", node.span)
-        found = self.read(node)
+            must(False, f"a {kind.__name__} in a {self.place}", node.span)
+        found: Type = _READERS.get(kind, Expressions.call)(self, node)
         if found is not node.type and found != node.type:
             must(False, f"a node of type {node.type} yields {found}", node.span)
         return found
 
+    # What is read
+
+    def const(self, node: expr.Const) -> Type:
+        return literal_type(node.value, node.span)
+
+    def temp(self, node: expr.TempRead) -> Type:
+        return self.known(self.temps, node.name, node.span)
+
+    def index(self, node: expr.Pid | expr.NSys) -> Type:
+        return INT
+
+    def local(self, node: expr.LocalRead) -> Type:
+        return self.known(self.locals, node.name, node.span)
+
+    def slot(self, node: expr.SlotRead) -> Type:
+        self.shared.add(node.name)
+        self.typed(node.index, INT)
+        must(self.place != "init" or isinstance(node.index, expr.Pid), "init reads another's slot", node.span)
+        return self.known(self.slots, node.name, node.span)
+
+    def cell(self, node: expr.SharedRead) -> Type:
+        self.shared.add(node.name)
+        return self.known(self.cells, node.name, node.span)
+
+    def port_read(self, node: expr.PortRead) -> Type:
+        must(not node.primed or self.place == "assume", "a primed port", node.span)
+        return self.port(node.module, node.port, node.span)
+
     def read(self, node: expr.Expr) -> Type:
         span = node.span
         match node:
-            case expr.Const(value):
-                return literal_type(value, span)
-            case expr.TempRead(name):
-                return self.known(self.temps, name, span)
-            case expr.Pid() | expr.NSys():
-                return INT
-            case expr.LocalRead(name):
-                return self.known(self.locals, name, span)
-            case expr.SlotRead(name, index):
-                self.shared.add(name)
-                self.typed(index, INT)
-                must(self.place != "init" or isinstance(index, expr.Pid), "init reads another's slot", span)
-                return self.known(self.slots, name, span)
-            case expr.SharedRead(name):
-                self.shared.add(name)
-                return self.known(self.cells, name, span)
-            case expr.PortRead(module, port, primed):
-                must(not primed or self.place == "assume", "a primed port", span)
-                return self.port(module, port, span)
             case expr.ParamRead(name):
                 return self.known(self.params, name, span)
             case expr.SlotsRead(name):
@@ -149,36 +162,46 @@ class Expressions:
             case expr.Ids():
                 return list_of(INT)
             case _:
-                return self.operation(node)
+                return must_not(f"{type(node).__name__} is not read", span)
 
     def port(self, module: str, port: str, span: Span) -> Type:
         found = self.ports.get((module, port))
-        must(found is not None and found.direction in ("sensor", "actuator"), f"{module}.{port} is not read", span)
-        must(self.place != "assume" or module == self.module, f"{module}.{port} is another module's", span)
-        assert found is not None
+        if found is None or found.direction not in ("sensor", "actuator"):
+            return must_not(f"{module}.{port} is not read", span)
+        if self.place == "assume" and module != self.module:
+            must(False, f"{module}.{port} is another module's", span)
         return found.type
+
+    # What is computed
+
+    def binary(self, node: expr.Binary) -> Type:
+        op = node.op
+        if not node.proved and op not in ("/", "//", "%"):
+            must(False, f"{op} needs no proof", node.span)
+        return binary_type(op, self.type_of(node.left), self.type_of(node.right), node.span)
+
+    def compare(self, node: expr.Compare) -> Type:
+        op, type_ = node.op, self.type_of(node.left)
+        self.typed(node.right, type_)
+        if type_ is INT or type_ is FLOAT or type_ in ORDERED_TYPES:
+            must(op in ("==", "!=", "<", "<=", ">", ">="), "no such comparison", node.span)
+        elif type_ in (RECT, BALL, PLANNER, STREAM) or op not in ("==", "!="):
+            must(False, f"{op} on {type_}", node.span)
+        return BOOL
+
+    def logic(self, node: expr.Logic) -> Type:
+        must(node.op in ("and", "or"), "no such operator", node.span)
+        self.typed(node.left, BOOL)
+        self.typed(node.right, BOOL)
+        return BOOL
+
+    def widen(self, node: expr.Widen) -> Type:
+        self.typed(node.operand, INT)
+        return FLOAT
 
     def operation(self, node: expr.Expr) -> Type:
         span = node.span
         match node:
-            case expr.Binary(op, left, right, proved):
-                must(op in ("/", "//", "%") or proved, f"{op} needs no proof", span)
-                return binary_type(op, self.type_of(left), self.type_of(right), span)
-            case expr.Compare(op, left, right):
-                type_ = self.type_of(left)
-                self.typed(right, type_)
-                must(type_ not in (RECT, BALL, PLANNER, STREAM), f"{op} on {type_}", span)
-                ordered = op in ("<", "<=", ">", ">=") and type_ in ORDERED_TYPES
-                must(ordered or op in ("==", "!="), f"{op} on {type_}", span)
-                return BOOL
-            case expr.Logic(op, left, right):
-                must(op in ("and", "or"), f"no operator {op}", span)
-                self.typed(left, BOOL)
-                self.typed(right, BOOL)
-                return BOOL
-            case expr.Widen(operand):
-                self.typed(operand, INT)
-                return FLOAT
             case expr.Unary(op, operand):
                 type_ = self.type_of(operand)
                 allowed = {"not": (BOOL,), "-": (INT, FLOAT, POINT)}.get(op, ())
@@ -200,7 +223,7 @@ class Expressions:
             case expr.Range():
                 return must_not("a range is what a loop or a quantifier runs over", span)
             case _:
-                return self.part(node)
+                return must_not(f"{type(node).__name__} is no operation", span)
 
     def contains(self, item: expr.Expr, values: expr.Expr) -> Type:
         held = self.type_of(values)
@@ -257,7 +280,7 @@ class Expressions:
                 self.typed(value, self.known(fields_of(type_), name, span))
                 return type_
             case _:
-                return self.call(node)
+                return must_not(f"{type(node).__name__} is no part", span)
 
     def make(self, items: tuple[expr.Expr, ...], type_: Type, span: Span) -> None:
         wanted: tuple[Type, ...]
@@ -313,3 +336,24 @@ class Expressions:
 
     def builtin(self, name: str, args: tuple[expr.Expr, ...], span: Span) -> Type:
         return builtin_type(name, [self.type_of(arg) for arg in args], span)
+
+
+# By the class of the node: a table, because finding the way is most of the work. A class that is not here is called,
+# or is no expression.
+_READERS: dict[type, Callable[[Expressions, Any], Type]] = {
+    expr.Const: Expressions.const,
+    expr.Pid: Expressions.index,
+    expr.NSys: Expressions.index,
+    expr.TempRead: Expressions.temp,
+    expr.LocalRead: Expressions.local,
+    expr.SlotRead: Expressions.slot,
+    expr.SharedRead: Expressions.cell,
+    expr.PortRead: Expressions.port_read,
+    expr.Binary: Expressions.binary,
+    expr.Compare: Expressions.compare,
+    expr.Logic: Expressions.logic,
+    expr.Widen: Expressions.widen,
+    **dict.fromkeys((expr.ParamRead, expr.SlotsRead, expr.LocalOf, expr.PortOf, expr.Ids), Expressions.read),
+    **dict.fromkeys((expr.Unary, expr.Conditional, expr.Contains, expr.Quantified, expr.Range), Expressions.operation),
+    **dict.fromkeys((expr.Builtin, expr.Field, expr.Make, expr.At, expr.Item, expr.Slice, expr.With), Expressions.part),
+}

@@ -45,19 +45,14 @@ def must_not(message: str, span: Span) -> Type:
     raise InternalError(f"IR at {span.line}:{span.column}: {message}")
 
 
+_LITERALS: dict[type, Type] = {int: INT, float: FLOAT, bool: BOOL, str: STRING}
+
+
 def literal_type(value: object, span: Span) -> Type:
-    match value:
-        case bool():
-            return BOOL
-        case int():
-            return INT
-        case float():
-            must(isfinite(value), "a literal is not finite", span)
-            return FLOAT
-        case str():
-            return STRING
-        case _:
-            return must_not("no literal", span)
+    type_ = _LITERALS.get(type(value))
+    if type_ is None or (type_ is FLOAT and not isfinite(value)):  # type: ignore[arg-type]
+        return must_not("no literal, or one that is not finite", span)
+    return type_
 
 
 def fields_of(type_: Type) -> dict[str, Type]:
@@ -80,11 +75,11 @@ def at_type(type_: Type, span: Span) -> Type:
 
 
 def binary_type(op: str, left: Type, right: Type, span: Span) -> Type:
-    if left == right and left in _NUMBERS and op in ("+", "-", "*", "/", "//", "%", "**"):
+    if (left is right or left == right) and left in _NUMBERS and op in ("+", "-", "*", "/", "//", "%", "**"):
         return FLOAT if op == "/" else left
-    if op in ("+", "-") and left == right == POINT:
+    if left == POINT and (right == POINT if op in ("+", "-") else right == FLOAT and op in ("*", "/")):
         return POINT
-    if (op in ("*", "/") and (left, right) == (POINT, FLOAT)) or (op == "*" and (left, right) == (FLOAT, POINT)):
+    if op == "*" and left == FLOAT and right == POINT:
         return POINT
     if op == "+" and left == right and (left == STRING or (isinstance(left, Sequence) and left.name == "List")):
         return left
