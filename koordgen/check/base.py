@@ -29,7 +29,7 @@ from koordgen.syntax import expr as ast
 NUMBERS = (INT, FLOAT)
 # By the class of the node; expr.py fills it. A table, because most of a check's time goes into finding the way.
 CHECKERS: dict[type, Callable[[Any, Context, Type | None], ir.Expr]] = {}
-_DISPLAYS = (ast.ListDisplay, ast.SetDisplay, ast.MapDisplay, ast.Tuple)
+_DISPLAYS = frozenset((ast.ListDisplay, ast.SetDisplay, ast.MapDisplay, ast.Tuple))
 
 
 def check_expr(node: ast.Expr, c: Context, wanted: Type | None = None) -> ir.Expr:
@@ -145,7 +145,7 @@ def default(type_: Type, span: Span, c: Context) -> ir.Expr:
 
 def is_display(node: ast.Expr) -> TypeGuard[ast.ListDisplay | ast.SetDisplay | ast.MapDisplay | ast.Tuple]:
     """Whether an expression takes its type from the place where it stands, rather than has one."""
-    return isinstance(node, _DISPLAYS)
+    return type(node) in _DISPLAYS
 
 
 def has_call(node: object, kinds: tuple[type, ...] = (ir.Call, ir.ExternCall, ir.PortCall)) -> bool:

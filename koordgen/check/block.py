@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Any
 
 from koordgen.check.context import Context
-from koordgen.check.facts import variable_of
 from koordgen.ir import expr as ir
 from koordgen.ir import stmt
 from koordgen.syntax import stmt as tree
@@ -32,6 +31,5 @@ def check_block(block: tree.Block, c: Context) -> stmt.Block:
 
 def learn(place: stmt.Place, value: ir.Expr, c: Context) -> None:
     """After `place = value`: what was known of the place is gone, and its new value may be known."""
-    name = variable_of(place)
-    if c.path is not None and name is not None:
-        c.path = c.path.assigning(name, value)
+    if c.path is not None:
+        c.path = c.path.assigning(place, value)

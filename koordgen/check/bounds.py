@@ -58,8 +58,8 @@ def element_proved(operand: ir.Expr, index: ir.Expr, span: Span, c: Context) -> 
     if c.flow is None or c.poisoned:
         return False
     value, size = term(index, c.flow), length(operand, c.flow)
-    text = c.text(operand.span)
     if value is not None and not value.terms and value.constant < 0:
+        text = c.text(operand.span)
         help = f"{text}[len({text}) - {-value.constant}]" + (" is the last" if value.constant == -1 else "")
         c.error("K036", f"an index never counts from the end, as {c.text(index.span)} would", index.span, help)
         return False
@@ -72,6 +72,7 @@ def element_proved(operand: ir.Expr, index: ir.Expr, span: Span, c: Context) -> 
             return False
         if _element_refuted(sides, bad, value, size, span, c):
             return False
+    text = c.text(operand.span)
     check = f"'if 0 <= {c.text(index.span)} < len({text}):' around it shows that it does not"
     if len(check) > 90 or isinstance(index, ir.Const):
         check = f"'if len({text}) > {c.text(index.span)}:' around it shows that it does not"

@@ -133,9 +133,10 @@ class Context:
         return Const(0, POISON, span)
 
     def temp(self, name: str) -> Temp | None:
-        for scope in reversed(self.scopes):
-            if name in scope:
-                return scope[name]
+        if name in self.minted:  # as every name in a scope is
+            for scope in reversed(self.scopes):
+                if name in scope:
+                    return scope[name]
         return None
 
     def mint(self, name: str) -> str:

@@ -23,13 +23,14 @@ def events(written: list[ast.Event], c: Context) -> list[tuple[decl.Event, Atomi
     found: list[tuple[decl.Event, Atomic | None]] = []
     names: dict[str, Span] = {}
     hiding: ast.Event | None = None
+    transactions = "atomic" in c.source.text  # else no event need be searched for one
     for node in written:
         unique(node.name, "events", node.span, names, c)
         clauses = _clauses(node, c)
         if clauses is None:
             continue
         guard, effect = clauses
-        atomic = _first_atomic(effect.block)
+        atomic = _first_atomic(effect.block) if transactions else None
         event, always = _event(node, guard, effect, atomic is not None, hiding, c)
         found.append((event, atomic))
         if always and hiding is None:

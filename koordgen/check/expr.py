@@ -39,14 +39,11 @@ from koordgen.syntax import expr as ast
 
 __all__ = ["arithmetic", "check_expr", "condition", "default", "fitting", "widened"]
 
-_ORDERED = (INT, FLOAT)
+_LITERALS: dict[type, Type] = {int: INT, float: FLOAT, bool: BOOL, str: STRING}
 
 
 def _literal(node: ast.Literal, c: Context, wanted: Type | None) -> ir.Expr:
-    kind = type(node.value)
-    return ir.Const(
-        node.value, INT if kind is int else FLOAT if kind is float else BOOL if kind is bool else STRING, node.span
-    )
+    return ir.Const(node.value, _LITERALS[type(node.value)], node.span)
 
 
 def _broken(node: ast.Broken, c: Context, wanted: Type | None) -> ir.Expr:
@@ -84,8 +81,9 @@ def _binary(node: ast.Binary, c: Context, wanted: Type | None) -> ir.Expr:
             return arithmetic("+", left, check_expr(node.right, c, left.type), node.span, c)
         right = check_expr(node.right, c)
         return arithmetic("+", check_expr(node.left, c, right.type), right, node.span, c)
-    left = check_expr(node.left, c, wanted)
-    return arithmetic(node.op, left, check_expr(node.right, c, left.type), node.span, c)
+    left = CHECKERS[type(node.left)](node.left, c, wanted)
+    right = CHECKERS[type(node.right)](node.right, c, left.type)
+    return arithmetic(node.op, left, right, node.span, c)
 
 
 def arithmetic(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context) -> ir.Expr:
@@ -143,8 +141,8 @@ def _sides(first: ast.Expr, second: ast.Expr, c: Context) -> tuple[ir.Expr, ir.E
     if is_display(first) and not is_display(second):
         right = check_expr(second, c)
         return check_expr(first, c, right.type), right
-    left = check_expr(first, c)
-    return left, check_expr(second, c, left.type)
+    left = CHECKERS[type(first)](first, c, None)
+    return left, CHECKERS[type(second)](second, c, left.type)
 
 
 def _chain(node: ast.Compare, c: Context) -> ir.Expr:

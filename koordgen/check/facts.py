@@ -8,6 +8,7 @@ from koordgen.check import linear
 from koordgen.check.flow import Flow, names_of, variable_of
 from koordgen.check.linear import FALSE, TRUE, UNKNOWN, Fact, Formula, Length, Linear, Value
 from koordgen.ir import expr as ir
+from koordgen.ir import stmt
 from koordgen.ir.types import BOOL, FLOAT, INT, MapOf, PerRobot, Sequence, Sized, Type
 
 __all__ = [
@@ -291,8 +292,10 @@ def known_value(node: ir.Expr, flow: Flow) -> Linear | Formula | None:
     return None
 
 
-def learned(flow: Flow, name: str, node: ir.Expr) -> Flow:
-    """After `name = node`."""
+def learned(flow: Flow, place: stmt.Place, node: ir.Expr) -> Flow:
+    """After `place = node`: what was known of the place is gone, and its new value may be known."""
+    name = variable_of(place)
+    assert name is not None
     if has_length(node.type):
         return flow.assigned(name, length(node, flow), True)
     return flow.assigned(name, known_value(node, flow))

@@ -172,7 +172,10 @@ def module_named(node: ast.Expr, c: Context) -> Module | None:
 
 
 def _port_of(module: Node | None, name: str) -> Port | None:
-    return next((p for p in module.ports if p.name == name), None) if isinstance(module, Module) else None
+    for port in module.ports if isinstance(module, Module) else ():
+        if port.name == name:
+            return port
+    return None
 
 
 def declared_port(module: Module, node: ast.Attribute, c: Context) -> Port | None:

@@ -10,6 +10,7 @@ from koordgen.check import linear
 from koordgen.check.facts import Flow, formula, learned
 from koordgen.check.linear import Formula
 from koordgen.ir import expr as ir
+from koordgen.ir import stmt
 
 
 class Path:
@@ -51,9 +52,9 @@ class Path:
         """Where it does not hold."""
         return Path((self,), lambda flow: flow.knowing(linear.negate(condition.formula)))
 
-    def assigning(self, name: str, value: ir.Expr) -> Path:
-        """After `name = value`."""
-        return Path((self,), lambda flow: learned(flow, name, value))
+    def assigning(self, place: stmt.Place, value: ir.Expr) -> Path:
+        """After `place = value`."""
+        return Path((self,), lambda flow: learned(flow, place, value))
 
 
 class Condition:

@@ -38,7 +38,9 @@ def _assign(node: tree.Assign, c: Context, out: Out) -> None:
     value = check_expr(node.value, c, type_)
     if node.op:
         value = arithmetic(node.op, target.read, value, node.span, c)
-    write(target, fitting(value, type_, c.text(node.target.span), c), bool(node.op), node.span, c, out)
+    if value.type is not type_:
+        value = fitting(value, type_, c.text(node.target.span), c)
+    write(target, value, bool(node.op), node.span, c, out)
 
 
 def write(target: Target, value: ir.Expr, reads: bool, span: Span, c: Context, out: Out) -> None:
@@ -47,7 +49,7 @@ def write(target: Target, value: ir.Expr, reads: bool, span: Span, c: Context, o
     if c.hoisted:
         out.extend(c.hoisted)
         c.hoisted.clear()
-    if isinstance(place, stmt.SharedPlace):
+    if type(place) is stmt.SharedPlace:
         bounds.judge_update(place.name, reads or not target.whole, span, c)
     if value.type is POISON or target.read.type is POISON:
         learn(place, c.poison(span), c)
