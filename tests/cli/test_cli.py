@@ -43,10 +43,10 @@ def test_check_passes_the_corrected_program(capsys: pytest.CaptureFixture[str]) 
 def test_check_refuses_lineform_as_printed(printed: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", str(printed)]) == 1
     told = capsys.readouterr().err
-    assert "x[pid+1]" in told
+    assert "x[pid + 1]" in told
     assert "N_SYS - 1" in told
     assert "not (" in told, "the fix is named"
-    line = next(i for i, text in enumerate(printed.read_text().splitlines(), 1) if "x[pid+1]" in text)
+    line = next(i for i, text in enumerate(printed.read_text().splitlines(), 1) if "x[pid + 1]" in text)
     assert f"lineform.koord:{line}:" in told
 
 
