@@ -1,7 +1,8 @@
 """What `koordgen check` and `koordgen build` cost as whole processes, beside the bare cost of their own imports.
 
 The peer is `python -c "import lark, jinja2"`, run in turn with ours, so that a machine whose speed drifts slows both.
-Also how the time of `check` grows with the length of the program; it must be linear.
+Also how the time of `check` grows with the length of the program; it must be linear. With `--first PATH`, a checkout of
+the first working version (`git worktree add PATH 8d43803`), the time of `check` on 10,000 lines beside that version's.
 """
 
 from __future__ import annotations
@@ -19,14 +20,15 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 # As on any machine: byte code is kept between runs.
-ENVIRONMENT = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"} | {"PYTHONPATH": str(ROOT)}
+ENVIRONMENT = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
 LINEFORM = str(ROOT / "examples/lineform/lineform.koord")
 
 
-def seconds(command: list[str]) -> float:
-    """Wall time of one process."""
+def seconds(command: list[str], root: Path = ROOT) -> float:
+    """Wall time of one process, with the koordgen of that checkout."""
+    environment = ENVIRONMENT | {"PYTHONPATH": str(root)}
     start = time.perf_counter()
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, cwd=ROOT, env=ENVIRONMENT)
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, cwd=root, env=environment)
     return time.perf_counter() - start
 
 
@@ -65,10 +67,16 @@ def ratios(times: dict[str, list[float]], peer: str) -> dict[str, float]:
     }
 
 
+def beside(command: list[str], first: Path, laps: int) -> list[tuple[float, float]]:
+    """Wall times of a command with this koordgen and with another checkout's, in turn, one warm-up lap first."""
+    return [(seconds(command), seconds(command, first)) for _ in range(laps + 1)][1:]
+
+
 def main() -> int:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--quick", action="store_true", help="fewer runs, under a minute")
     options.add_argument("--json", metavar="FILE", type=Path, help="write the figures there as well")
+    options.add_argument("--first", metavar="PATH", type=Path, help="a checkout of the first working version")
     arguments = options.parse_args()
     runs = 15 if arguments.quick else 51
     koordgen = [sys.executable, "-m", "koordgen"]
@@ -89,6 +97,7 @@ def main() -> int:
             path.write_text(program(lines), encoding="utf-8")
             command = [*koordgen, "check", str(path)]
             growth[lines] = statistics.median(seconds(command) for _ in range(3 if arguments.quick else 7))
+        pairs = beside(command, arguments.first.resolve(), 7 if arguments.quick else 21) if arguments.first else []
     found = ratios(times, "import lark, jinja2")
     for name, values in times.items():
         print(f"{name:22} median {statistics.median(values) * 1e3:7.1f} ms   min {min(values) * 1e3:7.1f} ms")
@@ -99,6 +108,11 @@ def main() -> int:
         print(
             f"check {lines:6} lines: {taken * 1e3:8.1f} ms, {(taken - base) / lines * 1e6:6.1f} us a line over start-up"
         )
+    if pairs:
+        found["check of 10,000 lines / first version"] = statistics.median(now / then for now, then in pairs)
+        now, then = (statistics.median(times) for times in zip(*pairs, strict=True))
+        print(f"check 10000 lines: {now:.3f} s, first version {then:.3f} s; median ratio of pairs", end=" ")
+        print(f"{found['check of 10,000 lines / first version']:.2f}   (wanted: at most 0.33)")
     if arguments.json:
         figures = {"median_seconds": {n: statistics.median(v) for n, v in times.items()}, "ratios": found,
                    "check_seconds_by_lines": growth}  # fmt: skip
