@@ -8,6 +8,7 @@ where both fail nothing is known.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from functools import lru_cache
 from itertools import product
 from math import gcd
 from typing import assert_never
@@ -53,6 +54,11 @@ FLEET: tuple[Formula, ...] = (
 
 def unsat(formulas: Iterable[Formula]) -> bool:
     """Whether no robot of any fleet satisfies all formulas; False may also mean that it was too hard to tell."""
+    return _unsat(tuple(formulas))
+
+
+@lru_cache(1000)  # programs ask the same again and again, of one index in many events
+def _unsat(formulas: tuple[Formula, ...]) -> bool:
     return _closed([*formulas, *FLEET], [], {}, frozenset(), [MOST_BRANCHES])
 
 
