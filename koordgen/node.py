@@ -5,8 +5,8 @@ functions a class at every import (0.45 ms each, 30 ms for the trees of this com
 that `koordgen check` does on a small program); here one `__init__` is compiled for each number of fields, each class
 has a copy of it with its own names, and the rest is shared.
 
-That nodes do not change is held by mypy, not at run time: a `__setattr__` that refuses would make each field of each
-node ten times as expensive to set, and a tree three times as expensive to build.
+That nodes do not change is held by mypy, not at run time: with a `__setattr__` that refuses a node would cost twice
+as much to build.
 """
 
 from __future__ import annotations

@@ -42,6 +42,12 @@ def reach(first: Any, last: Any) -> Span:
     return Span(line, column, end.end_line, end.end_column)
 
 
+def across(first: Any, last: Any) -> Span:
+    """From the beginning of one node to the end of another."""
+    start, end = first.span, last.span
+    return Span(start.line, start.column, end.end_line, end.end_column)
+
+
 def nodes(children: Children) -> tuple[Any, ...]:
     """The children that are neither tokens nor blocks."""
     return tuple([c for c in children if c.__class__ is not tuple])

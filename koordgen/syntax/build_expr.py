@@ -7,7 +7,7 @@ import re
 from koordgen.node import replace
 from koordgen.source import Span
 from koordgen.syntax import expr
-from koordgen.syntax.build_base import Children, nodes, reach, refused, token_span
+from koordgen.syntax.build_base import Children, across, nodes, reach, refused, token_span
 
 _ESCAPES = {'\\"': '"', "\\'": "'", "\\\\": "\\", "\\n": "\n", "\\t": "\t"}
 _ESCAPE = re.compile(r"\\.")
@@ -18,7 +18,7 @@ def conditional(c: Children) -> expr.Conditional:
 
 
 def logic(c: Children) -> expr.Logic:
-    return expr.Logic(c[1][1], token_span(c[1]), c[0], c[2], reach(c[0], c[2]))
+    return expr.Logic(c[1][1], token_span(c[1]), c[0], c[2], across(c[0], c[2]))
 
 
 def quantified(c: Children) -> expr.Quantified:
@@ -44,11 +44,12 @@ def compare(c: Children) -> expr.Compare:
         else:
             rest.append((op, child))
             op = ""
-    return expr.Compare(c[0], tuple(rest), reach(c[0], c[-1]))
+    return expr.Compare(c[0], tuple(rest), across(c[0], c[-1]))
 
 
 def binary(c: Children) -> expr.Binary:
-    return expr.Binary(c[1][1], c[0], c[2], reach(c[0], c[2]))
+    left, op, right = c
+    return expr.Binary(op[1], left, right, across(left, right))
 
 
 def attribute(c: Children) -> expr.Attribute:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from koordgen.syntax import expr, stmt
-from koordgen.syntax.build_base import Children, nodes, reach, refused, token_span
+from koordgen.syntax.build_base import Children, across, nodes, reach, refused, token_span
 from koordgen.syntax.build_expr import names
 from koordgen.syntax.build_type import as_type
 
@@ -50,7 +50,8 @@ def while_(c: Children) -> stmt.While:
 
 
 def assign(c: Children) -> stmt.Assign:
-    return stmt.Assign(c[0], c[1][1][:-1], c[2], reach(c[0], c[2]))
+    target, mark, value = c
+    return stmt.Assign(target, mark[1][:-1], value, across(target, value))
 
 
 def declare(c: Children) -> stmt.Declare:

@@ -287,5 +287,8 @@ class _Layout:
     def _report(
         self, code: str, message: str, line: int, column: int, help: str = "", labels: tuple[Label, ...] = ()
     ) -> None:
+        faults = self.chunk.faults
+        if faults and faults[-1].code == code and faults[-1].span.line == line:
+            return  # a million brackets that close nothing are one mistake
         span = Span(line, column, line, column + 1)
-        self.chunk.faults.append(Diagnostic(code, "error", message, span, labels, help))
+        faults.append(Diagnostic(code, "error", message, span, labels, help))

@@ -34,8 +34,8 @@ def planned(state: int, symbol: str) -> int | None:
 
 
 class _Row(dict[str, Any]):
-    """What a state does at a symbol: an int to shift to that state, a tuple `(length, make, after)` to reduce, None
-    where it is stuck or has come to the end."""
+    """What a state does at a symbol: an int to shift to that state, a tuple `(top, make, after)` to reduce the slice
+    `top` of the stack, None for its last value only; None where it is stuck or has come to the end."""
 
     __slots__ = ("state",)
 
@@ -71,15 +71,16 @@ _ROWS = [_Row(state) for state in range(len(STATES))]
 _AFTER: dict[tuple[str, str], _After] = {}
 
 
-def _reduction(rule: int, ahead: str) -> tuple[int, Any, _After]:
+def _reduction(rule: int, ahead: str) -> tuple[slice | None, Any, _After]:
     made, length, action = RULES[rule]
+    top = slice(-length, None) if length > 1 else None
     after = _AFTER.get((made, ahead))
     if after is None:
         after = _AFTER[made, ahead] = _After(made, ahead)
     make: Callable[[list[Any]], Any] | None = getattr(build, action) if action else None
     if make is None:
-        return length, (None if length == 1 else _spliced), after
-    return length, (_splicing(make) if rule in SPLICING else make), after
+        return top, (None if length == 1 else _spliced), after
+    return top, (_splicing(make) if rule in SPLICING else make), after
 
 
 def _splicing(make: Callable[[list[Any]], Any]) -> Callable[[list[Any]], Any]:
@@ -88,15 +89,14 @@ def _splicing(make: Callable[[list[Any]], Any]) -> Callable[[list[Any]], Any]:
 
 def _spliced(children: list[Any]) -> list[Any]:
     """The lists that `_rules` made, dissolved; the first one is used further, so that long blocks stay linear."""
-    first = children[0]
-    if first.__class__ is not list:
-        first = [first]
-    for child in children[1:]:
-        if child.__class__ is list:
-            first += child
+    result: list[Any] = []
+    for child in children:
+        if child.__class__ is not list:
+            result.append(child)
+        elif result:
+            result += child
         else:
-            first.append(child)
-    result: list[Any] = first
+            result = child
     return result
 
 
@@ -109,15 +109,15 @@ def run(tokens: Sequence[Any]) -> Any:
     for position, token in enumerate(tokens):
         action = rows[state][token[0]]
         while action.__class__ is tuple:
-            length, make, after = action
-            if length == 1:
+            top, make, after = action
+            if top is None:
                 if make is not None:
-                    values[-1] = make(values[-1:])
+                    values[-1] = make([values[-1]])
                 state, action = after[states[-2]]
                 states[-1] = state
             else:
-                children = values[-length:]
-                del values[-length:], states[-length:]
+                children = values[top]
+                del values[top], states[top]
                 values.append(make(children))
                 state, action = after[states[-1]]
                 states.append(state)
@@ -141,14 +141,16 @@ def parse(source: Source) -> tuple[decl.Program, list[Diagnostic]]:
         read: list[Any] = []
         found: list[Diagnostic] = []
         for chunk in chunks:
-            try:
-                read.append(None if chunk.faults else section(chunk.tokens, chunk.long))
-            except (Stuck, build.Refused):
-                read.append(None)
-            if read[-1] is None:
-                from koordgen.syntax.recover import recovered
+            wrong: Stuck | build.Refused | None = None
+            if not chunk.faults:
+                try:
+                    read.append(section(chunk.tokens, chunk.long))
+                    continue
+                except (Stuck, build.Refused) as error:
+                    wrong = error
+            from koordgen.syntax.recover import recovered
 
-                read[-1] = recovered(chunk, found)
+            read.append(recovered(chunk, found, wrong))
     finally:
         if collecting:
             gc.enable()

@@ -23,26 +23,32 @@ MOST_FAULTS = 30  # told of one text
 _DEEPEST_STACK = 20 * DEEPEST_TREE  # states; more than any tree and any blocks that are allowed need
 
 _MARGINS = ("NEWLINE", "INDENT", "DEDENT")
+_DEPTH = {"(": 1, "[": 1, "{": 1, ")": -1, "]": -1, "}": -1}
 _NAMED = ("using", "def", "invariant", "axiom")  # headers of a word and a name
 
 Tokens = list[Any]
 States = list[int]
 
 
-def recovered(chunk: Chunk, found: list[Diagnostic]) -> decl.Section:
-    """The node of a section in which something is wrong. What is, is added to `found`, up to MOST_FAULTS of them."""
+def recovered(chunk: Chunk, found: list[Diagnostic], wrong: Stuck | build.Refused | None) -> decl.Section:
+    """The node of a section in which something is wrong: its layout, or what ended the first try. What is, is added to
+    `found`, up to MOST_FAULTS of them."""
     repair = _Repair(chunk, found)
     faults = sorted(chunk.faults, key=_place, reverse=True)
     while not repair.hopeless:
-        if faults and repair.readable(faults[-1]):
+        if wrong is None and faults and repair.readable(faults[-1]):
             repair.fault(faults.pop())
-            continue
-        try:
-            return section(repair.tokens, chunk.long)  # type: ignore[no-any-return]
-        except Stuck as stuck:
-            repair.stuck(stuck.position)
-        except build.Refused as refused:
-            repair.fault(refused.diagnostic)
+        elif wrong is not None:
+            if isinstance(wrong, Stuck):
+                repair.stuck(wrong.position)
+            else:
+                repair.fault(wrong.diagnostic)
+            wrong = None
+        else:
+            try:
+                return section(repair.tokens, chunk.long)  # type: ignore[no-any-return]
+            except (Stuck, build.Refused) as error:
+                wrong = error
     first = chunk.tokens[0]
     return decl.BrokenSection(_names(chunk.tokens), Span(first[2], first[3], first[2], first[3] + len(first[1])))
 
@@ -54,8 +60,9 @@ class _Repair:
         self.tokens: Tokens = list(chunk.tokens)
         self.found = found
         self.touched: dict[int, int] = {}  # how often a line of the text was repaired
+        self.told: set[tuple[int, int]] = set()  # the places that were told of
         self.muted = False  # the indentation is not what it looks like
-        self.hopeless = False
+        self.hopeless = len(found) == MOST_FAULTS
         kinds = {token[0] for token in chunk.tokens}
         self.headless = chunk.tokens[0][0] == "NAME" and not kinds & {"pre", "eff"}  # hardly an event
 
@@ -112,11 +119,14 @@ class _Repair:
             self._line(position, colon=first)
 
     def _tell(self, diagnostic: Diagnostic, position: int) -> bool:
-        """Whether this is the first mistake in its line: a second one may be an echo and is not told."""
+        """Whether this is the first mistake in its line: a second one may be an echo and is not told, and no more is
+        another one at the same place, which may be a header above."""
         line = self.tokens[_start(self.tokens, position)][2]
         times = self.touched[line] = self.touched.get(line, 0) + 1
-        if times == 1 and not self.muted and len(self.found) < MOST_FAULTS:
+        where = _place(diagnostic)
+        if times == 1 and where not in self.told and not self.muted and len(self.found) < MOST_FAULTS:
             self.found.append(diagnostic)
+            self.told.add(where)
         self.hopeless |= self.headless or times > 3 or len(self.found) == MOST_FAULTS
         return times == 1
 
@@ -294,7 +304,7 @@ def _parts(line: Tokens) -> list[Tokens]:
         if cut:
             parts.append([])
         parts[-1].append(token)
-        depth += _depth([token])
+        depth += _DEPTH.get(token[0], 0)
         cut = token[0] == ":" and depth == 0 and quantifiers == 0
         if depth == 0:
             quantifiers += (token[0] in ("forall", "exists")) - (token[0] == ":" and quantifiers > 0)
@@ -302,7 +312,7 @@ def _parts(line: Tokens) -> list[Tokens]:
 
 
 def _depth(tokens: Tokens) -> int:
-    return sum((token[0] in ("(", "[", "{")) - (token[0] in (")", "]", "}")) for token in tokens)
+    return sum(_DEPTH.get(token[0], 0) for token in tokens)
 
 
 def _mark(word: str, place: Any) -> Any:

@@ -157,14 +157,9 @@ def feed(text: str) -> str:
     assert len({(d.span.line, d.span.column, d.code) for d in found}) == len(found)
     if found:
         assert render(found[0], source)
-        read = "unread"
     else:
         assert not is_broken(tree)
-        read = "read"
-    return built(tree, source, found) if WHOLE else read
-
-
-WHOLE = False  # whether checker and emitter know the whole language
+    return built(tree, source, found)
 
 
 def built(tree: Program, source: Source, found: list[Diagnostic]) -> str:
@@ -207,7 +202,7 @@ def test_every_program_of_ours_is_fed() -> None:
 def test_no_mutation_raises_or_hangs() -> None:
     came = fuzz(2_000, seed=20261121)
     assert came["unread"] > 500
-    assert came["read"] + came["right"] > 50  # the mutations do not only destroy
+    assert came["read"] > 50 and came["right"] > 10  # the mutations do not only destroy
 
 
 @pytest.mark.slow

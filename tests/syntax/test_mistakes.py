@@ -309,9 +309,10 @@ def test_several_mistakes_are_told_once_each() -> None:
         "x = '" + "\\" * 10**6,
         "x" * 10**6 + " y z",
         "x = " + "(" * 10**5,
-        "x = " + "-" * 10**4,
-        "x = " + "a+" * 10**4,
-        "List<" * 10**4 + "int",
+        "x = " + "-" * 10**5,
+        "x = " + "a+" * 10**5,
+        "x = " + "]" * 10**5,
+        "List<" * 10**5 + "int",
     ],
     ids=lambda line: line[:12],
 )

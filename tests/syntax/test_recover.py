@@ -248,6 +248,32 @@ def test_blocks_on_one_line_and_types_nest_to_a_limit() -> None:
     assert DEEPEST_TREE == 100
 
 
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("x = f(a\ny = 2 2", [1, 2]),
+        ("x = [1,\ny = 2 2", [1, 2]),
+        ("x = (\nMotion.target = 1 1", [1, 2]),
+        ("x = f(\na[i].f += 1 1", [1, 2]),
+        ("x = {1:\nint y = 2 2", [1, 2]),
+        ("x = f(a,\n  y = 2,\n  z = 3)\nw = 1 1", [4]),  # arguments
+        ("x = f(a,\n  y == 2 or\n z <= 3)\nw = 1 1", [4]),
+    ],
+)
+def test_an_open_bracket_ends_where_an_assignment_begins(text: str, told: list[int]) -> None:
+    assert effect(text)[1] == told
+
+
+@pytest.mark.parametrize("piece", ["-", "forall i in ID: ", "if x: ", "a' ", "]", "a if b else ", "for i in a: "])
+def test_a_repetition_is_one_mistake(piece: str) -> None:
+    assert effect(f"x = {piece * 3000}\nx = 1 1")[1] == [1, 2]
+
+
+def test_a_header_is_told_once_though_its_block_shows_it_again() -> None:
+    text = "func(int n) -> int:\n  return n\n :\n  pre: a\n"
+    assert lines(text) == [1, 3]
+
+
 def test_of_many_mistakes_the_first_are_told() -> None:
     text = "E:\n  pre: b\n  eff:\n" + "    x = 1 1\n" * 100
     assert lines(text) == list(range(4, 4 + MOST_FAULTS))
