@@ -64,11 +64,11 @@ def check_name(node: ast.Name, c: Context, wanted: Type | None = None) -> ir.Exp
     if name not in c.entities:
         return _predefined(node, c)
     entity = c.entities[name]
-    if type(entity) is Local:
-        c.mention(name)
-        return refused("the variable ", name, span, c) or ir.LocalRead(name, entity.type, span)
     match entity:
-        case None | Local():
+        case Local(type=type_):
+            c.mention(name)
+            return refused("the variable ", name, span, c) or ir.LocalRead(name, type_, span)
+        case None:
             return c.poison(span)
         case Param(type=type_):
             return ir.ParamRead(name, type_, span)
