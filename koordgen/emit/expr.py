@@ -4,9 +4,21 @@ from __future__ import annotations
 
 from koordgen.diagnostics import InternalError
 from koordgen.emit.names import Names
-from koordgen.emit.types import display
+from koordgen.emit.types import display, with_floats
 from koordgen.ir import expr as ir
-from koordgen.ir.types import FLOAT, POINT, STRING, ExternType, MapOf, RecordType, Sequence, Sized, TupleOf, Type
+from koordgen.ir.types import (
+    FLOAT,
+    POINT,
+    STRING,
+    ExternType,
+    MapOf,
+    PerRobot,
+    RecordType,
+    Sequence,
+    Sized,
+    TupleOf,
+    Type,
+)
 
 # Python's binding strengths, loosest first.
 _CONDITIONAL, _OR, _AND, _NOT, _COMPARE, _SUM, _PRODUCT, _SIGN, _ATOM = range(9)
@@ -47,7 +59,7 @@ def _text(node: ir.Expr, names: Names) -> tuple[str, int]:
             return f"-{float(value)!r}", _SIGN
         case ir.Widen(operand):
             return f"float({text(operand, names)})", _ATOM
-        case ir.Unary("not", ir.Contains(item, values)) if not isinstance(values.type, MapOf):
+        case ir.Unary("not", ir.Contains(item, values)) if not _looked_up(values.type):
             return f"{_within(item, names, _SUM)} not in {_within(values, names, _SUM)}", _COMPARE
         case ir.Unary(op, operand):
             if op == "not":
@@ -58,11 +70,16 @@ def _text(node: ir.Expr, names: Names) -> tuple[str, int]:
         case ir.Binary(op, left, right) | ir.Logic(op, left, right):
             own = _STRENGTH[op]
             return f"{_within(left, names, own)} {op} {_within(right, names, own + 1)}", own
+        case ir.Compare("==" | "!=" as op, left, right) if left.type != FLOAT and with_floats(left.type):
+            same = f"equal({text(left, names)}, {text(right, names)})"
+            return (same, _ATOM) if op == "==" else (f"not {same}", _NOT)
         case ir.Compare(op, left, right):
             return f"{_within(left, names, _SUM)} {op} {_within(right, names, _SUM)}", _COMPARE
         case ir.Contains(item, values):
             if isinstance(values.type, MapOf):
                 return f"has_key({text(values, names)}, {text(item, names)})", _ATOM
+            if _looked_up(values.type):
+                return f"within({text(item, names)}, {text(values, names)})", _ATOM
             return f"{_within(item, names, _SUM)} in {_within(values, names, _SUM)}", _COMPARE
         case ir.Conditional(condition, then, orelse):
             shown = f"{_within(then, names, _OR)} if {_within(condition, names, _OR)} else {text(orelse, names)}"
@@ -72,6 +89,11 @@ def _text(node: ir.Expr, names: Names) -> tuple[str, int]:
             return f"{every}({text(body, names)} for {names.temp(name)} in {domain(over, names)})", _ATOM
         case _:
             return _atom(node, names), _ATOM
+
+
+def _looked_up(container: Type) -> bool:
+    """Whether `in` it is a function's affair; Python's own goes for the rest, regions included."""
+    return isinstance(container, MapOf) or (isinstance(container, (Sequence, PerRobot)) and with_floats(container))
 
 
 def literal(value: int | float | bool | str) -> str:
@@ -191,10 +213,10 @@ def _builtin(name: str, args: tuple[ir.Expr, ...], names: Names) -> str:
             return f"tuple(sorted({given}))"
         case "reversed":
             return f"tuple(reversed({given}))"
-        case "count":
+        case "count" if not with_floats(args[1].type):
             return f"{_within(args[0], names, _ATOM)}.count({text(args[1], names)})"
         case "sum" if isinstance(args[0].type, Sequence) and args[0].type.element == FLOAT:
-            return f"sum({given}, 0.0)"
+            return f"total({given})"
         case "str" if args[0].type == POINT:
             return f"shown({given})"
         case _:

@@ -12,9 +12,10 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "msgspec.structs": ("replace",),
     "koordgen.runtime.bounds": ("Blob", "Cells", "Distinct", "Fixed", "Many", "Pairs", "Parts", "Rays", "Text"),
     "koordgen.runtime.containers": (
-        "appended", "at", "difference", "extended", "first", "has_key", "index_of", "inserted", "intersection", "keys",
-        "last", "map_at", "map_get", "map_of", "map_with", "map_without", "popped", "power", "removed", "set_of",
-        "set_with", "set_without", "slice_", "union", "updated", "values", "without",
+        "appended", "at", "count", "difference", "equal", "extended", "first", "has_key", "index_of", "inserted",
+        "intersection", "keys", "last", "map_at", "map_get", "map_of", "map_with", "map_without", "popped", "power",
+        "removed", "set_of", "set_with", "set_without", "slice_", "total", "union", "updated", "values", "within",
+        "without",
     ),
     "koordgen.runtime.extern": ("Extern", "Library"),
     "koordgen.runtime.geometry": ("clear", "path_distance"),

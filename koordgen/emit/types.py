@@ -82,6 +82,23 @@ def bound(type_: Type, names: Names) -> str:
             assert_never(type_)
 
 
+def with_floats(type_: Type) -> bool:
+    """Whether values of a type have floats in them: Python's `==` and `in` are not Koord's then."""
+    match type_:
+        case Scalar() | Sized():
+            return type_ in (FLOAT, POINT, POSE, GRID) or (isinstance(type_, Sized) and type_.name != "string")
+        case Sequence(_, element) | PerRobot(element) | MapOf(_, element):  # keys have none
+            return with_floats(element)
+        case TupleOf(items):
+            return any(map(with_floats, items))
+        case RecordType(_, fields):
+            return any(with_floats(field) for _, field in fields)
+        case ExternType():
+            return False
+        case _:
+            assert_never(type_)
+
+
 def default(type_: Type, names: Names) -> str:
     """The value of a type that nothing was ever written to."""
     match type_:

@@ -17,6 +17,8 @@ from itertools import pairwise
 from operator import itemgetter
 from typing import Any, Protocol, TypeVar, overload
 
+import msgspec
+
 
 class Key(Protocol):
     """What can be an element of a set or a key of a map."""
@@ -112,10 +114,18 @@ def last(xs: tuple[T, ...]) -> T:
 
 def index_of(xs: tuple[T, ...], v: T) -> int:
     """Where the first element that equals v stands. Missing when there is none."""
-    try:
+    if within(v, xs):
         return xs.index(v)
-    except ValueError:
-        raise Missing(f"{_shown(v)} is not in the list") from None
+    raise Missing(f"{_shown(v)} is not in the list")
+
+
+def total(xs: Iterable[float]) -> float:
+    """The sum from left to right, rounded at each step. Python's own compensates for what is lost from 3.12 on, and
+    robots need not have one Python."""
+    found = 0.0
+    for x in xs:
+        found += x
+    return found
 
 
 def _index(xs: Sequence[Any], i: int) -> int:
@@ -123,6 +133,31 @@ def _index(xs: Sequence[Any], i: int) -> int:
         reason = f"indices are 0 to {len(xs) - 1}" if xs else "it is empty"
         raise OutOfRange(f"index {_shown(i)} is out of range: {reason}")
     return i
+
+
+# Equality of what holds floats: as IEEE 754 has it, NaN equals nothing, at no depth. Python looks at parts by identity
+# first. So the two differ only where there is a NaN, and it is enough to look for one on either side.
+
+
+def equal(a: object, b: object) -> bool:
+    """a == b, of one type."""
+    return a == b and not _holds_nan(a)
+
+
+def within(v: object, xs: tuple[Any, ...]) -> bool:
+    """Whether an element of a list or queue equals v."""
+    return v in xs and not _holds_nan(v)
+
+
+def count(xs: tuple[Any, ...], v: object) -> int:
+    """How many elements equal v."""
+    return 0 if _holds_nan(v) else xs.count(v)
+
+
+def _holds_nan(value: object) -> bool:
+    if isinstance(value, msgspec.Struct):
+        value = msgspec.structs.astuple(value)
+    return any(map(_holds_nan, value)) if isinstance(value, tuple) else value != value
 
 
 # Sets

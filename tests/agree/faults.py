@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator as operator_
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
@@ -197,6 +198,8 @@ RARE = [
     Fault("a Set takes twice", spoil=library("set_with", lambda xs, v: tuple(sorted((*xs, v))))),
     Fault("a Map is not ordered", spoil=library("map_with", lambda m, k, v: (*(p for p in m if p[0] != k), (k, v)))),
     Fault("get finds nothing", spoil=library("map_get", lambda m, k, v: v)),
+    Fault("NaN is itself", spoil=library("equal", operator_.eq)),
+    Fault("NaN is found", spoil=library("within", lambda v, xs: v in xs)),
     Fault("** as Python", spoil=library("power", lambda a, b: a**b)),
     Fault("a difference is a union", patch=meaning("difference", lambda a, b: builtins.set_of((*a, *b)))),
     Fault("round is half up", patch=meaning("round", lambda x: int(x + 0.5))),

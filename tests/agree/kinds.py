@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from random import Random
 from typing import Any
 
@@ -108,6 +109,21 @@ def random_value(rng: Random, type_: Type, wild: bool = True) -> Value:
             return Opaque(msgspec.msgpack.encode(Ticket(number)) if number else b"")
         case _:
             raise AssertionError(type_)
+
+
+def with_nans(rng: Random, value: Value) -> Value:
+    """What a robot keeps to itself may have NaN in it, now and then the same one twice."""
+    match value:
+        case float():
+            return math.nan if rng.random() < 0.03 else value
+        case Point(_, y, z):
+            return Point(math.nan, y, z) if rng.random() < 0.03 else value
+        case RecordValue(name, fields):
+            return RecordValue(name, tuple([with_nans(rng, part) for part in fields]))
+        case tuple():
+            return tuple([with_nans(rng, part) for part in value])
+        case _:
+            return value
 
 
 def _plain(rng: Random, type_: Scalar | Sized, wild: bool) -> Value:

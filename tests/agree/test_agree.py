@@ -86,24 +86,62 @@ def test_a_rare_seeded_fault_is_found(fault: Fault, monkeypatch: pytest.MonkeyPa
 
 
 NANS = """
+def Halt:
+  Point place
+  int id
+
 local:
-  bool list
-  bool item
-  bool point
+  List<bool> equal
+  List<bool> within
+  List<int> counts
+  List<bool> others
 E:
   pre: True
   eff:
     float nan = 1e308 * 10 - 1e308 * 10
-    List<float> nans = [nan]
+    List<float> nans = [1, nan]
     Point p = Point(nan, 0, 0)
-    list = nans == nans
-    item = nan in nans
-    point = p == p
+    Halt halt = Halt(p, 1)
+    List<Halt> halts = [halt]
+    Map<int, float> found = {1: nan}
+    (int, float) pair = (1, nan)
+    Queue<Point> points
+    points.push(p)
+    equal = [nan == nan, nans == nans, p == p, halt == halt, halts == halts, found == found, pair == pair, \\
+             Pose(p, 0) == Pose(p, 0), points == points]
+    within = [nan in nans, p in points, halt in halts, nan not in nans, not (p != p)]
+    counts = [nans.count(nan), halts.count(halt), nans.index(1), nans.count(1)]
+    others = [nans[:1] == nans[:1], Point(-0.0, 0, 0) == Point(0, 0, 0), 1.0 in nans, halt != halt]
 """
 
 
-@pytest.mark.xfail(strict=True, reason="Python compares what is in tuples and Structs by identity first")
-def test_nan_equals_nothing_within_lists_and_points_too() -> None:
+def test_nan_equals_nothing_at_any_depth() -> None:
     program = compiled(NANS)
     state = initial(program, N_SYS)
-    assert Generated(program, program_text(program)).event(state, 0) == Meant(program).event(state, 0)
+    event, _, outcome = Generated(program, program_text(program)).event(state, 0)
+    assert (event, None, outcome) == Meant(program).event(state, 0)
+    assert isinstance(outcome, dict)
+    values = {name: [part[1] for part in parts[1:]] for name, parts in outcome["locals"].items()}
+    assert values["equal"] == ["False"] * 9
+    assert values["within"] == ["False", "False", "False", "True", "False"]
+    assert values["counts"] == ["0", "0", "0", "1"]
+    assert values["others"] == ["True"] * 4
+
+
+@pytest.mark.parametrize("change", ["i = nans.index(nan)", "nans.remove(nan)", "places.remove(place)"])
+def test_nan_is_not_found(change: str) -> None:
+    text = f"""
+local: int i
+E:
+  pre: True
+  eff:
+    float nan = 1e308 * 10 - 1e308 * 10
+    List<float> nans = [1, nan]
+    Point place = Point(nan, 0, 0)
+    List<Point> places = [place]
+    {change}
+"""
+    program = compiled(text)
+    state = initial(program, N_SYS)
+    assert Meant(program).event(state, 0) == ("E", None, "discarded")
+    assert Generated(program, program_text(program)).event(state, 0) == ("E", None, "discarded")

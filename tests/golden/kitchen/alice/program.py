@@ -16,6 +16,8 @@ from koordgen.runtime.bounds import Blob, Cells, Distinct, Fixed, Many, Pairs, P
 from koordgen.runtime.containers import (
     appended,
     at,
+    count,
+    equal,
     extended,
     first,
     has_key,
@@ -32,6 +34,7 @@ from koordgen.runtime.containers import (
     removed,
     set_of,
     set_with,
+    total,
     union,
     updated,
     without,
@@ -190,13 +193,13 @@ def effect_collect(s: State) -> None:
     for my_i in range(1, PARAM_LAPS, 2):  # kitchen.koord:105
         s.local_seen.value = set_with(s.local_seen.value, (my_i, s.local_on.value))  # kitchen.koord:106
     for my_i_2 in range(s.n_sys):  # kitchen.koord:107
-        if (my_i_2, False) in s.local_seen.value and s.shared_x[my_i_2] != PARAM_HOME:  # kitchen.koord:108
+        if (my_i_2, False) in s.local_seen.value and not equal(s.shared_x[my_i_2], PARAM_HOME):  # kitchen.koord:108
             s.local_seen.value = union(s.local_seen.value, set_of(((my_i_2, True),)))  # kitchen.koord:109
     for my_n, my_b in s.local_seen.value:  # kitchen.koord:110
         s.local_text.value = s.local_text.value + str(my_n) + str(my_b)  # kitchen.koord:111
     for my_p, my_s in s.motion_pscan:  # kitchen.koord:112
         s.local_scan.value = my_s  # kitchen.koord:113
-        s.local_level.value = s.local_level.value + (sum(my_s.ranges, 0.0) + atan2(my_p.y, my_p.x))  # kitchen.koord:114
+        s.local_level.value = s.local_level.value + (total(my_s.ranges) + atan2(my_p.y, my_p.x))  # kitchen.koord:114
     my_c_2: Cup = first(s.shared_waiting.value)  # kitchen.koord:115
     s.shared_waiting.value = without(s.shared_waiting.value, 0)  # kitchen.koord:115
     s.local_tray.value = replace(s.local_tray.value, class_=appended(s.local_tray.value.class_, my_c_2))  # kitchen.koord:116
@@ -208,7 +211,7 @@ def effect_collect(s: State) -> None:
     s.local_levels.value = extended(s.local_levels.value, tuple(sorted(s.local_levels.value))[:2] + tuple(reversed(s.local_levels.value)))  # kitchen.koord:122
     s.local_level.value = at(s.local_levels.value, len(s.local_levels.value) - 1)  # kitchen.koord:123
     s.local_levels.value = popped(s.local_levels.value)  # kitchen.koord:123
-    my_where: int = index_of(s.local_levels.value, s.local_level.value) + s.local_levels.value.count(s.local_level.value) + fun_reduce(s.local_count.value, len(s.local_levels.value))  # kitchen.koord:124
+    my_where: int = index_of(s.local_levels.value, s.local_level.value) + count(s.local_levels.value, s.local_level.value) + fun_reduce(s.local_count.value, len(s.local_levels.value))  # kitchen.koord:124
     s.local_ticket.value = extern_stamp(s.local_ticket.value, my_c_2, s.shared_paths.all)  # kitchen.koord:125
     if fun_heavy(my_c_2):  # kitchen.koord:126
         s.emit("Log.stdout", "heavy ", my_c_2.name, str(my_where), " at ", shown(my_c_2.at))  # kitchen.koord:127
@@ -252,7 +255,7 @@ def effect_finish(s: State) -> None:
 
 
 # Line of this file -> line of kitchen.koord.
-LINES: dict[int, int] = {66: 36, 67: 37, 68: 38, 69: 39, 70: 40, 129: 19, 130: 20, 131: 21, 132: 22, 133: 23, 138: 26, 139: 27, 140: 28, 141: 29, 142: 30, 143: 31, 144: 32, 149: 34, 153: 78, 154: 79, 155: 80, 160: 83, 165: 85, 166: 86, 167: 87, 168: 88, 169: 89, 171: 91, 172: 92, 173: 93, 174: 94, 175: 95, 176: 96, 181: 99, 186: 101, 187: 102, 188: 103, 189: 104, 190: 105, 191: 106, 192: 107, 193: 108, 194: 109, 195: 110, 196: 111, 197: 112, 198: 113, 199: 114, 200: 115, 201: 115, 202: 116, 203: 117, 204: 118, 205: 119, 206: 120, 207: 121, 208: 122, 209: 123, 210: 123, 211: 124, 212: 125, 213: 126, 214: 127, 219: 130, 224: 132, 225: 133, 226: 134, 227: 135, 228: 136, 229: 137, 230: 138, 231: 139, 232: 140, 233: 141, 234: 142, 235: 143, 236: 144, 237: 145, 238: 146, 243: 149, 248: 151, 249: 152, 250: 153, 251: 154, 263: 64, 264: 65, 265: 66, 266: 67, 267: 68, 268: 69, 269: 70, 270: 71, 271: 72, 272: 73, 273: 74, 274: 75, 277: 55, 278: 56, 279: 57, 280: 59, 281: 60, 282: 61, 283: 62}
+LINES: dict[int, int] = {69: 36, 70: 37, 71: 38, 72: 39, 73: 40, 132: 19, 133: 20, 134: 21, 135: 22, 136: 23, 141: 26, 142: 27, 143: 28, 144: 29, 145: 30, 146: 31, 147: 32, 152: 34, 156: 78, 157: 79, 158: 80, 163: 83, 168: 85, 169: 86, 170: 87, 171: 88, 172: 89, 174: 91, 175: 92, 176: 93, 177: 94, 178: 95, 179: 96, 184: 99, 189: 101, 190: 102, 191: 103, 192: 104, 193: 105, 194: 106, 195: 107, 196: 108, 197: 109, 198: 110, 199: 111, 200: 112, 201: 113, 202: 114, 203: 115, 204: 115, 205: 116, 206: 117, 207: 118, 208: 119, 209: 120, 210: 121, 211: 122, 212: 123, 213: 123, 214: 124, 215: 125, 216: 126, 217: 127, 222: 130, 227: 132, 228: 133, 229: 134, 230: 135, 231: 136, 232: 137, 233: 138, 234: 139, 235: 140, 236: 141, 237: 142, 238: 143, 239: 144, 240: 145, 241: 146, 246: 149, 251: 151, 252: 152, 253: 153, 254: 154, 266: 64, 267: 65, 268: 66, 269: 67, 270: 68, 271: 69, 272: 70, 273: 71, 274: 72, 275: 73, 276: 74, 277: 75, 280: 55, 281: 56, 282: 57, 283: 59, 284: 60, 285: 61, 286: 62}
 
 PROGRAM = Program(
     name="kitchen",
