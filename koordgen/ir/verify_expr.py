@@ -56,7 +56,7 @@ _PLACES: dict[type, frozenset[str]] = {
     expr.PortRead: _ACTING | {"assume"},
     expr.LocalOf: frozenset(("property",)),
     expr.PortOf: frozenset(("property",)),
-    expr.Quantified: frozenset(("property", "assume")),
+    expr.Quantified: frozenset(("contract", "property", "assume")),
     expr.Call: _ACTING | {"function", "contract", "property", "assume"},
     expr.ExternCall: _ACTING | {"function", "contract", "property", "assume"},
     expr.PortCall: frozenset(("init", "effect", "assume")),

@@ -9,7 +9,10 @@ import pytest
 from koordgen.runtime.gridmap import GridMap
 from koordgen.runtime.program import Effects, Fault
 from koordgen.runtime.values import Grid, Opaque, Point
-from tests.emit.generated import MOTION, frame, load, locals_after, step
+from koordgen.semantics.eval import Discarded
+from koordgen.semantics.state import Store, World, nobody
+from koordgen.semantics.step import execute, initial
+from tests.emit.generated import MOTION, checked, frame, load, locals_after, step
 
 
 def event(body: str) -> str:
@@ -198,3 +201,39 @@ def test_what_is_none_of_the_type_is_told(name: str, call: str, returned: str, w
 def test_what_the_user_does_to_an_extern_value_changes_no_other() -> None:
     functions = FUNCTIONS + "def number(t): t.number += 1; return t.number\n"
     assert locals_after(EXTERNS + event("n = number(t) * 10 + number(t)"), functions)["n"] == 44
+
+
+QUANTIFIED = """
+extern fun far(List<Point> places, List<float> spots[N_SYS]) -> int:
+  requires: forall p in places: p.z >= 0
+  ensures: exists p in places: result == 1 or (forall s in spots: forall k in range(len(s)): s[k] > p.x)
+allread: List<float> spots[N_SYS]
+local: List<Point> places
+local: int n
+E:
+  pre: True
+  eff: n = far(places, spots)
+"""
+
+
+@pytest.mark.parametrize(
+    ("z", "spot", "returned", "told"),
+    [
+        (0.0, 2.0, 5, ""),
+        (0.0, 1.0, 1, ""),
+        (-1.0, 2.0, 1, "far was called although what it requires (line 3) does not hold"),
+        (0.0, 1.0, 5, "far returned 5, against what it ensures (line 4)"),
+    ],
+)
+def test_quantifiers_in_contracts_are_checked_at_run_time(z: float, spot: float, returned: int, told: str) -> None:
+    program = load(QUANTIFIED, f"def far(places, spots): return {returned}")
+    given = frame(program, places=(Point(1, 0, 0), Point(1, 0, z)), spots=((spot,), (), (2.0, 2.0)))
+    done = step(program, given)
+    assert (str(done) if isinstance(done, Fault) else "") == (f"a.koord:10: {told}" if told else "")
+    meant = checked(QUANTIFIED)
+    state = initial(meant, 3)
+    robots = tuple([r._replace(locals=dict(given.locals)) for r in state.robots])
+    state = state._replace(robots=robots, store=Store({"spots": given.shared["spots"]}, {}))
+    world = World({"far": lambda places, spots: returned}, nobody)
+    outcome = execute(meant, meant.events[0].effect, state, 0, world)
+    assert isinstance(outcome, Discarded) == bool(told), outcome
