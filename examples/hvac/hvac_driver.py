@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 OUTSIDE = 5.0  # degrees Celsius
 LOSS, HEATING = 0.02, 1.2  # of the difference to the outside, and degrees, a second
@@ -16,8 +16,8 @@ LOSS, HEATING = 0.02, 1.2  # of the difference to the outside, and degrees, a se
 class Hvac:
     """One room."""
 
-    sensors = {"temp": "float"}
-    actuators = {"heat": "bool"}
+    sensors: ClassVar = {"temp": "float"}
+    actuators: ClassVar = {"heat": "bool"}
 
     def __init__(self) -> None:
         self._temp = 15.0

@@ -1,72 +1,97 @@
-"""What mapping.koord leaves to Python: where to look next, what is in the way, what a scan tells.
+"""What mapping.koord leaves to Python: where to look next, what is in the way, what a scan tells, when all is seen.
 
-All three are pure: the same map and scan give the same answer on every robot. Lengths in metres, local ENU frame.
+All of them are pure: the same map and scan give the same answer on every robot. Lengths in metres, local ENU frame.
+The map is parted into strips from west to east, one a robot; each drives within its own, a cell away from the next.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterator
 
-from koordgen.runtime.gridmap import GridMap, cell, center, is_free, is_known, is_occupied, mark_free, mark_occupied
+from koordgen.runtime.gridmap import GridMap, cell, center, is_known, is_occupied, mark_free, mark_occupied
 from koordgen.runtime.values import Grid, Point, Scan
 
-AROUND = ((1, 0), (-1, 0), (0, 1), (0, -1))
-ROOM = 1  # cells between a place to drive to and what is occupied
+Cell = tuple[int, int]
+NEAR = ((1, 0), (-1, 0), (0, 1), (0, -1))
+AROUND = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1))
 
 
-def pickFrontierPos(known: GridMap, own: Point) -> Point:
-    """The nearest free cell beside an unknown one, with some room around it; without any, where the robot is."""
-    frontier = [
-        center(g)
-        for g in _cells(known)
-        if is_free(known, g)
-        and any(not is_known(known, n) and _inside(known, n) for n in _near(g))
-        and not any(is_occupied(known, n) for n in _square(g, ROOM))
-    ]
-    if not frontier:
-        here = cell(own, known.resolution)
-        unknown = [center(g) for g in _cells(known) if not is_known(known, g)]
-        return own if is_known(known, here) or not unknown else center(here)
-    return min(frontier, key=lambda p: (math.hypot(p.x - own.x, p.y - own.y), p.x, p.y))
+def pickFrontierPos(known: GridMap, own: Point, part: int, parts: int) -> Point:
+    """The edge of what is known that is nearest to drive to, or else as the crow flies; without any, where the robot
+    is."""
+    edge = _edge(known, part, parts)
+    if not edge:
+        return own
+    size, room = known.resolution, _room(known, part, parts)
+    here = cell(own, size)
+    queue, seen = deque([(here.x, here.y)]), {(here.x, here.y)}
+    while queue:
+        x, y = queue.popleft()
+        if (x, y) in edge:
+            return center(Grid(x, y, size))
+        for i, j in NEAR:
+            following = (x + i, y + j)
+            if following in room and following not in seen:
+                seen.add(following)
+                queue.append(following)
+    return min((center(Grid(x, y, size)) for x, y in sorted(edge)), key=lambda p: math.hypot(p.x - own.x, p.y - own.y))
 
 
 def findObs(known: GridMap) -> list[Grid]:
     """The cells that are known to be occupied."""
-    return [g for g in _cells(known) if is_occupied(known, g)]
+    cells = (Grid(x, y, known.resolution) for x, y in _cells(known))
+    return [g for g in cells if is_occupied(known, g)]
+
+
+def explored(known: GridMap, part: int, parts: int) -> bool:
+    """Whether a strip has no edge left to drive to."""
+    return not _edge(known, part, parts)
 
 
 def scanToMap(own: Point, seen: Scan, area: GridMap) -> GridMap:
     """`area` with the cells free that rays crossed, and those occupied at which rays ended."""
-    result = area
+    size = area.resolution
+    free: set[Cell] = set()
+    hit: set[Cell] = set()
     for angle, range_ in zip(seen.angles, seen.ranges, strict=True):
-        east, north = math.cos(angle), math.sin(angle)
-        steps = max(1, int(range_ / (area.resolution / 4)))
+        east, north = math.cos(angle) / size, math.sin(angle) / size
+        x, y = own.x / size, own.y / size
+        steps = max(1, int(3 * range_ / size))
         for i in range(steps):
             way = range_ * i / steps
-            g = cell(Point(own.x + way * east, own.y + way * north, 0.0), area.resolution)
-            if _inside(result, g) and not is_known(result, g):
-                result = mark_free(result, g)
+            free.add((math.floor(x + way * east), math.floor(y + way * north)))
         if range_ < seen.max_range:
             way = range_ + 1e-6  # the surface itself belongs to the cell behind it
-            g = cell(Point(own.x + way * east, own.y + way * north, 0.0), area.resolution)
-            if _inside(result, g):
-                result = mark_occupied(result, g)
+            hit.add((math.floor(x + way * east), math.floor(y + way * north)))
+    result = area
+    for x_, y_ in free & set(_cells(area)):
+        result = mark_free(result, Grid(x_, y_, size))
+    for x_, y_ in hit & set(_cells(area)):
+        result = mark_occupied(result, Grid(x_, y_, size))
     return result
 
 
-def _cells(m: GridMap) -> Iterator[Grid]:
-    return (Grid(m.x + i, m.y + j, m.resolution) for j in range(m.height) for i in range(m.width))
+def _edge(known: GridMap, part: int, parts: int) -> set[Cell]:
+    """The cells of a strip with room for a robot, beside a cell of which nothing is known."""
+    unknown = {c for c in _cells(known) if not is_known(known, Grid(*c, known.resolution))}
+    return {(x, y) for x, y in _room(known, part, parts) if any((x + i, y + j) in unknown for i, j in NEAR)}
 
 
-def _near(g: Grid) -> Iterator[Grid]:
-    return (Grid(g.x + i, g.y + j, g.size) for i, j in AROUND)
+def _room(known: GridMap, part: int, parts: int) -> set[Cell]:
+    """The cells of a strip that are known to be free and have nothing occupied around them."""
+    west = known.x + known.width * part // parts + (1 if part > 0 else 0)
+    east = known.x + known.width * (part + 1) // parts - (1 if part < parts - 1 else 0)
+    taken = {c for c in _cells(known) if is_occupied(known, Grid(*c, known.resolution))}
+    return {
+        (x, y)
+        for x, y in _cells(known)
+        if west <= x < east
+        and is_known(known, Grid(x, y, known.resolution))
+        and not any((x + i, y + j) in taken for i, j in AROUND)
+    }
 
 
-def _square(g: Grid, room: int) -> Iterator[Grid]:
-    span = range(-room, room + 1)
-    return (Grid(g.x + i, g.y + j, g.size) for i in span for j in span)
-
-
-def _inside(m: GridMap, g: Grid) -> bool:
-    return m.x <= g.x < m.x + m.width and m.y <= g.y < m.y + m.height
+def _cells(m: GridMap) -> Iterator[Cell]:
+    return ((m.x + i, m.y + j) for j in range(m.height) for i in range(m.width))
