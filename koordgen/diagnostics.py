@@ -79,6 +79,7 @@ CATALOGUE: dict[str, str] = {
     "B004": "a round's writes do not fit in a datagram",
     "B005": "a driver cannot serve the module",
     "B006": "the Python beside the program lacks something",
+    "B007": "calls of ports may take too long for a round",
 }
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from koordgen.check import check
-from koordgen.diagnostics import Diagnostic, together
+from koordgen.diagnostics import Diagnostic, in_order, together
 from koordgen.ir.decl import Program
 from koordgen.ir.verify import verify
-from koordgen.node import Node
+from koordgen.node import Node, replace
 from koordgen.source import Source, Span
 from koordgen.syntax import decl as tree
 from koordgen.syntax.parse import parse
@@ -95,6 +95,7 @@ def plan_file(
     Rejected, BadParam, ManifestError."""
     from koordgen import manifest, resources
     from koordgen.bundle.budget import check_budget
+    from koordgen.bundle.calls import check_calls
     from koordgen.bundle.offer import check_ports
     from koordgen.bundle.plan import plan, read_ingredients
     from koordgen.check.params import with_params
@@ -118,6 +119,9 @@ def plan_file(
     own, missing = _beside(program, path, fleet_path, drivers, used, functions)
     if wrong or missing:
         raise Rejected([(checked.source, d) for d in (*wrong, *missing)])
+    if fleet:
+        slow = check_calls(program, len(fleet.robots), fleet.delta, fleet.planner_budget)
+        checked = replace(checked, noticed=tuple(in_order([*checked.noticed, *slow])))
     source = Path(path).read_bytes()
     return checked, plan(read_ingredients(program, source, used, fleet, resources.package(), own), wanted)
 

@@ -11,12 +11,13 @@ import pytest
 
 from koordgen import explain, fleet, manifest
 from koordgen.bundle.budget import check_budget
+from koordgen.bundle.calls import check_calls
 from koordgen.bundle.drivers import check_drivers, driver_files
 from koordgen.bundle.functions import check_functions, functions_file
 from koordgen.bundle.offer import check_ports
 from koordgen.check import check
 from koordgen.cli import main
-from koordgen.diagnostics import CATALOGUE, together
+from koordgen.diagnostics import CATALOGUE, Diagnostic, together
 from koordgen.explain import Explanation, explanation, show
 from koordgen.fleet import Driver
 from koordgen.ir.decl import Program
@@ -142,4 +143,5 @@ def test_examples_of_builds(code: str, tmp_path: Path) -> None:
         told += check_functions(program, functions_file(program, tmp_path, None))
         told += with_driver(program, found.wrong_note, tmp_path)
         told += check_budget(program, int(robots[1]) if robots else 1)
+        told += check_calls(program, int(robots[1]) if robots else 1, delta=0.1, budget=0.01)
         assert {d.code for d in told} == wanted, note
