@@ -30,8 +30,8 @@ class Setting(Node):
 class Target(Node):
     """One target. `kind` "agent" runs one robot (`entry` is its Platform class), "harness" a whole fleet on one host
     (`entry` is its main function), both as "module:name". `sensors`, `actuators` and `callables` are keyed by
-    "Module.port" and say the Koord type. `simulation` names the body and the device that stand in for the real ones; `also` the other
-    folders of targets/ whose files this one's code imports."""
+    "Module.port" and say the Koord type. `simulation` names the body and the device that stand in for the real ones;
+    `also` the other folders of targets/ whose files this one's code imports."""
 
     name: str
     summary: str

@@ -39,7 +39,7 @@ def clamp(box: Box, p: Point) -> Point:
 
 
 def clamped(box: Box, actuators: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """The actuators with every Point (also within a list or tuple) moved into the box, and the names of those that were."""
+    """The actuators with every Point (also within a tuple) moved into the box, and the names of those that were."""
     moved: dict[str, Any] = {name: _into(box, value) for name, value in actuators.items()}
     return moved, [name for name, value in moved.items() if value != actuators[name]]
 

@@ -96,9 +96,16 @@ def test_random_clutter(planner: Planner) -> None:
 def test_a_route_gives_its_points_one_after_the_other() -> None:
     route = Route()
     a, b = Point(1.0, 0.0, 0.0), Point(2.0, 0.0, 0.0)
-    assert route.goal is None
-    assert route.take((a, b)) and route.goal == a and not route.last
-    assert route.passed() == b and route.last
+
+    def now() -> tuple[Point | None, bool]:
+        return route.goal, route.last
+
+    assert now() == (None, True)
+    assert route.take((a, b))
+    assert now() == (a, False)
+    assert route.passed() == b
     assert route.passed() == b, "the last one stays"
+    assert now() == (b, True)
     assert not route.take((a, b)), "it is being followed already"
-    assert route.take(()) and route.goal is None and route.last
+    assert route.take(())
+    assert now() == (None, True)

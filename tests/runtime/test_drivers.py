@@ -104,10 +104,14 @@ def test_a_driver_that_does_not_sense_makes_its_robot_skip_until_it_does(failure
     vars(driver).update(failure)
     fleet.run(0.5)
     robot = fleet.robots[0]
-    assert robot.records[-1].effects is None and (robot.records[-1].skipped or "").startswith("HVAC.")
+    last = robot.records[-1]
+    assert last.effects is None
+    assert (last.skipped or "").startswith("HVAC.")
     vars(driver).update({key: before[key] for key in failure})
     fleet.run(0.5)
-    assert robot.records[-1].effects is not None and robot.agent.phase == "running"
+    last = robot.records[-1]
+    assert last.effects is not None
+    assert robot.agent.phase == "running"
 
 
 def test_a_mission_waits_for_its_drivers() -> None:
