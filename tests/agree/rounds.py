@@ -1,0 +1,182 @@
+"""Whole rounds of a random program: by agents over a network in memory, and by the executable semantics."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from random import Random
+from typing import Any
+
+import msgspec
+
+from koordgen.bundle.budget import check_budget
+from koordgen.emit.program import program_text
+from koordgen.ir import decl as d
+from koordgen.ir.types import MapOf, RecordType, Sequence, Sized, TupleOf, Type
+from koordgen.node import replace
+from koordgen.runtime.locks import holder
+from koordgen.runtime.platform import Sensed
+from koordgen.runtime.program import Frame
+from koordgen.runtime.trace import Record
+from koordgen.runtime.values import Point
+from koordgen.semantics import step
+from koordgen.semantics.exec import Writes, declared
+from koordgen.semantics.state import State
+from koordgen.semantics.values import RecordValue, Value
+from tests.agree.both import Difference, Generated, Meant, answer, key
+from tests.agree.kinds import random_value
+from tests.agree.programs import N_SYS, random_program
+from tests.runtime.fleet import FakePlatform, Fleet
+
+ROUNDS = 10
+Right = Callable[[int, int, int], int]  # lock, round, robots -> pid
+
+
+class Body(FakePlatform):
+    """Shows other sensor values after each of its commands."""
+
+    def __init__(self, pid: int, generated: Generated, rng: Random) -> None:
+        super().__init__(Point())
+        self.pid, self.generated, self.rng = pid, generated, rng
+        self.look()
+        self.first = self.values
+
+    def look(self) -> None:
+        ports = [(f"{m.name}.{p.name}", p) for m in self.generated.ir.modules for p in m.ports]
+        self.values = {
+            name: self.generated.python(random_value(self.rng, p.type, wild=False), p.type)
+            for name, p in ports
+            if p.direction == "sensor"
+        }
+        self.values["Motion.position"] = Point(*[self.rng.choice((0.0, 0.5, 1.5)) for _ in "xyz"])  # within the fence
+
+    def sense(self, now: float) -> Sensed:
+        return Sensed(self.values, now)
+
+    def command(self, actuators: Mapping[str, Any], now: float) -> None:
+        self.look()
+
+    def call(self, port: str, args: tuple[Any, ...]) -> Any:
+        return answer(self.pid, port, args)
+
+
+def small(seed: int) -> d.Program | None:
+    """A random program whose shared variables fit in a datagram; None where they do not."""
+    program = random_program(seed)
+    program = replace(program, shared=tuple([replace(v, type=_small(v.type)) for v in program.shared]))
+    return None if check_budget(program, N_SYS) else program
+
+
+def _small(type_: Type) -> Type:
+    match type_:
+        case Sized(name):
+            return Sized(name, {"string": 16, "GridMap": 24}.get(name, 2))
+        case Sequence(name, element):
+            return Sequence(name, _small(element), 3)
+        case MapOf(k, v):
+            return MapOf(_small(k), _small(v), 3)
+        case TupleOf(items):
+            return TupleOf(tuple(map(_small, items)))
+        case RecordType(name, fields):
+            return RecordType(name, tuple([(field, _small(held)) for field, held in fields]))
+        case _:
+            return type_
+
+
+def agree(program: d.Program, seed: int, seen: Counter[str], right: Right = holder) -> None:
+    """What every robot sees and does in its rounds must be what the semantics says. `right` seeds faults."""
+    both = _Both(program, seed)
+    state = both.begin()
+    if state is None:
+        seen["init failed"] += 1
+        return
+    for round_ in range(1, ROUNDS + 1):
+        state = both.round(state, round_, seen, right)
+
+
+class _Both:
+    def __init__(self, program: d.Program, seed: int) -> None:
+        self.program, self.seed, self.types = program, seed, declared(program)
+        self.generated, self.semantics = Generated(program, program_text(program)), Meant(program)
+        self.fleet = Fleet(n=N_SYS, seed=seed, program=self.generated.program)
+        self.atomic = {e.name for e in program.events if e.lock is not None}
+        rng = Random(seed)
+        self.bodies = [Body(pid, self.generated, rng) for pid in range(N_SYS)]
+        for pid, body in enumerate(self.bodies):
+            self.fleet.boot(pid, body)
+        self.fleet.run(60, until=lambda: bool(self.failed()) or all(r.agent.round > ROUNDS for r in self.robots))
+
+    @property
+    def robots(self) -> list[Any]:
+        return [self.fleet.robots[pid] for pid in range(N_SYS)]
+
+    def failed(self) -> list[int]:
+        return [pid for pid, robot in enumerate(self.robots) if robot.agent.phase in ("resting", "rested")]
+
+    def begin(self) -> State | None:
+        """The state before round 1; None when an init fails, on both sides."""
+        own = [{"Motion.target": b.first["Motion.position"], "Motion.reached": True} for b in self.bodies]
+        given = [{**self.meant(b.first), **rest} for b, rest in zip(self.bodies, own, strict=True)]
+        first = step.initial(self.program, N_SYS, given)
+        state, steps = step.run_init(self.program, first, self.semantics.world)
+        wrong = any(not isinstance(s.outcome, Writes) for s in steps)
+        self.same(bool(self.failed()), wrong, "an init fails")
+        return None if wrong else state
+
+    def round(self, state: State, number: int, seen: Counter[str], right: Right) -> State:
+        records: list[Record] = [robot.records[number - 1] for robot in self.robots]
+        self.same([r.round for r in records], [number] * N_SYS, "rounds")
+        state = step.sense(state, [self.meant(r.sensors) for r in records])
+        for pid, record in enumerate(records):
+            if record.frame is None:
+                self.same(record.skipped, "stopped" if state.robots[pid].stopped else "runs", f"{number}, {pid}")
+            else:
+                expected = self.keys(self.generated.frame(state, pid))
+                self.same(self.keys(record.frame), expected, f"what robot {pid} sees in round {number}")
+        grants = {lock: right(lock, number, N_SYS) for lock in range(len(self.program.locks))}
+        state, steps = step.round_(self.program, state, grants=grants, world=self.semantics.world)
+        for taken in steps:
+            record = records[taken.pid]
+            found = record.effects or record.fault
+            did = "skipped" if found is None else self.generated.done(found)
+            wanted = "skipped" if taken.outcome is None else self.semantics.done(taken.outcome)
+            self.same(did, wanted, f"what robot {taken.pid} does in round {number}")
+            word = wanted if isinstance(wanted, str) else "ran"
+            seen[word] += 1
+            seen["committed"] += word == "ran" and taken.event in self.atomic
+        return state
+
+    def keys(self, frame: Frame) -> Any:
+        actuators = [f"{m.name}.{p.name}" for m in self.program.modules for p in m.ports if p.direction == "actuator"]
+        slots = {v.name for v in self.program.shared if v.kind == "allread"}
+        return (
+            {name: key(value, self.types[name]) for name, value in frame.locals.items()},
+            {
+                name: [key(v, self.types[name]) for v in value] if name in slots else key(value, self.types[name])
+                for name, value in frame.shared.items()
+            },
+            {name: key(frame.actuators[name], self.types[name]) for name in actuators},
+        )
+
+    def meant(self, values: Mapping[str, Any]) -> dict[str, Value]:
+        return {name: _meant(value, self.types[name]) for name, value in values.items()}
+
+    def same(self, found: Any, expected: Any, what: str) -> None:
+        if found != expected:
+            raise Difference(f"small({self.seed}), {what}: agents say {found}, the semantics {expected}")
+
+
+def _meant(value: Any, type_: Type) -> Any:
+    """A value of a robot as the semantics has it."""
+    match type_:
+        case RecordType(name, fields):
+            parts = zip(msgspec.structs.astuple(value), fields, strict=True)
+            return RecordValue(name, tuple([_meant(part, t) for part, (_, t) in parts]))
+        case Sequence(_, element):
+            return tuple([_meant(part, element) for part in value])
+        case MapOf(k, v):
+            return tuple([(_meant(a, k), _meant(b, v)) for a, b in value])
+        case TupleOf(items):
+            return tuple([_meant(part, t) for part, t in zip(value, items, strict=True)])
+        case _:
+            return value

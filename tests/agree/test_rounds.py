@@ -1,0 +1,55 @@
+"""Whole rounds: what agents do over a network without loss is the semantics' round, locks by time division included."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+
+import pytest
+
+from tests.agree.both import Difference
+from tests.agree.programs import N_SYS
+from tests.agree.rounds import ROUNDS, Right, agree, small
+
+
+def run(seeds: Iterable[int]) -> tuple[int, Counter[str]]:
+    """How many programs there were, and what became of their robots' rounds."""
+    seen: Counter[str] = Counter()
+    programs = [(seed, program) for seed in seeds if (program := small(seed)) is not None]
+    for seed, program in programs:
+        agree(program, seed, seen)
+    return len(programs), seen
+
+
+def test_rounds_of_agents_are_rounds_of_the_semantics() -> None:
+    programs, seen = run(range(60))
+    assert programs >= 40
+    assert seen["init failed"] <= programs / 10
+    assert seen["ran"] + seen["skipped"] + seen["discarded"] <= programs * ROUNDS * N_SYS
+    assert seen["ran"] > 500
+    assert seen["committed"] > 50
+    assert seen["skipped"] > 50
+
+
+@pytest.mark.slow
+def test_rounds_of_500_programs() -> None:
+    programs, seen = run(range(1000, 1600))
+    print(programs, seen)
+    assert programs >= 400
+
+
+def other(lock: int, round_: int, n_sys: int) -> int:
+    return (round_ + lock + 1) % n_sys
+
+
+def nobody(lock: int, round_: int, n_sys: int) -> int:
+    return -1
+
+
+@pytest.mark.parametrize("right", [other, nobody])
+def test_another_order_of_rights_is_seen(right: Right) -> None:
+    with pytest.raises(Difference):
+        for seed in range(60):
+            program = small(seed)
+            if program is not None:
+                agree(program, seed, Counter(), right)
