@@ -1,0 +1,170 @@
+"""Each example does what it is for, and its invariants hold at every round's boundary; also when robots miss rounds."""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations
+from typing import Any
+
+import pytest
+
+from koordgen.runtime.gridmap import GridMap, is_free, is_known, is_occupied
+from koordgen.runtime.values import Grid, Point
+from koordgen.semantics.state import State
+from koordgen.semantics.values import Value
+from tests.examples.stage import Stage
+
+SKIPS = pytest.mark.parametrize("skips", [0.0, 0.3])
+
+
+def stopped(state: State) -> bool:
+    return all(robot.stopped for robot in state.robots)
+
+
+def plan(p: Point) -> tuple[float, float]:
+    return p.x, p.y
+
+
+def of_robots(stage: Stage, local: str) -> list[Value]:
+    return [robot.locals[local] for robot in stage.state.robots]
+
+
+@SKIPS
+def test_lineform_lines_up(skips: float) -> None:
+    stage = Stage("lineform", skips)
+    first, *_, last = places = [plan(body.position) for body in stage.bodies]
+    for _ in range(400):
+        stage.step()
+    for pid, body in enumerate(stage.bodies):
+        share = pid / (len(places) - 1)
+        wanted = [a + share * (b - a) for a, b in zip(first, last, strict=True)]
+        assert math.dist(plan(body.position), wanted) < 0.1
+
+
+@SKIPS
+def test_task_all_tasks_are_done(skips: float) -> None:
+    stage = Stage("task", skips)
+    targets = {(-3.0, 2.5), (3.0, 2.5), (0.0, -2.5)}
+    seen: set[tuple[float, float]] = set()
+
+    def done(state: State) -> bool:
+        seen.update(t for t in targets for b in stage.bodies if math.dist(plan(b.position), t) < 0.1)
+        return stopped(state)
+
+    stage.until(done, 600)
+    assert seen == targets and stage.state.store.cells["all_tasks"] == ()
+
+
+@SKIPS
+def test_mapping_finds_the_walls(skips: float) -> None:
+    stage = Stage("mapping", skips)
+    starts = [body.position for body in stage.bodies]
+    stage.until(stopped, 600)
+    found = stage.state.store.cells["map"]
+    assert isinstance(found, GridMap)
+    assert all(math.dist(plan(a), plan(b.position)) > 2 for a, b in zip(starts, stage.bodies, strict=True))
+    inside = [Grid(x, y, 0.5) for x in range(-8, 8) for y in range(-8, 8)]
+    walls = {g for g in inside if any(touches(g, box["lo"], box["hi"]) for box in stage.fleet.obstacles)}
+    assert all(g in walls for g in inside if is_occupied(found, g)), "a wall that is not there"
+    assert not any(is_free(found, g) for g in walls if is_free(found, g) and deep(g, walls)), "no wall that is there"
+    assert len([g for g in walls if is_occupied(found, g)]) > 0.9 * len(walls)
+    assert all(is_known(found, g) for g in inside if g not in walls)
+
+
+def touches(g: Grid, lo: list[float], hi: list[float]) -> bool:
+    x, y = g.x * g.size, g.y * g.size
+    return x < hi[0] and lo[0] < x + g.size and y < hi[1] and lo[1] < y + g.size
+
+
+def deep(g: Grid, walls: set[Grid]) -> bool:
+    return all(Grid(g.x + i, g.y + j, g.size) in walls for i, j in ((1, 0), (-1, 0), (0, 1), (0, -1)))
+
+
+@SKIPS
+def test_delivery_every_parcel_at_its_door(skips: float) -> None:
+    stage = Stage("delivery", skips)
+    stage.until(stopped, 1500)
+    by: Any = stage.state.store.cells["delivered_by"]
+    assert [label for label, _ in by] == ["E1", "E3", "W2", "W4"]
+    assert sorted(line for _, line in stage.lines) == sorted(f"robot {pid} delivered {label}" for label, pid in by)
+
+
+@SKIPS
+def test_patrol_all_see_all_waypoints(skips: float) -> None:
+    stage = Stage("patrol", skips)
+    for _ in range(1200):
+        stage.step()
+    assert {(pid, line) for pid, line in stage.lines} == {(p, f"seen waypoint {w}") for p in range(3) for w in range(4)}
+
+
+@SKIPS
+def test_rendezvous_ends_on_a_ring(skips: float) -> None:
+    stage = Stage("rendezvous", skips)
+    stage.until(stopped, 300)
+    middle = sum((b.position for b in stage.bodies), Point()) / len(stage.bodies)
+    for body in stage.bodies:
+        assert math.isclose(math.dist(plan(body.position), plan(middle)), 1.2 * 4 / (2 * math.pi), abs_tol=0.1)
+    for one, other in combinations(stage.bodies, 2):
+        assert math.dist(plan(one.position), plan(other.position)) > 1.0
+    assert sorted(stage.lines) == [(pid, "all 4 have met") for pid in range(4)]
+
+
+@SKIPS
+def test_follow_keeps_the_gap(skips: float) -> None:
+    stage = Stage("follow", skips)
+    for _ in range(400):
+        stage.step()
+        for ahead, behind in zip(stage.bodies[:-1], stage.bodies[1:], strict=True):
+            away = math.dist(plan(ahead.position), plan(behind.position))
+            assert 0.7 < away < 2.5
+    assert math.dist(plan(stage.bodies[0].position), (0, 3)) < 0.1 and stage.state.robots[0].stopped
+    assert all(
+        math.isclose(math.dist(plan(a.position), plan(b.position)), 1.0, abs_tol=0.05)
+        for a, b in zip(stage.bodies[:-1], stage.bodies[1:], strict=True)
+    )
+
+
+@SKIPS
+def test_formation_is_a_polygon_that_turns(skips: float) -> None:
+    stage = Stage("formation", skips)
+    for _ in range(300):
+        stage.step()
+    turned = stage.state.store.cells["turned"]
+    assert isinstance(turned, float) and turned > 0.5
+    for pid, body in enumerate(stage.bodies):
+        angle = 2 * math.pi * pid / 5 + turned
+        assert math.dist(plan(body.position), (2.5 * math.cos(angle), 2.5 * math.sin(angle))) < 0.3
+
+
+@SKIPS
+def test_election_has_one_leader(skips: float) -> None:
+    stage = Stage("election", skips)
+    stage.until(stopped, 100)
+    leaders, bids = of_robots(stage, "leader"), stage.state.store.slots["bid"]
+    assert leaders == [bids.index(max(bids))] * 5  # type: ignore[type-var]
+    assert sorted(stage.lines) == [(pid, f"robot {leaders[0]} leads") for pid in range(5)]
+
+
+@SKIPS
+def test_atomicsum_loses_nothing(skips: float) -> None:
+    stage = Stage("atomicsum", skips)
+    stage.until(stopped, 300)
+    assert stage.state.store.cells["sum"] == 15
+    assert sorted(stage.lines) == [(pid, "sum 15 of 5 robots") for pid in range(5)]
+
+
+@SKIPS
+def test_hvac_rooms_become_and_stay_warm(skips: float) -> None:
+    stage = Stage("hvac", skips)
+    for turn in range(1500):
+        stage.step()
+        assert turn < 150 or all(19.5 < body.temp < 22.5 for body in stage.bodies)
+    assert len({pid for pid, line in stage.lines if line.startswith("off")}) == 3
+
+
+@pytest.mark.parametrize("name", ["task", "mapping", "delivery", "hvac", "follow", "formation", "rendezvous"])
+def test_no_event_is_discarded(name: str) -> None:
+    stage = Stage(name, 0.1)
+    for _ in range(150):
+        stage.step()
+    assert not stage.discarded
