@@ -56,7 +56,9 @@ class Effects:
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Why an event was discarded: the Koord file and line (0 when unknown) and the reason in words."""
+    """Why an event was discarded: the Koord file and line (0 when unknown) and the reason in words. The line is that on
+    which the failing statement begins, within a function the function's; of an extern function's contract, the call's;
+    of a value that must not be kept, that of its last write."""
 
     file: str
     line: int

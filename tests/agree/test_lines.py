@@ -1,0 +1,103 @@
+"""The line that a discarded event's fault names: the statement's on which it failed, by both meanings.
+
+Where they differ, the robot's is what the user is told: a contract without a value is a fault of the call on robots,
+of the contract in the semantics; and a statement of several lines is told by its first on robots.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from random import Random
+from typing import Any
+
+import pytest
+
+from koordgen.emit.program import program_text
+from koordgen.ir import decl as d
+from koordgen.ir import stmt as s
+from koordgen.node import Node, replace
+from koordgen.runtime import program as rt
+from koordgen.semantics import step
+from koordgen.semantics.eval import Discarded
+from koordgen.semantics.state import State
+from koordgen.source import Span
+from tests.agree.both import Generated, Meant
+from tests.agree.kinds import AT
+from tests.agree.programs import N_SYS, random_program, random_state
+
+
+class Numbering:
+    """Gives each statement, guard and declaration of an IR a line of its own; expressions are on their statement's."""
+
+    def __init__(self) -> None:
+        self.lines = 0
+
+    def numbered(self, node: Any, at: Span = AT) -> Any:
+        if isinstance(node, tuple):
+            return tuple([self.numbered(part, at) for part in node])
+        if not isinstance(node, Node):
+            return node
+        if isinstance(node, (*s.Stmt.__args__, d.Event, d.Function, d.ExternFunction)):
+            at = self.line()
+        fields = [f for f in type(node).__match_args__ if f not in ("span", "type", "types")]  # type: ignore[attr-defined]
+        parts = {f: self.numbered(getattr(node, f), self.line() if f == "guard" else at) for f in fields}
+        return replace(node, **parts, **({"span": at} if "span" in type(node).__match_args__ else {}))  # type: ignore[attr-defined]
+
+    def line(self) -> Span:
+        self.lines += 1
+        return Span(self.lines, 1, self.lines, 2)
+
+
+def told(generated: Generated, state: State, pid: int) -> int | None:
+    """The line of the fault on a robot, None when there is none."""
+    frame = generated.frame(state, pid)
+    chosen = rt.choose(generated.program, frame)
+    if isinstance(chosen, rt.Event):
+        done = rt.run(generated.program, chosen.effect, frame, chosen.line)
+        return done.line if isinstance(done, rt.Fault) else None
+    return None if chosen is None else chosen.line
+
+
+def meant(semantics: Meant, state: State, pid: int) -> int | None:
+    chosen = step.select(semantics.ir, state, pid, semantics.world)
+    if isinstance(chosen, d.Event):
+        done = step.execute(semantics.ir, chosen.effect, state, pid, semantics.world)
+    else:
+        done = chosen.outcome if chosen is not None else None  # type: ignore[assignment]
+    return done.span.line if isinstance(done, Discarded) else None
+
+
+def compare(seeds: Iterable[int]) -> tuple[int, int]:
+    """How many events were discarded, and how many of them for a contract without a value."""
+    faults = contracts = 0
+    for seed in seeds:
+        program = random_program(seed)
+        parts = Numbering().numbered((program.functions, program.externs, program.init, program.events))
+        functions, externs, init, events = parts
+        program = replace(program, functions=functions, externs=externs, init=init, events=events)
+        generated, semantics = Generated(program, program_text(program)), Meant(program)
+        rng = Random(-seed - 1)
+        for _ in range(2):
+            state = random_state(rng, program)
+            for pid in range(N_SYS):
+                line, expected = told(generated, state, pid), meant(semantics, state, pid)
+                assert (line is None) == (expected is None)
+                faults += line is not None
+                if line != expected:
+                    assert expected in [f.span.line for f in program.externs], (seed, line, expected)
+                    contracts += 1
+    return faults, contracts
+
+
+def test_both_meanings_name_the_same_line() -> None:
+    faults, contracts = compare(range(120))
+    assert faults > 100
+    assert contracts == 0
+
+
+@pytest.mark.slow
+def test_both_meanings_name_the_same_line_in_1000_programs() -> None:
+    faults, contracts = compare(range(1000))
+    print(faults, contracts)
+    assert faults > 1000
+    assert contracts < faults / 50
