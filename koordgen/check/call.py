@@ -277,7 +277,7 @@ def _function(
     args = _handed(nodes, types, name, takes, c) if nodes is not None else None
     if c.place == "constant":
         return c.error("K025", f"an initial value cannot call {name}", function.span, "set it in init")
-    if isinstance(entity, decl.SpecFunction) and c.place not in ("property", "contract"):
+    if isinstance(entity, decl.SpecFunction) and c.place != "property":  # contracts are checked on robots
         message = f"{name} is declared by 'spec fun': it has a meaning in properties only"
         return c.error("K027", message, function.span, "a 'fun' or an 'extern fun' can be called everywhere")
     if c.function:

@@ -56,7 +56,7 @@ class Car:
         self._drive: Drive | None = None
         self._navigator: Navigator | None = None
         self._route = Route()
-        self._planner: Planner | None = None  # made when first called: most programs have no use for it
+        self._planner: Planner | None = None  # made by `start`: its imports take longer than an event may
         self._now = 0.0
         self._started = 0.0
         self._next_control = -math.inf
@@ -95,6 +95,7 @@ class Car:
     def start(self, now: float) -> None:
         self._open()
         self._navigator = self._build()
+        self._planner = Planner(self._fence, self._settings.clearance)
         self._now = self._started = now
 
     def _open(self) -> tuple[Drive, DatagramLink]:
@@ -262,10 +263,8 @@ class Car:
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
         """See Platform. The only one is `planner(goal, obstacles)`: a goal that is not on the ground is infeasible."""
         goal, obstacles = args[0], args[1] if len(args) > 1 else ()
-        if goal.z != 0.0 or not inside(self._fence, goal):
+        if self._planner is None or goal.z != 0.0 or not inside(self._fence, goal):
             return ()
-        if self._planner is None:
-            self._planner = Planner(self._fence, self._settings.clearance)
         state = self._estimator.state
         return self._planner.plan(Point(state.x, state.y, 0.0), goal, obstacles)
 

@@ -75,7 +75,7 @@ class Quad:
         self._lidar = ScanPort(body.scans, settings.robot, key)
         self._link: Link | None = None
         self._flight: Flight | None = None
-        self._planner: Planner | None = None  # made when first called: most programs have no use for it
+        self._planner: Planner | None = None  # made by `start`: its imports take longer than an event may
         self._now = 0.0
 
     def check(self) -> list[str]:
@@ -94,6 +94,7 @@ class Quad:
         """See Platform: opens the links; `poll` then takes off."""
         url = self._body.autopilot
         self._now = now
+        self._planner = Planner(self._fence, self._body.clearance)
         self._lidar.open()
         self._link = Link(self._connect(url))
         self._flight = Flight(url, self._link, self._telemetry, self._fence, self._body.flight_height, now)
@@ -153,10 +154,8 @@ class Quad:
         infeasible."""
         goal, obstacles = args[0], args[1] if len(args) > 1 else ()
         position = self._telemetry.position
-        if position is None or goal.z <= 0.0 or not inside(self._fence, goal):
+        if self._planner is None or position is None or goal.z <= 0.0 or not inside(self._fence, goal):
             return ()
-        if self._planner is None:
-            self._planner = Planner(self._fence, self._body.clearance)
         return self._planner.plan(position, goal, obstacles)
 
     def hold(self, on: bool, now: float) -> None:
