@@ -1,0 +1,108 @@
+"""Every example checks without a word, builds for its fleet, is in the one style and says how to run it; in `make slow`
+each runs in the simulator once."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from koordgen import cli
+from koordgen.format.files import format_file
+from koordgen.pipeline import check_file
+from tests.examples.stage import EXAMPLES
+
+ROOT = EXAMPLES.parent
+NAMES = sorted(path.name for path in EXAMPLES.iterdir() if path.is_dir())
+PAGE = ROOT / "docs/examples.md"
+each = pytest.mark.parametrize("name", NAMES)
+
+
+def readme(name: str) -> str:
+    return (EXAMPLES / name / "README.md").read_text(encoding="utf-8")
+
+
+def commands(text: str) -> list[list[str]]:
+    """The commands in the code blocks of a page."""
+    blocks = re.findall(r"^```\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    lines = [shlex.split(line, comments=True) for block in blocks for line in block.splitlines()]
+    return [line for line in lines if line]
+
+
+def test_all_eleven_are_here() -> None:
+    assert len(NAMES) == 11
+
+
+@each
+def test_it_checks_without_a_word(name: str) -> None:
+    assert check_file(str(EXAMPLES / name / f"{name}.koord")).noticed == ()
+
+
+@each
+def test_it_is_in_the_one_style(name: str) -> None:
+    path = str(EXAMPLES / name / f"{name}.koord")
+    result = format_file(path, None, write=False)
+    assert result.after == result.before
+
+
+@each
+def test_the_commands_of_its_readme(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`koordgen build` as it stands there writes a bundle for each robot; `koordgen sim` is of the same files."""
+    build, sim, *others = commands(readme(name))
+    folder = f"examples/{name}"
+    assert build[:3] == ["koordgen", "build", f"{folder}/{name}.koord"] and build[-2:] == ["-o", "build"]
+    assert sim[:5] == ["koordgen", "sim", f"{folder}/{name}.koord", "--fleet", f"{folder}/fleet.yaml"]
+    assert all((ROOT / word).exists() for line in others for word in line if word.startswith("examples/"))
+    monkeypatch.chdir(ROOT)
+    assert cli.main([*build[1:-1], str(tmp_path)]) == 0
+    told = capsys.readouterr()
+    assert told.err == "", "building it warns"
+    robots = re.findall(r"^ *- name: (\w+)$", (EXAMPLES / name / "fleet.yaml").read_text(), re.MULTILINE)
+    assert robots and all((tmp_path / name / robot / "program.py").exists() for robot in robots)
+
+
+@each
+def test_its_readme_names_what_is_there(name: str) -> None:
+    text = readme(name)
+    assert 10 <= len(text.splitlines()) <= 30 and text.startswith("# ")
+    for link in re.findall(r"\]\(([^)#]+)[^)]*\)", text):
+        assert (EXAMPLES / name / link).exists(), link
+    for file in re.findall(r"`([a-z_]+\.(?:py|koord|yaml))`", text):
+        assert (EXAMPLES / name / file).exists(), file
+
+
+@each
+def test_the_page_has_it(name: str) -> None:
+    assert f"(../examples/{name}/README.md)" in PAGE.read_text(encoding="utf-8")
+
+
+def test_the_page_shows_pictures_that_are_there() -> None:
+    links = re.findall(r"\]\(([^)#]+)[^)]*\)", PAGE.read_text(encoding="utf-8"))
+    assert all((PAGE.parent / link).exists() for link in links), links
+    assert len([link for link in links if link.endswith(".png")]) >= 2
+
+
+SECONDS = {
+    "atomicsum": 5, "delivery": 90, "election": 5, "follow": 15, "formation": 20, "hvac": 10, "lineform": 15,
+    "mapping": 60, "patrol": 20, "rendezvous": 25, "task": 40,
+}  # fmt: skip
+ENDS = {"atomicsum", "delivery", "election", "mapping", "rendezvous", "task"}
+
+
+@pytest.mark.slow
+@each
+def test_it_runs_in_the_simulator(name: str, tmp_path: Path) -> None:
+    """The run holds; the programs that have an end come to it within the time given."""
+    folder = EXAMPLES / name
+    command = [sys.executable, "-m", "koordgen", "sim", str(folder / f"{name}.koord"), "--fleet"]
+    command += [str(folder / "fleet.yaml"), "--duration", str(SECONDS[name]), "--seed", "3", "--out", str(tmp_path)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert f"{name}: HELD" in done.stdout
+    assert ("all robots ended by themselves" in done.stdout) == (name in ENDS)
