@@ -63,14 +63,15 @@ class Body:
 
 class Stage:
     """A fleet in its world. `step` takes one round and asks for every invariant after it; `lines` is what robots put
-    out, as (pid, line); `discarded` what went wrong."""
+    out, as (pid, line); `discarded` what went wrong. `skips` is the share of rounds that a robot misses; `params` go
+    before the fleet file's."""
 
-    def __init__(self, name: str, skips: float = 0.0) -> None:
+    def __init__(self, name: str, skips: float = 0.0, **params: Any) -> None:
         folder = EXAMPLES / name
         targets = {target: manifest.load(target) for target in manifest.available()}
         checked = check_file(str(folder / f"{name}.koord")).program
-        self.fleet, params = read_fleet(str(folder / "fleet.yaml"), targets, checked)
-        self.program = with_params(checked, params)
+        self.fleet, given = read_fleet(str(folder / "fleet.yaml"), targets, checked)
+        self.program = with_params(checked, {**given, **params})
         self.rng, self.skips = Random(name), skips
         self.bodies = list(bodies(self.fleet))
         self.world = World(externs(self.program, folder), self.answer)

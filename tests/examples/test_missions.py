@@ -56,6 +56,14 @@ def test_task_all_tasks_are_done(skips: float) -> None:
 
 
 @SKIPS
+def test_task_whose_way_is_taken_waits(skips: float) -> None:
+    """Cleo's way to the third task would lead between the two others."""
+    places = [[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, -2.5, 0.0]]
+    tasks = [{"target": place, "id": number} for number, place in enumerate(places)]
+    Stage("task", skips, eps=1.5, tasks=tasks).until(stopped, 900)
+
+
+@SKIPS
 def test_mapping_finds_the_walls(skips: float) -> None:
     stage = Stage("mapping", skips)
     starts = [body.position for body in stage.bodies]
@@ -81,6 +89,12 @@ def test_delivery_every_parcel_at_its_door(skips: float) -> None:
     by: Any = stage.state.store.cells["delivered_by"]
     assert [label for label, _ in by] == ["E1", "E3", "W2", "W4"]
     assert sorted(line for _, line in stage.lines) == sorted(f"robot {pid} delivered {label}" for label, pid in by)
+
+
+@SKIPS
+def test_delivery_one_after_the_other(skips: float) -> None:
+    """The doors in the middle are 4 m apart: a way to one of them keeps clear of no way to the other."""
+    Stage("delivery", skips, eps=4.5).until(stopped, 2500)
 
 
 @SKIPS
