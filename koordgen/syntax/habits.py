@@ -61,7 +61,13 @@ FOREIGN = {
     "global": "every variable of a program can be assigned in every event",
     "nonlocal": "every variable of a program can be assigned in every event",
     "del": "write xs.remove(value), xs.pop(i) or m.remove(key)",
+    "assert": "'invariant Name: ...' states what is to hold; an event's guard says when it may run",
 }
+# Types of other languages that hold others, as Koord has them.
+_HOLDERS = {
+    "list": "List", "vector": "List", "array": "List", "dict": "Map", "map": "Map", "hashmap": "Map", "set": "Set",
+    "queue": "Queue", "deque": "Queue",
+}  # fmt: skip
 _FIRST_ONLY = frozenset(
     ("end", "from", "case", "with", "match", "loop", "record", "do", "let", "var", "event", "begin")
 )
@@ -186,9 +192,15 @@ def _types(spot: Spot) -> Diagnostic | None:
         help = "" if before[1] in _TYPES else f"a type stands before the name: {example} {shown(before[1])}"
         return spot.error(f"expected a name after '{shown(before[1])}', found {found}", help)
     if before is not None and "NAME" in spot.expected and spot.kind == "<" and before[0] == "NAME":
-        return spot.error(f"'{shown(before[1])}' holds no other types", "those that do are List, Map, Set, Queue")
+        meant = _HOLDERS.get(before[1].lower())
+        help = f"did you mean '{meant}'?" if meant else "those that do are List, Map, Set, Queue"
+        return spot.error(f"'{shown(before[1])}' holds no other types", help)
     if spot.before_is("[") and spot.expected == {"]"} and len(spot.head) > 1:
         element = shown(spot.head[-2][1])
+        if element.lower() in _HOLDERS:
+            meant = _HOLDERS[element.lower()]
+            help = f"write {meant}<...>, as in {'Map<int, Point>' if meant == 'Map' else f'{meant}<int>'}"
+            return spot.error("what a type holds stands between '<' and '>'", help, place(spot.head[-2], spot.head[-1]))
         return spot.error("a size stands behind the name", f"write '{element} x[{shown(spot.text)}]'")
     if spot.kind == "[" and spot.before_is("NAME") and spot.expected == {"=", "NEWLINE"}:
         help = f"a list is declared List<{shown(spot.head[0][1])}> {shown(spot.head[-1][1])}"
@@ -196,6 +208,20 @@ def _types(spot: Spot) -> Diagnostic | None:
     if spot.kind == "=" and spot.expected == {"NEWLINE"} and spot.tokens[0][0] == "using":
         return spot.error("a port has no initial value")
     return None
+
+
+def _annotation(spot: Spot) -> Diagnostic | None:
+    """`k: int = 3`"""
+    name = spot.before
+    if spot.kind != ":" or name is None or name[0] != "NAME" or not spot.rest:
+        return None
+    if name is not spot.first and spot.head[-2][0] != ":":
+        return None
+    kind, text = spot.rest[0][:2]
+    if kind != "GENERIC" and text not in _TYPES and text not in ("str", *_HOLDERS):
+        return None
+    type_ = f"{text}<...>" if kind == "GENERIC" else text
+    return spot.error("a type stands before the name", f"write '{type_} {shown(name[1])}'", place(name, spot.rest[0]))
 
 
 def _words(spot: Spot) -> Diagnostic | None:
@@ -219,6 +245,9 @@ def headers(spot: Spot) -> Diagnostic | None:
     """Headers with a name too many or too few; statements and variables where none stand."""
     if spot.position == 0:
         return _section(spot)
+    annotated = _annotation(spot)
+    if annotated is not None:
+        return annotated
     if spot.kind == ":" and spot.before_is("invariant", "axiom") and spot.before is not None:
         word = spot.before[1]
         return spot.error(f"expected a name after '{word}', found ':'", f"write '{word} Name: ...'")
@@ -234,8 +263,16 @@ def headers(spot: Spot) -> Diagnostic | None:
     if "pass" in spot.expected and spot.kind in ("pre", "eff") and spot.next == ":":
         help = f"'{spot.kind}' stands indented once, under the name of its event"
         return spot.error(f"expected a statement, found '{spot.kind}'", help)
+    if {"requires", "ensures"} & spot.expected and spot.tokens[0][0] == "extern" and not spot.ends:
+        help = "Python implements it; what may stand here is 'requires: ...' and 'ensures: ...'"
+        return spot.error("an extern function has no body", help)
+    if spot.ends and spot.tokens[0][0] == "param" and spot.expected & {"="} and spot.before_is("NAME"):
+        help = "a param has a value: a build or a fleet file may give another"
+        return spot.error(f"expected '=' after '{shown(spot.head[-1][1])}', found the end of the line", help)
     if spot.kind == ":" and spot.tokens[0][0] == "spec":
         return spot.error("a spec function has no body", "an axiom says what it means: axiom Name: ...")
+    if {"pre", "eff"} & spot.expected and spot.level() <= 1 and spot.kind == "atomic":
+        return spot.error("expected 'pre' or 'eff', found 'atomic'", "'atomic:' stands under 'eff:'")
     if {"pre", "eff"} & spot.expected and spot.level() <= 1 and spot.kind in ("NAME", "GENERIC") and spot.next in (
         "NAME", "=", "<", ".", "[", "+=", "-=", "(",
     ):  # fmt: skip
@@ -264,6 +301,6 @@ HABITS: tuple[Callable[[Spot], Diagnostic | None], ...] = (
     _functions,
     _brackets,
     _lists_of_names,
-    _types,
     _words,
+    _types,
 )
