@@ -45,7 +45,8 @@ def index_proved(index: ir.Expr, span: Span, c: Context) -> bool:
             else:
                 c.warn("K031", f"{robot} may read {text}: index {shown} names no robot ({such})", span, _help(c))
             return False
-    c.warn("K031", f"{c.text(span)} may name no robot", span, _help(c))
+    check = "" if c.place in ("property", "assume") else f"; 'if 0 <= {c.text(index.span)} < N_SYS:' around it shows it"
+    c.warn("K031", f"{c.text(span)} may name no robot", span, _help(c) + (check if len(check) <= 80 else ""))
     return False
 
 
@@ -113,12 +114,14 @@ def end_proved(end: ir.Expr, span: Span, c: Context) -> bool:
     if value is not None and not value.terms:
         if value.constant >= 0:
             return True
-        c.error("K036", f"an index never counts from the end, as {c.text(end.span)} would", end.span)
+        help = f"write len(...) - {-value.constant}"
+        c.error("K036", f"an index never counts from the end, as {c.text(end.span)} would", end.span, help)
         return False
     if value is not None and _holds_never(linear.less(value, _ZERO), c):
         return True
     text = c.text(end.span)
-    c.warn("K034", f"{c.text(span)}: {text} may be negative", end.span, _help(c))
+    help = f"{_help(c)}; 'if {text} >= 0:' around it shows that it is not"
+    c.warn("K034", f"{c.text(span)}: {text} may be negative", end.span, help)
     return False
 
 

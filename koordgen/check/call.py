@@ -13,7 +13,20 @@ from koordgen.check.name import declared_port, field_of, methods_of, module_name
 from koordgen.ir import decl
 from koordgen.ir import expr as ir
 from koordgen.ir.builtins import FUNCTIONS, METHODS, UPDATES, Signature
-from koordgen.ir.types import FLOAT, GRID, PLANNER, POINT, POISON, MapOf, PerRobot, RecordType, Sequence, Type, list_of
+from koordgen.ir.types import (
+    FLOAT,
+    GRID,
+    NAMED,
+    PLANNER,
+    POINT,
+    POISON,
+    MapOf,
+    PerRobot,
+    RecordType,
+    Sequence,
+    Type,
+    list_of,
+)
 from koordgen.node import replace
 from koordgen.source import Span
 from koordgen.syntax import expr as ast
@@ -29,6 +42,13 @@ _NO_FUNCTIONS = {
     "list": "write [a, b]",
     "set": "write {a, b}",
     "dict": "write {k: v}",
+    "any": "a loop finds one: for x in xs: if x: found = True",
+    "all": "a loop finds one that is not: for x in xs: if not x: good = False",
+    "map": "fill a list in a loop: for x in xs: ys.append(...)",
+    "filter": "fill a list in a loop: for x in xs: ys.append(...)",
+    "isinstance": "a variable's type is the one it is declared with",
+    "type": "a variable's type is the one it is declared with",
+    "input": "what a robot learns comes in through ports: 'using Module:' with 'sensors:'",
 }
 # What one writes by habit -> (types that have it, what to write; "_" is the object).
 _HABITS: dict[str, dict[str, str]] = {
@@ -84,8 +104,13 @@ def skip(node: ast.Call, c: Context) -> None:
     """Arguments of what cannot be called may have mistakes of their own."""
     for arg in node.args:
         value = arg.value if isinstance(arg, ast.Keyword) else arg
-        if not (isinstance(value, (ast.ListDisplay, ast.MapDisplay)) and not value.items):
-            check_expr(value, c)
+        if isinstance(value, (ast.ListDisplay, ast.MapDisplay)) and not value.items:
+            continue
+        if isinstance(value, ast.Name) and value.name in NAMED:
+            continue  # isinstance(n, int)
+        if isinstance(value, ast.Call) and isinstance(value.function, ast.Name) and value.function.name == "range":
+            continue  # list(range(3))
+        check_expr(value, c)
 
 
 def _no_function(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
@@ -151,7 +176,7 @@ def _explain(before: int, takes: str, c: Context) -> None:
 
 def _builtin(name: str, node: ast.Call, c: Context) -> ir.Expr:
     signatures = FUNCTIONS[name]
-    takes = f"{name} takes {' or '.join(shown(s) for s in signatures[:4])}" if len(signatures) < 5 else _TAKES[name]
+    takes = _TAKES.get(name) or f"{name} takes {' or '.join(shown(s) for s in signatures)}"
     nodes = positional(node, name, (len(signatures[0].args),), takes, c)
     if nodes is None:
         return c.poison(node.span)
@@ -173,6 +198,12 @@ def _builtin(name: str, node: ast.Call, c: Context) -> ir.Expr:
 _TAKES = {
     "len": "len takes a List, Queue, Set, Map or string",
     "str": "str takes an int, float, bool, string or Point",
+    "first": "first takes a List or Queue",
+    "last": "last takes a List or Queue",
+    "reversed": "reversed takes a List",
+    "sorted": "sorted takes a List of ints, floats or strings",
+    "min": "min takes two numbers; the least of a list is first(sorted(xs))",
+    "max": "max takes two numbers; the greatest of a list is last(sorted(xs))",
 }
 
 
@@ -261,6 +292,8 @@ def no_method(operand: ir.Expr, function: ast.Attribute, c: Context) -> ir.Expr:
     else:
         methods = methods_of(type_)
         help = c.nearest(name, methods) or (f"{a(type_)} has {', '.join(methods)}" if methods else "")
+        if word == "string":
+            help = "texts are joined with '+', cut with s[a:b], searched with 'in'; str(...) makes one"
     return c.error("K015", f"{a(type_)} has no method {name}", function.name_span, help)
 
 

@@ -13,7 +13,7 @@ from koordgen.check.types import bounded, dialect_element, excess, per_robot, re
 from koordgen.check.walk import nodes
 from koordgen.diagnostics import Edit
 from koordgen.ir import decl, expr
-from koordgen.ir.types import INT, POISON, ExternType, RecordType, Type
+from koordgen.ir.types import INT, POISON, ExternType, RecordType, Type, list_of
 from koordgen.source import Span
 from koordgen.syntax import decl as ast
 from koordgen.syntax import expr as tree
@@ -167,7 +167,10 @@ def _variable_type(node: ast.Variable, kind: Kind, c: Context) -> Type:
         return bounded(element, node.capacities, False, c)
     else:
         _not_per_robot(node, node.span, c)
-    return bounded(resolve(type_, c), node.capacities, kind == "local", c)
+    resolved = resolve(type_, c)
+    if kind != "allread" and node.size is not None and resolved is not POISON:
+        resolved = list_of(resolved)  # what was meant
+    return bounded(resolved, node.capacities, kind == "local", c)
 
 
 def _not_per_robot(node: ast.Variable, span: Span, c: Context) -> None:

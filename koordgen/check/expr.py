@@ -71,8 +71,6 @@ def _unary(node: ast.Unary, c: Context, wanted: Type | None) -> ir.Expr:
 
 def _binary(node: ast.Binary, c: Context, wanted: Type | None) -> ir.Expr:
     if node.op == "<<":
-        check_expr(node.left, c)
-        check_expr(node.right, c)
         help = "it is a statement of its own: 'Log.stdout << a << b'"
         return c.error("K056", "'<<' sends to a stream and has no value", node.span, help)
     if node.op == "+" and is_display(node.left):

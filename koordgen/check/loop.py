@@ -15,7 +15,7 @@ from koordgen.check.update import updates
 from koordgen.check.walk import statements
 from koordgen.ir import stmt
 from koordgen.ir.decl import Local, Shared
-from koordgen.ir.types import BOOL, POISON, TupleOf, Type
+from koordgen.ir.types import BOOL, POISON, MapOf, TupleOf, Type
 from koordgen.syntax import expr as ast
 from koordgen.syntax import stmt as tree
 
@@ -30,7 +30,7 @@ def check_for(node: tree.For, c: Context, out: Out) -> None:
     changed = written(node.block, c)
     after = before.forgetting(changed) if before is not None else None
     c.flow = after
-    types = _types(node, elements(values), c)
+    types = _types(node, values.type, elements(values), c)
     c.scopes.append({})
     temps = [declare(name.name, type_, name.span, c) for name, type_ in zip(node.names, types, strict=True)]
     if before is not None and after is not None and len(temps) == 1 and temps[0] is not None:
@@ -46,7 +46,7 @@ def check_for(node: tree.For, c: Context, out: Out) -> None:
     out.append(stmt.For(names, types, values, block, node.span))
 
 
-def _types(node: tree.For, element: Type, c: Context) -> tuple[Type, ...]:
+def _types(node: tree.For, values: Type, element: Type, c: Context) -> tuple[Type, ...]:
     """The types of the loop's variables."""
     count = len(node.names)
     if count == 1 or element is POISON:
@@ -56,7 +56,9 @@ def _types(node: tree.For, element: Type, c: Context) -> tuple[Type, ...]:
             return element.items
         c.error("K014", f"each element has {len(element.items)} parts, not {count}", node.values.span)
     else:
-        c.error("K012", f"each element is {a(element)}, not {count} values", node.values.span)
+        over_map = count == 2 and isinstance(values, MapOf)
+        help = f"write {c.text(node.values.span)}.items()" if over_map else ""
+        c.error("K012", f"each element is {a(element)}, not {count} values", node.values.span, help)
     return (POISON,) * count
 
 

@@ -40,7 +40,15 @@ from koordgen.node import Node, replace
 from koordgen.source import Span
 from koordgen.syntax import expr as ast
 
-_MEANT = {"self": "pid", "me": "pid", "null": "0", "None": "0"}
+_MEANT = {"me": "pid"}
+_NOTHING = "Koord has no empty value: let a bool, or a value that means nothing else, say it"
+FOREIGN = {
+    "None": _NOTHING,
+    "null": _NOTHING,
+    "nil": _NOTHING,
+    "self": "a variable stands by its own name; this robot's index is pid",
+    "this": "a variable stands by its own name; this robot's index is pid",
+}
 _IDS, _FLOATS = list_of(INT), list_of(FLOAT)
 FIELDS: dict[str, dict[str, Type]] = {
     POINT.name: {"x": FLOAT, "y": FLOAT, "z": FLOAT},
@@ -146,7 +154,10 @@ def undefined(name: str, span: Span, c: Context) -> ir.Expr:
     """Reports a name that nothing has, unless it may stand in what could not be read."""
     if name in c.broken or name in c.owners:
         return c.poison(span)
-    return c.error("K010", f"{name} is not defined", span, c.nearest(name, c.visible(), _MEANT))
+    help = FOREIGN.get(name) or c.nearest(name, c.visible(), _MEANT)
+    if not help and c.place == "property":
+        help = f"if it is a robot, name it: 'forall {name} in ID:'"
+    return c.error("K010", f"{name} is not defined", span, help)
 
 
 def check_attribute(node: ast.Attribute, c: Context, wanted: Type | None = None) -> ir.Expr:
@@ -238,6 +249,8 @@ def no_field(operand: ir.Expr, node: ast.Attribute, c: Context) -> ir.Expr:
         help = f"it is a method: {text}.{name}(...)"
     elif isinstance(type_, PerRobot):
         help = f"{text}[i] is robot i's"
+    elif isinstance(type_, MapOf):
+        help = f"the value of a key is {text}[key]"
     else:
         help = c.nearest(name, fields) or (f"{a(type_)} has {_listed(fields)}" if fields else "")
     return c.error("K015", f"{a(type_)} has no field {name}", node.name_span, help)

@@ -116,7 +116,8 @@ def _evaluate(node: tree.Evaluate, c: Context, out: Out) -> None:
         c.hoisted.clear()
     elif isinstance(value, ast.Call):
         if check_expr(value, c).type is not POISON:
-            c.error("K024", "the result of this call is not used", node.span)
+            help = f"assign it: x = {c.text(node.span)}"
+            c.error("K024", "the result of this call is not used", node.span, help if len(help) < 60 else "assign it")
     elif isinstance(value, ast.Binary) and value.op == "<<":
         _emit(value, node.span, c, out)
     elif isinstance(value, ast.Compare) and value.rest[0][0] == "==":

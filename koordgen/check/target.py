@@ -10,7 +10,7 @@ from koordgen.check.base import a, check_expr, fitting, has_call
 from koordgen.check.block import learn
 from koordgen.check.collection import element
 from koordgen.check.context import PREDEFINED, Context
-from koordgen.check.name import declared_port, field_of, module_named, no_field, refused
+from koordgen.check.name import FOREIGN, declared_port, field_of, module_named, no_field, refused
 from koordgen.diagnostics import Label
 from koordgen.ir import expr as ir
 from koordgen.ir import stmt
@@ -103,7 +103,7 @@ def _unknown(node: ast.Name, c: Context) -> None:
     if name in PREDEFINED:
         c.error("K022", f"{name} is predefined and cannot be assigned", span)
     elif name not in c.broken and name not in c.owners:
-        help = c.nearest(name, [n for n in c.visible() if n not in PREDEFINED])
+        help = FOREIGN.get(name) or c.nearest(name, [n for n in c.visible() if n not in PREDEFINED])
         c.error("K010", f"{name} is not defined", span, help or f"declare it: 'Type {name} = ...'")
 
 
@@ -164,7 +164,10 @@ def _element(outer: Target, node: ast.Index, c: Context) -> Target | None:
         if not isinstance(found, ir.At):
             return None
         return _part(outer, found, lambda new: ir.Builtin("updated", (read, found.index, new), type_, node.span))
-    if element(read, index, node, c).type is not POISON:
+    path, c.path = c.path, None  # that the index may be wrong as well helps nobody
+    part = element(read, index, node, c)
+    c.path = path
+    if part.type is not POISON:
         message = f"{c.text(node.span)} is a part of {a(type_)} and cannot be assigned"
         c.error("K022", message, node.span, "assign it as a whole")
     return None

@@ -50,6 +50,17 @@ def sole(line: str = "n = 1", guard: str = "b", declared: str = "") -> Diagnosti
         ("f = math.sqrt(2)", "K010", "write sqrt(...)"),
         ("print(n)", "K010", "Log.stdout <<"),
         ("b = n is None", "K001", "'=='"),
+        ("n = None", "K010", "no empty value"),
+        ("self.n = 1", "K010", "by its own name"),
+        ("n = max([1, 2])", "K014", "last(sorted(xs))"),
+        ("b = any([b])", "K010", "a loop"),
+        ("b = isinstance(n, int)", "K010", "declared with"),
+        ("List<int> xs = list(range(3))", "K010", "[a, b]"),
+        ("List<(int, int)> xs = sorted([(1, 2)])", "K012", "ints, floats or strings"),
+        ("List<int> xs = [1, 2][:-1]", "K036", "len(...) - 1"),
+        ("distance(Motion.position, Motion.target)", "K024", "x = distance(Motion.position, Motion.target)"),
+        ("b = 'a'.upper() == 'A'", "K015", "joined with '+'"),
+        ("for k, v in {1: 2}: n += v", "K012", "{1: 2}.items()"),
     ],
 )
 def test_a_statement(line: str, code: str, help: str) -> None:
@@ -95,3 +106,29 @@ def test_a_constant_zero_is_told_without_itself() -> None:
 @pytest.mark.parametrize("name", ["inf", "sin"])
 def test_no_far_fetched_guess(name: str) -> None:
     assert "did you mean" not in sole(f"f = {name}").help
+
+
+def test_a_slot_that_may_be_nobodys_is_guarded() -> None:
+    told = sole("Motion.target = x[n]", declared="allread: Point x[N_SYS]")
+    assert (told.code, told.severity) == ("K031", "warning")
+    assert "'if 0 <= n < N_SYS:'" in told.help
+    guarded = PROGRAM.format(
+        line="if 0 <= n < N_SYS:\n      Motion.target = x[n]", guard="b", declared="allread: Point x[N_SYS]"
+    )
+    assert not found(guarded)
+
+
+def test_a_sized_local_is_a_list_from_then_on() -> None:
+    assert sole("k[0] = 1", "len(k) > 0", "  int k[3]").help == "write List<int> k"
+
+
+def test_a_letter_of_a_string_is_refused_once() -> None:
+    assert sole("s[0] = 'a'", declared="  string s").code == "K022"
+
+
+def test_a_stream_in_a_guard_is_refused_once() -> None:
+    assert sole(guard="Log.out << 1", declared="using Log:\n  stream out").code == "K056"
+
+
+def test_a_property_with_a_free_robot() -> None:
+    assert "'forall i in ID:'" in sole(declared="invariant A: n[i] >= 0").help
