@@ -15,6 +15,7 @@ from koordgen.ir import decl
 from koordgen.ir.types import BOOL
 from koordgen.source import Span
 from koordgen.syntax import decl as ast
+from koordgen.syntax.expr import Expr, Logic
 from koordgen.syntax.stmt import Atomic, Block
 
 
@@ -23,6 +24,7 @@ def events(written: list[ast.Event], c: Context) -> list[tuple[decl.Event, Atomi
     found: list[tuple[decl.Event, Atomic | None]] = []
     names: dict[str, Span] = {}
     hiding: ast.Event | None = None
+    earlier: dict[str, list[tuple[ast.Event, frozenset[str]]]] = {}  # by one condition of their guards
     transactions = "atomic" in c.source.text  # else no event need be searched for one
     for node in written:
         unique(node.name, "events", node.span, names, c)
@@ -33,9 +35,38 @@ def events(written: list[ast.Event], c: Context) -> list[tuple[decl.Event, Atomi
         atomic = _first_atomic(effect.block) if transactions else None
         event, always = _event(node, guard, effect, atomic is not None, hiding, c)
         found.append((event, atomic))
-        if always and hiding is None:
-            hiding = node
+        if hiding is None:
+            _look_behind(node, _conditions(guard.condition, c), earlier, c)
+            hiding = node if always else None
     return found
+
+
+def _conditions(guard: Expr, c: Context) -> frozenset[str]:
+    """What a guard joins by `and`, as it is written."""
+    pending, found = [guard], set[str]()
+    while pending:
+        node = pending.pop()
+        if isinstance(node, Logic) and node.op in ("and", "&&"):
+            pending += [node.left, node.right]
+        else:
+            spread = node.span.line != node.span.end_line  # of which only the first line is at hand: like no other
+            found.add(f"{c.text(node.span)} {node.span.line if spread else ''}")
+    return frozenset(found)
+
+
+def _look_behind(
+    node: ast.Event, own: frozenset[str], earlier: dict[str, list[tuple[ast.Event, frozenset[str]]]], c: Context
+) -> None:
+    """Warns of an event whose guard asks for all that an earlier one's asks for: that one is always chosen."""
+    for text in own:
+        for other, conditions in earlier.get(text, ()):
+            if conditions <= own:
+                label = Label(other.span, "stands before, and asks for no more")
+                message = f"the event {node.name} can never run: whenever its guard holds, {other.name}'s does"
+                help = f"write it before {other.name}, or let {other.name} ask for more"
+                c.warn("K042", message, node.span, help, (label,))
+                return
+    earlier.setdefault(min(own), []).append((node, own))
 
 
 def _clauses(node: ast.Event, c: Context) -> tuple[ast.Guard, ast.Effect] | None:
