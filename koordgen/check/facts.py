@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from koordgen.check import linear
-from koordgen.check.flow import Flow, names_of, variable_of
+from koordgen.check.flow import Flow, independent, names_of, variable_of
 from koordgen.check.linear import FALSE, TRUE, UNKNOWN, Fact, Formula, Length, Linear, Value
 from koordgen.ir import expr as ir
 from koordgen.ir import stmt
@@ -302,15 +302,20 @@ def learned(flow: Flow, place: stmt.Place, node: ir.Expr) -> Flow:
 
 
 def range_facts(
-    unique: str, values: ir.Expr, before: Flow, after: Flow, changed: frozenset[str] = frozenset()
+    unique: str,
+    values: ir.Expr,
+    before: Flow,
+    after: Flow,
+    changed: frozenset[str] = frozenset(),
+    sized: frozenset[str] = frozenset(),
 ) -> Iterator[Formula]:
     """What holds of the temp `unique` that runs over `values`, and of these: `before` is known at the loop's start,
-    `after` at the start of each run, when what is `changed` within may have changed."""
+    `after` at the start of each run, when what is `changed` within may have changed, but the lengths of `sized`."""
 
     def bound(node: ir.Expr) -> Linear | None:
         for flow in (before, after):
             found = term(node, flow)
-            if found is not None and names_of(found).isdisjoint(changed):
+            if found is not None and independent(found, changed, sized):
                 return found
         return None
 
@@ -327,5 +332,5 @@ def range_facts(
             yield linear.less(index, _SIZE)
         case _:
             many = length(values, before) if has_length(values.type) else None
-            if many is not None and many.terms and names_of(many).isdisjoint(changed):
+            if many is not None and many.terms and independent(many, changed, sized):
                 yield linear.at_least(many, linear.constant(1))

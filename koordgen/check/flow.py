@@ -75,14 +75,15 @@ class Flow(Node):
         known = self.known if len(self.known) < MOST_FACTS else (self.known[0], *self.known[2:])
         return Flow((*known, Known(condition, about, condition)), self.values, self.about | about)
 
-    def forgetting(self, names: frozenset[str]) -> Flow:
-        """This, without what depends on any of these variables."""
+    def forgetting(self, names: frozenset[str], sized: frozenset[str] = frozenset()) -> Flow:
+        """This, without what depends on any of these variables; of those that are in `sized` the lengths stay."""
         if names.isdisjoint(self.about):
             return self
         known = [rest for k in self.known for rest in _without(k, names)]
+        known += [k for k in self.known if not k.about.isdisjoint(sized) and independent(k.formula, names, sized)]
         values = {}
         for name, value in self.values.items():
-            if _owner(name) in names:
+            if _owner(name) in names and not (name.startswith("len ") and _owner(name) in sized):
                 continue
             if value[1].isdisjoint(names):
                 values[name] = value
@@ -168,6 +169,12 @@ def _without(known: Known, names: _Names) -> tuple[Known, ...]:
         return ()
     about = _NONE.union(*(a for _, a in left))
     return (Known(And(tuple([part for part, _ in left])), about, known.origin),)
+
+
+def independent(item: Linear | Formula, names: _Names, sized: _Names) -> bool:
+    """Whether a term or a formula stays when these variables change, all but the lengths of those in `sized`."""
+    formula = AtLeastZero(item) if isinstance(item, Linear) else item
+    return all(n in sized and _only_as(Length(n), n, formula) for n in names_of(item) & names)
 
 
 def _only_as(var: Var, name: str, formula: Formula) -> bool:

@@ -15,7 +15,7 @@ from koordgen.check.update import updates
 from koordgen.check.walk import statements
 from koordgen.ir import stmt
 from koordgen.ir.decl import Local, Shared
-from koordgen.ir.types import BOOL, POISON, MapOf, TupleOf, Type
+from koordgen.ir.types import BOOL, POISON, MapOf, Sequence, TupleOf, Type
 from koordgen.syntax import expr as ast
 from koordgen.syntax import stmt as tree
 
@@ -28,14 +28,15 @@ def check_for(node: tree.For, c: Context, out: Out) -> None:
     values = check_domain(node.values, c)
     before = c.flow
     changed = written(node.block, c)
-    after = before.forgetting(changed) if before is not None else None
+    sized = changed - written(node.block, c, True)
+    after = before.forgetting(changed, sized) if before is not None else None
     c.flow = after
     types = _types(node, values.type, elements(values), c)
     c.scopes.append({})
     temps = [declare(name.name, type_, name.span, c) for name, type_ in zip(node.names, types, strict=True)]
     if before is not None and after is not None and len(temps) == 1 and temps[0] is not None:
         c.flow = after
-        for fact in range_facts(temps[0].unique, values, before, after, changed):
+        for fact in range_facts(temps[0].unique, values, before, after, changed, sized):
             c.flow = c.flow.knowing(fact)
     block = _body(node.block, c)
     c.scopes.pop()
@@ -65,7 +66,8 @@ def _types(node: tree.For, values: Type, element: Type, c: Context) -> tuple[Typ
 def check_while(node: tree.While, c: Context, out: Out) -> None:
     before = c.flow
     changed = written(node.block, c)
-    start = before.forgetting(changed) if before is not None else None
+    sized = changed - written(node.block, c, True)
+    start = before.forgetting(changed, sized) if before is not None else None
     c.flow = start
     held = condition(node.condition, c, "the condition of 'while'")
     known: linear.Formula = linear.UNKNOWN
@@ -117,26 +119,46 @@ def _breaks(block: tree.Block) -> bool:
     return False
 
 
-def written(block: tree.Block, c: Context) -> frozenset[str]:
-    """The variables that a loop's block may change, by their names in `facts`. Those that it declares itself are not
-    known outside."""
+def written(block: tree.Block, c: Context, lengths: bool = False) -> frozenset[str]:
+    """The variables that a loop's block may change, by their names in `facts`; only those whose lengths it may change,
+    if `lengths`. Those that it declares itself are not known outside."""
     found: set[str] = set()
     for statement in statements(block):
         match statement:
             case tree.Assign(target, _, value):
-                _add(target, found, c)
-                _add_update(value, found, c)
+                if not (lengths and _of_element(target, c)):
+                    _add(target, found, c)
+                _add_update(value, found, c, lengths)
             case tree.Declare(value=value) | tree.Evaluate(value):
-                _add_update(value, found, c)
+                _add_update(value, found, c, lengths)
             case _:
                 pass
     return frozenset(found)
 
 
-def _add_update(node: ast.Expr | None, found: set[str], c: Context) -> None:
+def _add_update(node: ast.Expr | None, found: set[str], c: Context, lengths: bool) -> None:
     if updates(node, c):
         assert isinstance(node.function, ast.Attribute)
-        _add(node.function.value, found, c)
+        if not (lengths and _of_element(node.function.value, c)):
+            _add(node.function.value, found, c)
+
+
+def _of_element(target: ast.Expr, c: Context) -> bool:
+    """Whether only an element of a variable that is a List is written, or a part of one: the list keeps its length."""
+    inner: ast.Expr | None = None
+    while isinstance(target, (ast.Index, ast.Attribute)):
+        inner, target = target, target.value
+    if not isinstance(inner, ast.Index) or not isinstance(target, ast.Name):
+        return False
+    temp = c.temp(target.name)
+    entity = c.entities.get(target.name)
+    kept = temp if temp is not None else entity if isinstance(entity, Local) or _is_shared_value(entity) else None
+    type_ = getattr(kept, "type", None)
+    return isinstance(type_, Sequence) and type_.name == "List"
+
+
+def _is_shared_value(entity: object) -> bool:
+    return isinstance(entity, Shared) and entity.kind == "allwrite"
 
 
 def _add(target: ast.Expr, found: set[str], c: Context) -> None:
