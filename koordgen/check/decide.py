@@ -259,7 +259,9 @@ def _contradictory(rows: Iterable[Linear]) -> bool:
                 counts.setdefault(var, [0, 0])[factor > 0] += 1
         if not counts:
             return False
-        least = min(counts, key=lambda v: counts[v][0] * counts[v][1])
+        # Of integers only what has no factor but 1 and -1 is eliminated without loss: such a variable goes first.
+        rough = {var for terms in system for var, factor in terms if abs(factor) != 1}
+        least = min(counts, key=lambda v: (v in rough, counts[v][0] * counts[v][1]))
         lower, upper, rest = [], [], {}
         for terms, bound in system.items():
             factor = dict(terms).get(least, 0)

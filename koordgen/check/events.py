@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from koordgen.check import bounds, linear
 from koordgen.check.base import condition
 from koordgen.check.context import Context
@@ -19,12 +21,20 @@ from koordgen.syntax.expr import Expr, Logic
 from koordgen.syntax.stmt import Atomic, Block
 
 
+class _Earlier(NamedTuple):
+    """An event that stands before others, and what its guard joins by `and`."""
+
+    name: str
+    span: Span
+    conditions: frozenset[str]
+
+
 def events(written: list[ast.Event], c: Context) -> list[tuple[decl.Event, Atomic | None]]:
     """The events, still without their locks, each with its first `atomic` if it has one."""
     found: list[tuple[decl.Event, Atomic | None]] = []
     names: dict[str, Span] = {}
     hiding: ast.Event | None = None
-    earlier: dict[str, list[tuple[ast.Event, frozenset[str]]]] = {}  # by one condition of their guards
+    earlier: dict[str, list[_Earlier]] = {}  # by one condition of their guards
     transactions = "atomic" in c.source.text  # else no event need be searched for one
     for node in written:
         unique(node.name, "events", node.span, names, c)
@@ -54,19 +64,17 @@ def _conditions(guard: Expr, c: Context) -> frozenset[str]:
     return frozenset(found)
 
 
-def _look_behind(
-    node: ast.Event, own: frozenset[str], earlier: dict[str, list[tuple[ast.Event, frozenset[str]]]], c: Context
-) -> None:
+def _look_behind(node: ast.Event, own: frozenset[str], earlier: dict[str, list[_Earlier]], c: Context) -> None:
     """Warns of an event whose guard asks for all that an earlier one's asks for: that one is always chosen."""
-    for text in own:
-        for other, conditions in earlier.get(text, ()):
-            if conditions <= own:
-                label = Label(other.span, "stands before, and asks for no more")
-                message = f"the event {node.name} can never run: whenever its guard holds, {other.name}'s does"
-                help = f"write it before {other.name}, or let {other.name} ask for more"
-                c.warn("K042", message, node.span, help, (label,))
-                return
-    earlier.setdefault(min(own), []).append((node, own))
+    hiding = [place for text in own for place in earlier.get(text, ()) if place.conditions <= own]
+    if hiding:
+        other = min(hiding, key=lambda place: place.span.line)  # sets have no order: the first in the text is told
+        label = Label(other.span, "stands before, and asks for no more")
+        message = f"the event {node.name} can never run: whenever its guard holds, {other.name}'s does"
+        help = f"write it before {other.name}, or let {other.name} ask for more"
+        c.warn("K042", message, node.span, help, (label,))
+        return
+    earlier.setdefault(min(own), []).append(_Earlier(node.name, node.span, own))
 
 
 def _clauses(node: ast.Event, c: Context) -> tuple[ast.Guard, ast.Effect] | None:
