@@ -1,0 +1,97 @@
+"""Pieces in any order, twice, lost, forged."""
+
+from __future__ import annotations
+
+from random import Random
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from koordgen.runtime.pieces import MOST_PIECES, MOST_ROOM, Gathering, cut, digest, lacking
+
+
+@given(st.binary(min_size=1, max_size=400), st.integers(2, 50), st.randoms(use_true_random=False))
+def test_pieces_in_any_order_make_the_blob(blob: bytes, room: int, random: Random) -> None:
+    pieces = cut(blob, room)
+    assert all(0 < len(data) <= room for *_, data in pieces)
+    gathering = Gathering(pieces[0][0], pieces[0][2])
+    arrived = [*pieces, *pieces[: len(pieces) // 2]]
+    random.shuffle(arrived)
+    held = 0
+    for piece in arrived:
+        assert (gathering.blob() == blob) == (held == (1 << len(pieces)) - 1)
+        assert gathering.take(piece) is None
+        held |= 1 << piece[1]
+        assert gathering.held == held
+    assert gathering.blob() == blob
+
+
+def test_only_what_is_lacking_is_repeated() -> None:
+    pieces = cut(bytes(range(100)), 10)
+    gathering = Gathering(pieces[0][0], 10)
+    for i in (0, 3, 9):
+        gathering.take(pieces[i])
+    repeated = list(lacking(10, gathering.held))
+    assert repeated == [1, 2, 4, 5, 6, 7, 8]
+    for i in repeated:
+        gathering.take(pieces[i])
+    assert gathering.blob() == bytes(range(100))
+    assert list(lacking(3, -1)) == []
+    assert list(lacking(3, 1 << 200)) == [0, 1, 2]
+
+
+def test_a_blob_of_256_kib_goes_through() -> None:
+    blob = Random(1).randbytes(256 * 1024)
+    pieces = cut(blob, 1024)
+    gathering = Gathering(digest(blob), len(pieces))
+    for piece in reversed(pieces):
+        assert gathering.take(piece) is None
+    assert (gathering.blob(), len(pieces)) == (blob, MOST_PIECES)
+
+
+@pytest.mark.parametrize(("length", "room"), [(0, 10), (MOST_PIECES * 10 + 1, 10), (5000, MOST_ROOM + 1)])
+def test_what_cannot_be_cut_is_refused(length: int, room: int) -> None:
+    with pytest.raises(ValueError, match=f"{length} bytes do not go into"):
+        cut(bytes(length), room)
+
+
+def test_what_does_not_go_with_the_others_is_refused() -> None:
+    name, *_ = cut(b"0123456789", 4)[0]
+    gathering = Gathering(name, 3)
+    assert gathering.take((bytes(8), 0, 3, b"0123")) == "piece of something else"
+    assert gathering.take((name, 0, 4, b"0123")) == "piece of something else"
+    for index, data in ((3, b"0123"), (-1, b"0123"), (0, b""), (0, b"x" * (MOST_ROOM + 1))):
+        assert gathering.take((name, index, 3, data)) == "piece does not fit"
+    assert gathering.take((name, 2, 3, b"89")) is None
+    assert gathering.take((name, 0, 3, b"0")) == "piece does not fit", "shorter than the last"
+    assert gathering.take((name, 0, 3, b"0123")) is None
+    assert gathering.take((name, 1, 3, b"456")) == "piece does not fit", "not as long as the first"
+    assert gathering.held == 0b101
+
+
+def test_the_last_piece_is_no_longer_than_the_others() -> None:
+    gathering = Gathering(bytes(8), 2)
+    assert gathering.take((bytes(8), 0, 2, b"01")) is None
+    assert gathering.take((bytes(8), 1, 2, b"234")) == "piece does not fit"
+
+
+@pytest.mark.parametrize("count", [-1, 0, MOST_PIECES + 1, 1 << 60])
+def test_a_count_that_no_blob_has_takes_nothing(count: int) -> None:
+    gathering = Gathering(bytes(8), count)
+    for index in (-2, -1, 0, 1, MOST_PIECES, 1 << 59):
+        assert gathering.take((bytes(8), index, count, b"x")) == "piece does not fit"
+    assert (gathering.held, gathering.blob()) == (0, None)
+
+
+def test_a_forged_piece_costs_a_repeat_and_nothing_else() -> None:
+    pieces = cut(b"0123456789", 4)
+    gathering = Gathering(pieces[0][0], 3)
+    forged = (*pieces[1][:3], b"4x67")
+    for piece in (pieces[0], forged, pieces[2]):
+        assert gathering.take(piece) is None
+    assert gathering.blob() is None
+    assert gathering.held == 0
+    for piece in pieces:
+        assert gathering.take(piece) is None
+    assert gathering.blob() == b"0123456789"
