@@ -9,7 +9,19 @@ from koordgen.check.context import Context
 from koordgen.check.dialect import FUNCTIONS as OLD_FUNCTIONS
 from koordgen.check.dialect import old_call
 from koordgen.check.match import Bound, bind, filled, shown
-from koordgen.check.name import declared_port, field_of, methods_of, module_named, names_a_value, word_of
+from koordgen.check.name import (
+    HABITS,
+    NO_FUNCTIONS,
+    assumed_port,
+    declared_port,
+    field_of,
+    is_event,
+    methods_of,
+    module_named,
+    names_a_value,
+    not_called,
+    word_of,
+)
 from koordgen.ir import decl
 from koordgen.ir import expr as ir
 from koordgen.ir.builtins import FUNCTIONS, METHODS, UPDATES, Signature
@@ -31,33 +43,6 @@ from koordgen.node import replace
 from koordgen.source import Span
 from koordgen.syntax import expr as ast
 
-_NO_FUNCTIONS = {
-    "int": "a float never becomes an int by itself: floor, ceil and round make one",
-    "float": "an int becomes a float by itself",
-    "bool": "compare it: '!= 0'",
-    "print": "a stream shows text: 'Log.stdout << a << b' with 'stream stdout' under 'using Log:'",
-    "pow": "write a ** b",
-    "enumerate": "count with 'for i in range(len(xs)):'",
-    "zip": "count with 'for i in range(len(xs)):'",
-    "list": "write [a, b]",
-    "set": "write {a, b}",
-    "dict": "write {k: v}",
-    "any": "a loop finds one: for x in xs: if x: found = True",
-    "all": "a loop finds one that is not: for x in xs: if not x: good = False",
-    "map": "fill a list in a loop: for x in xs: ys.append(...)",
-    "filter": "fill a list in a loop: for x in xs: ys.append(...)",
-    "isinstance": "a variable's type is the one it is declared with",
-    "type": "a variable's type is the one it is declared with",
-    "input": "what a robot learns comes in through ports: 'using Module:' with 'sensors:'",
-}
-# What one writes by habit -> (types that have it, what to write; "_" is the object).
-_HABITS: dict[str, dict[str, str]] = {
-    "List": {"push": "append", "add": "append", "push_back": "append", "put": "append", "delete": "remove"},
-    "Queue": {"append": "push", "add": "push", "put": "push", "enqueue": "push", "popleft": "pop", "dequeue": "pop",
-              "get": "pop"},
-    "Set": {"append": "add", "push": "add", "insert": "add", "discard": "remove", "delete": "remove"},
-    "Map": {"pop": "remove", "delete": "remove"},
-}  # fmt: skip
 _LENGTHS = ("length", "size", "len", "__len__")
 _PATH = list_of(POINT)
 _OBSTACLES = (list_of(GRID), _PATH)
@@ -75,6 +60,9 @@ def check_call(node: ast.Call, c: Context, wanted: Type | None = None) -> ir.Exp
     name = function.name
     if c.temp(name) is not None:
         return _no_function(node, function, c)
+    owner = assumed_port(name, c) if c.place == "assume" else None
+    if owner is not None:
+        return _port_call(node, owner, ast.Attribute(function, name, function.span, function.span), c)
     if name in c.entities:
         return _own(node, function, c)
     if name in FUNCTIONS:
@@ -118,12 +106,15 @@ def _no_function(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
     skip(node, c)
     if name == "range":
         return c.error("K017", "range(...) is no value", node.span, "it stands in a loop: 'for i in range(n):'")
-    if name in _NO_FUNCTIONS and name not in c.entities and c.temp(name) is None:
-        return c.error("K010", f"{name} is not a function of Koord", function.span, _NO_FUNCTIONS[name])
+    if name in NO_FUNCTIONS and name not in c.entities and c.temp(name) is None:
+        return c.error("K010", f"{name} is not a function of Koord", function.span, NO_FUNCTIONS[name])
     if names_a_value(name, c):
-        return c.error("K017", f"{name} is not a function", function.span)
+        return not_called(name, function.span, c)
     if name in c.broken or name in c.owners:
         return c.poison(node.span)
+    if is_event(name, c):
+        help = "a robot chooses its events by their guards; move what two of them share into a 'fun'"
+        return c.error("K017", f"{name} is an event and is not called", function.span, help)
     own = [n for n, e in c.entities.items() if isinstance(e, (decl.Function, decl.ExternFunction, decl.Record))]
     help = c.nearest(name, [*own, *FUNCTIONS], {"dist": "distance", "length": "len", "size": "len", "norm": "distance"})
     taken = "..." if node.args else ""
@@ -283,8 +274,8 @@ def no_method(operand: ir.Expr, function: ast.Attribute, c: Context) -> ir.Expr:
         help = f"write len({text})"
     elif name in ("contains", "includes", "has", "has_key"):
         help = f"write x in {text}"
-    elif name in _HABITS.get(word, {}):
-        help = f"write {text}.{_HABITS[word][name]}(...)"
+    elif name in HABITS.get(word, {}):
+        help = f"write {text}.{HABITS[word][name]}(...)"
     elif name in ("sort", "reverse") and word == "List":
         help = f"write {text} = {'sorted' if name == 'sort' else 'reversed'}({text})"
     elif name in FUNCTIONS:
@@ -342,7 +333,10 @@ def _port_call(node: ast.Call, module: decl.Module, function: ast.Attribute, c: 
         if not any(same(obstacles.type, type_) for type_ in _OBSTACLES):
             obstacles = argument(obstacles, _OBSTACLES[1], "what is to be avoided", c)
         args.append(obstacles)
-    if c.place not in ("init", "effect"):
+    if c.place == "assume" and module.name != c.module:
+        message = f"an assumption speaks of its module's ports, params and pid only, not of {name}"
+        return c.error("K054", message, node.span)
+    if c.place not in ("init", "effect", "assume"):
         where = {"guard": "a guard", "function": "a function", "constant": "an initial value"}
         what = where.get(c.place, "a property")
         help = "call it in 'eff:' and keep the answer in a variable"

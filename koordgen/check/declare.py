@@ -13,7 +13,7 @@ from koordgen.check.types import bounded, dialect_element, excess, per_robot, re
 from koordgen.check.walk import nodes
 from koordgen.diagnostics import Edit
 from koordgen.ir import decl, expr
-from koordgen.ir.types import INT, POISON, ExternType, RecordType, Type, list_of
+from koordgen.ir.types import INT, POISON, ExternType, RecordType, Type
 from koordgen.source import Span
 from koordgen.syntax import decl as ast
 from koordgen.syntax import expr as tree
@@ -75,7 +75,7 @@ def _record_type(node: ast.RecordDef, room: dict[str, tuple[int, int]], c: Conte
             fields.append((field, POISON))  # its name is a guess
             continue
         type_ = bounded(resolve(field.type, c), field.capacities, False, c)
-        _no_size(field, "in a record", c)
+        type_ = POISON if _sized(field, "in a record", c) else type_
         if unique(field.name, f"fields of {node.name}", field.span, seen, c):
             fields.append((field, type_))
     inner = [room[name] for name in _held(node) if name in room]
@@ -154,7 +154,9 @@ def variable_types(sections: Iterable[ast.Variables], c: Context) -> Typed:
 def _variable_type(node: ast.Variable, kind: Kind, c: Context) -> Type:
     type_ = node.type
     if kind != "allread":
-        _no_size(node, f"under '{kind}:'", c)
+        if _sized(node, f"under '{kind}:'", c):
+            resolve(type_, c)
+            return POISON  # that an index may leave an empty list would be an echo
     elif node.size is not None:
         if not per_robot(node.size, c) and not isinstance(node.size, tree.Broken):
             _not_per_robot(node, node.size.span, c)
@@ -167,10 +169,7 @@ def _variable_type(node: ast.Variable, kind: Kind, c: Context) -> Type:
         return bounded(element, node.capacities, False, c)
     else:
         _not_per_robot(node, node.span, c)
-    resolved = resolve(type_, c)
-    if kind != "allread" and node.size is not None and resolved is not POISON:
-        resolved = list_of(resolved)  # what was meant
-    return bounded(resolved, node.capacities, kind == "local", c)
+    return bounded(resolve(type_, c), node.capacities, kind == "local", c)
 
 
 def _not_per_robot(node: ast.Variable, span: Span, c: Context) -> None:
@@ -178,10 +177,12 @@ def _not_per_robot(node: ast.Variable, span: Span, c: Context) -> None:
     c.error("K017", message, span, f"write {c.text(node.type.span)} {node.name}[N_SYS]")
 
 
-def _no_size(node: ast.Variable, where: str, c: Context) -> None:
+def _sized(node: ast.Variable, where: str, c: Context) -> bool:
+    """Whether a variable that has no size has one, which is reported."""
     if node.size is not None and not isinstance(node.size, tree.Broken):
         help = f"write List<{c.text(node.type.span)}> {node.name}"
         c.error("K017", f"an array {where} is a list: {node.name} takes no size", node.size.span, help)
+    return node.size is not None
 
 
 def variable_initials(typed: Typed, c: Context) -> tuple[tuple[decl.Shared, ...], tuple[decl.Local, ...]]:

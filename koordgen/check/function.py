@@ -127,6 +127,7 @@ def _temps(
         first = scope.get(name) or (None if isinstance(entity, (decl.Local, decl.Shared, decl.Module)) else entity)
         if reserved(name):
             c.error("K011", f"{name} is predefined", node.span, "choose another name")
+            scope[name] = Temp(c.mint(name), type_, node.span)
         elif first is not None:
             label = Label(first.span, "declared here first")
             c.error("K011", f"{name} is declared already", node.span, "choose another name", (label,))

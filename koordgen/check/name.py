@@ -5,6 +5,8 @@ from __future__ import annotations
 from koordgen.check.base import a, check_expr
 from koordgen.check.context import PREDEFINED, Context
 from koordgen.check.dialect import VALUES, old_name
+from koordgen.check.walk import statements
+from koordgen.diagnostics import Label
 from koordgen.ir import expr as ir
 from koordgen.ir.builtins import CONSTANTS, FUNCTIONS, METHODS, UPDATES
 from koordgen.ir.decl import (
@@ -39,6 +41,9 @@ from koordgen.ir.types import (
 from koordgen.node import Node, replace
 from koordgen.source import Span
 from koordgen.syntax import expr as ast
+from koordgen.syntax import stmt as tree
+from koordgen.syntax.decl import Effect, Event, Init, Section
+from koordgen.syntax.decl import Function as Fun
 
 _MEANT = {"me": "pid"}
 _NOTHING = "Koord has no empty value: let a bool, or a value that means nothing else, say it"
@@ -49,6 +54,34 @@ FOREIGN = {
     "self": "a variable stands by its own name; this robot's index is pid",
     "this": "a variable stands by its own name; this robot's index is pid",
 }
+# Functions of other languages -> how Koord has it.
+NO_FUNCTIONS = {
+    "int": "a float never becomes an int by itself: floor, ceil and round make one",
+    "float": "an int becomes a float by itself",
+    "bool": "compare it: '!= 0'",
+    "print": "a stream shows text: 'Log.stdout << a << b' with 'stream stdout' under 'using Log:'",
+    "pow": "write a ** b",
+    "enumerate": "count with 'for i in range(len(xs)):'",
+    "zip": "count with 'for i in range(len(xs)):'",
+    "list": "write [a, b]",
+    "set": "write {a, b}",
+    "dict": "write {k: v}",
+    "any": "a loop finds one: for x in xs: if x: found = True",
+    "all": "a loop finds one that is not: for x in xs: if not x: good = False",
+    "map": "fill a list in a loop: for x in xs: ys.append(...)",
+    "filter": "fill a list in a loop: for x in xs: ys.append(...)",
+    "isinstance": "a variable's type is the one it is declared with",
+    "type": "a variable's type is the one it is declared with",
+    "input": "what a robot learns comes in through ports: 'using Module:' with 'sensors:'",
+}
+# What one writes by habit -> (types that have it, what to write; "_" is the object).
+HABITS: dict[str, dict[str, str]] = {
+    "List": {"push": "append", "add": "append", "push_back": "append", "put": "append", "delete": "remove"},
+    "Queue": {"append": "push", "add": "push", "put": "push", "enqueue": "push", "popleft": "pop", "dequeue": "pop",
+              "get": "pop"},
+    "Set": {"append": "add", "push": "add", "insert": "add", "discard": "remove", "delete": "remove"},
+    "Map": {"pop": "remove", "delete": "remove"},
+}  # fmt: skip
 _IDS, _FLOATS = list_of(INT), list_of(FLOAT)
 FIELDS: dict[str, dict[str, Type]] = {
     POINT.name: {"x": FLOAT, "y": FLOAT, "z": FLOAT},
@@ -56,6 +89,7 @@ FIELDS: dict[str, dict[str, Type]] = {
     GRID.name: {"x": INT, "y": INT, "size": FLOAT},
     SCAN.name: {"angles": _FLOATS, "ranges": _FLOATS, "max_range": FLOAT},
 }
+_LOOP = "keep it in a variable that is declared before the loop"
 _LENGTHS = ("length", "size", "len", "count", "Length", "Count")
 _INSTEAD_OF_A_ROBOT = {"pid": "name robots: 'forall i in ID:'"}
 
@@ -154,10 +188,76 @@ def undefined(name: str, span: Span, c: Context) -> ir.Expr:
     """Reports a name that nothing has, unless it may stand in what could not be read."""
     if name in c.broken or name in c.owners:
         return c.poison(span)
+    if c.place == "assume":
+        from koordgen.check.property import goal
+
+        temp = goal(name, span, c)
+        if temp is not None:
+            return ir.TempRead(temp.unique, temp.type, span)
+    if is_event(name, c):
+        help = "a robot chooses its events by their guards; a variable can tell that one has run"
+        return c.error("K017", f"{name} is an event, not a value", span, help)
+    if ended(name, span, c):
+        return c.poison(span)
+    if name in ("raise", "throw"):
+        from koordgen.syntax.habits import FOREIGN as WORDS
+
+        return c.error("K010", f"Koord has no '{name}'", span, WORDS[name])
     help = FOREIGN.get(name) or c.nearest(name, c.visible(), _MEANT)
     if not help and c.place == "property":
         help = f"if it is a robot, name it: 'forall {name} in ID:'"
     return c.error("K010", f"{name} is not defined", span, help)
+
+
+def not_called(name: str, span: Span, c: Context) -> ir.Expr:
+    """Report a call of a value, which may have, and hide, the name of a builtin function."""
+    owner = c.temp(name) or c.entities.get(name)
+    if name not in FUNCTIONS or owner is None:
+        return c.error("K017", f"{name} is not a function", span)
+    labels = (Label(owner.span, f"hides the builtin {name}"),)
+    message = f"{name} is not a function here: a variable has its name"
+    return c.error("K017", message, span, "give the variable another name", labels)
+
+
+def is_event(name: str, c: Context) -> bool:
+    sections = c.program.sections if c.program is not None else ()
+    return any(isinstance(section, Event) and section.name == name for section in sections)
+
+
+def ended(name: str, span: Span, c: Context) -> bool:
+    """Reports a variable of a block or a loop that is used behind it; false where a name is none."""
+    if name not in c.minted or c.program is None:
+        return False
+    here = span.line, span.column
+    before = [s for s in c.program.sections if (s.span.line, s.span.column) <= here]
+    places: list[tuple[Span, str]] = []
+    for statement in statements(_blocks(before[-1])) if before else ():
+        match statement:
+            case tree.Declare(type_, declared, place) if declared == name:
+                places.append((place, f"declare it before the block: '{c.text(type_.span)} {name}'"))
+            case tree.For(names=names):
+                places += [(part.span, _LOOP) for part in names if part.name == name]
+            case tree.CountedFor(ast.Name(counter, place)) if counter == name:
+                places.append((place, _LOOP))
+            case _:
+                pass
+    earlier = [(place, help) for place, help in places if (place.line, place.column) < here]
+    if not earlier:
+        return False
+    place, help = max(earlier, key=lambda found: (found[0].line, found[0].column))
+    labels = (Label(place, "declared here, and gone with the block"),)
+    c.error("K010", f"{name} is not defined here: it ended with its block", span, help, labels)
+    return True
+
+
+def _blocks(section: Section) -> tree.Block:
+    match section:
+        case Init(block) | Fun(block=block):
+            return block
+        case Event(clauses=clauses):
+            return tuple([s for clause in clauses if isinstance(clause, Effect) for s in clause.block])
+        case _:
+            return ()
 
 
 def check_attribute(node: ast.Attribute, c: Context, wanted: Type | None = None) -> ir.Expr:
@@ -187,6 +287,12 @@ def _port_of(module: Node | None, name: str) -> Port | None:
         if port.name == name:
             return port
     return None
+
+
+def assumed_port(name: str, c: Context) -> Module | None:
+    """The module of which an assumption speaks, if it has a port of that name."""
+    module = c.entities.get(c.module)
+    return module if isinstance(module, Module) and _port_of(module, name) is not None else None
 
 
 def declared_port(module: Module, node: ast.Attribute, c: Context) -> Port | None:

@@ -16,8 +16,8 @@ Owner = (
 
 
 def claim(program: ast.Program, c: Context) -> None:
-    """Gives each name to its first declaration in the text. A second one is reported; where the two differ, nobody
-    knows what the uses mean, and they are no more mistakes."""
+    """Gives each name to its first declaration in the text. A second one is reported; where the two differ, or the
+    first is the language's own, nobody knows what the uses mean, and they are no more mistakes."""
     kinds: dict[str, str] = {}  # of the variables
     for section in program.sections:
         match section:
@@ -37,6 +37,7 @@ def claim(program: ast.Program, c: Context) -> None:
 def _take(name: str, node: Owner, kind: str, kinds: dict[str, str], c: Context) -> None:
     if reserved(name):
         c.error("K011", f"{name} is predefined", node.span, "choose another name")
+        c.entities[name] = None
         return
     first = c.owners.setdefault(name, node)
     if first is node:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 from koordgen.check.base import condition
-from koordgen.check.context import Context
+from koordgen.check.context import Context, Temp
 from koordgen.check.names import unique
 from koordgen.ir import decl
+from koordgen.ir.types import GRID, POINT, list_of
+from koordgen.node import Node
 from koordgen.source import Span
 from koordgen.syntax import decl as ast
+from koordgen.syntax import expr as tree
+
+_HANDED = (POINT, list_of(GRID))  # to a PathPlanner
 
 
 def properties(sections: Iterable[ast.Property], c: Context) -> tuple[decl.Property, ...]:
@@ -24,3 +29,45 @@ def properties(sections: Iterable[ast.Property], c: Context) -> tuple[decl.Prope
         formula = condition(node.formula, c, what)
         found.append(decl.Property(node.kind, node.name, formula, node.span))
     return tuple(found)
+
+
+def goal(name: str, span: Span, c: Context) -> Temp | None:
+    """Of a name that nothing has, in an assumption that hands it to a callable port of its module: from then on it
+    stands for every value that can be handed over there."""
+    module = c.entities.get(c.module)
+    if not isinstance(module, decl.Module) or c.program is None:
+        return None
+    ports = {port.name for port in module.ports if port.direction == "callable"}
+    items = [item for s in c.program.sections if isinstance(s, ast.Using) and s.name == c.module for item in s.items]
+    at = span.line, span.column
+    assumed = [item for item in items if isinstance(item, ast.Assume)]
+    formulas = [item.formula for item in assumed if (item.span.line, item.span.column) < at]
+    place = next(_handed(formulas[-1], name, c.module, ports), None) if formulas else None
+    if place is None:
+        return None
+    temp = c.scopes[0][name] = Temp(c.mint(name), _HANDED[place], span)
+    return temp
+
+
+def _handed(node: object, name: str, module: str, ports: set[str]) -> Iterator[int]:
+    """As which arguments of the module's callable ports a name stands that no quantifier binds there."""
+    if isinstance(node, tree.Quantified) and any(bound.name == name for bound in node.names):
+        node = node.domain
+    if isinstance(node, tree.Call):
+        match node.function:
+            case tree.Name(port) | tree.Attribute(tree.Name(), port) if port in ports and _of(module, node.function):
+                for place, arg in enumerate(node.args[: len(_HANDED)]):
+                    if isinstance(arg, tree.Name) and arg.name == name:
+                        yield place
+            case _:
+                pass
+    parts: tuple[object, ...] = node if isinstance(node, tuple) else ()
+    if isinstance(node, Node) and not isinstance(node, Span):
+        parts = tuple([getattr(node, field) for field in type(node).__match_args__])  # type: ignore[attr-defined]
+    for part in parts:
+        yield from _handed(part, name, module, ports)
+
+
+def _of(module: str, function: tree.Expr) -> bool:
+    """Whether a port is the module's: by its bare name, or behind the module's."""
+    return not isinstance(function, tree.Attribute) or function.value == tree.Name(module, function.span)

@@ -11,15 +11,17 @@ from koordgen.check.expr import arithmetic
 from koordgen.check.loop import check_counted, check_for, check_while
 from koordgen.check.name import declared_port, module_named
 from koordgen.check.path import Condition, Path, is_open, joined
-from koordgen.check.target import Target, check_target
+from koordgen.check.target import Target, check_target, declaration
 from koordgen.check.types import resolve
 from koordgen.check.update import check_update, pops, updates
 from koordgen.ir import expr as ir
 from koordgen.ir import stmt
-from koordgen.ir.types import BOOL, FLOAT, INT, POINT, POISON, STREAM, STRING
+from koordgen.ir.types import BOOL, FLOAT, INT, NAMED, POINT, POISON, STREAM, STRING, PerRobot, Type, list_of
+from koordgen.node import replace
 from koordgen.source import Span
 from koordgen.syntax import expr as ast
 from koordgen.syntax import stmt as tree
+from koordgen.syntax.types import NamedType
 
 __all__ = ["check_block", "default"]
 
@@ -28,8 +30,7 @@ def _assign(node: tree.Assign, c: Context, out: Out) -> None:
     target = check_target(node.target, c)
     if target is None:
         c.hoisted.clear()
-        if not isinstance(node.value, (ast.ListDisplay, ast.MapDisplay)) or node.value.items:
-            check_expr(node.value, c)
+        _unassigned(node, c)
         return
     type_ = target.read.type
     if not node.op and pops(node.value, c):
@@ -41,6 +42,29 @@ def _assign(node: tree.Assign, c: Context, out: Out) -> None:
     if value.type is not type_:
         value = fitting(value, type_, c.text(node.target.span), c)
     write(target, value, bool(node.op), node.span, c, out)
+
+
+def _unassigned(node: tree.Assign, c: Context) -> None:
+    """Checks the value of an assignment that writes nothing; where nobody declared the variable, it tells its type."""
+    at, target = len(c.found) - 1, node.target
+    forgotten = isinstance(target, ast.Name) and c.owners.get(target.name) is target
+    if pops(node.value, c):
+        update = check_update(node.value, c)
+        type_ = update[1].type if update is not None and update[1] is not None else POISON
+        c.hoisted.clear()
+    else:
+        type_ = check_expr(node.value, c, POISON).type
+    if not forgotten or not isinstance(target, ast.Name) or c.found[at].help != declaration(target.name):
+        return
+    if isinstance(node.value, ast.ListDisplay) and not node.value.items:
+        type_ = list_of(POINT)  # an example
+    known = type_ is not POISON and not isinstance(type_, PerRobot)
+    span, text = node.value.span, c.text(node.value.span)
+    kept = known and not node.op and span.line == span.end_line and len(text) <= 40
+    help = declaration(target.name, str(type_) if known else "Type", text if kept else "...")
+    if c.place in ("init", "effect"):
+        help += "; one that is to last stands under 'local:'"
+    c.found[at] = replace(c.found[at], help=help)
 
 
 def write(target: Target, value: ir.Expr, reads: bool, span: Span, c: Context, out: Out) -> None:
@@ -84,7 +108,7 @@ def _assign_popped(node: tree.Assign, target: Target, c: Context, out: Out) -> N
 
 
 def _declare(node: tree.Declare, c: Context, out: Out) -> None:
-    type_ = resolve(node.type, c)
+    type_ = _type(node, c)
     update = None
     if node.value is None:
         if type_ is POISON and (c.temp(node.name) is not None or node.name in c.entities):
@@ -105,6 +129,18 @@ def _declare(node: tree.Declare, c: Context, out: Out) -> None:
             out.append(stmt.Let(temp.unique, type_, value, node.span))
     if update is not None:
         write(update[0], update[2], True, node.span, c, out)
+
+
+def _type(node: tree.Declare, c: Context) -> Type:
+    """The type of a declaration, as which a statement of another language may read: `global n`."""
+    written = node.type
+    if isinstance(written, NamedType) and written.name not in NAMED and written.name not in c.types:
+        from koordgen.syntax.habits import FOREIGN
+
+        if written.name in FOREIGN and written.name not in c.broken:
+            c.error("K016", f"Koord has no '{written.name}'", written.span, FOREIGN[written.name])
+            return POISON
+    return resolve(written, c)
 
 
 def _evaluate(node: tree.Evaluate, c: Context, out: Out) -> None:

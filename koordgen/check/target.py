@@ -10,7 +10,7 @@ from koordgen.check.base import a, check_expr, fitting, has_call
 from koordgen.check.block import learn
 from koordgen.check.collection import element
 from koordgen.check.context import PREDEFINED, Context
-from koordgen.check.name import FOREIGN, declared_port, field_of, module_named, no_field, refused
+from koordgen.check.name import FOREIGN, declared_port, ended, field_of, module_named, no_field, refused
 from koordgen.diagnostics import Label
 from koordgen.ir import expr as ir
 from koordgen.ir import stmt
@@ -103,8 +103,15 @@ def _unknown(node: ast.Name, c: Context) -> None:
     if name in PREDEFINED:
         c.error("K022", f"{name} is predefined and cannot be assigned", span)
     elif name not in c.broken and name not in c.owners:
-        help = FOREIGN.get(name) or c.nearest(name, [n for n in c.visible() if n not in PREDEFINED])
-        c.error("K010", f"{name} is not defined", span, help or f"declare it: 'Type {name} = ...'")
+        c.owners[name] = node  # it was to declare the name: what follows is no new mistake
+        if not ended(name, span, c):
+            help = FOREIGN.get(name) or c.nearest(name, [n for n in c.visible() if n not in PREDEFINED])
+            c.error("K010", f"{name} is not defined", span, help or declaration(name))
+
+
+def declaration(name: str, type_: str = "Type", value: str = "...") -> str:
+    """The help for what was not declared."""
+    return f"declare it: '{type_} {name} = {value}'"
 
 
 def _slot(node: ast.Index, entity: Shared, c: Context) -> Target | None:

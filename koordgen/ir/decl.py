@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Literal
 
-from koordgen.ir.expr import Expr
+from koordgen.ir.expr import Expr, PortCall, Quantified, TempRead
 from koordgen.ir.stmt import Block
 from koordgen.ir.types import RecordType, Type
 from koordgen.node import Node
@@ -85,10 +86,34 @@ class Port(Node):
 
 class Assumption(Node):
     """`assume formula` of a module: holds of every robot separately, over that module's ports (primed: at any moment of
-    the following delta), params and pid."""
+    the following delta), params and pid. Temps that it does not bind are handed to callable ports, and stand for all
+    values there: see `goals`."""
 
     formula: Expr
     span: Span
+
+
+def goals(assumption: Assumption) -> dict[str, Type]:
+    """The temps that stand for all values in an assumption, with their types."""
+    return {arg.name: arg.type for _, args in handed(assumption.formula) for arg in args.values()}
+
+
+def handed(node: object, bound: frozenset[str] = frozenset()) -> Iterator[tuple[PortCall, dict[int, TempRead]]]:
+    """The calls of ports in a formula to which temps are handed that it does not bind; and these, by their places."""
+    if isinstance(node, Quantified):
+        yield from handed(node.domain, bound)
+        yield from handed(node.body, bound | {node.name})
+        return
+    if isinstance(node, PortCall):
+        places = enumerate(node.args)
+        free = {place: arg for place, arg in places if isinstance(arg, TempRead) and arg.name not in bound}
+        if free:
+            yield node, free
+    parts: tuple[object, ...] = node if isinstance(node, tuple) else ()
+    if isinstance(node, Node) and not isinstance(node, Span):
+        parts = tuple([getattr(node, field) for field in type(node).__match_args__])  # type: ignore[attr-defined]
+    for part in parts:
+        yield from handed(part, bound)
 
 
 class Module(Node):

@@ -30,7 +30,7 @@ def show(program: decl.Program) -> str:
     for module in program.modules:
         lines.append(f"module {module.name}")
         lines += [f"  {port.direction} {_variable(port.name, port.type)}" for port in module.ports]
-        lines += [f"  assume {_expr(assumption.formula)}" for assumption in module.assumptions]
+        lines += [f"  assume {_assumption(assumption)}" for assumption in module.assumptions]
     for shared in program.shared:
         size = "[N_SYS]" if shared.kind == "allread" else ""
         lines.append(f"{shared.kind} {_variable(shared.name, shared.type, size)} = {_expr(shared.initial)}")
@@ -46,6 +46,11 @@ def show(program: decl.Program) -> str:
     for property_ in program.properties:
         lines.append(f"{' '.join((property_.kind, property_.name)).strip()}: {_expr(property_.formula)}")
     return "\n".join(lines) + "\n"
+
+
+def _assumption(assumption: decl.Assumption) -> str:
+    goals = ", ".join(f"{name}: {type_}" for name, type_ in decl.goals(assumption).items())
+    return f"{f'for all {goals}: ' if goals else ''}{_expr(assumption.formula)}"
 
 
 def _variable(name: str, type_: Type, size: str = "") -> str:

@@ -44,6 +44,8 @@ def verify(program: decl.Program) -> None:
         for assumption in module.assumptions:
             walk.enter("assume")
             walk.module = module.name
+            for name, type_ in decl.goals(assumption).items():
+                walk.declare(name, type_, assumption.span)
             walk.typed(assumption.formula, BOOL)
     for property_ in program.properties:
         walk.enter("property")

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 from koordgen.ir import decl
+from koordgen.ir.expr import PortCall, TempRead
 from koordgen.semantics.eval import holds
 from koordgen.semantics.exec import Budget, library
 from koordgen.semantics.state import NOTHING, State, World
 from koordgen.semantics.step import no_port
-from koordgen.semantics.values import Value
+from koordgen.semantics.values import Value, conforms, same
+
+
+class Asked(NamedTuple):
+    """One call of a callable port, by "Module.port", and what it answered."""
+
+    port: str
+    args: tuple[Value, ...]
+    answer: Value
 
 
 def holds_property(property_: decl.Property, program: decl.Program, state: State, world: World = NOTHING) -> bool:
@@ -22,13 +32,33 @@ def holds_property(property_: decl.Property, program: decl.Program, state: State
 
 def holds_assumption(
     assumption: decl.Assumption, program: decl.Program, before: Mapping[str, Value], after: Mapping[str, Value],
-    pid: int, n_sys: int, params: Mapping[str, Value], world: World = NOTHING,
+    pid: int, n_sys: int, params: Mapping[str, Value], world: World = NOTHING, asked: Sequence[Asked] = (),
 ) -> bool:  # fmt: skip
     """Whether a module's assumption holds of one robot: `before` are its ports right after the program's step, `after`
-    at a moment of the delta that follows, both by "Module.port". Raises Discarded where the formula has no value."""
+    at a moment of the delta that follows, both by "Module.port". `asked`: its calls in that step. What is assumed for
+    all goals is held to those that were asked for, and holds where none was. Raises Discarded where the formula has no
+    value."""
+    answers = {(call.port, call.args): call.answer for call in asked}
 
     def ask(port: str, args: tuple[Value, ...]) -> Value:
-        return world.answer(pid, port, args)
+        return answers[port, args] if (port, args) in answers else world.answer(pid, port, args)
 
-    view = library(program, n_sys, params, world, Budget(), ask)
-    return holds(assumption.formula, view._replace(pid=pid, ports=before, after=after))
+    view = library(program, n_sys, params, world, Budget(), ask)._replace(pid=pid, ports=before, after=after)
+    patterns = list(decl.handed(assumption.formula))
+    return all(holds(assumption.formula, view._replace(temps=temps)) for temps in _goals(patterns, asked, {}))
+
+
+def _goals(
+    patterns: list[tuple[PortCall, dict[int, TempRead]]], asked: Sequence[Asked], known: dict[str, Value]
+) -> Iterator[dict[str, Value]]:
+    """What the goals can stand for, so that each of the calls was made; once, where there are no goals."""
+    if not patterns:
+        yield known
+        return
+    (call, goals), *rest = patterns
+    for made in asked:
+        if made.port == f"{call.module}.{call.port}" and len(made.args) == len(call.args):
+            given = {goal.name: made.args[place] for place, goal in goals.items()}
+            typed = all(conforms(given[goal.name], goal.type) for goal in goals.values())
+            if typed and all(same(known.get(name, value), value) for name, value in given.items()):
+                yield from _goals(rest, asked, {**known, **given})

@@ -7,7 +7,8 @@ from collections.abc import Callable
 from koordgen.diagnostics import Diagnostic
 from koordgen.syntax.spot import Spot, place, shown
 
-_EXCEPTIONS = "an event in which something fails is discarded as a whole"
+_EXCEPTIONS = "Koord has no exceptions: a fault discards the event and the robot holds; test before you divide or index"
+_GLOBAL = "every variable that is declared under local, allread or allwrite is visible everywhere: leave the line out"
 _WHILE = "write 'while condition:'"
 _CASES = "write a chain of if, elif, else"
 _RECORD = "a record is written 'def Name:', its fields below: Type field"
@@ -58,8 +59,8 @@ FOREIGN = {
     "async": "each event takes effect at once, when it ends",
     "await": "each event takes effect at once, when it ends",
     "with": "'atomic:' takes the lock that a block needs",
-    "global": "every variable of a program can be assigned in every event",
-    "nonlocal": "every variable of a program can be assigned in every event",
+    "global": _GLOBAL,
+    "nonlocal": _GLOBAL,
     "del": "write xs.remove(value), xs.pop(i) or m.remove(key)",
     "assert": "'invariant Name: ...' states what is to hold; an event's guard says when it may run",
 }
@@ -155,7 +156,7 @@ def _brackets(spot: Spot) -> Diagnostic | None:
 
 def _lists_of_names(spot: Spot) -> Diagnostic | None:
     """`a, b = pair` and `int a, b`."""
-    if spot.kind != "," or spot.bracket:
+    if spot.kind != "," or spot.bracket or spot.first[1] in ("global", "nonlocal", "del"):
         return None
     if spot.expected & {"pre", "eff"} or (spot.level() == 0 and spot.first[0] == "NAME" and spot.start == 0):
         return None

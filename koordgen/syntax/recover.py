@@ -24,6 +24,7 @@ _DEEPEST_STACK = 20 * DEEPEST_TREE  # states; more than any tree and any blocks 
 
 _MARGINS = ("NEWLINE", "INDENT", "DEDENT")
 _DEPTH = {"(": 1, "[": 1, "{": 1, ")": -1, "]": -1, "}": -1}
+_CATCHING = ("except", "catch", "finally")
 _NAMED = ("using", "def", "invariant", "axiom")  # headers of a word and a name
 
 Tokens = list[Any]
@@ -61,6 +62,7 @@ class _Repair:
         self.found = found
         self.touched: dict[int, int] = {}  # how often a line of the text was repaired
         self.told: set[tuple[int, int]] = set()  # the places that were told of
+        self.tried = False  # a `try` was told of: what catches for it is its echo
         self.muted = False  # the indentation is not what it looks like
         self.hopeless = len(found) == MOST_FAULTS
         kinds = {token[0] for token in chunk.tokens}
@@ -121,10 +123,13 @@ class _Repair:
     def _tell(self, diagnostic: Diagnostic, position: int) -> bool:
         """Whether this is the first mistake in its line: a second one may be an echo and is not told, and no more is
         another one at the same place, which may be a header above."""
-        line = self.tokens[_start(self.tokens, position)][2]
+        first = self.tokens[_start(self.tokens, position)]
+        line = first[2]
+        echo = self.muted or (self.tried and first[1] in _CATCHING)
+        self.tried |= first[1] == "try"
         times = self.touched[line] = self.touched.get(line, 0) + 1
         where = _place(diagnostic)
-        if times == 1 and where not in self.told and not self.muted and len(self.found) < MOST_FAULTS:
+        if times == 1 and where not in self.told and not echo and len(self.found) < MOST_FAULTS:
             self.found.append(diagnostic)
             self.told.add(where)
         self.hopeless |= self.headless or times > 3 or len(self.found) == MOST_FAULTS

@@ -11,6 +11,7 @@ import pytest
 from koordgen.diagnostics import Diagnostic, render
 from koordgen.source import Source
 from koordgen.syntax.parse import parse
+from tests.lang.test_lang import found
 
 EVENT = "E:\n  pre: b\n  eff:\n    {}\n"
 
@@ -71,7 +72,9 @@ STATEMENTS = [
     ("let x: int = 3", "let", "Koord has no 'let'", "a type stands before the name: int x = 3"),
     ("var x = 3", "var", "Koord has no 'var'", "a type stands before the name: int x = 3"),
     ("x = new Foo()", "new", "Koord has no 'new'", "Task(target=p)"),
-    ("try:\n      x = 3", "try", "Koord has no 'try'", "discarded as a whole"),
+    ("try:\n      x = 3", "try", "Koord has no 'try'", "Koord has no exceptions"),
+    ("try: x = 3\n    except: x = 4\n    finally: x = 5", "try", "Koord has no 'try'", "Koord has no exceptions"),
+    ("global n, m", "global", "Koord has no 'global'", "leave the line out"),
     ("switch x:\n      pass", "switch", "Koord has no 'switch'", "if, elif, else"),
     ("foreach x in xs:\n      pass", "foreach", "Koord has no 'foreach'", "for x in xs:"),
     ("for each x in xs:\n      pass", "each", "Koord has no 'each'", "for x in xs:"),
@@ -299,6 +302,51 @@ def test_several_mistakes_are_told_once_each() -> None:
     )
     _, found = parse(Source("t", text))
     assert [d.span.line for d in found] == [1, 3, 5, 7, 8, 9, 10, 12]
+
+
+FLEET = """\
+using Motion:
+  actuators: Point target
+local:
+  int n
+  bool b
+{declared}
+Go:
+  pre: b
+  eff:
+    {line}
+"""
+
+
+@pytest.mark.parametrize(
+    ("line", "message", "help"),
+    [
+        ("k = 3", "k is not defined", "declare it: 'int k = 3'; one that is to last stands under 'local:'"),
+        ("k = n / 2\n    b = k > 3", "k is not defined", "'float k = n / 2'"),
+        ("k = [1]\n    k.append(2)", "k is not defined", "'List<int> k = [1]'"),
+        ("k = []", "k is not defined", "'List<Point> k = []'"),
+        ("k = k + 1", "k is not defined", "'Type k = ...'"),
+        ("k += 1", "k is not defined", "'int k = ...'"),
+        ("nn = n\n    Motion.tagret = nn", "the port Motion.tagret is not declared", ""),
+        ("global n", "Koord has no 'global'", "under local, allread or allwrite is visible everywhere"),
+        ("raise", "Koord has no 'raise'", "Koord has no exceptions"),
+        ("Go()", "Go is an event and is not called", "by their guards"),
+        ("if b:\n      int k = n\n    n = k", "k is not defined here", "declare it before the block: 'int k'"),
+        ("if b:\n      int k = n\n    k = n\n    n = k", "k is not defined here", "before the block: 'int k'"),
+    ],
+)
+def test_what_the_checker_says_to_a_first_reader(line: str, message: str, help: str) -> None:
+    told = found(FLEET.format(line=line, declared=""))
+    assert message in told[-1].message
+    assert help in told[-1].help
+    assert len(told) == (2 if "tagret" in line else 1), told
+
+
+def test_labels_point_to_what_is_meant() -> None:
+    (told,) = found(FLEET.format(line="if b:\n      int k = n\n    n = k", declared=""))
+    assert [(label.span.line, label.span.column) for label in told.labels] == [(11, 11)]
+    (told,) = found(FLEET.format(line="n = len([n])", declared="  int len"))
+    assert [label.span.line for label in told.labels] == [6]
 
 
 @pytest.mark.parametrize(
