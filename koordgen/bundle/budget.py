@@ -12,7 +12,7 @@ from koordgen.node import replace
 
 # As koordgen/runtime/layout.py, bounds.py and wire.py have them (tests compare): MessagePack's longest forms.
 DATAGRAM = 1200
-_WRITE, _CLOSING = 4, 26
+_WRITE, _CLOSING = 5, 38
 
 
 def check_budget(program: Program, robots: int) -> list[Diagnostic]:
@@ -61,7 +61,7 @@ def most_bytes(type_: Type) -> int:
 def overhead(robots: int) -> int:
     """The most bytes of a datagram beside its closings: head, clock echoes of up to 8 robots, what is held of each."""
     echoes = 20 * min(robots, 8)
-    return max(144, 111 + echoes + 9 * robots + (2 if robots >= 16 else 0))
+    return 141 + echoes + 5 * robots + (2 if robots >= 16 else 0)
 
 
 def _head(count: int, shortest: int, short: int) -> int:

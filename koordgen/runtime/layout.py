@@ -3,20 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import msgspec
 
+from koordgen.runtime.patch import difference, patched
 from koordgen.runtime.program import Variable
 from koordgen.runtime.values import transmissible
-from koordgen.runtime.wire import LIMIT, MAX_ROBOTS, Closing, Write, encoder, overhead
+from koordgen.runtime.wire import LIMIT, MAX_ROBOTS, MOST_PIECES, Closing, Write, encoder, overhead
 
-_CLOSING = 1 + 2 + 9 + 9 + 1 + 1 + 3  # array, author, first, round, stopped, commit, array of writes
-_WRITE = 1 + 3  # array, index
+MOST_CLOSING = 128 * 1024  # bytes of one robot's closing of one round
+MOST_SHARED = 256  # variables: so many writes a closing may have
+PATCH_FROM = 128  # bytes: a shorter value goes whole
+
+_CLOSING = 1 + 1 + 3 * 9 + 3 + 3 + 3  # array, author, incarnation, first, round, three bools, lock, array of writes
+_WRITE = 1 + 3 + 1  # array, index, bool
+_NONE: Mapping[str, Any] = MappingProxyType({})
 
 
 class TooLarge(Exception):
-    """What a robot may write in one round does not fit in one datagram."""
+    """What a robot may write in one round is more than it can send, or there are too many robots or variables."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unpatched:
+    """A written value of which only the difference to the round's first value came: see `resolve`."""
+
+    patch: bytes
 
 
 class Layout:
@@ -29,15 +44,21 @@ class Layout:
         self._shared = tuple(shared)
         self._index = {v.name: i for i, v in enumerate(shared)}
         self._decoders = tuple(msgspec.msgpack.Decoder(v.type) for v in shared)
+        self._encoded: dict[int, tuple[Any, bytes]] = {}
         if n_sys > MAX_ROBOTS:
             raise TooLarge(f"a fleet of {n_sys} robots; at most {MAX_ROBOTS} are supported")
-        needed = _CLOSING + sum(_WRITE + v.bound.bytes for v in shared)
-        room = LIMIT - overhead(n_sys)
-        if needed > room:
+        if len(shared) > MOST_SHARED:
+            raise TooLarge(f"a program of {len(shared)} shared variables; at most {MOST_SHARED} are supported")
+        needed, most = self.closing_bytes, most_closing(n_sys)
+        if needed > most:
             raise TooLarge(
-                f"one round's shared writes take up to {needed} bytes; with {n_sys} robots a datagram has room "
-                f"for {room}"
+                f"one round's shared writes take up to {needed} bytes; with {n_sys} robots at most {most} can be sent"
             )
+
+    @property
+    def closing_bytes(self) -> int:
+        """The most bytes of an encoded closing."""
+        return _CLOSING + sum(_WRITE + v.bound.bytes for v in self._shared)
 
     def initial(self) -> dict[str, Any]:
         """The shared variables before any `init`; an allread variable as the tuple of its slots."""
@@ -47,30 +68,66 @@ class Layout:
             for (name, value), slots in zip(values.items(), self.is_slots, strict=True)
         }
 
-    def writes(self, shared: Mapping[str, Any]) -> tuple[Write, ...]:
-        """What an event wrote, as it goes over the wire."""
-        indexed = sorted((self._index[name], value) for name, value in shared.items())
-        return tuple(Write(i, msgspec.Raw(encoder.encode(value))) for i, value in indexed)
+    def bases(self, store: Mapping[str, Any], author: int) -> dict[str, Any]:
+        """What an author's writes take the place of: the variables' values, of allread ones the author's slot."""
+        pairs = zip(self.names, self.is_slots, strict=True)
+        return {name: store[name][author] if slots else store[name] for name, slots in pairs}
+
+    def writes(self, shared: Mapping[str, Any], bases: Mapping[str, Any] = _NONE) -> tuple[Write, ...]:
+        """What an event wrote, as it goes over the wire. A large value that differs little from that in `bases`, of the
+        store that its round began with, goes as a patch."""
+        indexed = sorted((self._index[name], name) for name in shared)
+        return tuple(self._write(i, shared[name], bases.get(name)) for i, name in indexed)
 
     def read(self, closing: Closing) -> list[tuple[int, Any]] | None:
-        """The values a closing carries, by index; None when anything in it does not fit this program."""
+        """What a closing carries, by index: values, and patches as Unpatched; None when anything in it does not fit
+        this program."""
         if closing.author >= self.n_sys or closing.first > closing.round:
             return None
-        if not closing.writes:
-            return []
-        if closing.first != closing.round:
+        if (closing.writes or closing.acted) and closing.first != closing.round:
             return None
         values: list[tuple[int, Any]] = []
         before = -1
         for write in closing.writes:
             if not before < write.index < len(self._decoders):
                 return None
-            try:
-                value = self._decoders[write.index].decode(write.value)
-            except (msgspec.DecodeError, RecursionError):
+            item = Unpatched(bytes(write.value)) if write.patch else self._value(write.index, write.value)
+            if item is None:
                 return None
-            if not transmissible(value) or self._shared[write.index].bound.flaw(value):
-                return None
-            values.append((write.index, value))
+            values.append((write.index, item))
             before = write.index
         return values
+
+    def resolve(self, index: int, item: Any, base: Any) -> Any | None:
+        """The value of what `read` gave, where the round began with `base` (as in `bases`); None for a patch that does
+        not fit it. That depends on nothing else, so all robots take the write, or none does."""
+        if not isinstance(item, Unpatched):
+            return item
+        data = patched(self._encoding(index, base), item.patch, self._shared[index].bound.bytes)
+        return None if data is None else self._value(index, data)
+
+    def _write(self, index: int, value: Any, base: Any | None) -> Write:
+        whole = encoder.encode(value)
+        small = base is None or len(whole) <= PATCH_FROM
+        patch = None if small else difference(self._encoding(index, base), whole)
+        return Write(index, msgspec.Raw(whole if patch is None else patch), patch is not None)
+
+    def _value(self, index: int, data: bytes | msgspec.Raw) -> Any | None:
+        """The value in an encoding; None when it is none that this program can write."""
+        try:
+            value = self._decoders[index].decode(data)
+        except (msgspec.DecodeError, RecursionError):
+            return None
+        return value if transmissible(value) and not self._shared[index].bound.flaw(value) else None
+
+    def _encoding(self, index: int, value: Any) -> bytes:
+        """The encoding of a value that several robots may patch in one round: kept until there is another."""
+        known = self._encoded.get(index)
+        if known is None or known[0] is not value:
+            known = self._encoded[index] = value, encoder.encode(value)
+        return known[1]
+
+
+def most_closing(n_sys: int) -> int:
+    """The most bytes that a closing may have in a fleet of that size: in many small pieces, less than in few."""
+    return min(MOST_CLOSING, MOST_PIECES * (LIMIT - overhead(n_sys)))

@@ -95,22 +95,22 @@ class Link:
         self._send([to], Hello(self._head(), to, challenge, answer, holds, init, start))
 
     def need(self, to: Sequence[int], through: int, held: tuple[int, ...]) -> None:
-        self._send(to, Need(self._head(), through, held))
+        self._send(to, Need(self._head(), 0, through, 0, held, ()))
 
     def round(self, to: Sequence[int], round_: int, settled: int, held: tuple[int, ...],
               closings: Sequence[Closing]) -> None:  # fmt: skip
         """One datagram, or as few as the closings fit in, at most MOST_DATAGRAMS; the rest waits to be asked for."""
         for batch in self._batches(closings):
-            self._send(to, Round(self._head(), round_, settled, held, batch))
+            self._send(to, Round(self._head(), 0, round_, 0, settled, False, held, batch))
 
-    def receive(self) -> list[Message]:
+    def receive(self) -> list[Hello | Round | Need]:
         """What arrived and may be listened to. A Hello of a boot that was not adopted is among it: `joining` judges."""
         accepted = []
         for datagram in self._transport.receive():
             message = decode(datagram, self._key)
             if isinstance(message, str):
                 self.reject(message)
-            elif self._admit(message):
+            elif isinstance(message, Hello | Round | Need) and self._admit(message):
                 accepted.append(message)
         return accepted
 
@@ -196,6 +196,7 @@ class Link:
             self.epoch,
             self._sequence,
             _microseconds(self._clock.now()),
+            None,
             echoes,
         )
 

@@ -197,7 +197,7 @@ class Agent:
         self._body.command(done.actuators, now)
         self._stream(done.streams, now)
         writes = self._layout.writes(done.shared)
-        self._joining.ready(Closing(self._settings.pid, 0, 0, done.stopped, False, writes))
+        self._joining.ready(Closing(self._settings.pid, 0, 0, 0, done.stopped, writes=writes))
 
     def _begin_rounds(self, now: float) -> None:
         mission = self._joining.mission

@@ -135,9 +135,9 @@ class Memory:
         writes = self._layout.writes(shared)
         log = self._logs[self._pid]
         if round_ > log.held + 1 and writes:
-            log.append(_Entry(Closing(self._pid, log.held + 1, round_ - 1, stopped, False), ()))
+            log.append(_Entry(Closing(self._pid, 0, log.held + 1, round_ - 1, stopped), ()))
         first = round_ if writes else log.held + 1
-        closing = Closing(self._pid, first, round_, stopped, commit and bool(writes), writes)
+        closing = Closing(self._pid, 0, first, round_, stopped, lock=0 if commit and writes else -1, writes=writes)
         log.append(_Entry(closing, self._layout.read(closing) or ()))
 
     def take(self, closing: Closing, present: int) -> str | None:
@@ -223,7 +223,7 @@ class Memory:
         the highest pid wins a plain conflict, also over that round's commit."""
         names, is_slots = self._layout.names, self._layout.is_slots
         changed: dict[str, Any] = {}
-        for entry in sorted(entries, key=lambda e: not e.closing.commit):
+        for entry in sorted(entries, key=lambda e: e.closing.lock < 0):
             author = entry.closing.author
             for index, value in entry.values:
                 name = names[index]

@@ -69,7 +69,7 @@ SHARED = (
 def closing(**values: Any) -> Closing:
     names = [v.name for v in SHARED]
     writes = sorted((names.index(n), msgspec.msgpack.encode(v)) for n, v in values.items())
-    return Closing(1, 4, 4, False, False, tuple(Write(i, msgspec.Raw(data)) for i, data in writes))
+    return Closing(1, 0, 4, 4, writes=tuple(Write(i, msgspec.Raw(data)) for i, data in writes))
 
 
 @pytest.mark.parametrize(
@@ -101,7 +101,7 @@ def test_what_a_program_wrote_is_read() -> None:
         "map": GridMap(1.0, 0, 0, 4, 4, b"\3\1\0\0"),
         "tasks": (Task("a", Point(1, 2, 3)),),
     }
-    written = Closing(1, 4, 4, False, True, layout.writes(values))
+    written = Closing(1, 0, 4, 4, lock=0, writes=layout.writes(values))
     assert layout.read(written) == list(enumerate(values.values()))
 
 

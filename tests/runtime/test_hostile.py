@@ -179,7 +179,7 @@ def test_deep_nesting_does_not_exhaust_the_stack(tap: Wiretap) -> None:
 
 
 def closing(author: int = CLEO, first: int = 21, round_: int = 21, writes: tuple[Write, ...] = ()) -> Closing:
-    return Closing(author, first, round_, False, False, writes)
+    return Closing(author, 0, first, round_, writes=writes)
 
 
 def write(index: int, value: Any) -> tuple[Write, ...]:
