@@ -216,9 +216,7 @@ class Link:
         return [*batches, tuple(batch)][:MOST_DATAGRAMS]
 
     def _send(self, to: Sequence[int], message: Message) -> None:
-        datagram = encode(message, self._key)
-        for pid in to:
-            self._transport.send(pid, datagram)
+        self._transport.send(to, encode(message, self._key))
 
 
 def _microseconds(seconds: float) -> int:

@@ -68,8 +68,9 @@ class MemoryTransport:
         self._pid = pid
         self.troubles: dict[str, int] = {}
 
-    def send(self, pid: int, datagram: bytes) -> None:
-        self._network.send(self._pid, pid, datagram)
+    def send(self, to: Sequence[int], datagram: bytes) -> None:
+        for pid in to:
+            self._network.send(self._pid, pid, datagram)
 
     def receive(self) -> Sequence[bytes]:
         return self._network.receive(self._pid)

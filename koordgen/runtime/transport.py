@@ -17,9 +17,11 @@ MOST_AT_ONCE = 1024  # datagrams taken in one go: a flood must not keep the robo
 
 
 class Transport(Protocol):
-    """Unreliable datagrams between pids. Neither call blocks or raises."""
+    """Unreliable datagrams between pids. No call blocks or raises."""
 
-    def send(self, pid: int, datagram: bytes) -> None: ...
+    def send(self, to: Sequence[int], datagram: bytes) -> None:
+        """To those named; what goes to several may be heard by all others too, but never by the sender."""
+        ...
 
     def receive(self) -> Sequence[bytes]:
         """What has arrived since, in order of arrival."""
@@ -67,11 +69,12 @@ class UdpTransport:
                 text = f"{place}, where robot {own.name} listens: {error.strerror or error}"
             raise CannotOpen(text) from None
 
-    def send(self, pid: int, datagram: bytes) -> None:
-        try:
-            self._socket.sendto(datagram, self._addresses[pid][1])
-        except OSError as error:
-            self._count(f"send: {errno.errorcode.get(error.errno or 0, 'error')}")
+    def send(self, to: Sequence[int], datagram: bytes) -> None:
+        for pid in to:
+            try:
+                self._socket.sendto(datagram, self._addresses[pid][1])
+            except OSError as error:
+                self._count(f"send: {errno.errorcode.get(error.errno or 0, 'error')}")
 
     def receive(self) -> Sequence[bytes]:
         arrived: list[bytes] = []
