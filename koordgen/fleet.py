@@ -34,6 +34,7 @@ class Robot(Node):
     target: str
     host: str
     port: int
+    control: int  # port of emergency stop and status, at the same host
     start: dict[str, Any]
     settings: dict[str, Any]
 
@@ -106,6 +107,19 @@ def read(source: Source, targets: Mapping[str, Target], params: Mapping[str, Fit
     return None if mistakes else fleet
 
 
+def parse_address(text: str) -> tuple[str, int]:
+    """Host and port of HOST:PORT; ("", 0) for what is none."""
+    found = _ADDRESS.fullmatch(text)
+    if not found or not 1 <= int(found[2]) <= 65535:
+        return "", 0
+    return found[1].strip("[]"), int(found[2])
+
+
+def control_port(port: int) -> int:
+    """Where a robot takes orders by default, as koordgen/runtime/settings.py has it (a test compares them)."""
+    return port + 1000 if port + 1000 <= 65535 else port - 1000
+
+
 def _box(reader: Reader, node: YamlNode | None, what: str) -> dict[str, list[float]]:
     corner = reader.table(node, what, ["lo", "hi"], [])
     lo, hi = reader.vector(corner.get("lo"), f"{what}.lo"), reader.vector(corner.get("hi"), f"{what}.hi")
@@ -171,17 +185,23 @@ def _robots(reader: Reader, node: YamlNode | None, targets: Mapping[str, Target]
     seen: dict[object, str] = {}
     for pid, entry in enumerate(entries):
         what = f"robot {pid}"
-        keys = reader.table(entry, what, ["name", "target", "address"], ["start", "settings"])
+        keys = reader.table(entry, what, ["name", "target", "address"], ["control", "start", "settings"])
         name = _name(reader, keys.get("name"), targets)
         host, port = _address(reader, keys.get("address"))
-        for value, key in ((name, "name"), ((host, port) if port else None, "address")):
-            if value is not None and seen.setdefault(value, what) != what:
-                shown = value if isinstance(value, str) else f"{host}:{port}"
-                reader.report("F006", f"{key} {shown} is already {seen[value]}'s", keys[key])
+        control = reader.number(keys.get("control"), "control", 1, 65535, int) or control_port(port)
+        taken: list[tuple[str, object, str | None]] = [("name", name, name)]
+        if port:
+            repeated = (host, port) in seen  # then so is its usual control port: one mistake
+            taken.append(("address", (host, port), f"{host}:{port}"))
+            taken += [("control", (host, control), f"{host}:{control}")] if not repeated else []
+        for key, value, shown in taken:
+            if value is not None and seen.setdefault(value, f"{what}'s {key}") != f"{what}'s {key}":
+                help = "" if key in keys else "`control: PORT` sets another port for emergency stop and status"
+                reader.report("F006", f"{key} {shown} is already {seen[value]}", keys.get(key, entry), help)
         target = _target(reader, keys.get("target"), targets)
         settings = _settings(reader, keys.get("settings"), f"{what}'s settings", target.settings) if target else {}
         start = _start(reader, keys.get("start"), what)
-        robots.append(Robot(name or "", pid, target.name if target else "", host, port, start, settings))
+        robots.append(Robot(name or "", pid, target.name if target else "", host, port, control, start, settings))
     return tuple(robots)
 
 
@@ -190,10 +210,10 @@ def _name(reader: Reader, node: YamlNode | None, targets: Mapping[str, Target]) 
     if name is None or node is None:
         return None
     # Names become folders beside these.
-    if not _NAME.fullmatch(name) or name == "fleet" or name in targets:
+    if not _NAME.fullmatch(name) or name in ("fleet", "state") or name in targets:
         reader.report(
             "F005", f"{name!r} cannot name a robot", node,
-            "a letter, then letters, digits, - or _, all lower case, at most 32; not 'fleet' and no target's name",
+            "a letter, then letters, digits, - or _, all lower case, at most 32; not fleet, state or a target's name",
         )  # fmt: skip
         return None
     return name
@@ -203,15 +223,14 @@ def _address(reader: Reader, node: YamlNode | None) -> tuple[str, int]:
     text: str | None = reader.scalar(node, "address", str)
     if text is None or node is None:
         return "", 0
-    found = _ADDRESS.fullmatch(text)
-    if not found or not 1 <= int(found[2]) <= 65535:
+    host, port = parse_address(text)
+    if not port:
         reader.report("F005", f"address {text!r} is not HOST:PORT", node, "for example 192.168.1.20:47100")
         return "", 0
-    host = found[1].strip("[]")
     if host in ("0.0.0.0", "::"):
         reader.report("F005", f"nothing can be sent to {host}", node, "name the address at which the peers reach it")
         return "", 0
-    return host, int(found[2])
+    return host, port
 
 
 def _target(reader: Reader, node: YamlNode | None, targets: Mapping[str, Target]) -> Target | None:

@@ -152,6 +152,7 @@ def settings(program: Program, fleet: Fleet, robot: Robot) -> dict[str, Any]:
         **shared,
         "key_file": fleet.key or None,
         "insecure": fleet.insecure,
+        "control": robot.control,
         "planner_budget": fleet.planner_budget,
         "safety": fleet.safety,
         "body": robot.settings,

@@ -16,6 +16,7 @@ MAC_SIZE = 16
 MEMORY = b"k-memory"  # shared memory between agents
 POSITION = b"k-pose"  # position feed from a base station
 SCAN = b"k-scan"  # scans from a lidar
+CONTROL = b"k-contrl"  # people's orders to agents: emergency stop, status
 
 
 class BadKey(Exception):

@@ -67,6 +67,14 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     trace: str | None = None  # JSON lines, one a round
     planner_budget: float = 0.01  # seconds that a call of a planner within an event may take; more is counted and told
     bind: str = ""  # the address to listen on, when it is not the one that peers send to
+    control: int | None = None  # UDP port for emergency stop and status; None: see `control_port`
+    state: str | None = "state"  # folder of what survives a crash, beside the bundle; None: none
+
+    @property
+    def control_port(self) -> int:
+        """The robot's own port and 1000 (minus 1000 when there is no such port), unless it is set."""
+        port = self.peers[self.pid].port
+        return self.control or (port + 1000 if port + 1000 <= 65535 else port - 1000)
 
 
 def load(path: Path, overrides: Path | None = None, pid: int | None = None) -> Settings:

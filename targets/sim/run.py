@@ -100,13 +100,14 @@ class Run:
         self._poses.close()
 
     def _execute(self) -> Outcome:
-        ports = free_ports(len(self.agents))
+        count = len(self.agents)
+        free = free_ports(2 * count)
+        ports, controls = free[:count], free[count:]
         launched = time.monotonic()
         robots = self._scenario.robots
-        for agent, actor in zip(self.agents, self._stage.actors, strict=True):
-            agent.launch(
-                overrides(robots, ports, actor.overrides, self._key_file, agent.trace_file), self._scenario.delta
-            )
+        for agent, actor, control in zip(self.agents, self._stage.actors, controls, strict=True):
+            laid_over = overrides(robots, ports, control, actor.overrides, self._key_file, agent.trace_file)
+            agent.launch(laid_over, self._scenario.delta)
         self._pace = Pace(time.monotonic(), STEP)
         timeout = launched + self._scenario.number("start_timeout", START_TIMEOUT)
         self._progress.say("1 robot is starting" if len(robots) == 1 else f"{len(robots)} robots are starting")

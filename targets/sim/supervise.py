@@ -34,13 +34,15 @@ def free_ports(count: int) -> list[int]:
 
 
 def overrides(
-    robots: tuple[Robot, ...], ports: list[int], body: dict[str, Any], key_file: Path, trace: Path
+    robots: tuple[Robot, ...], ports: list[int], control: int, body: dict[str, Any], key_file: Path, trace: Path
 ) -> dict[str, Any]:
-    """What is laid over a robot's settings.json: the devices and addresses of this run."""
+    """What is laid over a robot's settings.json: the devices and addresses of this run; its agents never start anew."""
     peers = [{"name": r.name, "host": "127.0.0.1", "port": p} for r, p in zip(robots, ports, strict=True)]
     return {
         "peers": peers,
         "bind": "",
+        "control": control,
+        "state": None,
         "key_file": str(key_file.resolve()),
         "insecure": False,
         "trace": str(trace.resolve()),

@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from koordgen import fleet, manifest
-from koordgen.runtime.settings import Safety
+from koordgen.runtime.settings import Safety, Settings
 from koordgen.source import Source, Span
 
 EXAMPLE = Path(__file__).parents[2] / "examples/lineform/fleet.yaml"
@@ -148,3 +149,30 @@ def test_params_are_plain_values(value: str) -> None:
     found: list[str] = []
     assert fleet.read(source, TARGETS, {"p": lambda v: ""}, lambda code, *_: found.append(code)) is None
     assert found == ["F004"]
+
+
+def test_control_ports_are_the_runtimes_by_default() -> None:
+    for port in (1, 47100, 64535, 64536, 65535):
+        robot = {"robot": "a", "pid": 0, "peers": [{"name": "a", "host": "h", "port": port}]}
+        plain = {"app": "a", "delta": 0.1, "origin": {"latitude": 0.0, "longitude": 0.0, "altitude": 0.0}}
+        fence = {"geofence": {"lo": [0, 0, 0], "hi": [1, 1, 1]}}
+        assert msgspec.convert({**plain, **robot, **fence}, Settings).control_port == fleet.control_port(port)
+
+
+@pytest.mark.parametrize(
+    ("bert", "message"),
+    [
+        ("127.0.0.1:48100", "address 127.0.0.1:48100 is already robot 0's control"),
+        ("127.0.0.1:46100", "control 127.0.0.1:47100 is already robot 0's address"),
+        ("127.0.0.1:47101\n    control: 48100", "control 127.0.0.1:48100 is already robot 0's control"),
+        ("127.0.0.1:47101\n    control: 47101", "control 127.0.0.1:47101 is already robot 1's address"),
+        ("127.0.0.1:47101\n    control: 65536", "control is 65536"),
+        ("127.0.0.2:48100", ""),
+        ("127.0.0.1:47101\n    control: 5000", ""),
+    ],
+)
+def test_control_ports_are_nobody_elses(bert: str, message: str) -> None:
+    read_fleet, found = read(GOOD.replace("127.0.0.1:47101", bert))
+    assert [f for f in found if message not in f[3]] == []
+    assert len(found) == bool(message)
+    assert message or (read_fleet and read_fleet.robots[0].control == 48100)
