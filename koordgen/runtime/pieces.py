@@ -1,7 +1,7 @@
 """What is longer than a datagram, cut into pieces and put together again, whichever of them come first.
 
 Whoever lacks some pieces says which it has, so that only the others are repeated. Nothing that a peer sends raises or
-makes a robot keep more than MOST_PIECES pieces of at most MOST_ROOM bytes for one blob.
+makes a robot keep more than MOST_PIECES pieces of at most LIMIT bytes for one blob.
 """
 
 from __future__ import annotations
@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from hashlib import blake2s
 
-MOST_PIECES = 256
-MOST_ROOM = 1200  # bytes of data in a piece; a datagram has no more
+from koordgen.runtime.wire import LIMIT, MOST_PIECES
 
 Piece = tuple[bytes, int, int, bytes]  # the blob's digest, the piece's number, how many there are, its data
 
@@ -23,7 +22,7 @@ def digest(blob: bytes) -> bytes:
 def cut(blob: bytes, room: int) -> list[Piece]:
     """A blob in pieces of `room` bytes, the last one shorter. ValueError for an empty one and for too many pieces."""
     count = -(-len(blob) // room)
-    if not 1 <= count <= MOST_PIECES or room > MOST_ROOM:
+    if not 1 <= count <= MOST_PIECES or room > LIMIT:
         raise ValueError(f"{len(blob)} bytes do not go into 1 to {MOST_PIECES} pieces of {room} bytes")
     name = digest(blob)
     return [(name, i, count, blob[i * room : (i + 1) * room]) for i in range(count)]
@@ -50,7 +49,7 @@ class Gathering:
         name, index, count, data = piece
         if name != self.name or count != self.count:
             return "piece of something else"
-        if not 0 <= index < count <= MOST_PIECES or not 0 < len(data) <= MOST_ROOM or not self._even(index, len(data)):
+        if not 0 <= index < count <= MOST_PIECES or not 0 < len(data) <= LIMIT or not self._even(index, len(data)):
             return "piece does not fit"
         if not self.held >> index & 1:
             self._parts[index] = bytes(data)

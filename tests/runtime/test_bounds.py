@@ -9,7 +9,7 @@ import pytest
 
 from koordgen.runtime.bounds import Blob, Bound, Cells, Distinct, Fixed, Many, Pairs, Parts, Rays, Text, fits
 from koordgen.runtime.gridmap import GridMap
-from koordgen.runtime.layout import Layout, TooLarge
+from koordgen.runtime.layout import Layout
 from koordgen.runtime.program import Variable
 from koordgen.runtime.values import Grid, Opaque, Point, Scan
 from koordgen.runtime.wire import Closing, Write
@@ -103,8 +103,3 @@ def test_what_a_program_wrote_is_read() -> None:
     }
     written = Closing(1, 0, 4, 4, lock=0, writes=layout.writes(values))
     assert layout.read(written) == list(enumerate(values.values()))
-
-
-def test_a_round_that_fits_no_datagram_is_told() -> None:
-    with pytest.raises(TooLarge, match="up to 1825 bytes; with 3 robots a datagram has room for 1002"):
-        Layout((Variable("path", "allread", tuple[Point, ...], Many(64, POINT), lambda: ()),), 3)

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from koordgen.runtime.pieces import MOST_PIECES, MOST_ROOM, Gathering, cut, digest, lacking
+from koordgen.runtime.pieces import Gathering, cut, digest, lacking
+from koordgen.runtime.wire import LIMIT, MOST_PIECES
 
 
 @given(st.binary(min_size=1, max_size=400), st.integers(2, 50), st.randoms(use_true_random=False))
@@ -50,7 +51,7 @@ def test_a_blob_of_256_kib_goes_through() -> None:
     assert (gathering.blob(), len(pieces)) == (blob, MOST_PIECES)
 
 
-@pytest.mark.parametrize(("length", "room"), [(0, 10), (MOST_PIECES * 10 + 1, 10), (5000, MOST_ROOM + 1)])
+@pytest.mark.parametrize(("length", "room"), [(0, 10), (MOST_PIECES * 10 + 1, 10), (5000, LIMIT + 1)])
 def test_what_cannot_be_cut_is_refused(length: int, room: int) -> None:
     with pytest.raises(ValueError, match=f"{length} bytes do not go into"):
         cut(bytes(length), room)
@@ -61,7 +62,7 @@ def test_what_does_not_go_with_the_others_is_refused() -> None:
     gathering = Gathering(name, 3)
     assert gathering.take((bytes(8), 0, 3, b"0123")) == "piece of something else"
     assert gathering.take((name, 0, 4, b"0123")) == "piece of something else"
-    for index, data in ((3, b"0123"), (-1, b"0123"), (0, b""), (0, b"x" * (MOST_ROOM + 1))):
+    for index, data in ((3, b"0123"), (-1, b"0123"), (0, b""), (0, b"x" * (LIMIT + 1))):
         assert gathering.take((name, index, 3, data)) == "piece does not fit"
     assert gathering.take((name, 2, 3, b"89")) is None
     assert gathering.take((name, 0, 3, b"0")) == "piece does not fit", "shorter than the last"
