@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
+from collections.abc import Iterator
+
 from koordgen.check.base import a, check_expr
 from koordgen.check.context import PREDEFINED, Context
 from koordgen.check.dialect import VALUES, old_name
-from koordgen.check.walk import statements
 from koordgen.diagnostics import Label
 from koordgen.ir import expr as ir
 from koordgen.ir.builtins import CONSTANTS, FUNCTIONS, METHODS, UPDATES
@@ -220,8 +222,7 @@ def not_called(name: str, span: Span, c: Context) -> ir.Expr:
 
 
 def is_event(name: str, c: Context) -> bool:
-    sections = c.program.sections if c.program is not None else ()
-    return any(isinstance(section, Event) and section.name == name for section in sections)
+    return f"event {name}" in c.owners
 
 
 def ended(name: str, span: Span, c: Context) -> bool:
@@ -229,35 +230,49 @@ def ended(name: str, span: Span, c: Context) -> bool:
     if name not in c.minted or c.program is None:
         return False
     here = span.line, span.column
-    before = [s for s in c.program.sections if (s.span.line, s.span.column) <= here]
-    places: list[tuple[Span, str]] = []
-    for statement in statements(_blocks(before[-1])) if before else ():
+    sections = c.program.sections
+    section = sections[bisect_left(sections, here, key=_start) - 1]
+    for statement in _backwards(section, here):
         match statement:
             case tree.Declare(type_, declared, place) if declared == name:
-                places.append((place, f"declare it before the block: '{c.text(type_.span)} {name}'"))
-            case tree.For(names=names):
-                places += [(part.span, _LOOP) for part in names if part.name == name]
-            case tree.CountedFor(ast.Name(counter, place)) if counter == name:
-                places.append((place, _LOOP))
+                help = f"declare it before the block: '{c.text(type_.span)} {name}'"
+            case tree.For(names=names) if name in [part.name for part in names]:
+                place, help = statement.span, _LOOP
+            case tree.CountedFor(ast.Name(counter)) if counter == name:
+                place, help = statement.span, _LOOP
             case _:
-                pass
-    earlier = [(place, help) for place, help in places if (place.line, place.column) < here]
-    if not earlier:
-        return False
-    place, help = max(earlier, key=lambda found: (found[0].line, found[0].column))
-    labels = (Label(place, "declared here, and gone with the block"),)
-    c.error("K010", f"{name} is not defined here: it ended with its block", span, help, labels)
-    return True
+                continue
+        labels = (Label(place, "declared here, and gone with the block"),)
+        c.error("K010", f"{name} is not defined here: it ended with its block", span, help, labels)
+        return True
+    return False
 
 
-def _blocks(section: Section) -> tree.Block:
-    match section:
-        case Init(block) | Fun(block=block):
-            return block
+def _start(node: Section | tree.Stmt) -> tuple[int, int]:
+    return node.span.line, node.span.column
+
+
+def _inner(node: Section | tree.Stmt) -> tuple[tree.Block, ...]:
+    """The blocks of a section or a statement."""
+    match node:
         case Event(clauses=clauses):
-            return tuple([s for clause in clauses if isinstance(clause, Effect) for s in clause.block])
+            return tuple([clause.block for clause in clauses if isinstance(clause, Effect)])
+        case tree.If(branches, orelse):
+            return (*(branch.block for branch in branches), orelse)
+        case Init(block) | Fun(block=block) | tree.Atomic(block):
+            return (block,)
+        case tree.For(block=block) | tree.CountedFor(block=block) | tree.While(block=block):
+            return (block,)
         case _:
             return ()
+
+
+def _backwards(node: Section | tree.Stmt, here: tuple[int, int]) -> Iterator[tree.Stmt]:
+    """The statements within that stand before a place, the last one first."""
+    for block in reversed(_inner(node)):
+        for place in range(bisect_left(block, here, key=_start) - 1, -1, -1):
+            yield from _backwards(block[place], here)
+            yield block[place]
 
 
 def check_attribute(node: ast.Attribute, c: Context, wanted: Type | None = None) -> ir.Expr:

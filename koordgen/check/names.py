@@ -28,7 +28,9 @@ def claim(program: ast.Program, c: Context) -> None:
             case ast.Using(name):
                 if not isinstance(c.owners.get(name), ast.Using):
                     _take(name, section, "", kinds, c)
-            case ast.Init() | ast.Event() | ast.Property() | ast.BrokenSection() | ast.Param(BrokenType()):
+            case ast.Event(name):
+                c.owners[f"event {name}"] = section  # it may share its name with a variable
+            case ast.Init() | ast.Property() | ast.BrokenSection() | ast.Param(BrokenType()):
                 pass
             case _:
                 _take(section.name, section, "", kinds, c)
