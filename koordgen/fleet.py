@@ -50,6 +50,15 @@ class Driver(Node):
         return f"{self.module.replace('.', '/')}.py"
 
 
+class Link(Node):
+    """The medium that all robots share: what it carries (bits a second), the part of the datagrams that it loses, the
+    most bytes of a packet."""
+
+    rate: float = 6e6  # what the slowest 802.11a/g rate carries; multicast goes at it
+    loss: float = 0.1
+    mtu: int = 1500
+
+
 class Fleet(Node):
     """A checked fleet file; plain values, as they go into the bundles' JSON. `harness` is keyed by target name;
     `params` are plain values: numbers, bools, texts, lists, tables; `drivers` is keyed by module."""
@@ -67,6 +76,7 @@ class Fleet(Node):
     drivers: dict[str, Driver]
     robots: tuple[Robot, ...]
     harness: dict[str, dict[str, Any]]
+    link: Link | None  # None: nothing is said of it
 
 
 def read(source: Source, targets: Mapping[str, Target], params: Mapping[str, Fits], report: Report) -> Fleet | None:
@@ -81,7 +91,7 @@ def read(source: Source, targets: Mapping[str, Target], params: Mapping[str, Fit
     reader = Reader(source, counted)
     harnesses = sorted(name for name, t in targets.items() if t.kind == "harness")
     optional = ["application_id", "key", "insecure", "params", "safety", "obstacles", "modules"]
-    optional += ["planner_budget", *harnesses]
+    optional += ["planner_budget", "link", *harnesses]
     top = reader.table(reader.document(), "the fleet file", ["delta", "origin", "geofence", "robots"], optional)
     origin = reader.table(top.get("origin"), "origin", ["latitude", "longitude", "altitude"], [])
     insecure = bool(reader.scalar(top.get("insecure"), "insecure", bool))
@@ -103,6 +113,7 @@ def read(source: Source, targets: Mapping[str, Target], params: Mapping[str, Fit
         drivers=_drivers(reader, top.get("modules")),
         robots=_robots(reader, top.get("robots"), targets),
         harness={n: _settings(reader, top[n], n, targets[n].settings) for n in harnesses if n in top},
+        link=_link(reader, top.get("link")),
     )
     return None if mistakes else fleet
 
@@ -175,6 +186,24 @@ def _safety(reader: Reader, node: YamlNode | None) -> dict[str, float]:
         if number is not None:
             found[key] = number
     return found
+
+
+def _link(reader: Reader, node: YamlNode | None) -> Link | None:
+    if node is None:
+        return None
+    given = reader.table(node, "link", [], ["rate", "loss", "mtu"])
+    rate = reader.number(_decimal(given.get("rate")), "link.rate (bits a second)", 1e3, 1e12)
+    loss = reader.number(given.get("loss"), "link.loss (a part of 1)", 0.0, 0.9)
+    mtu = reader.number(given.get("mtu"), "link.mtu (bytes)", 576, 65535, int)
+    default = Link()
+    return Link(rate or default.rate, default.loss if loss is None else loss, mtu or default.mtu)
+
+
+def _decimal(node: YamlNode | None) -> YamlNode | None:
+    """6e6, which YAML 1.1 takes for a text, as the number that it says."""
+    if isinstance(node, yaml.ScalarNode) and node.style is None and re.fullmatch(r"\d+(\.\d*)?[eE]\+?\d+", node.value):
+        return yaml.ScalarNode("tag:yaml.org,2002:float", node.value, node.start_mark, node.end_mark)
+    return node
 
 
 def _robots(reader: Reader, node: YamlNode | None, targets: Mapping[str, Target]) -> tuple[Robot, ...]:
