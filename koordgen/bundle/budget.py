@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 DATAGRAM = 1200
 MOST_CLOSING, MOST_PIECES, MOST_SHARED = 128 * 1024, 256, 256
 _WRITE, _CLOSING = 5, 38
+LONGEST_DELTA = 60.0  # seconds, as in koordgen/fleet.py
 _UDP, _IP, _FRAME = 8, 20, 38  # bytes of a datagram; of each packet that it takes; on Ethernet, gap included, likewise
 
 
@@ -73,8 +74,8 @@ class Traffic(Node):
         return ceil(once / (1 - self.loss))
 
 
-def traffic(shared: tuple[Shared, ...], robots: int, link: Link) -> Traffic:
-    """The same for closings that write these variables."""
+def traffic(shared: tuple[Shared, ...], robots: int, link: Link, to_all: bool) -> Traffic:
+    """For closings that write these variables. `to_all`: one datagram reaches all others (broadcast, multicast)."""
     writes = _closing(shared)
     head = overhead(robots)
     room = DATAGRAM - head
@@ -85,21 +86,23 @@ def traffic(shared: tuple[Shared, ...], robots: int, link: Link) -> Traffic:
         full, rest = divmod(writes, room)
         datagrams = full + bool(rest) + 1
         word = alone + full * on_the_medium(DATAGRAM, link.mtu) + bool(rest) * on_the_medium(head + rest, link.mtu)
-    return Traffic(robots, robots - 1, writes, datagrams, word, alone, link.loss)
+    return Traffic(robots, 1 if to_all else robots - 1, writes, datagrams, word, alone, link.loss)
 
 
-def round_bytes(program: Program, robots: int, link: Link) -> int:
+def round_bytes(program: Program, robots: int, link: Link, to_all: bool = False) -> int:
     """The most bytes a round that a fleet of that size puts on its medium, headers of packets included."""
-    return traffic(_longest(program), robots, link).bytes
+    return traffic(_longest(program), robots, link, to_all).bytes
 
 
-def check_link(program: Program, robots: int, delta: float, link: Link | None) -> list[Diagnostic]:
+def check_link(
+    program: Program, robots: int, delta: float, link: Link | None, to_all: bool = False
+) -> list[Diagnostic]:
     """An error if a round of `delta` seconds is too short for what a fleet of that size may send in it, by what its
     file says of the link; a warning if an event's writes need several datagrams. Nothing without a `link`."""
     if link is None or robots < 2 or not program.events:
         return []
     shared = _longest(program)
-    found = traffic(shared, robots, link)
+    found = traffic(shared, robots, link, to_all)
     largest = max(shared, key=lambda v: most_bytes(v.type), default=None)
     span = largest.span if largest else program.events[0].span
     told = []
@@ -126,21 +129,28 @@ def on_the_medium(datagram: int, mtu: int) -> int:
 
 
 def _arithmetic(found: Traffic) -> str:
+    each = f" x {found.receivers} receivers" if found.receivers > 1 else ""
+    datagrams = f"{found.datagrams} datagrams" if found.datagrams > 1 else "one datagram"
     return (
-        f"a round may put {found.bytes} bytes on the link: {found.robots} robots x {found.receivers} receivers x "
-        f"({found.word} for {found.writes} of writes in {found.datagrams} datagram{'s' * (found.datagrams > 1)} + "
-        f"{found.acknowledgement} of acknowledgement) / (1 - {found.loss:g} lost)"
+        f"a round may put {found.bytes} bytes on the link: {found.robots} robots{each} x ({found.word} for "
+        f"{found.writes} of writes in {datagrams} + {found.acknowledgement} of acknowledgement) / "
+        f"(1 - {found.loss:g} lost)"
     )
 
 
 def _link_help(found: Traffic, shared: tuple[Shared, ...], delta: float, link: Link) -> str:
     """The least delta and rate, and the greatest capacity of the largest variable, that make it fit."""
     bits = found.bytes * 8
-    ways = [f"a delta of {_up(bits / link.rate)} s", f"a link of {_up(bits / delta)} bit/s"]
+    ways = [f"a delta of {_up(bits / link.rate)} s"] if bits / link.rate <= LONGEST_DELTA else []
+    ways.append(f"a link of {_up(bits / delta)} bit/s")
     if shared:
         largest = max(shared, key=lambda v: most_bytes(v.type))
-        allowed = link.rate * delta / 8
-        fits = _capacity(largest, lambda v: traffic(_with(shared, v), found.robots, link).bytes <= allowed)
+        to_all = found.receivers == 1
+
+        def enough(variable: Shared) -> bool:
+            return traffic(_with(shared, variable), found.robots, link, to_all).bytes * 8 <= link.rate * delta
+
+        fits = _capacity(largest, enough)
         ways += [fits] if fits else []
     return f"it fits with {', or '.join(ways)}"
 
