@@ -65,7 +65,7 @@ class Link(Node):
     """The medium that all robots share: what it carries (bits a second), the part of the datagrams that it loses, the
     most bytes of a packet."""
 
-    rate: float = 6e6  # what the slowest 802.11a/g rate carries; multicast goes at it
+    rate: float = 6e6  # the slowest of 802.11a/g, at which broadcast and multicast go
     loss: float = 0.1
     mtu: int = 1500
 
