@@ -21,7 +21,7 @@ import pytest
 from koordgen import estop
 from koordgen.cli import main
 from tests.runtime.fleet import NAMES, settings
-from tests.runtime.test_process import bundles, change, free_ports, rounds, run, start, started
+from tests.runtime.test_process import bundles, change, rounds, run, start, started
 
 __all__ = ["bundles", "started"]  # fixtures
 ROOT = Path(__file__).parents[2]
@@ -74,13 +74,15 @@ class Network:
 @pytest.fixture
 def fleet(bundles: list[Path]) -> Path:
     """A fleet file of the three bundles, with their key beside it."""
-    controls = free_ports(3)
-    for folder, control in zip(bundles, controls, strict=True):
-        change(folder, control=control)
+    controls = controls_of(bundles)
     key = bundles[0].parent / "fleet.key"
     key.write_bytes(bytes(range(32)))
     key.chmod(0o600)
     return written(bundles[0].parent / "fleet.yaml", controls)
+
+
+def controls_of(bundles: list[Path]) -> list[int]:
+    return [json.loads((folder / "settings.json").read_text())["control"] for folder in bundles]
 
 
 def written(path: Path, controls: list[int]) -> Path:
@@ -118,8 +120,7 @@ def test_all_robots_come_to_rest_soon(
 ) -> None:
     processes = [start(folder, started) for folder in bundles]
     wait_for(bundles, "joining")
-    controls = [json.loads((f / "settings.json").read_text())["control"] for f in bundles]
-    network = Network(controls, loss, seed)
+    network = Network(controls_of(bundles), loss, seed)
     written(fleet, network.ports)
     try:
         began = time.monotonic()  # the agents' clock too

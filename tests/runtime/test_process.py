@@ -39,13 +39,14 @@ def free_ports(n: int) -> list[int]:
 def bundles(tmp_path: Path) -> list[Path]:
     """Three robots' folders with settings and the fleet's key."""
     n = 3
-    peers = [Peer(NAMES[i], "127.0.0.1", port) for i, port in enumerate(free_ports(n))]
+    ports = free_ports(2 * n)
+    peers = [Peer(NAMES[i], "127.0.0.1", port) for i, port in enumerate(ports[:n])]
     folders = []
     for pid in range(n):
         folder = tmp_path / NAMES[pid]
         folder.mkdir()
         plain = msgspec.to_builtins(settings(pid, n, delta=0.05, key_file="fleet.key"))
-        plain |= {"peers": msgspec.to_builtins(peers), "trace": str(folder / "trace.jsonl")}
+        plain |= {"peers": msgspec.to_builtins(peers), "trace": str(folder / "trace.jsonl"), "control": ports[n + pid]}
         (folder / "settings.json").write_text(json.dumps(plain))
         (folder / "fleet.key").write_bytes(bytes(range(32)))
         (folder / "fleet.key").chmod(0o600)
