@@ -145,8 +145,6 @@ class Inside:
 def run_agent(
     pid: int, ports: Sequence[int], transport: str, delta: float, count: int, size: int, patience: float
 ) -> dict[str, Any]:
-    pid: int, ports: Sequence[int], transport: str, delta: float, count: int, size: int, patience: float
-) -> dict[str, Any]:
     """Run one agent for `count` rounds, which must begin within `patience` seconds (else TimeoutError). By round:
     seconds from the tick to consistency, and to the departure of the own closing, infinite when that never came; and
     the rounds in which no event ran, with the reason."""
