@@ -115,9 +115,14 @@ def zenoh(stack: ExitStack, n: int) -> Opened:
             if sender != pid:
                 meet(found, pid, lambda s=sender, p=pid: found.transports[s].send([p], b""))  # type: ignore[misc]
                 meet(found, pid, lambda s=sender: found.transports[s].send(range(n), b""))  # type: ignore[misc]
-    for pid in range(n):
-        while not found.is_quiet(pid):
-            pass
+    for pid in range(n):  # what is still under way comes before these
+        ends = {b"end%d" % sender for sender in range(n) if sender != pid} | {b"end"}
+        inject(pid, b"end", False)
+        for sender in range(n):
+            if sender != pid:
+                found.transports[sender].send([pid], b"end%d" % sender)
+        while ends:
+            ends -= set(found.collect(pid, 1))
     return found
 
 
