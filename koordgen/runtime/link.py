@@ -177,7 +177,8 @@ class Link:
             return
         for echo in head.echoes:
             if echo.pid == self.pid:
-                self._fleet_clock.take(echo.sent / 1e6, echo.received / 1e6, head.sent / 1e6, now / 1e6)
+                stamps = (echo.sent / 1e6, echo.received / 1e6, head.sent / 1e6, now / 1e6)
+                self._fleet_clock.take(head.pid, *stamps, fleet=0.0)
 
     def _head(self) -> Head:
         self._sequence += 1

@@ -60,7 +60,7 @@ class Agent:
         self._monitors = list(monitors)
         self._names = tuple(p.name for p in settings.peers)
         self._layout = Layout(program.shared, len(self._names))
-        self._fleet_clock = FleetClock(reference=settings.pid == 0)
+        self._fleet_clock = FleetClock(settings.pid)
         self._link = Link(program, settings, key, transport, clock, self._fleet_clock, boot, self._report)
         self._joining = Joining(self._link, self._layout, self._names)
         self._body = Body(program, platform, settings.geofence, settings.planner_budget, self._warn)
