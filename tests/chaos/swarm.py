@@ -14,6 +14,7 @@ from typing import Any
 
 from koordgen.runtime.settings import Settings
 from tests.chaos.bundle import KEY, NAMES
+from tests.chaos.checks import CURRENT, rounds
 from tests.chaos.lab import HUB, HUB_ADDRESS, Lab, address
 
 MAIN = str(Path(__file__).with_name("robot_main.py"))
@@ -32,10 +33,18 @@ class Robot:
         self.killed = False
         self._trace: Path | None = None
         self._at = 0
+        self._first = 0  # of the lines, which the present process told
 
     def began(self, process: subprocess.Popen[bytes], trace: Path) -> None:
         self.process, self._trace, self._at, self.killed = process, trace, 0, False
+        self._first = len(self.lines)
         self.boots += 1
+
+    @property
+    def back(self) -> bool:
+        """Whether its present process has shared state."""
+        lines = rounds(self.lines[self._first :])
+        return any(t["event"] or t["skipped"] in CURRENT for t in lines)
 
     @property
     def status(self) -> int | None:
