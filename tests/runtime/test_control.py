@@ -319,6 +319,14 @@ def test_a_question_asked_again_costs_no_new_report() -> None:
     assert robot.reports == 2 and robot.control.rejected == {"too many questions": 99}
 
 
+def test_a_report_that_cannot_be_made_harms_nobody() -> None:
+    robot = Robot()
+    for wrong in (lambda: {"a": 1 // 0}, lambda: {"a": object()}):
+        robot.report = wrong  # type: ignore[method-assign]
+        assert robot.ask(AskStatus(0, NONCE, 0)) == []
+    assert robot.control.rejected == {"no report can be made": 2}
+
+
 def test_pieces_of_two_moments_are_asked_for_again() -> None:
     asking = Asking(0, KEY, NONCE)
     asking.take(encode(StatusPart(NONCE, 0, 2, b'{"a": '), KEY))

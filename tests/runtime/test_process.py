@@ -212,6 +212,7 @@ def test_a_port_in_use_names_robot_and_address(bundles: list[Path], capsys: pyte
     ("changes", "message"),
     [
         ({"delta": "fast"}, "Expected `float`, got `str` - at `$.delta`"),
+        ({"control": 65536}, "Expected `int` <= 65535 - at `$.control`"),
         ({"pid": 3}, "pid 3 is not among the 3 peers"),
         ({"wings": 2}, "unknown field `wings`"),
         ({"key_file": None}, "no key_file; a fleet without a key must say so: `insecure: true`"),
