@@ -11,6 +11,8 @@ from tests.chaos.runs import Say, scaled
 from tests.chaos.virtual import Ended, spread
 
 pytestmark = pytest.mark.slow
+PEER_TIMEOUT = 10  # rounds
+HEALED = PEER_TIMEOUT + 20  # rounds after which a fleet has converged that was apart
 
 
 def judge(ends: list[Ended], say: Say) -> None:
@@ -40,3 +42,17 @@ def test_kill_and_restart(loss: float, say: Say) -> None:
     say(f"{sum(e.kills for e in ends)} kills")
     judge(ends, say)
     assert sum(e.kills for e in ends) >= scaled(1000)
+
+
+def test_partition_and_heal(say: Say) -> None:
+    ends = spread(virtual.parted, range(scaled(300)), say, "partition")
+    judge(ends, say)
+    assert max(e.rounds for e in ends) <= HEALED
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.3])
+def test_killed_for_good(loss: float, say: Say) -> None:
+    """The others run events again within peer_timeout + 5 rounds."""
+    ends = spread(partial(virtual.removed, loss=loss), range(scaled(300)), say, f"killed for good at {loss:.0%} loss")
+    judge(ends, say)
+    assert max(e.rounds for e in ends) <= PEER_TIMEOUT + 5

@@ -22,7 +22,7 @@ from koordgen.runtime.program import Program
 from koordgen.runtime.trace import Record
 from koordgen.runtime.values import Point
 from tests.chaos.bundle import PROGRAMS
-from tests.chaos.checks import Lines, wrong_reads, wrong_sums
+from tests.chaos.checks import Lines, commits, wrong_reads, wrong_sums
 from tests.chaos.runs import Say
 from tests.emit.generated import load
 from tests.runtime.fleet import FakePlatform, Fleet, Robot
@@ -79,10 +79,11 @@ class Dying:
         self._past[pid] += told(self.fleet.robots.pop(pid))
         self.fleet.network._queues.pop(pid)
 
-    def away(self) -> int:
-        """How many robots have not come back yet: a fleet keeps its promise while a majority holds the store."""
-        here = (r for r in self.fleet.robots.values() if any(_knew(record) for record in r.records[-3:]))
-        return self.fleet.n - sum(1 for _ in here)
+    def away(self, since: int = 0) -> int:
+        """How many robots have had no shared state in their present life, after round `since`: a fleet keeps its
+        promise while a majority holds the store."""
+        robots = self.fleet.robots.values()
+        return self.fleet.n - sum(any(_knew(t) and t.round > since for t in r.records[-3:]) for r in robots)
 
     def boot(self, pid: int) -> None:
         self.fleet.boot(pid, Still(Point(float(pid))))
@@ -159,10 +160,53 @@ def kills(seed: int, loss: float, times: int = 10, kills: int = 4) -> Ended:
     return ended
 
 
+def parted(seed: int, times: int = 12, apart: float = 4.0) -> Ended:
+    """Three and two robots that do not hear each other for a while: the two commit nothing, the three go on, and in
+    the end all have counted right. `rounds` is how many after the heal all were current."""
+    chance = Random(seed)
+    conditions = Conditions(loss=chance.choice([0.0, 0.1]), delay=0.001, jitter=0.03, duplication=0.05)
+    fleet = Fleet(n=N, seed=seed, conditions=conditions, program=counter_program(times))
+    dying = Dying(fleet)
+    fleet.run(30.0, until=lambda: all(r.agent.round > 2 for r in fleet.robots.values()))
+    fleet.run(chance.uniform(0.0, 0.5))
+    minority = set(chance.sample(range(N), 2))
+    fleet.network.cut = lambda sender, receiver: (sender in minority) != (receiver in minority)
+    cut = max(r.agent.round for r in fleet.robots.values())
+    fleet.run(apart)
+    fleet.network.cut = lambda sender, receiver: False
+    healed = max(r.agent.round for r in fleet.robots.values())
+    fleet.run(60.0, until=lambda: dying.away(since=healed) == 0)
+    again = max(r.agent.round for r in fleet.robots.values()) - healed
+    fleet.run(LONG, until=lambda: finished(fleet))
+    ended = judged(dying, seed, times, complete=True)
+    done = {pid: [t["round"] for t in commits(dying.lines[pid]) if cut + 1 < t["round"] <= healed] for pid in range(N)}
+    ended.wrong += [f"seed {seed}: the minority's robot {pid} committed" for pid in minority if done[pid]]
+    if not any(done.values()):
+        ended.wrong.append(f"seed {seed}: nobody committed while apart")
+    ended.rounds = again
+    return ended
+
+
+def removed(seed: int, loss: float) -> Ended:
+    """One of five dies for good. `rounds` is how many after its death all others ran events again."""
+    chance = Random(seed)
+    conditions = Conditions(loss=loss, delay=0.001, jitter=0.03)
+    fleet = Fleet(n=N, seed=seed, conditions=conditions, program=steps_program())
+    Busy.present = None
+    dying = Dying(fleet)
+    fleet.run(30.0, until=lambda: all(r.agent.round > 5 for r in fleet.robots.values()))
+    fleet.run(chance.uniform(0.0, 1.0))
+    dying.kill(chance.randrange(N), chance.choice([None, chance.randrange(4)]))
+    died = max(r.agent.round for r in fleet.robots.values())
+    fleet.run(30.0, until=lambda: dying.away(since=died + 2) <= 1)
+    again = max(r.agent.round for r in fleet.robots.values()) - died
+    return Ended([], again)
+
+
 class Busy(SimulatedClock):
     """A robot's time, which goes on while its event runs and nobody else's does; `present` is the robot at work."""
 
-    present: ClassVar[Busy]
+    present: ClassVar[Busy | None] = None
 
     def __init__(self, base: SimulatedClock) -> None:
         super().__init__()
@@ -191,7 +235,8 @@ _chance = Random()
 
 
 def _pause(step: int) -> int:
-    Busy.present.until = Busy.present.now() + _chance.uniform(0.0, 0.5)
+    if Busy.present is not None:
+        Busy.present.until = Busy.present.now() + _chance.uniform(0.0, 0.5)
     return 1
 
 
