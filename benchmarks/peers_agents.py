@@ -211,7 +211,7 @@ class Stack:
         self._pid, self._other, self._text = pid, 1 - pid, "0" * size
         self._transport = open_transport(given)
         boots = [bytes([p] * 8) for p in range(2)]
-        self._link = Link(ours, given, KEY, self._transport, clock, FleetClock(pid == 0), boots[pid], print)
+        self._link = Link(ours, given, KEY, self._transport, clock, FleetClock(pid), boots[pid], print)
         self._link.epoch = bytes(8)
         self._link.sessions[self._other] = Session(boots[self._other])
         self._memory = Memory(layout, pid, [Closing(p, 0, 0, 0) for p in range(2)])
