@@ -175,25 +175,20 @@ def ping(exchange: Exchange, pid: int, count: int) -> list[float]:
 
 
 def keep_rounds(exchange: Exchange, n: int, delta: float, start: float, count: int) -> list[float]:
-    """For each round the seconds from its tick until the other n - 1 updates of it were here; infinite when they were
-    not before the next tick."""
+    """For each round the seconds from its tick until the other n - 1 updates of it were here, however late; infinite
+    when they did not come until a second after the end."""
     arrived: dict[int, int] = {}
-    took = []
+    took = [float("inf")] * count
+
+    def hear_until(end: float) -> None:
+        while (rest := end - time.monotonic()) > 0:
+            for _, round_ in exchange.take(rest):
+                arrived[round_] = arrived.get(round_, 0) + 1
+                if arrived[round_] == n - 1 and 1 <= round_ <= count:
+                    took[round_ - 1] = time.monotonic() - start - (round_ - 1) * delta
+
     for round_ in range(1, count + 1):
-        tick = start + (round_ - 1) * delta
-        while (rest := tick - time.monotonic()) > 0:
-            _count(arrived, exchange.take(rest))
+        hear_until(start + (round_ - 1) * delta)
         exchange.publish(round_)
-        done = float("inf")
-        while (rest := tick + delta - time.monotonic()) > 0:
-            if arrived.get(round_, 0) == n - 1:
-                done = time.monotonic() - tick
-                break
-            _count(arrived, exchange.take(rest))
-        took.append(done)
+    hear_until(start + count * delta + 1.0)
     return took
-
-
-def _count(arrived: dict[int, int], heard: Heard) -> None:
-    for _, round_ in heard:
-        arrived[round_] = arrived.get(round_, 0) + 1

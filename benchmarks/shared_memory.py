@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import multiprocessing
 import socket
 import statistics
@@ -209,7 +210,7 @@ def part_largest(peers: Sequence[str], quick: bool) -> Figures:
         count = round((1.0 if quick else 5.0) / delta)
         label = f"{delta * 1e3:.0f} ms"
         if quick:
-            figures[label] = {KOORDGEN: wanted if keeps(KOORDGEN, wanted, delta, count, 8.0) else 0}
+            figures[label] = {KOORDGEN: wanted if keeps(KOORDGEN, wanted, delta, count, 5.0) else 0}
         else:
             figures[label] = {name: largest(name, delta, count) for name in (KOORDGEN, *peers)}
         sizes = ", ".join(f"{name} {n}" for name, n in figures[label].items())
@@ -238,7 +239,15 @@ def part_late(quick: bool) -> Figures:
 
 def tell(what: str, figure: float, how: str, target: float) -> None:
     good = figure >= target if how == "at least" else figure <= target
-    print(f"  {what:46} {figure:8.2f}  (wanted: {how} {target:g}{'' if good else ': MISSED'})")
+    said = f"{figure:8.2f}" if math.isfinite(figure) else "    none"
+    print(f"  {what:46} {said}  (wanted: {how} {target:g}{'' if good and math.isfinite(figure) else ': MISSED'})")
+
+
+def finite(figures: Any) -> Any:
+    """JSON knows no infinity."""
+    if isinstance(figures, dict):
+        return {name: finite(figure) for name, figure in figures.items()}
+    return figures if figures is None or math.isfinite(figures) else None
 
 
 def main() -> int:
@@ -260,7 +269,7 @@ def main() -> int:
     }
     figures = {name: part() for number, (name, part) in parts.items() if number in only}
     if arguments.json is not None:
-        arguments.json.write_text(json.dumps(figures, indent=2) + "\n")
+        arguments.json.write_text(json.dumps(finite(figures), indent=2) + "\n")
     return 0
 
 
