@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from heapq import heappop, heappush
-from math import inf
+from math import inf, pi, sin
 from random import Random
 
 import pytest
@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from koordgen.runtime.clock import CRYSTAL, DRIFT, SLEW, FleetClock, SimulatedClock
+from koordgen.runtime.clock import CRYSTAL, DRIFT, SLEW, WANDER, FleetClock, SimulatedClock
 
 Delay = Callable[[Random, int, int], float]  # of a datagram from one robot to another
 
@@ -333,6 +333,65 @@ def test_a_clock_beyond_the_stated_drift_is_still_followed() -> None:
         assert abs(clock.read(mine.now()) - base.now()) < 0.005
 
 
+def change_rate(clock: SimulatedClock, base: SimulatedClock, rate: float) -> None:
+    clock._offset += (clock._rate - rate) * base.now()
+    clock._rate = rate
+
+
+@pytest.mark.parametrize("period", [60, 600, 3000])
+def test_the_bound_holds_while_temperature_moves_the_rate(period: float) -> None:
+    base, random = SimulatedClock(), Random(1)
+    mine = SimulatedClock(base, rate=1 + 50e-6)
+    clock = FleetClock(1)
+    while base.now() < 3000:
+        change_rate(mine, base, 1 + 50e-6 + WANDER / 2 * sin(2 * pi * base.now() / period))
+        talk(clock, mine, base, random.expovariate(2000), random.expovariate(2000))
+        base.time += 1.0
+        assert abs(clock.read(mine.now()) - base.now()) <= clock.bound(mine.now())
+    assert clock.breaks == 0
+    assert clock.bound(mine.now()) < 0.0005
+
+
+def test_a_rate_that_changes_at_once_is_learned_anew() -> None:
+    base, random = SimulatedClock(), Random(1)
+    mine = SimulatedClock(base, rate=1 + 90e-6)
+    clock = FleetClock(1)
+    for rate in (1 + 90e-6, 1 - 60e-6, 1 + 20e-6):
+        change_rate(mine, base, rate)
+        end = base.now() + 1200
+        while base.now() < end:
+            talk(clock, mine, base, 0.001 + random.expovariate(2000), 0.001 + random.expovariate(2000))
+            base.time += 1.0
+            fleet = clock.read(mine.now())
+            assert abs(fleet - base.now()) < 0.003
+            assert abs(fleet - base.now()) <= clock.bound(mine.now()) or base.now() < end - 600
+        assert clock.drift == pytest.approx(1 / rate - 1, abs=5e-6)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.4e-6, 0.5e-6, 0.9e-6])
+def test_rounded_stamps_contradict_nothing(late: float) -> None:
+    """On a path without any delay they are all that there is of an error."""
+    clock = FleetClock(1)
+    for i in range(1000):
+        now = 100.0 + 0.01 * i + 0.37e-6 * i
+        stamps = [round(t, 6) for t in (now, now + late, now + late + 1e-3, now + 1e-3)]
+        assert clock.take(0, *stamps, 0.0)
+        assert abs(clock.read(now) - now - late) <= clock.bound(now) < 1e-5
+    assert clock.breaks == 0
+
+
+def test_the_new_reference_goes_on_from_its_estimate_of_this_moment() -> None:
+    base = SimulatedClock()
+    mine = SimulatedClock(base, offset=3.0, rate=1 + 50e-6)
+    clock = FleetClock(1)
+    talk(clock, mine, base, 0.001, 0.001)
+    clock.follow(1, mine.now())
+    assert clock.read(mine.now()) == pytest.approx(base.now(), abs=1e-5) and clock.bound(mine.now()) == 0.0
+    talk(clock, mine, base, 0.001, 0.001)
+    base.time += 1000
+    assert clock.read(mine.now()) == pytest.approx(base.now() + 0.05, abs=1e-4)  # at its own rate
+
+
 def test_exchanges_with_others_than_the_reference_move_nothing() -> None:
     base = SimulatedClock()
     mine = SimulatedClock(base, offset=3.0)
@@ -389,8 +448,8 @@ def test_one_odd_exchange_moves_nothing_and_two_make_a_break() -> None:
         return clock.read(now) - now
 
     assert odd(ahead=2.0**33) == pytest.approx(0, abs=1e-4)
-    assert odd(ahead=5.0) == pytest.approx(0, abs=1e-4)  # disagrees with the last odd one, too
-    assert odd(fleet=7.0) == pytest.approx(0, abs=1e-4)
+    assert odd(fleet=7.0) == pytest.approx(0, abs=1e-4)  # disagrees with the last odd one, too
+    assert odd(ahead=5.0) == pytest.approx(0, abs=1e-4)
     assert odd() == pytest.approx(0, abs=1e-4)
     assert odd(ahead=5.0) == pytest.approx(0, abs=1e-4)  # the honest one between made it the first again
     assert clock.breaks == 0
