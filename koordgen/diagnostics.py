@@ -64,6 +64,7 @@ CATALOGUE: dict[str, str] = {
     "K054": "a name or a mark has no place in a property",
     "K055": "a type contains itself",
     "K056": "wrong use of a stream",
+    "K057": "a number outside a function's domain",
     "F001": "not YAML",
     "F002": "unknown key",
     "F003": "missing key",

@@ -5,8 +5,9 @@ from __future__ import annotations
 from koordgen.check import linear
 from koordgen.check.context import Context, Site
 from koordgen.check.decide import Example, find, relevant, unsat
-from koordgen.check.facts import Flow, excludes_zero, has_length, length, names_of, nonzero, number_of, term
+from koordgen.check.facts import Flow, excludes_zero, has_length, length, names_of, nonzero, term
 from koordgen.check.linear import N_SYS, PID, And, AtLeastZero, Fact, Formula, Linear
+from koordgen.check.number import number_of
 from koordgen.check.runs import sure
 from koordgen.ir import expr as ir
 from koordgen.ir.decl import Param
@@ -217,7 +218,7 @@ def divisor_proved(divisor: ir.Expr, span: Span, c: Context) -> bool:
                 help = f"leave those robots out with 'if {text} != 0:' around it, or divide by another number"
             else:
                 message = "this divides by 0" if text == "0" else f"this divides by {text}, which is 0"
-                help = "that has no value, and discards the event: divide by another number"
+                help = "a division by 0 has no value: divide by another number"
             c.error("K032", message, span, help)
             return False
     c.warn("K033", f"{text} may be zero", divisor.span, f"{_help(c)}; 'if {text} != 0:' around it shows that it is not")

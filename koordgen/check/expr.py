@@ -18,7 +18,6 @@ from koordgen.check.base import (
     same,
     widened,
 )
-from koordgen.check.call import check_call
 from koordgen.check.collection import (
     check_containment,
     check_index,
@@ -31,6 +30,7 @@ from koordgen.check.collection import (
 )
 from koordgen.check.context import Context
 from koordgen.check.dialect import modern_logic, modern_not
+from koordgen.check.domain import check_called, judge_power
 from koordgen.check.name import check_attribute, check_name, check_primed
 from koordgen.check.path import Condition
 from koordgen.ir import expr as ir
@@ -106,7 +106,10 @@ def arithmetic(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context) -
     if op == "**" and result is INT:
         bounds.exponent(right, span, c)
     proved = op not in ("/", "//", "%") or bounds.divisor_proved(right, span, c)
-    return ir.Binary(op, left, right, proved, result, span)
+    value = ir.Binary(op, left, right, proved, result, span)
+    if op == "**" and result is FLOAT:
+        judge_power(value, c)
+    return value
 
 
 def _no_operator(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context) -> ir.Expr:
@@ -266,7 +269,7 @@ CHECKERS.update(
         ast.Primed: check_primed,
         ast.Index: check_index,
         ast.Slice: check_slice,
-        ast.Call: check_call,
+        ast.Call: check_called,
         ast.Tuple: check_tuple,
         ast.ListDisplay: check_list,
         ast.SetDisplay: check_set,

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from koordgen.check import linear
 from koordgen.check.flow import Flow, independent, names_of, variable_of
 from koordgen.check.linear import FALSE, TRUE, UNKNOWN, Fact, Formula, Length, Linear, Value
+from koordgen.check.number import number_of
 from koordgen.ir import expr as ir
 from koordgen.ir import stmt
 from koordgen.ir.types import BOOL, FLOAT, INT, MapOf, PerRobot, Sequence, Sized, Type
@@ -250,25 +251,6 @@ def _nonzero_by(op: str, value: ir.Expr, bound: ir.Expr) -> Formula:
 def excludes_zero(op: str, number: float) -> bool:
     """Whether what is `op number` differs from zero."""
     return {"!=": number == 0, ">": number >= 0, ">=": number > 0, "<": number <= 0, "<=": number < 0}.get(op, False)
-
-
-def number_of(node: ir.Expr) -> float | None:
-    """The value of an expression of numbers that are written out."""
-    match node:
-        case ir.Const(int() | float() as value):
-            return value
-        case ir.Widen(operand):
-            return number_of(operand)
-        case ir.Unary("-", operand):
-            positive = number_of(operand)
-            return None if positive is None else -positive
-        case ir.Binary("+" | "-" | "*" as op, left, right):
-            first, second = number_of(left), number_of(right)
-            if first is None or second is None:
-                return None
-            return first + second if op == "+" else first - second if op == "-" else first * second
-        case _:
-            return None
 
 
 def nonzero(node: ir.Expr, flow: Flow) -> Formula:
