@@ -6,7 +6,6 @@ makes a robot keep more than MOST_PIECES pieces of at most LIMIT bytes for one b
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from hashlib import blake2s
 
 from koordgen.runtime.wire import LIMIT, MOST_PIECES
@@ -28,9 +27,11 @@ def cut(blob: bytes, room: int) -> list[Piece]:
     return [(name, i, count, blob[i * room : (i + 1) * room]) for i in range(count)]
 
 
-def lacking(count: int, held: int) -> Iterator[int]:
-    """The numbers of the pieces that are not in a bitmask, ascending. Bits beyond `count` mean nothing."""
-    return (i for i in range(count) if not held >> i & 1)
+def lacking(count: int, mask: bytes) -> list[int]:
+    """The numbers of the pieces that are not in a mask (bit i of byte i // 8: piece i), ascending. A mask may be
+    shorter than `count`, or longer."""
+    held = int.from_bytes(mask, "little")
+    return [i for i in range(count) if not held >> i & 1]
 
 
 class Gathering:
@@ -40,7 +41,6 @@ class Gathering:
     def __init__(self, name: bytes, count: int) -> None:
         self.name = name
         self.count = count
-        self.held = 0  # bit i: piece i is here
         self._room = 0  # the length of all pieces but the last; 0 until one of them is here
         self._parts: dict[int, bytes] = {}
 
@@ -51,9 +51,8 @@ class Gathering:
             return "piece of something else"
         if not 0 <= index < count <= MOST_PIECES or not 0 < len(data) <= LIMIT or not self._even(index, len(data)):
             return "piece does not fit"
-        if not self.held >> index & 1:
+        if index not in self._parts:
             self._parts[index] = bytes(data)
-            self.held |= 1 << index
             if index < count - 1:
                 self._room = len(data)
         return None
@@ -66,8 +65,14 @@ class Gathering:
         if digest(whole) == self.name:
             return whole
         self._parts.clear()
-        self.held = self._room = 0
+        self._room = 0
         return None
+
+    @property
+    def mask(self) -> bytes:
+        """Which pieces are here, as `lacking` reads it."""
+        held = sum(1 << i for i in self._parts)
+        return held.to_bytes((held.bit_length() + 7) // 8, "little")
 
     def _even(self, index: int, length: int) -> bool:
         """Whether a piece's length goes with those that are here."""

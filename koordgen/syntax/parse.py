@@ -61,13 +61,13 @@ class _After(dict[int, Any]):
 
     def __missing__(self, below: int) -> Any:
         state = STATES[below][self.made]
-        while (action := _ROWS[state][self.ahead]).__class__ is tuple and action[1] is None:
+        while (action := ROWS[state][self.ahead]).__class__ is tuple and action[1] is None:
             state = STATES[below][action[2].made]
         self[below] = state, action
         return state, action
 
 
-_ROWS = [_Row(state) for state in range(len(STATES))]
+ROWS = [_Row(state) for state in range(len(STATES))]
 _AFTER: dict[tuple[str, str], _After] = {}
 
 
@@ -102,7 +102,7 @@ def _spliced(children: list[Any]) -> list[Any]:
 
 def run(tokens: Sequence[Any]) -> Any:
     """The node of a section, from its tokens. Raises Stuck, and Refused for what only the builders see."""
-    rows = _ROWS
+    rows = ROWS
     state = START
     states = [state]
     values: list[Any] = []

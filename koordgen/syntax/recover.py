@@ -10,14 +10,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from koordgen._generated.grammar import RULES, START, STATES
+from koordgen._generated.grammar import START, STATES
 from koordgen.diagnostics import Diagnostic
 from koordgen.source import Span
 from koordgen.syntax import build, decl
 from koordgen.syntax.build_base import token_span
 from koordgen.syntax.layout import Chunk
 from koordgen.syntax.mistake import explain
-from koordgen.syntax.parse import DEEPEST_TREE, Stuck, planned, section, too_deep
+from koordgen.syntax.parse import DEEPEST_TREE, ROWS, Stuck, section, too_deep
 
 MOST_FAULTS = 30  # told of one text
 _DEEPEST_STACK = 20 * DEEPEST_TREE  # states; more than any tree and any blocks that are allowed need
@@ -262,10 +262,15 @@ def _advanced(states: States, tokens: Sequence[Any]) -> States | None:
     """The stack of states behind the tokens; None when they do not fit. `$END` fits where the section is complete."""
     stack = list(states)
     for token in tokens:
-        while (action := planned(stack[-1], token[0])) is not None and action < 0:
-            made, length, _ = RULES[-action - 1]
-            del stack[len(stack) - length :]
-            stack.append(STATES[stack[-1]][made])
+        action = ROWS[stack[-1]][token[0]]
+        while action.__class__ is tuple:  # as `run` goes, without the values
+            top, _, after = action
+            if top is None:
+                stack[-1], action = after[stack[-2]]
+            else:
+                del stack[top]
+                state, action = after[stack[-1]]
+                stack.append(state)
         if action is not None:
             stack.append(action)
         elif token[0] != "$END" or STATES[stack[-1]]:

@@ -1,0 +1,68 @@
+"""One robot of a chaos test: a bundle as koordgen built it, on a body that does nothing.
+usage: robot_main.py BUNDLE [arguments of the bundle]"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, sys.argv[1])  # the bundle's own copy of the runtime, not the checkout's
+
+from koordgen.runtime.agent import main
+from koordgen.runtime.platform import Sensed
+from koordgen.runtime.settings import Settings
+from koordgen.runtime.values import Point
+
+PR_SET_PDEATHSIG = 1
+
+
+class Still:
+    """A body that is always ready and at rest."""
+
+    period = 0.1
+    ready = True
+    rested = True
+    progress = "standing"
+
+    def __init__(self, settings: Settings, key: bytes | None) -> None:
+        """Nothing to open."""
+
+    def check(self) -> list[str]:
+        return ["a body that does nothing"]
+
+    def start(self, now: float) -> None: ...
+
+    def poll(self, now: float) -> None: ...
+
+    def sense(self, now: float) -> Sensed:
+        return Sensed({"Motion.position": Point()}, now)
+
+    def command(self, actuators: Mapping[str, Any], now: float) -> None: ...
+
+    def call(self, port: str, args: tuple[Any, ...]) -> Any:
+        raise LookupError(port)
+
+    def hold(self, on: bool, now: float) -> None: ...
+
+    def rest(self, now: float) -> None: ...
+
+    def close(self) -> None: ...
+
+
+def ours() -> Any:
+    from program import PROGRAM  # type: ignore[import-not-found]
+
+    return PROGRAM
+
+
+if __name__ == "__main__":
+    parent = os.getppid()
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)  # no robot outlives its test
+    if os.getppid() != parent:
+        raise SystemExit(1)
+    raise SystemExit(main(ours(), Still, Path(sys.argv[1]), sys.argv[2:]))
