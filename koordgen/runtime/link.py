@@ -6,10 +6,13 @@ interface and program, fresh, and of this mission; what is not is dropped and co
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
 
 from koordgen.runtime.clock import Clock, FleetClock
+from koordgen.runtime.pieces import cut, lacking
 from koordgen.runtime.program import Program
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.transport import Transport
@@ -21,7 +24,8 @@ from koordgen.runtime.wire import (
     Head,
     Hello,
     Message,
-    Need,
+    Partly,
+    Piece,
     Round,
     decode,
     encode,
@@ -31,6 +35,10 @@ from koordgen.runtime.wire import (
 
 REPLAY_WINDOW = 1024  # datagrams that may arrive out of order
 MOST_DATAGRAMS = 4  # to one peer for one catch-up
+MOST_PIECES_AT_ONCE = 16
+NOTHING: Mapping[int, Partly] = MappingProxyType({})
+
+Fields = tuple[int, int, int, int, bool, tuple[int, ...]]  # of Round, between its head and its closings
 
 
 @dataclass(slots=True)
@@ -88,29 +96,40 @@ class Link:
         self._reported: set[tuple[int, str]] = set()
         self._sequence = 0
         self._next_echo = 0
-        self._room = LIMIT - overhead(len(settings.peers))
+        self.room = LIMIT - overhead(len(settings.peers))  # bytes for closings or a piece in one datagram
 
     def hello(self, to: int, challenge: bytes, answer: bytes, holds: tuple[int, ...], init: Closing | None,
               start: int | None) -> None:  # fmt: skip
         self._send([to], Hello(self._head(), to, challenge, answer, holds, init, start))
 
-    def need(self, to: Sequence[int], through: int, held: tuple[int, ...]) -> None:
-        self._send(to, Need(self._head(), 0, through, 0, held, ()))
+    def say(self, to: Collection[int], kind: type[Message], *fields: Any) -> None:
+        """One message of this kind, with its fields behind the head."""
+        if to:
+            self._send(to, kind(self._head(), *fields))
 
-    def round(self, to: Sequence[int], round_: int, settled: int, held: tuple[int, ...],
-              closings: Sequence[Closing]) -> None:  # fmt: skip
-        """One datagram, or as few as the closings fit in, at most MOST_DATAGRAMS; the rest waits to be asked for."""
-        for batch in self._batches(closings):
-            self._send(to, Round(self._head(), 0, round_, 0, settled, False, held, batch))
+    def round(self, to: Collection[int], word: Fields, closings: Sequence[Closing],
+              partly: Mapping[int, Partly] = NOTHING) -> None:  # fmt: skip
+        """A word with closings: one datagram, or as few as they fit in, at most MOST_DATAGRAMS; the rest waits to be
+        asked for. Of a closing that is longer than a datagram go those pieces that are not in `partly`, by author."""
+        if not to:
+            return
+        small = []
+        for closing in closings:
+            if len(closing.writes) and len(blob := encoder.encode(closing)) > self.room:
+                self._pieces(to, closing, blob, partly.get(closing.author))
+            else:
+                small.append(closing)
+        for batch in self._batches(small):
+            self._send(to, Round(self._head(), *word, batch))
 
-    def receive(self) -> list[Hello | Round | Need]:
+    def receive(self) -> list[Message]:
         """What arrived and may be listened to. A Hello of a boot that was not adopted is among it: `joining` judges."""
         accepted = []
         for datagram in self._transport.receive():
             message = decode(datagram, self._key)
             if isinstance(message, str):
                 self.reject(message)
-            elif isinstance(message, Hello | Round | Need) and self._admit(message):
+            elif self._admit(message):
                 accepted.append(message)
         return accepted
 
@@ -200,17 +219,25 @@ class Link:
             echoes,
         )
 
+    def _pieces(self, to: Collection[int], closing: Closing, blob: bytes, known: Partly | None) -> None:
+        pieces = cut(blob, self.room)
+        mask = known.mask if known is not None and known.digest == pieces[0][0] else b""
+        for index in lacking(len(pieces), mask)[:MOST_PIECES_AT_ONCE]:
+            place = closing.author, closing.incarnation, closing.round
+            digest, _, count, data = pieces[index]
+            self._send(to, Piece(self._head(), *place, digest, index, count, data))
+
     def _batches(self, closings: Sequence[Closing]) -> list[tuple[Closing, ...]]:
         if len(closings) < 2:
             return [tuple(closings)]
         batches: list[tuple[Closing, ...]] = []
         batch: list[Closing] = []
-        room = self._room
+        room = self.room
         for closing in closings:
             length = len(encoder.encode(closing))
             if batch and length > room:
                 batches.append(tuple(batch))
-                batch, room = [], self._room
+                batch, room = [], self.room
             batch.append(closing)
             room -= length
         return [*batches, tuple(batch)][:MOST_DATAGRAMS]

@@ -64,7 +64,7 @@ class Memory:
         self.applied = applied  # `shared` is S_{applied + 1}
         self.shared = shared
         self.stopped = dict(stopped or {})  # pid -> the round it stopped in
-        self.acted = list(acted) or [0] * n  # the last round in which an event counted that changed more than the store
+        self.acted = list(acted) or [0] * n  # the last round in which an event counted
         self.won = 0  # the last round in which a commit of ours counted
         self.unfit = 0  # patches that fitted no value: a fault of their author's, dropped by everyone alike
         self.prompt: tuple[int, ...] = ()  # who waits to hear that the last applied round was applied
@@ -139,7 +139,7 @@ class Memory:
         if round_ > log.held + 1 and single:
             log.append(Entry(Closing(self._pid, incarnation, log.held + 1, round_ - 1, stopped), ()))
         first = round_ if single else log.held + 1
-        writes = self._layout.writes(shared, self._base)
+        writes = self._layout.writes(shared, self._layout.bases(self.shared, self._pid)) if shared else ()
         closing = Closing(self._pid, incarnation, first, round_, stopped, acted, prompt, lock, writes)
         log.append(Entry(closing, self._layout.read(closing) or ()))
         self._lacking.discard(self._pid)
@@ -167,6 +167,10 @@ class Memory:
         if log.held > self.applied:
             self._lacking.discard(closing.author)
         return None
+
+    def wants(self, author: int, round_: int, present: int) -> bool:
+        """Whether a closing of that author and round would be news."""
+        return self._logs[author].held < round_ <= present + AHEAD
 
     def heard(self, pid: int, view: int, applied: int, held: Sequence[int], through: int, settled: int, present: int,
               asks: bool) -> str | None:  # fmt: skip
@@ -224,7 +228,7 @@ class Memory:
         """What a peer lacked when it last spoke, and we hold: once for each time it says so. Its turn begins with our
         own closings, so that several robots that answer at once begin with different ones."""
         word = self._words[pid]
-        if word.answered:
+        if word.answered or self.view.members[pid] < 0:
             return []
         word.answered = True
         found: list[Closing] = []
@@ -284,9 +288,9 @@ class Memory:
 
     def _absences(self, pid: int) -> Iterator[tuple[int, int]]:
         """The rounds, first and last, in which a robot does not count, before the latest view."""
-        for view, following in zip(self._views, self._views[1:], strict=False):
+        for i, (view, following) in enumerate(zip(self._views, self._views[1:], strict=False)):
             if view.members[pid] < 0:
-                yield min(view.since, self.applied + 1), following.since - 1
+                yield view.since if i else 0, following.since - 1
 
     def _counting(self, entries: Sequence[Entry], round_: int) -> list[Entry]:
         """Those whose event counts, in the order in which they take effect."""

@@ -123,6 +123,11 @@ class Views:
         """Whether this robot has promised to apply nothing until the next view is decided."""
         return self.vote.number > self.view.number
 
+    @property
+    def busy(self) -> bool:
+        """Whether another view is on its way."""
+        return self.frozen or self._reason is not None
+
     def poll(self, tick: int, word: Word, doubted: Collection[int], asking: Collection[int]) -> list[Out]:
         """What is to be sent at this tick, given members that are missed and others that want to be let in."""
         self._tick = tick
