@@ -101,6 +101,12 @@ def _parser(arguments: list[str]) -> argparse.ArgumentParser:
     command.add_argument("code", metavar="CODE", nargs="?", help="for example K030; without one, all codes are listed")
     command.set_defaults(run=_explain)
 
+    command = commands.add_parser("estop", help="emergency stop: bring all robots of a fleet to rest at once")
+    command.add_argument("fleet", metavar="FLEET", help="the fleet file (YAML)")
+    command.add_argument("--key", metavar="FILE", help="the fleet's key (default: beside the fleet file, or here)")
+    command.add_argument("--format", choices=("text", "json"), default="text", help="of what is told (default: text)")
+    command.set_defaults(run=_estop)
+
     command = commands.add_parser("key", help="make a fleet's key")
     command.add_argument("action", choices=("new",))
     command.add_argument("file", metavar="FILE")
@@ -137,7 +143,7 @@ def _build_options(command: argparse.ArgumentParser, fleet_required: bool = Fals
 def _harnesses(arguments: list[str]) -> list[tuple[str, str]]:
     """Targets that run a whole fleet are commands. Their manifests are read only when such a command, or help, is
     asked for."""
-    if arguments and arguments[0] in ("check", "dump", "build", "fmt", "explain", "key"):
+    if arguments and arguments[0] in ("check", "dump", "build", "fmt", "explain", "key", "estop"):
         return []
     from koordgen import manifest
 
@@ -242,6 +248,19 @@ def _explain(options: argparse.Namespace) -> int:
     from koordgen.explain import explanation, show
 
     print(show(explanation(code)))
+    return HOLDS
+
+
+def _estop(options: argparse.Namespace) -> int:
+    from koordgen.estop import BY_HAND, CannotStop, show, stop_fleet
+
+    try:
+        results = stop_fleet(options.fleet, options.key, _say)
+    except CannotStop as error:
+        raise Failure(WRONG, str(error), f"{error.help}nobody was called; {BY_HAND}") from None
+    print(show(results, options.format), flush=True)
+    if silent := sum(not result.phase for result in results):
+        raise Failure(SURROUNDINGS, f"{silent} of {len(results)} robots did not answer", BY_HAND)
     return HOLDS
 
 

@@ -76,10 +76,12 @@ CATALOGUE: dict[str, str] = {
     "B001": "the target offers no such module",
     "B002": "the target offers no such port",
     "B003": "the target's port has another type",
-    "B004": "a round's writes do not fit in a datagram",
+    "B004": "a round's writes are more than a robot can send",
     "B005": "a driver cannot serve the module",
     "B006": "the Python beside the program lacks something",
     "B007": "calls of ports may take too long for a round",
+    "B008": "a round's writes of all robots are more than the link carries",
+    "B009": "an event's writes may need several datagrams",
 }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
+from ipaddress import AddressValueError, IPv4Address
 from typing import Any
 
 import yaml
@@ -15,11 +16,21 @@ from koordgen.source import Source
 
 _NAME = re.compile(r"[a-z][a-z0-9_-]{0,31}")
 _DRIVER = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", re.ASCII)
+_ENDPOINT = re.compile(r"[a-z_]+/\S+")
 _ADDRESS = re.compile(r"([A-Za-z0-9.-]+|\[[0-9A-Fa-f:.]+\]):(\d{1,5})")
+_EXPONENT = re.compile(r"\d+(\.\d*)?[eE]\+?\d+", re.ASCII)
 # Thresholds of the safety layer, with the defaults of koordgen/runtime/settings.py (a test compares them).
 SAFETY = {"position_stale": 0.5, "position_lost": 2.0, "missed_rounds": 10, "outside_fence": 0.5}
 MOST_ROBOTS = 128  # as koordgen/runtime/wire.py allows (a test compares them)
 MOST_OBSTACLES = 1000
+# What may be said of each transport, as koordgen/runtime/settings.py reads it (a test compares them).
+NETWORK: dict[str, tuple[str, ...]] = {
+    "unicast": (),
+    "broadcast": ("group", "port"),
+    "multicast": ("group", "port", "interface"),
+    "zenoh": ("mode", "listen", "connect"),
+}
+ZENOH_MODES = ("peer", "router", "client")
 
 
 # What is wrong with a value for one param of the program; "" for one that fits.
@@ -50,6 +61,15 @@ class Driver(Node):
         return f"{self.module.replace('.', '/')}.py"
 
 
+class Link(Node):
+    """The medium that all robots share: what it carries (bits a second), the part of the datagrams that it loses, the
+    most bytes of a packet."""
+
+    rate: float = 6e6  # what the slowest 802.11a/g rate carries; multicast goes at it
+    loss: float = 0.1
+    mtu: int = 1500
+
+
 class Fleet(Node):
     """A checked fleet file; plain values, as they go into the bundles' JSON. `harness` is keyed by target name;
     `params` are plain values: numbers, bools, texts, lists, tables; `drivers` is keyed by module."""
@@ -67,6 +87,8 @@ class Fleet(Node):
     drivers: dict[str, Driver]
     robots: tuple[Robot, ...]
     harness: dict[str, dict[str, Any]]
+    link: Link | None  # None: nothing is said of it
+    network: dict[str, Any]  # `transport`, and what the file says of it
 
 
 def read(source: Source, targets: Mapping[str, Target], params: Mapping[str, Fits], report: Report) -> Fleet | None:
@@ -81,7 +103,7 @@ def read(source: Source, targets: Mapping[str, Target], params: Mapping[str, Fit
     reader = Reader(source, counted)
     harnesses = sorted(name for name, t in targets.items() if t.kind == "harness")
     optional = ["application_id", "key", "insecure", "params", "safety", "obstacles", "modules"]
-    optional += ["planner_budget", *harnesses]
+    optional += ["planner_budget", "link", "network", *harnesses]
     top = reader.table(reader.document(), "the fleet file", ["delta", "origin", "geofence", "robots"], optional)
     origin = reader.table(top.get("origin"), "origin", ["latitude", "longitude", "altitude"], [])
     insecure = bool(reader.scalar(top.get("insecure"), "insecure", bool))
@@ -103,6 +125,8 @@ def read(source: Source, targets: Mapping[str, Target], params: Mapping[str, Fit
         drivers=_drivers(reader, top.get("modules")),
         robots=_robots(reader, top.get("robots"), targets),
         harness={n: _settings(reader, top[n], n, targets[n].settings) for n in harnesses if n in top},
+        link=_link(reader, top.get("link")),
+        network=_network(reader, top.get("network")),
     )
     return None if mistakes else fleet
 
@@ -175,6 +199,73 @@ def _safety(reader: Reader, node: YamlNode | None) -> dict[str, float]:
         if number is not None:
             found[key] = number
     return found
+
+
+def _link(reader: Reader, node: YamlNode | None) -> Link | None:
+    if node is None:
+        return None
+    given = reader.table(node, "link", [], ["rate", "loss", "mtu"])
+    rate = reader.number(_decimal(given.get("rate")), "link.rate (bits a second)", 1e3, 1e12)
+    loss = reader.number(given.get("loss"), "link.loss (a part of 1)", 0.0, 0.9)
+    mtu = reader.number(given.get("mtu"), "link.mtu (bytes)", 576, 65535, int)
+    default = Link()
+    return Link(rate or default.rate, default.loss if loss is None else loss, mtu or default.mtu)
+
+
+def _decimal(node: YamlNode | None) -> YamlNode | None:
+    """6e6, which YAML 1.1 takes for a text, as the number that it says."""
+    unquoted = isinstance(node, yaml.ScalarNode) and not node.style
+    if node is not None and unquoted and _EXPONENT.fullmatch(node.value):
+        return yaml.ScalarNode("tag:yaml.org,2002:float", node.value, node.start_mark, node.end_mark)
+    return node
+
+
+def _network(reader: Reader, node: YamlNode | None) -> dict[str, Any]:
+    keys = {key for of_transport in NETWORK.values() for key in of_transport}
+    given = reader.table(node, "network", [], ["transport", *sorted(keys)])
+    transport = _choice(reader, given.pop("transport", None), "network.transport", tuple(NETWORK)) or "unicast"
+    found: dict[str, Any] = {"transport": transport}
+    for key, value in given.items():
+        if key not in NETWORK[transport]:
+            takes = f"it takes: {', '.join(NETWORK[transport])}" if NETWORK[transport] else "say which `transport`"
+            reader.report("F005", f"network.{key} means nothing to transport {transport}", value, takes)
+        elif key == "port":
+            found[key] = reader.number(value, "network.port", 1, 65535, int)
+        elif key == "mode":
+            found[key] = _choice(reader, value, "network.mode", ZENOH_MODES)
+        elif key in ("listen", "connect"):
+            found[key] = [_endpoint(reader, entry, key) for entry in reader.items(value, f"network.{key}")]
+        else:
+            found[key] = reader.scalar(value, f"network.{key}", str)
+    if node is not None and "group" in NETWORK[transport]:
+        _group(reader, transport, found.get("group"), given.get("group", node))
+    return found
+
+
+def _choice(reader: Reader, node: YamlNode | None, what: str, known: tuple[str, ...]) -> str | None:
+    text: str | None = reader.scalar(node, what, str)
+    if text is None or node is None or text in known:
+        return text
+    reader.report("F005", f"{what} is {text!r}", node, f"there are: {', '.join(known)}")
+    return None
+
+
+def _group(reader: Reader, transport: str, text: str | None, node: YamlNode) -> None:
+    try:
+        right = IPv4Address(text or "").is_multicast == (transport == "multicast")
+    except AddressValueError:
+        right = False
+    if not right:
+        example = "239.255.71.1" if transport == "multicast" else "192.168.1.255"
+        reader.report("F005", f"transport {transport} needs a group: an IPv4 {transport} address", node,
+                      f"for example `group: {example}`")  # fmt: skip
+
+
+def _endpoint(reader: Reader, node: YamlNode, key: str) -> str:
+    text: str = reader.scalar(node, f"an endpoint of network.{key}", str) or ""
+    if text and not _ENDPOINT.fullmatch(text):
+        reader.report("F005", f"{text!r} is no endpoint of Zenoh", node, "for example udp/192.168.1.20:7447")
+    return text
 
 
 def _robots(reader: Reader, node: YamlNode | None, targets: Mapping[str, Target]) -> tuple[Robot, ...]:

@@ -35,8 +35,9 @@ FLOORS = {
     "manifest": {"node", "resources"},
     "fleet": BASE | {"located", "manifest"},
     "bundle": BASE | {"ir", "emit", "manifest", "fleet"},
+    "estop": BASE | {"fleet", "runtime"},  # what people and agents say to one another
     "pipeline": BASE | {"syntax", "ir", "check", "emit", "manifest", "fleet", "bundle"},
-    "cli": BASE | {"pipeline", "bundle", "check", "manifest", "explain", "sarif", "format"},
+    "cli": BASE | {"pipeline", "bundle", "check", "manifest", "explain", "sarif", "format", "estop"},
     "__main__": {"cli"},
     "__init__": set(),
     "runtime": set(),

@@ -1,33 +1,190 @@
-"""Whether a round's writes fit in one datagram: decided at build time, with the arithmetic in the message."""
+"""Whether what a round's writes take can be sent, by one robot and by all: decided at build time, with the
+arithmetic in the message."""
 
 from __future__ import annotations
 
-from typing import assert_never
+from bisect import bisect_left
+from collections.abc import Callable
+from math import ceil, floor, log10
+from typing import TYPE_CHECKING, assert_never
 
 from koordgen.diagnostics import Diagnostic
 from koordgen.emit.types import EXTERN_BYTES, FIXED, NUMBER
+from koordgen.ir import stmt
 from koordgen.ir.decl import Program, Shared
 from koordgen.ir.types import ExternType, MapOf, PerRobot, RecordType, Scalar, Sequence, Sized, TupleOf, Type
-from koordgen.node import replace
+from koordgen.node import Node, replace
+
+if TYPE_CHECKING:
+    from koordgen.fleet import Link
 
 # As koordgen/runtime/layout.py, bounds.py and wire.py have them (tests compare): MessagePack's longest forms.
 DATAGRAM = 1200
+MOST_CLOSING, MOST_PIECES, MOST_SHARED = 128 * 1024, 256, 256
 _WRITE, _CLOSING = 5, 38
+LONGEST_DELTA = 60.0  # seconds, as in koordgen/fleet.py
+_UDP, _IP, _FRAME = 8, 20, 38  # bytes of a datagram; of each packet that it takes; on Ethernet, gap included, likewise
 
 
 def check_budget(program: Program, robots: int) -> list[Diagnostic]:
-    """An error at the shared variable that takes most, if all of them do not fit for a fleet of that size."""
-    room = DATAGRAM - overhead(robots)
-    total = _CLOSING + sum(_WRITE + most_bytes(v.type) for v in program.shared)
+    """An error at the shared variable that takes most, if a fleet of that size cannot send them all in one round."""
+    if len(program.shared) > MOST_SHARED:
+        message = f"a program of {len(program.shared)} shared variables; at most {MOST_SHARED} are supported"
+        return [Diagnostic("B004", "error", message, program.shared[-1].span, help="gather some of them in records")]
+    room = most_closing(robots)
+    total = _closing(program.shared)
     if total <= room:
         return []
     largest = max(program.shared, key=lambda v: most_bytes(v.type))
     message = (
-        f"one round's shared writes take up to {total} bytes; with {robots} robots a datagram of {DATAGRAM} "
-        f"has room for {room}; {largest.name} alone takes up to {most_bytes(largest.type)}"
+        f"one round's shared writes take up to {total} bytes; with {robots} robots at most {room} can be sent; "
+        f"{largest.name} alone takes up to {most_bytes(largest.type)}"
     )
-    left = room - (total - most_bytes(largest.type))
-    return [Diagnostic("B004", "error", message, largest.span, help=_help(largest, left))]
+    found = _capacity(largest, lambda v: total - most_bytes(largest.type) + most_bytes(v.type) <= room)
+    help = (
+        f"it fits with {found}"
+        if found
+        else "share fewer or smaller variables, or declare smaller capacities with `max`"
+    )
+    return [Diagnostic("B004", "error", message, largest.span, help=help)]
+
+
+def most_closing(robots: int) -> int:
+    """The most bytes that a closing may have in a fleet of that size."""
+    return min(MOST_CLOSING, MOST_PIECES * (DATAGRAM - overhead(robots)))
+
+
+class Traffic(Node):
+    """What a fleet puts on its medium in one round at most. `writes` are the bytes of the longest closing, `datagrams`
+    those in which it goes to one receiver; `word` and `acknowledgement` the bytes of these and of the datagram that
+    says when it has been applied, headers of packets included."""
+
+    robots: int
+    receivers: int  # of each robot's datagrams: 1 where one datagram reaches all
+    writes: int
+    datagrams: int
+    word: int
+    acknowledgement: int
+    loss: float
+
+    @property
+    def bytes(self) -> int:
+        """With what is repeated."""
+        once = self.robots * self.receivers * (self.word + self.acknowledgement)
+        return ceil(once / (1 - self.loss))
+
+
+def traffic(shared: tuple[Shared, ...], robots: int, link: Link, to_all: bool) -> Traffic:
+    """For closings that write these variables. `to_all`: one datagram reaches all others (broadcast, multicast)."""
+    writes = _closing(shared)
+    head = overhead(robots)
+    room = DATAGRAM - head
+    alone = on_the_medium(head, link.mtu)
+    if writes <= room:
+        datagrams, word = 1, on_the_medium(head + writes, link.mtu)
+    else:  # pieces, and the word that tells of them
+        full, rest = divmod(writes, room)
+        datagrams = full + bool(rest) + 1
+        word = alone + full * on_the_medium(DATAGRAM, link.mtu) + bool(rest) * on_the_medium(head + rest, link.mtu)
+    return Traffic(robots, 1 if to_all else robots - 1, writes, datagrams, word, alone, link.loss)
+
+
+def round_bytes(program: Program, robots: int, link: Link, to_all: bool = False) -> int:
+    """The most bytes a round that a fleet of that size puts on its medium, headers of packets included."""
+    return traffic(_longest(program), robots, link, to_all).bytes
+
+
+def check_link(
+    program: Program, robots: int, delta: float, link: Link | None, to_all: bool = False
+) -> list[Diagnostic]:
+    """An error if a round of `delta` seconds is too short for what a fleet of that size may send in it, by what its
+    file says of the link; a warning if an event's writes need several datagrams. Nothing without a `link`."""
+    if link is None or robots < 2 or not program.events:
+        return []
+    shared = _longest(program)
+    found = traffic(shared, robots, link, to_all)
+    largest = max(shared, key=lambda v: most_bytes(v.type), default=None)
+    span = largest.span if largest else program.events[0].span
+    told = []
+    if found.bytes * 8 > link.rate * delta:
+        message = f"{_arithmetic(found)}; a round of {delta:g} s at {link.rate:g} bit/s carries "
+        message += f"{int(link.rate * delta / 8)}"
+        told.append(Diagnostic("B008", "error", message, span, help=_link_help(found, shared, delta, link)))
+    elif largest and found.datagrams > 1:
+        message = (
+            f"an event's writes take up to {found.writes} bytes and go in {found.datagrams} datagrams: one of these "
+            "that is lost delays the round"
+        )
+        room = DATAGRAM - overhead(robots)
+        fits = _capacity(largest, lambda v: _closing(_with(shared, v)) <= room)
+        help = f"they fit in one with {fits}" if fits else "write fewer or smaller variables in one event"
+        told.append(Diagnostic("B009", "warning", message, span, help=help))
+    return told
+
+
+def on_the_medium(datagram: int, mtu: int) -> int:
+    """The bytes that a datagram takes there: in as few packets as go, each with its headers."""
+    packets = ceil((datagram + _UDP) / ((mtu - _IP) // 8 * 8))  # fragments are cut at multiples of 8
+    return datagram + _UDP + packets * (_IP + _FRAME)
+
+
+def _arithmetic(found: Traffic) -> str:
+    each = f" x {found.receivers} receivers" if found.receivers > 1 else ""
+    datagrams = f"{found.datagrams} datagrams" if found.datagrams > 1 else "one datagram"
+    return (
+        f"a round may put {found.bytes} bytes on the link: {found.robots} robots{each} x ({found.word} for "
+        f"{found.writes} of writes in {datagrams} + {found.acknowledgement} of acknowledgement) / "
+        f"(1 - {found.loss:g} lost)"
+    )
+
+
+def _link_help(found: Traffic, shared: tuple[Shared, ...], delta: float, link: Link) -> str:
+    """The least delta and rate, and the greatest capacity of the largest variable, that make it fit."""
+    bits = found.bytes * 8
+    ways = [f"a delta of {_up(bits / link.rate)} s"] if bits / link.rate <= LONGEST_DELTA else []
+    ways.append(f"a link of {_up(bits / delta)} bit/s")
+    if shared:
+        largest = max(shared, key=lambda v: most_bytes(v.type))
+        to_all = found.receivers == 1
+
+        def enough(variable: Shared) -> bool:
+            return traffic(_with(shared, variable), found.robots, link, to_all).bytes * 8 <= link.rate * delta
+
+        fits = _capacity(largest, enough)
+        ways += [fits] if fits else []
+    return f"it fits with {', or '.join(ways)}"
+
+
+def _up(value: float) -> str:
+    """Rounded up to three digits."""
+    step = 10.0 ** (floor(log10(value)) - 2)
+    return f"{ceil(value / step) * step:.3g}" if value < 1e6 else f"{ceil(value / step) * int(step)}"
+
+
+def _longest(program: Program) -> tuple[Shared, ...]:
+    """The variables that are written by the event whose writes take most."""
+    written = (_written(event.effect) for event in program.events)
+    return max((tuple(v for v in program.shared if v.name in names) for names in written), key=_closing, default=())
+
+
+def _written(block: stmt.Block) -> set[str]:
+    """The shared variables that statements write."""
+    found: set[str] = set()
+    for s in block:
+        match s:
+            case stmt.Assign(stmt.OwnSlot(name) | stmt.SharedPlace(name)):
+                found.add(name)
+            case stmt.If(_, then, orelse):
+                found |= _written(then) | _written(orelse)
+            case stmt.For(block=inner) | stmt.While(block=inner):
+                found |= _written(inner)
+            case _:
+                pass
+    return found
+
+
+def _with(shared: tuple[Shared, ...], changed: Shared) -> tuple[Shared, ...]:
+    return tuple(changed if v.name == changed.name else v for v in shared)
 
 
 def most_bytes(type_: Type) -> int:
@@ -68,17 +225,20 @@ def _head(count: int, shortest: int, short: int) -> int:
     return 1 if count < shortest else 2 if count < short else 3 if count < 1 << 16 else 5
 
 
-def _help(variable: Shared, left: int) -> str:
-    """The greatest `max` with which a variable fits into so many bytes."""
+def _closing(shared: tuple[Shared, ...]) -> int:
+    """The most bytes of a closing that writes these variables."""
+    return _CLOSING + sum(_WRITE + most_bytes(v.type) for v in shared)
+
+
+def _capacity(variable: Shared, fits: Callable[[Shared], bool]) -> str:
+    """The greatest `max` with which a variable fits, as help says it; empty if none does."""
     type_ = variable.type
-    if isinstance(type_, (Sized, Sequence, MapOf)):
-        fit = 0
-        while most_bytes(replace(type_, capacity=fit + 1)) <= left:
-            fit += 1
-        if fit:
-            inner = " as its first capacity" if isinstance(type_, (Sequence, MapOf)) and _sized_inside(type_) else ""
-            return f"it fits with `max {fit}`{inner}: {type_} {variable.name} ... max {fit}"
-    return "share fewer or smaller variables, or declare smaller capacities with `max`"
+    if not isinstance(type_, (Sized, Sequence, MapOf)):
+        return ""
+    sizes = range(1, type_.capacity + 1)
+    most = bisect_left(sizes, True, key=lambda n: not fits(replace(variable, type=replace(type_, capacity=n))))
+    inner = " as its first capacity" if isinstance(type_, (Sequence, MapOf)) and _sized_inside(type_) else ""
+    return f"`max {most}`{inner}: {type_} {variable.name} ... max {most}" if most else ""
 
 
 def _sized_inside(type_: Sequence | MapOf) -> bool:

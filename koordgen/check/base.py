@@ -17,6 +17,7 @@ from koordgen.ir.types import (
     POISON,
     POSE,
     STRING,
+    MapOf,
     PerRobot,
     RecordType,
     Sequence,
@@ -43,10 +44,19 @@ def condition(node: ast.Expr, c: Context, what: str) -> ir.Expr:
     checked = CHECKERS[type(node)](node, c, None)
     if checked.type is BOOL or checked.type is POISON:
         return checked
-    help = "compare it: '!= 0'" if checked.type in NUMBERS else ""
-    if isinstance(checked.type, Sequence):
-        help = f"compare its length: 'len({c.text(node.span)}) > 0'"
-    return c.error("K013", f"{what} must be a bool, not {a(checked.type)}", node.span, help)
+    return c.error("K013", f"{what} must be a bool, not {a(checked.type)}", node.span, as_bool(checked, c))
+
+
+def as_bool(value: ir.Expr, c: Context, op: str = "!=") -> str:
+    """The help for a value that stands where a bool is wanted, or, with `==`, its contrary."""
+    type_, text = value.type, c.text(value.span)
+    if type_ in NUMBERS:
+        return f"compare it: '{text} {op} 0'"
+    if isinstance(type_, (Sequence, MapOf)):
+        return f"compare its length: 'len({text}) {'>' if op == '!=' else '=='} 0'"
+    if type_ == STRING:
+        return f"compare it: '{text} {op} \"\"'"
+    return "compare it with '=='"
 
 
 def same(first: Type, second: Type) -> bool:
@@ -94,6 +104,10 @@ def misfit(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
         help = "str(...) makes a string of a number or a bool"
     elif type_ is POINT and isinstance(found, TupleOf):
         help = "write Point(x, y, z)"
+    elif type_ is BOOL and found in NUMBERS:
+        help = as_bool(value, c)
+    elif type_ in NUMBERS and found is BOOL:
+        help = f"write '1 if {c.text(value.span)} else 0'"
     return c.error("K012", f"{what} is {a(type_)}, not {a(found)}", value.span, help)
 
 

@@ -7,6 +7,7 @@ from koordgen.check.base import (
     CHECKERS,
     NUMBERS,
     a,
+    as_bool,
     check_expr,
     condition,
     default,
@@ -63,9 +64,7 @@ def _unary(node: ast.Unary, c: Context, wanted: Type | None) -> ir.Expr:
         return ir.Unary(op, operand, type_, node.span)
     if isinstance(type_, PerRobot):
         return per_robot(operand, c)
-    help = "compare it: '== 0'" if op == "not" and type_ in NUMBERS else ""
-    if op == "not" and isinstance(type_, Sequence):
-        help = f"compare its length: 'len({c.text(operand.span)}) == 0'"
+    help = as_bool(operand, c, "==") if op == "not" else ""
     return c.error("K012", f"'{op}' does not apply to {a(type_)}", node.span, help)
 
 
@@ -116,11 +115,30 @@ def _no_operator(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context)
             return per_robot(side, c)
     help = ""
     if op == "+" and STRING in (left.type, right.type):
-        help = "str(...) makes a string of a number or a bool"
+        help = _joined(left, right, c)
+    elif op == "%" and left.type == STRING:
+        help = "texts are joined: 'n is ' + str(n)"
+    elif BOOL in (left.type, right.type):
+        held = left if left.type is BOOL else right
+        help = "bools are joined with 'and' and 'or'"
+        help = help if left.type == right.type else f"a number of it is '(1 if {c.text(held.span)} else 0)'"
+    elif op == "*" and left.type is POINT and right.type is POINT:
+        help = "multiply their coordinates: p.x * q.x + p.y * q.y"
+    elif op in ("+", "-") and POINT in (left.type, right.type):
+        help = "to a Point a Point is added: p + Point(x, y, z)"
     elif op == "+" and isinstance(left.type, Sequence) and same(left.type.element, right.type):
         verb = {"List": "append", "Queue": "push", "Set": "add"}[left.type.name]
         help = f"'xs.{verb}(x)' adds an element" + ("; xs + [x] is a longer list" if verb == "append" else "")
     return c.error("K012", f"'{op}' does not apply to {a(left.type)} and {a(right.type)}", span, help)
+
+
+def _joined(left: ir.Expr, right: ir.Expr, c: Context) -> str:
+    """The help for a text and a value that is none, joined with '+'."""
+    value = right if left.type == STRING else left
+    if value.type in (*NUMBERS, BOOL, POINT):
+        text = c.text(value.span)
+        return f"write str({text})" if len(text) <= 40 else "str(...) makes a string of a number or a bool"
+    return "join its parts, or its length: str(len(...))"
 
 
 def _compare(node: ast.Compare, c: Context, wanted: Type | None) -> ir.Expr:
@@ -179,10 +197,21 @@ def _pair(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context) -> ir.
         if isinstance(side.type, PerRobot):
             return per_robot(side, c)
     if not same(first, second):
-        return c.error("K012", f"{a(first)} and {a(second)} cannot be compared", span)
+        return c.error("K012", f"{a(first)} and {a(second)} cannot be compared", span, _alike(left, right, c))
     if op not in ("==", "!=") and first != STRING:
-        return c.error("K012", f"'{op}' does not apply to {a(first)} and {a(second)}", span)
+        help = "compare their coordinates, or distances" if first is POINT else "only '==' and '!=' compare these"
+        return c.error("K012", f"'{op}' does not apply to {a(first)} and {a(second)}", span, help)
     return ir.Compare(op, left, right, BOOL, span)
+
+
+def _alike(left: ir.Expr, right: ir.Expr, c: Context) -> str:
+    """The help for two values that cannot be compared."""
+    for value, other in ((left, right), (right, left)):
+        if other.type == STRING and value.type in NUMBERS:
+            return f"write str({c.text(value.span)})"
+        if other.type is BOOL and value.type in NUMBERS and not isinstance(value, ir.Const):
+            return as_bool(value, c).replace("compare it", "a bool of it is")
+    return ""
 
 
 def _logic(node: ast.Logic, c: Context, wanted: Type | None) -> ir.Expr:
@@ -199,7 +228,7 @@ def _logic(node: ast.Logic, c: Context, wanted: Type | None) -> ir.Expr:
         return c.poison(node.span)
     for side in (left, right):
         if side.type is not BOOL:
-            return c.error("K013", f"'{op}' joins bools, not {a(side.type)}", side.span)
+            return c.error("K013", f"'{op}' joins bools, not {a(side.type)}", side.span, as_bool(side, c))
     return ir.Logic(op, left, right, BOOL, node.span)
 
 

@@ -7,29 +7,35 @@ Exit statuses: 0 done and at rest; 1 settings or program are wrong; 2 usage; 5 s
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import select
 import signal
 import sys
+import time
 import traceback
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import FrameType
-from typing import TextIO
+from typing import Any, TextIO
 
 from koordgen.runtime.clock import SystemClock
+from koordgen.runtime.control import Control
 from koordgen.runtime.drivers import Drivers, with_drivers
 from koordgen.runtime.extern import BadExtern
 from koordgen.runtime.layout import Layout, TooLarge
 from koordgen.runtime.machine import INTERNAL, OK, SURROUNDINGS, WRONG_PROGRAM, Agent
+from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.platform import Platform, Unready
 from koordgen.runtime.program import Program
 from koordgen.runtime.runner import EndedAtOnce, interrupting
 from koordgen.runtime.seal import BadKey, load_key
 from koordgen.runtime.settings import BadSettings, Settings, load
-from koordgen.runtime.trace import Trace
-from koordgen.runtime.transport import CannotOpen, UdpTransport
+from koordgen.runtime.status import ask, show
+from koordgen.runtime.store import Store
+from koordgen.runtime.trace import Record, Trace
+from koordgen.runtime.transport import CannotOpen, open_transport
 
 __all__ = ["Agent", "main"]
 
@@ -52,14 +58,16 @@ def main(
     platform: Platform | None = None
     try:
         settings, key = _settings(root, arguments.settings, arguments.pid)
+        if arguments.status:
+            return _status(settings, key, arguments.format)
         Layout(program.shared, len(settings.peers))
         if program.library is not None:
             program.library.load()  # importing may take longer than a round
         platform = platform_type(settings, key)
         platform = with_drivers(platform, program, drivers)
         if arguments.check:
-            return _check(program, settings, platform)
-        return _run(program, settings, key, platform, quiet=arguments.quiet)
+            return _check(program, settings, key, platform)
+        return _run(program, settings, key, platform, root, quiet=arguments.quiet)
     except (BadSettings, BadKey, TooLarge, BadExtern) as error:
         return _fail(str(error), "", WRONG_PROGRAM)
     except CannotOpen as error:
@@ -80,6 +88,8 @@ def _arguments(program: Program, argv: Sequence[str]) -> argparse.Namespace | in
         prog=f"python3 <bundle of {program.name}>", description=f"Runs one robot of {program.name}."
     )
     parser.add_argument("--check", action="store_true", help="look at settings, ports and devices; move nothing")
+    parser.add_argument("--status", action="store_true", help="tell how the agent does that runs on this host")
+    parser.add_argument("--format", choices=("text", "json"), default="text", help="of --status (default: text)")
     parser.add_argument("--settings", type=Path, metavar="FILE", help="JSON laid over the bundle's settings.json")
     parser.add_argument("--pid", type=int, metavar="N", help="take the place of robot N of the fleet")
     parser.add_argument("--quiet", action="store_true", help="tell only warnings and errors")
@@ -108,14 +118,27 @@ def _settings(root: Path, overrides: Path | None, pid: int | None) -> tuple[Sett
     return settings, None
 
 
-def _check(program: Program, settings: Settings, platform: Platform) -> int:
+def _status(settings: Settings, key: bytes | None, form: str) -> int:
+    report = ask(settings, key)
+    if report is None:
+        place = f"{settings.bind or settings.peers[settings.pid].host}:{settings.control_port}"
+        hint = "is its agent running, on this host, with this key and application_id?"
+        return _fail(f"robot {settings.robot} does not answer at {place}", hint, SURROUNDINGS)
+    print(json.dumps(report, indent=2) if form == "json" else show(report))
+    return OK
+
+
+def _check(program: Program, settings: Settings, key: bytes | None, platform: Platform) -> int:
     n, name = len(settings.peers), settings.robot
     print(f"program    {program.name} {program.program_hash}, interface {program.interface_hash}")
     print(f"settings   robot {name}, pid {settings.pid} of {n}, delta {settings.delta} s")
     print(f"key        {settings.key_file or 'none (insecure)'}")
-    UdpTransport(settings.peers, settings.pid, settings.bind).close()
+    open_transport(settings).close()
+    Control.open(settings, key).close()
     own = settings.peers[settings.pid]
-    print(f"port       {settings.bind or own.host}:{own.port} is free, all {n} peers have addresses")
+    place = settings.bind or own.host
+    print(f"port       {place}:{own.port} is free, all {n} peers have addresses")
+    print(f"control    {place}:{settings.control_port} is free: emergency stop and --status")
     for line in platform.check():
         print(f"body       {line}")
     return OK
@@ -126,6 +149,7 @@ def _run(
     settings: Settings,
     key: bytes | None,
     platform: Platform,
+    root: Path,
     quiet: bool,
 ) -> int:
     def emit(level: str, line: str) -> None:
@@ -134,16 +158,33 @@ def _run(
 
     clock = SystemClock()
     with ExitStack() as opened:
-        transport = UdpTransport(settings.peers, settings.pid, settings.bind)  # first: it tells that we run already
+        transport = open_transport(settings)  # first: it tells that we run already
         opened.callback(transport.close)
+        control = Control.open(settings, key)
+        opened.callback(control.close)
+        store = _open_store(program, settings, root)
+        opened.callback(store.close)
         trace = _open_trace(settings.trace)
         opened.callback(trace.close)
+        metrics = Metrics(settings.pid, len(settings.peers))
+
+        def observe(record: Record) -> None:
+            metrics.round(record.round, record.late, record.event, record.skipped, record.frame is not None)
+
         agent = Agent(
-            program, settings, key, platform, clock, transport, trace, emit, os.urandom(8), limit=interrupting
+            program, settings, key, platform, clock, transport, trace, emit, os.urandom(8), [observe], interrupting
         )
+
+        def report() -> dict[str, Any]:
+            return _report(settings, agent, metrics, control, clock.now())
+
         signals = opened.enter_context(_Signals())
         seen = 0
+        stopped = False
         while not agent.done:
+            if control.poll(clock.now(), agent.phase, report) and not stopped:
+                stopped = True
+                agent.end("emergency stop")
             wake = agent.poll(clock.now())
             if signals.count > seen:
                 seen += 1
@@ -152,7 +193,25 @@ def _run(
                 else:
                     _say("warning", "still coming to rest; one more signal ends the process at once")
             transport.wait(min(wake - clock.now(), LONGEST_WAIT))
+        while control.lingers(clock.now()):
+            control.poll(clock.now(), agent.phase, report)
+            time.sleep(0.01)
         return agent.status
+
+
+def _report(settings: Settings, agent: Agent, metrics: Metrics, control: Control, now: float) -> dict[str, Any]:
+    counters = agent.counters()
+    dropped = {k.removeprefix("dropped: "): v for k, v in counters.items() if k.startswith("dropped: ")}
+    return {
+        "app": settings.app,
+        "robot": settings.robot,
+        "pid": settings.pid,
+        "names": [peer.name for peer in settings.peers],
+        "phase": agent.phase,
+        "round": agent.round,
+        "counters": {k: v for k, v in counters.items() if not k.startswith("dropped: ")},
+        **metrics.snapshot(now, dropped | {f"order: {k}": v for k, v in control.rejected.items()}),
+    }
 
 
 class _Signals:
@@ -181,6 +240,20 @@ class _Signals:
         self.name = signal.Signals(number).name
         if self.count > 2:
             raise EndedAtOnce
+
+
+def _open_store(program: Program, settings: Settings, root: Path) -> Store:
+    """Beside the bundle, not in it: a bundle can be replaced only while it holds nothing of its user's."""
+
+    def warn(text: str) -> None:
+        _say("warning", text)
+
+    if settings.state is None:
+        warn("state: none is kept, so if this program dies, the robot cannot come back to its mission")
+        path = None
+    else:
+        path = root.resolve().parent / settings.state / f"{settings.robot}.state"
+    return Store.open(path, program, settings.robot, settings.pid, len(settings.peers), warn)
 
 
 def _open_trace(path: str | None) -> Trace:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import socket
-import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from hashlib import blake2s
@@ -15,7 +14,6 @@ from typing import Any, Protocol
 from koordgen.runtime.orders import (
     CHALLENGE_LIFE,
     LONG,
-    NONCE,
     PIECE,
     Ask,
     AskStatus,
@@ -32,7 +30,6 @@ from koordgen.runtime.transport import CannotOpen
 
 MOST_AT_ONCE = 256  # datagrams in one poll: a flood costs about a millisecond and no more
 LINGER = 1.0  # seconds after a stop for which its asker may still be waiting for the answer
-STATUS_REPEAT, STATUS_TIMEOUT = 0.1, 2.0  # seconds
 MOST_ASKERS = 4  # for the status at one time
 
 Report = Callable[[], Mapping[str, Any]]
@@ -54,7 +51,7 @@ class ControlSocket:
     """UDP at the robot's control port. Raises CannotOpen."""
 
     def __init__(self, settings: Settings) -> None:
-        family, address = _address(settings)
+        family, address = address_of(settings)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         try:
             self._socket.setblocking(False)
@@ -171,53 +168,8 @@ class Control:
         return StatusPart(nonce, part, parts, text[part * PIECE : (part + 1) * PIECE])
 
 
-class Asking:
-    """Asks one agent for its status: send all of `datagrams`, `take` what comes, until `answer` is there."""
-
-    def __init__(self, application: int, key: bytes | None, nonce: bytes) -> None:
-        self.answer: dict[str, Any] | None = None
-        self._application = application
-        self._key = key
-        self._nonce = nonce
-        self._pieces: list[bytes | None] = [None]
-
-    def datagrams(self) -> list[bytes]:
-        missing = [i for i, piece in enumerate(self._pieces) if piece is None]
-        return [encode(AskStatus(self._application, self._nonce, i), self._key) for i in missing]
-
-    def take(self, datagram: bytes) -> None:
-        order = decode(datagram, self._key)
-        if not isinstance(order, StatusPart) or order.nonce != self._nonce or order.part >= order.parts:
-            return
-        if len(self._pieces) != order.parts:
-            self._pieces = [None] * order.parts
-        self._pieces[order.part] = order.data
-        whole = [piece for piece in self._pieces if piece is not None]
-        if len(whole) == order.parts:
-            try:
-                self.answer = json.loads(b"".join(whole))
-            except ValueError:  # pieces of two moments: others asked meanwhile
-                self._pieces = [None]
-
-
-def ask_status(settings: Settings, key: bytes | None) -> dict[str, Any] | None:
-    """The status of the agent that runs with these settings on this host, or None: no answer."""
-    family, address = _address(settings)
-    asking = Asking(settings.application_id, key, os.urandom(NONCE))
-    with socket.socket(family, socket.SOCK_DGRAM) as asker:
-        asker.settimeout(STATUS_REPEAT)
-        end = time.monotonic() + STATUS_TIMEOUT
-        while asking.answer is None and time.monotonic() < end:
-            for datagram in asking.datagrams():
-                with suppress(OSError):
-                    asker.sendto(datagram, address)
-            with suppress(OSError):  # a timeout among them
-                while asking.answer is None:
-                    asking.take(asker.recv(LONG + 1))
-    return asking.answer
-
-
-def _address(settings: Settings) -> tuple[socket.AddressFamily, tuple[str, int]]:
+def address_of(settings: Settings) -> tuple[socket.AddressFamily, tuple[str, int]]:
+    """Where the robot takes orders. Raises CannotOpen."""
     host = settings.bind or settings.peers[settings.pid].host
     try:
         found = socket.getaddrinfo(host, settings.control_port, type=socket.SOCK_DGRAM)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 
@@ -49,6 +49,19 @@ class Safety(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     outside_fence: float = 0.5  # seconds outside the geofence: end safely
 
 
+class Network(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How datagrams go from robot to robot; `group` to `interface` are for multicast and broadcast, the rest for
+    Zenoh, whose endpoints are such as `udp/192.168.1.20:47100`."""
+
+    transport: Literal["unicast", "broadcast", "multicast", "zenoh"] = "unicast"
+    group: str = ""  # IPv4 address that all robots listen to
+    port: int = 47000  # ... and its port; not the robots' own
+    interface: str = ""  # address or name of the interface for multicast; empty: that of the robot's own address
+    mode: Literal["peer", "router", "client"] = "peer"  # routers pass on what others send
+    listen: tuple[str, ...] | None = None  # endpoints; None: the robot's own address, and none as a client
+    connect: tuple[str, ...] | None = None  # endpoints; None: the robots of lower pid, each pair once
+
+
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Everything one robot must know besides its program. `body` belongs to the target and is checked by it."""
 
@@ -63,6 +76,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     key_file: str | None = None  # 32 bytes, mode 0600; relative to the settings file
     insecure: bool = False  # run without a key, with a warning
     safety: Safety = Safety()
+    network: Network = Network()
     body: dict[str, Any] = {}
     trace: str | None = None  # JSON lines, one a round
     planner_budget: float = 0.01  # seconds that a call of a planner within an event may take; more is counted and told

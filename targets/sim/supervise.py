@@ -41,6 +41,7 @@ def overrides(
     return {
         "peers": peers,
         "bind": "",
+        "network": {"transport": "unicast"},  # groups and endpoints are those of the real network
         "control": control,
         "state": None,
         "key_file": str(key_file.resolve()),

@@ -8,11 +8,11 @@ from typing import Any
 import msgspec
 import pytest
 
-from koordgen.bundle.budget import check_budget, most_bytes, overhead
+from koordgen.bundle.budget import MOST_CLOSING, MOST_SHARED, check_budget, most_bytes, most_closing, overhead
 from koordgen.check import check
 from koordgen.emit.program import WIRE_FORMAT, program_text
 from koordgen.ir.decl import Program
-from koordgen.runtime import wire
+from koordgen.runtime import layout, wire
 from koordgen.runtime.gridmap import GridMap
 from koordgen.runtime.layout import Layout, TooLarge
 from koordgen.runtime.program import Program as Generated
@@ -23,8 +23,8 @@ from koordgen.syntax.parse import parse
 EVENT = "E:\n  pre: True\n  eff: pass\n"
 
 
-def program(points: int, others: str = "") -> Program:
-    return checked("".join(f"allread: Point x{i}[N_SYS]\n" for i in range(points)) + others + EVENT)
+def program(shared: str) -> Program:
+    return checked(f"allwrite:\n{shared}{EVENT}")
 
 
 def checked(text: str) -> Program:
@@ -62,13 +62,27 @@ def test_the_wire_format_is_the_hashed_one() -> None:
 
 @pytest.mark.parametrize("n_sys", [1, 2, 5, 16, 60, 90, 128])
 def test_both_give_the_same_verdict(n_sys: int) -> None:
-    verdicts = set()
-    for points in range(38):
-        made = program(points, "allwrite:\n  int a\n  bool b\n  float c\n")
+    others = "  int i\n  bool b\n  float f\n  string s max 30000\n"
+    room = most_closing(n_sys) - 38 - sum(5 + most_bytes(v.type) for v in program(others).shared) - 5
+    capacity = room - (5 if room - 5 >= 1 << 16 else 3)
+    for extra in (-1, 0, 1):
+        made = program(f"{others}  string t max {capacity + extra}\n")
         fits = not check_budget(made, n_sys)
-        assert fits == robots_verdict(generated(made), n_sys), points
-        verdicts.add(fits)
-    assert len(verdicts) == 2 or n_sys > 100, "both sides of the limit were met"
+        assert fits == robots_verdict(generated(made), n_sys) == (extra <= 0), extra
+
+
+def test_limits_are_the_layouts() -> None:
+    assert (MOST_CLOSING, MOST_SHARED) == (layout.MOST_CLOSING, layout.MOST_SHARED)
+    for n in range(1, wire.MAX_ROBOTS + 1):
+        assert most_closing(n) == layout.most_closing(n)
+
+
+def test_more_shared_variables_than_a_closing_may_write() -> None:
+    for count in (256, 257):
+        made = program("".join(f"  bool b{i}\n" for i in range(count)))
+        assert (not check_budget(made, 2)) == robots_verdict(generated(made), 2) == (count == 256)
+    (found,) = check_budget(made, 2)
+    assert "257 shared variables; at most 256" in found.message
 
 
 TYPES = """
@@ -127,15 +141,22 @@ def test_no_value_within_its_bound_is_longer() -> None:
 
 
 def test_the_message_has_the_arithmetic_and_the_place() -> None:
-    (found,) = check_budget(program(40), 5)
-    assert found.code == "B004"
-    assert "up to 1306 bytes; with 5 robots a datagram of 1200 has room for 944" in found.message
+    (found,) = check_budget(checked("allread: string text[N_SYS] max 140000\nallwrite: int i\n" + EVENT), 5)
+    assert (found.code, found.severity, found.span.line) == ("B004", "error", 1)
+    assert (
+        "up to 140062 bytes; with 5 robots at most 131072 can be sent; text alone takes up to 140005" in found.message
+    )
 
 
 def test_the_max_that_help_names_fits_and_one_more_does_not() -> None:
-    source = "allread:\n  List<Point> path[N_SYS]MAX\n  int a[N_SYS]\n" + EVENT
-    (found,) = check_budget(checked(source.replace("MAX", "")), 5)
-    assert (found.span.line, "path alone takes up to 1795" in found.message) == (2, True)
+    source = "allread:\n  List<Point> path[N_SYS] max MAX\n  int a[N_SYS]\n" + EVENT
+    (found,) = check_budget(checked(source.replace("MAX", "6000")), 5)
     (most,) = re.findall(r"it fits with `max (\d+)`", found.help)
-    assert not check_budget(checked(source.replace("MAX", f" max {most}")), 5)
-    assert check_budget(checked(source.replace("MAX", f" max {int(most) + 1}")), 5)
+    assert not check_budget(checked(source.replace("MAX", most)), 5)
+    assert check_budget(checked(source.replace("MAX", str(int(most) + 1))), 5)
+
+
+def test_without_a_capacity_to_lower_help_is_general() -> None:
+    record = "def R:\n  string s max 140000\n" + "allwrite:\n  R r\n" + EVENT
+    (found,) = check_budget(checked(record), 2)
+    assert found.help.startswith("share fewer")

@@ -154,3 +154,7 @@ def robot_settings(body: Mapping[str, Any]) -> Settings:
 
 def datagram(x: float, y: float, yaw: float, sequence: int) -> bytes:
     return encode(Sample("bert", 2, sequence, Pose(Point(x, y, 0.0), yaw)), KEY)
+
+
+def standing(world: World) -> bool:
+    return abs(world.body.truth.speed) < 0.02

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from koordgen import explain, fleet, manifest
-from koordgen.bundle.budget import check_budget
+from koordgen.bundle.budget import check_budget, check_link
 from koordgen.bundle.calls import check_calls
 from koordgen.bundle.drivers import check_drivers, driver_files
 from koordgen.bundle.functions import check_functions, functions_file
@@ -19,7 +19,7 @@ from koordgen.check import check
 from koordgen.cli import main
 from koordgen.diagnostics import CATALOGUE, Diagnostic, together
 from koordgen.explain import Explanation, explanation, show
-from koordgen.fleet import Driver
+from koordgen.fleet import Driver, Link
 from koordgen.ir.decl import Program
 from koordgen.pipeline import Rejected, read_source
 from koordgen.source import Source, Span
@@ -143,5 +143,7 @@ def test_examples_of_builds(code: str, tmp_path: Path) -> None:
         told += check_functions(program, functions_file(program, tmp_path, None))
         told += with_driver(program, found.wrong_note, tmp_path)
         told += check_budget(program, int(robots[1]) if robots else 1)
+        linked = Link() if "on a link of 6 Mbit/s" in found.wrong_note else None
+        told += check_link(program, int(robots[1]) if robots else 1, delta=0.1, link=linked)
         told += check_calls(program, int(robots[1]) if robots else 1, delta=0.1, budget=0.01)
         assert {d.code for d in told} == wanted, note

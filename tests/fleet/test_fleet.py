@@ -96,6 +96,14 @@ robots:
         (("delta: 0.1", "params: {laps: 1.5}\ndelta: 0.1"), "F004", 1, 16, "laps is of type int"),
         (("delta: 0.1", "params: {home: [1, 2]}\ndelta: 0.1"), "F004", 1, 16, "home is of type Point"),
         (("delta: 0.1", "safety: {missed_rounds: 2.5}\ndelta: 0.1"), "F004", 1, 25, "whole number"),
+        (("delta: 0.1", "link: {rat: 6e6}\ndelta: 0.1"), "F002", 1, 8, "did you mean 'rate'"),
+        (("delta: 0.1", "link: {rate: fast}\ndelta: 0.1"), "F004", 1, 14, "link.rate (bits a second) must be"),
+        (("delta: 0.1", "link: {rate: '6e6'}\ndelta: 0.1"), "F004", 1, 14, "link.rate (bits a second) must be"),
+        (("delta: 0.1", "link: {rate: 6e99}\ndelta: 0.1"), "F005", 1, 14, "1000 to 1e+12"),
+        (("delta: 0.1", "link: {rate: 6e999}\ndelta: 0.1"), "F004", 1, 14, "finite"),
+        (("delta: 0.1", "link: {loss: 1.0}\ndelta: 0.1"), "F005", 1, 14, "0 to 0.9"),
+        (("delta: 0.1", "link: {mtu: 100}\ndelta: 0.1"), "F005", 1, 13, "576 to 65535"),
+        (("delta: 0.1", "link:\ndelta: 0.1"), "F004", 1, 6, "must be a mapping"),
     ],
 )  # fmt: skip
 def test_each_mistake_at_its_place(change: tuple[str, str], code: str, line: int, column: int, words: str) -> None:
@@ -104,6 +112,23 @@ def test_each_mistake_at_its_place(change: tuple[str, str], code: str, line: int
     assert read_fleet is None
     assert [(c, ln, col) for c, ln, col, _ in found] == [(code, line, column)], found
     assert words in found[0][3]
+
+
+@pytest.mark.parametrize(
+    ("text", "link"),
+    [
+        ("", None),
+        ("link: {}\n", fleet.Link(6e6, 0.1, 1500)),
+        ("link: {rate: 6e6, loss: 0, mtu: 576}\n", fleet.Link(6e6, 0.0, 576)),
+        ("link: {rate: 54000000}\n", fleet.Link(54e6, 0.1, 1500)),
+        ("link: {rate: 1.5E+7, loss: 0.25}\n", fleet.Link(15e6, 0.25, 1500)),
+    ],
+)
+def test_the_link(text: str, link: fleet.Link | None) -> None:
+    read_fleet, found = read(text + GOOD)
+    assert found == []
+    assert read_fleet is not None
+    assert read_fleet.link == link
 
 
 def test_several_mistakes_in_one_run() -> None:

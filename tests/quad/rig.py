@@ -6,8 +6,11 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
 from koordgen.runtime.settings import Box, Origin, Peer, Settings
 from koordgen.runtime.values import Point
+from targets.quad.framing import Framer, Message
 from targets.quad.platform import Quad
 from targets.quad.transport import Address, Chunk
 from targets.sim.autopilot import SimulatedAutopilot
@@ -16,6 +19,7 @@ from targets.sim.bodies import BodyState, DeviceContext, Vector
 ORIGIN = (47.397742, 8.545594, 488.0)
 FENCE = Box(Point(-6, -5, -0.5), Point(6, 5, 4))
 STEP = 1 / 240
+SETPOINT = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT
 
 
 class PointMass:
@@ -160,3 +164,20 @@ class Rig:
 
     def reached(self) -> bool:
         return bool(self.quad.sense(self.now).values["Motion.reached"])
+
+
+def sent(rig: Rig, number: int) -> list[Message]:
+    return [m for m in Framer().stream(b"".join(rig.wire.up)) if m.get_msgId() == number]
+
+
+def commands(rig: Rig, command: int) -> list[Message]:
+    return [m for m in sent(rig, mavlink.MAVLINK_MSG_ID_COMMAND_LONG) if m.command == command]
+
+
+def at(rig: Rig) -> Point:
+    return Point(*rig.body.position)
+
+
+def told(data: bytes) -> int:
+    """The number of a MAVLink 2 frame's message."""
+    return int.from_bytes(data[7:10], "little")

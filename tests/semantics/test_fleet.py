@@ -10,7 +10,7 @@ from koordgen.ir.types import BOOL, POINT, list_of
 from koordgen.runtime.values import Point
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exec import NoMeaning, Writes
-from koordgen.semantics.property import holds_assumption, holds_property
+from koordgen.semantics.property import Asked, holds_assumption, holds_property
 from koordgen.semantics.relations import choices, end, post, reach, rounds
 from koordgen.semantics.state import State, World, nobody
 from koordgen.semantics.step import applied, initial, round_, run_init
@@ -250,6 +250,38 @@ def test_assumptions_are_of_one_robots_ports_before_and_after() -> None:
         assert holds_assumption(PLANS, program, before, before, 0, 3, {}, world) is expected
     assert holds_assumption(which, program, {}, {}, 0, 3, {}) and holds_assumption(which, program, {}, {}, 1, 2, {})
     assert not holds_assumption(which, program, {}, {}, 1, 3, {})
+
+
+GOALS = """\
+using Motion:
+  sensors: Point position
+  PathPlanner planner
+  assume planner(goal) == [] or last(planner(goal)) == goal
+  assume planner(goal) == [] or planner(goal, walls) == [] or len(walls) > 0
+Go:
+  pre: True
+  eff: pass
+"""
+
+
+def test_what_is_assumed_for_all_goals_is_held_to_the_calls_that_were_made() -> None:
+    program = compiled(GOALS)
+    ends, both = program.modules[0].assumptions
+    here, there = Point(), Point(1.0, 0.0, 0.0)
+
+    def holds(assumption: decl.Assumption, *asked: Asked) -> bool:
+        ports: dict[str, Value] = {"Motion.position": here}
+        return holds_assumption(assumption, program, ports, ports, 0, 3, {}, asked=asked)
+
+    right, none = Asked("Motion.planner", (there,), (here, there)), Asked("Motion.planner", (here,), ())
+    assert holds(ends) and holds(ends, right, none)
+    assert not holds(ends, right, Asked("Motion.planner", (here,), (here, there)))
+    around = Asked("Motion.planner", (there, ()), (there,))
+    assert holds(both, right) and holds(both, around) and holds(both, none, around)
+    assert not holds(both, right, around)
+    assert holds(both, right, Asked("Motion.planner", (here, ()), (here,)))  # of another goal
+    points = Asked("Motion.planner", (there, (here,)), (there,))
+    assert holds(both, right, points)  # obstacles of another type
 
 
 def test_a_step_is_applied_whole() -> None:

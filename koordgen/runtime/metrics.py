@@ -1,0 +1,129 @@
+"""How well a robot hears its peers and keeps its rounds: counts and histograms of fixed size, each note O(1)."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Mapping
+from typing import Any
+
+_PER_OCTAVE = 8  # buckets: a quantile is right within 9 %
+_SHORTEST = 1e-6  # seconds
+_BUCKETS = 32 * _PER_OCTAVE  # up to more than an hour
+_RECENT = 512  # datagrams after which older ones count half
+
+
+class Histogram:
+    """Durations in seconds; what is below a microsecond counts as one."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.most = 0.0
+        self._buckets = array("L", bytes(array("L").itemsize * _BUCKETS))
+
+    def add(self, seconds: float) -> None:
+        if not math.isfinite(seconds):
+            return
+        index = int(_PER_OCTAVE * math.log2(max(seconds, _SHORTEST) / _SHORTEST))
+        self._buckets[min(index, _BUCKETS - 1)] += 1
+        self.count += 1
+        self.most = max(self.most, seconds)
+
+    def quantile(self, share: float) -> float:
+        """What at least this share of all durations does not exceed; 0 when there is none."""
+        wanted, seen = max(1, math.ceil(share * self.count)), 0
+        for index, count in enumerate(self._buckets):
+            seen += count
+            if seen >= wanted:
+                return min(self.most, _SHORTEST * 2 ** ((index + 1) / _PER_OCTAVE))
+        return self.most
+
+    def snapshot(self) -> dict[str, float]:
+        """In milliseconds: p50, p99, max; empty when there was none."""
+        if not self.count:
+            return {}
+        found = {"p50": self.quantile(0.5), "p99": self.quantile(0.99), "max": self.most}
+        return {name: round(seconds * 1e3, 3) for name, seconds in found.items()}
+
+
+class _Peer:
+    """What is known of one peer's datagrams."""
+
+    def __init__(self) -> None:
+        self.expected = 0
+        self.received = 0
+        self.delay = Histogram()
+        self.heard: float | None = None
+        self.longest = 0.0  # seconds between two datagrams
+        self.closed = 0
+        self.repeats = 0
+
+
+class Metrics:
+    """Of robot `pid` in a fleet of `n_sys`. Times are seconds of one monotonic clock."""
+
+    def __init__(self, pid: int, n_sys: int) -> None:
+        self._pid = pid
+        self._peers = {p: _Peer() for p in range(n_sys) if p != pid}
+        self._late = Histogram()
+        self._round = 0
+        self._rounds = self._current = self._events = 0
+        self._skipped: dict[str, int] = {}
+
+    def heard(self, pid: int, ahead: int, delay: float | None, now: float) -> None:
+        """A genuine datagram of a peer. `ahead`: by how much it moved on the count of those that were sent to us; 1
+        when none is missing, k when k - 1 are, 0 or less when it comes late. `delay`: seconds under way, None: not
+        known."""
+        peer = self._peers[pid]
+        peer.received += 1
+        peer.expected += max(0, ahead)
+        if peer.expected > _RECENT:
+            peer.expected //= 2
+            peer.received //= 2
+        if delay is not None:
+            peer.delay.add(delay)
+        if peer.heard is not None:
+            peer.longest = max(peer.longest, now - peer.heard)
+        peer.heard = now
+
+    def closed(self, pid: int, round_: int) -> None:
+        """All closings of a peer up to this round are here."""
+        if pid in self._peers:
+            self._peers[pid].closed = max(self._peers[pid].closed, round_)
+
+    def repeated(self, pid: int) -> None:
+        """A peer was asked for something again."""
+        self._peers[pid].repeats += 1
+
+    def round(self, number: int, late: float, event: str | None, skipped: str | None, current: bool) -> None:
+        """A round was decided `late` seconds after its tick; `skipped` says why no event could run."""
+        self._round = number
+        self._late.add(late)
+        self._rounds += 1
+        self._current += current
+        self._events += event is not None
+        if skipped is not None and (skipped in self._skipped or len(self._skipped) < 32):
+            self._skipped[skipped] = self._skipped.get(skipped, 0) + 1
+
+    def snapshot(self, now: float, rejected: Mapping[str, int]) -> dict[str, Any]:
+        """Plain values; times in milliseconds, `loss` a share of what was sent lately, `behind` in rounds."""
+        peers = {}
+        for pid, peer in self._peers.items():
+            lost = max(0, peer.expected - peer.received)
+            peers[str(pid)] = {
+                "loss": round(lost / peer.expected, 3) if peer.expected else None,
+                "delay_ms": peer.delay.snapshot(),
+                "silent_ms": None if peer.heard is None else round((now - peer.heard) * 1e3, 1),
+                "longest_silence_ms": round(peer.longest * 1e3, 1),
+                "behind": max(0, self._round - 1 - peer.closed),
+                "repeats": peer.repeats,
+            }
+        return {
+            "rounds": self._rounds,
+            "current": self._current,
+            "events": self._events,
+            "skipped": dict(self._skipped),
+            "late_ms": self._late.snapshot(),
+            "rejected": dict(rejected),
+            "peers": peers,
+        }

@@ -1,0 +1,93 @@
+"""`--status`: asks the agent that runs on this host how it is, over its control port, and shows the answer."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import Any
+
+from koordgen.runtime.control import address_of
+from koordgen.runtime.orders import LONG, NONCE, AskStatus, StatusPart, decode, encode
+from koordgen.runtime.settings import Settings
+
+REPEAT, TIMEOUT = 0.1, 2.0  # seconds
+
+
+class Asking:
+    """Asks one agent for its status: send all of `datagrams`, `take` what comes, until `answer` is there."""
+
+    def __init__(self, application: int, key: bytes | None, nonce: bytes) -> None:
+        self.answer: dict[str, Any] | None = None
+        self._application = application
+        self._key = key
+        self._nonce = nonce
+        self._pieces: list[bytes | None] = [None]
+
+    def datagrams(self) -> list[bytes]:
+        missing = [i for i, piece in enumerate(self._pieces) if piece is None]
+        return [encode(AskStatus(self._application, self._nonce, i), self._key) for i in missing]
+
+    def take(self, datagram: bytes) -> None:
+        order = decode(datagram, self._key)
+        if not isinstance(order, StatusPart) or order.nonce != self._nonce or order.part >= order.parts:
+            return
+        if len(self._pieces) != order.parts:
+            self._pieces = [None] * order.parts
+        self._pieces[order.part] = order.data
+        whole = [piece for piece in self._pieces if piece is not None]
+        if len(whole) == order.parts:
+            try:
+                self.answer = json.loads(b"".join(whole))
+            except ValueError:  # pieces of two moments: others asked meanwhile
+                self._pieces = [None]
+
+
+def ask(settings: Settings, key: bytes | None) -> dict[str, Any] | None:
+    """The status of the agent that runs with these settings on this host, or None: no answer."""
+    family, address = address_of(settings)
+    asking = Asking(settings.application_id, key, os.urandom(NONCE))
+    with socket.socket(family, socket.SOCK_DGRAM) as asker:
+        asker.settimeout(REPEAT)
+        end = time.monotonic() + TIMEOUT
+        while asking.answer is None and time.monotonic() < end:
+            for datagram in asking.datagrams():
+                with suppress(OSError):
+                    asker.sendto(datagram, address)
+            with suppress(OSError):  # a timeout among them
+                while asking.answer is None:
+                    asking.take(asker.recv(LONG + 1))
+    return asking.answer
+
+
+def show(report: Mapping[str, Any]) -> str:
+    """A report as a table for people."""
+    late, names = report["late_ms"], report["names"]
+    share = 100 * report["current"] / max(1, report["rounds"])
+    lines = [
+        f"{report['robot']}  pid {report['pid']} of {len(names)}, {report['app']}: {report['phase']}, "
+        f"round {report['round']}",
+        f"rounds    {report['rounds']}, current in {share:.1f} %, {report['events']} events",
+        f"lateness  {_durations(late)} ms",
+        "",
+        f"{'peer':<12} {'loss':>7} {'delay p50 / p99 / max ms':>26} {'silent ms':>10} {'longest':>9} {'behind':>7} "
+        f"{'repeats':>8}",
+    ]
+    for pid, peer in report["peers"].items():
+        loss = "-" if peer["loss"] is None else f"{100 * peer['loss']:.1f} %"
+        silent = "never" if peer["silent_ms"] is None else f"{peer['silent_ms']:.0f}"
+        lines.append(
+            f"{names[int(pid)]:<12} {loss:>7} {_durations(peer['delay_ms']):>26} {silent:>10} "
+            f"{peer['longest_silence_ms']:>9.0f} {peer['behind']:>7} {peer['repeats']:>8}"
+        )
+    for title, counts in (("skipped", report["skipped"]), ("rejected", report["rejected"])):
+        if counts:
+            lines += ["", title, *(f"{count:>8}  {reason}" for reason, count in sorted(counts.items()))]
+    return "\n".join(lines)
+
+
+def _durations(found: Mapping[str, float]) -> str:
+    return " / ".join(f"{found[key]:.1f}" for key in ("p50", "p99", "max")) if found else "-"

@@ -1,0 +1,208 @@
+"""Random well-typed statements of one place of a program."""
+
+from __future__ import annotations
+
+from random import Random
+
+from koordgen.ir import decl as d
+from koordgen.ir import expr as e
+from koordgen.ir import stmt as s
+from koordgen.ir.types import (
+    BOOL,
+    INT,
+    STRING,
+    MapOf,
+    PerRobot,
+    RecordType,
+    Sequence,
+    TupleOf,
+    Type,
+    list_of,
+)
+from tests.agree.expressions import Expressions
+from tests.agree.general import Temp, binary, call, compare, length
+from tests.agree.kinds import AT, random_type, whole
+
+KINDS = ("assign",) * 3 + ("update",) * 3 + ("let", "let", "if", "for", "for", "while", "emit", "pop", "leave")
+
+
+class Statements(Expressions):
+    """Statements of one place; temps have names that are unique there."""
+
+    def __init__(self, rng: Random, program: d.Program, place: str, prefix: str) -> None:
+        super().__init__(rng, program, place)
+        self.prefix = prefix
+        self.minted = 0
+        self.loops = 0
+        self.result: Type | None = None
+
+    def mint(self, type_: Type, writable: bool = True) -> Temp:
+        self.minted += 1
+        return Temp(f"{self.prefix}{self.minted}", type_, writable)
+
+    def block(self, depth: int, count: int) -> s.Block:
+        """So many statements or some more; their temps end with it."""
+        kept = list(self.temps)
+        found: list[s.Stmt] = []
+        for _ in range(count):
+            kind = self.rng.choice(KINDS)
+            if depth == 0 and kind in ("if", "for", "while"):
+                kind = "assign"
+            found += getattr(self, f"{kind}s" if kind != "leave" else "leaves")(depth)
+            if isinstance(found[-1] if found else None, (s.Break, s.Continue, s.Stop, s.Return)):
+                break
+        self.temps = kept
+        return tuple(found)
+
+    def places(self) -> list[tuple[s.Place, Type, e.Expr]]:
+        """All that can be written here, with what reads it."""
+        found: list[tuple[s.Place, Type, e.Expr]] = [
+            (s.TempPlace(t.name), t.type, e.TempRead(t.name, t.type, AT)) for t in self.temps if t.writable
+        ]
+        if self.place == "function":
+            return found
+        p = self.program
+        found += [(s.LocalPlace(v.name), v.type, e.LocalRead(v.name, v.type, AT)) for v in p.locals]
+        for v in p.shared:
+            if v.kind == "allread":
+                found.append((s.OwnSlot(v.name), v.type, e.SlotRead(v.name, e.Pid(INT, AT), True, v.type, AT)))
+            elif self.place != "init":
+                found.append((s.SharedPlace(v.name), v.type, e.SharedRead(v.name, v.type, AT)))
+        for m in p.modules:
+            for port in m.ports:
+                if port.direction == "actuator":
+                    read = e.PortRead(m.name, port.name, False, port.type, AT)
+                    found.append((s.PortPlace(m.name, port.name), port.type, read))
+        return found
+
+    def assigns(self, depth: int) -> list[s.Stmt]:
+        places = self.places()
+        if not places:
+            return self.lets(depth)
+        place, type_, _ = self.rng.choice(places)
+        return [s.Assign(place, self.expr(type_, 3), AT)]
+
+    def updates(self, depth: int) -> list[s.Stmt]:
+        """`xs.append(v)`, `r.f[i] = v` and such, as the checker spells them."""
+        places = [found for found in self.places() if isinstance(found[1], (Sequence, MapOf, TupleOf, RecordType))]
+        if not places:
+            return self.assigns(depth)
+        place, _, read = self.rng.choice(places)
+        return [s.Assign(place, self.updated(read, 2), AT)]
+
+    def lets(self, depth: int) -> list[s.Stmt]:
+        type_ = random_type(self.rng, 2, tuple([r.type for r in self.program.records]))
+        if self.rng.random() < 0.6:
+            known = [t for t in self.known() if not isinstance(t, PerRobot)]
+            type_ = self.rng.choice(known)
+        value = self.expr(type_, 2)
+        temp = self.mint(type_)
+        self.temps.append(temp)
+        return [s.Let(temp.name, type_, value, AT)]
+
+    def ifs(self, depth: int) -> list[s.Stmt]:
+        orelse: s.Block = ()
+        condition = self.expr(BOOL, 2)
+        then = self.block(depth - 1, self.rng.randrange(1, 3))
+        if self.rng.random() < 0.5:
+            orelse = self.block(depth - 1, self.rng.randrange(1, 3))
+        return [s.If(condition, then, orelse, AT)]
+
+    def body(self, depth: int) -> s.Block:
+        busy, self.busy = self.busy, True
+        self.loops += 1
+        block = self.block(depth - 1, self.rng.randrange(1, 4))
+        self.loops -= 1
+        self.busy = busy
+        return block
+
+    def fors(self, depth: int) -> list[s.Stmt]:
+        values, element = self.domain()
+        types: tuple[Type, ...] = (element,)
+        if isinstance(element, TupleOf) and self.rng.random() < 0.7:
+            types = element.items
+        kept = list(self.temps)
+        taken = [self.mint(type_) for type_ in types]
+        self.temps += taken
+        block = (*self.meddling(values), *self.body(depth))
+        self.temps = kept
+        return [s.For(tuple([t.name for t in taken]), types, values, block, AT)]
+
+    def meddling(self, values: e.Expr) -> list[s.Stmt]:
+        """Changes to what a loop runs over, which the loop must not see."""
+        places = [place for place, _, read in self.places() if read == values]
+        if not places or self.rng.random() < 0.5:
+            return []
+        busy, self.busy = self.busy, True
+        found: list[s.Stmt] = [s.Assign(places[0], self.updated(values, 1), AT)]
+        self.busy = busy
+        return found
+
+    def domain(self) -> tuple[e.Expr, Type]:
+        """What a loop runs over: not very long."""
+        choice = self.rng.randrange(7)
+        if choice < 2:
+            start, stop = (e.Binary("%", self.expr(INT, 1), whole(5), True, INT, AT) for _ in "ab")
+            step_ = self.rng.choice((1, 1, 2, -1, -2, 3))
+            return e.Range(whole(0) if self.rng.random() < 0.5 else start, stop, step_, list_of(INT), AT), INT
+        if choice == 2 and self.place != "function":
+            return e.Ids(list_of(INT), AT), INT
+        known = [t for t in self.known() if isinstance(t, (Sequence, MapOf, PerRobot))]
+        shared = [PerRobot(v.type) for v in self.program.shared if v.kind == "allread"]
+        type_ = self.rng.choice([*known, *(shared if self.place == "effect" else []), list_of(TupleOf((INT, STRING)))])
+        if isinstance(type_, PerRobot):
+            found = self.slots(type_.element)
+            assert found is not None
+            return found, type_.element
+        assert isinstance(type_, (Sequence, MapOf))
+        return self.expr(type_, self.rng.randrange(3)), type_.key if isinstance(type_, MapOf) else type_.element
+
+    def whiles(self, depth: int) -> list[s.Stmt]:
+        """A counter that goes up first of all, so that every way through it ends."""
+        counter = self.mint(INT, writable=False)
+        read = e.TempRead(counter.name, INT, AT)
+        kept = list(self.temps)
+        self.temps.append(counter)
+        condition: e.Expr = compare("<", read, whole(self.rng.randrange(1, 5)))
+        if self.rng.random() < 0.4:
+            condition = e.Logic("and", condition, self.expr(BOOL, 2), BOOL, AT)
+        count = s.Assign(s.TempPlace(counter.name), binary("+", read, whole(1), INT), AT)
+        block = (count, *self.body(depth))
+        self.temps = kept if self.rng.random() < 0.5 else [*kept, counter]
+        return [s.Let(counter.name, INT, whole(0), AT), s.While(condition, block, AT)]
+
+    def emits(self, depth: int) -> list[s.Stmt]:
+        if self.place == "function":
+            return self.lets(depth)
+        items = [self.expr(STRING, 2) for _ in range(self.rng.randrange(1, 4))]
+        return [s.Emit("Log", "stdout", tuple(items), AT)]
+
+    def pops(self, depth: int) -> list[s.Stmt]:
+        """`T x = xs.pop()`: read, then remove; under a test that there is something."""
+        found = [(p, t, r) for p, t, r in self.places() if isinstance(t, Sequence) and t.name in ("List", "Queue")]
+        if not found:
+            return self.assigns(depth)
+        place, type_, xs = self.rng.choice(found)
+        assert isinstance(type_, Sequence)
+        temp = self.mint(type_.element, writable=False)
+        last = binary("-", length(xs), whole(1), INT)
+        if type_.name == "Queue":
+            value, left = call("first", type_.element, xs), call("without", type_, xs, whole(0))
+        else:
+            value, left = e.At(xs, last, False, type_.element, AT), call("popped", type_, xs)
+        both = (s.Let(temp.name, type_.element, value, AT), s.Assign(place, left, AT))
+        return [s.If(compare("<", whole(0), length(xs)), both, (), AT)]
+
+    def leaves(self, depth: int) -> list[s.Stmt]:
+        """Out of a loop, a function, an event: now and then."""
+        out: s.Stmt
+        if self.loops and self.rng.random() < 0.8:
+            out = self.rng.choice((s.Break(AT), s.Continue(AT)))
+        elif self.result is not None:
+            out = s.Return(self.expr(self.result, 2), AT)
+        elif self.place != "function" and self.rng.random() < 0.5:
+            out = s.Stop(AT)
+        else:
+            return self.assigns(depth)
+        before = self.assigns(depth) if self.rng.random() < 0.5 else []
+        return [s.If(self.expr(BOOL, 2), (*before, out), (), AT)]

@@ -1,0 +1,202 @@
+"""Links that fail, lie or fall silent: the car brakes, says which, and goes on when they heal."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from koordgen.runtime.platform import Unready
+from targets.car import vesc
+from targets.car.platform import WAIT_FOR_DRIVE, WAIT_FOR_FEED, Car
+from tests.car.world import KEY, NoLinks, World, datagram, robot_settings, standing
+
+
+def open_and_start(car: Car) -> None:
+    car.start(0.0)
+
+
+def test_a_stale_position_brakes_it_and_it_goes_on_afterwards() -> None:
+    world = World().begin()
+    world.go(5.0, 0.0)
+    world.run(2.0)
+    assert world.body.truth.speed > 0.7
+    station, world.station = world.station, None
+    sensed = world.car.sense(world.now).time
+    world.run(1.0)
+    assert standing(world) and "old" in world.car.progress
+    assert not world.car.ready
+    assert world.car.sense(world.now).time == pytest.approx(sensed, abs=0.06)
+    assert world.value("reached") is False
+    world.station = station
+    world.run(8.0)
+    assert world.value("reached") is True
+
+
+def test_a_car_that_stands_at_its_target_without_a_fresh_position_has_not_reached_it() -> None:
+    world = World().begin()
+    world.go(1.0, 0.0)
+    world.run(4.0)
+    assert world.value("reached") is True
+    world.station = None
+    world.run(0.5)
+    assert world.value("reached") is False
+
+
+def test_a_device_that_takes_few_bytes_at_a_time_gets_whole_frames() -> None:
+    world = World().begin()
+    got: list[vesc.Message] = []
+    decoder = vesc.Decoder()
+
+    def few(data: bytes) -> int:
+        got.extend(decoder.feed(data[:11]))
+        return len(data[:11])
+
+    world.wire.write = few  # type: ignore[method-assign]
+    world.go(3.0, 0.0)
+    for k in range(20):
+        world.car.poll(world.now + k * 0.05)
+    assert len(got) > 15 and decoder.dropped == 0
+
+
+def test_a_device_that_takes_nothing_is_unready() -> None:
+    world = World().begin()
+    world.wire.write = lambda data: 0  # type: ignore[method-assign]
+    with pytest.raises(Unready, match="takes no commands"):
+        for k in range(30):
+            world.car.poll(world.now + k * 0.05)
+
+
+def test_a_fault_of_the_motor_controller_brakes_it_and_is_told() -> None:
+    world = World().begin()
+    world.go(5.0, 0.0)
+    world.run(1.5)
+    world.wire.to_drive = b""
+    world.wire.to_agent += vesc.encode(vesc.Values(2000.0, 11.0, 5))
+    world.car.poll(world.now + 0.06)
+    assert "fault 5" in world.car.progress and not world.car.ready
+    assert vesc.encode(vesc.Brake(10.0)) in world.wire.to_drive
+    assert not [m for m in vesc.Decoder().feed(world.wire.to_drive) if isinstance(m, vesc.SetErpm)]
+
+
+def test_rest_without_any_measured_speed_takes_some_seconds_of_braking() -> None:
+    world = World().begin()
+    world.go(5.0, 0.0)
+    world.run(2.0)
+    world.station = None
+    world.car.rest(world.now)
+    begin, rested_at = world.now, math.inf
+    while world.now - begin < 1.8:  # the controller brakes, but its answers are lost
+        world.physics(0.05)
+        world.wire.to_agent = b""
+        world.car.poll(world.now)
+        if world.car.rested:
+            rested_at = min(rested_at, world.now - begin)
+    assert rested_at == pytest.approx(1.5, abs=0.1)
+
+
+def test_a_device_that_cannot_be_opened_is_unready() -> None:
+    for act in (open_and_start, Car.check):
+        with pytest.raises(Unready, match="cannot open it"):
+            act(Car(robot_settings({}), KEY, NoLinks()))
+
+
+def test_a_silent_feed_is_waited_for_and_then_unready() -> None:
+    world = World()
+    world.station = None
+    world.car.start(world.now)
+    world.run(2.0)
+    assert not world.car.ready and "waiting for the position feed on udp:0.0.0.0:47300" in world.car.progress
+    world.wire.datagrams.append(b"forged" * 10)
+    world.run(0.1)
+    assert "1 not authentic" in world.car.progress
+    with pytest.raises(Unready, match="no position has arrived") as lost:
+        world.run(WAIT_FOR_FEED + 1)
+    assert lost.value.hint
+
+
+def test_a_silent_motor_controller_is_unready() -> None:
+    world = World()
+    world.controller = None
+    world.car.start(world.now)
+    world.run(1.0)
+    assert "waiting for the motor controller" in world.car.progress
+    with pytest.raises(Unready, match="has not answered"):
+        world.run(WAIT_FOR_DRIVE + 1)
+
+
+def test_a_motor_controller_that_falls_silent_is_unready() -> None:
+    world = World().begin()
+    world.go(3.0, 0.0)
+    world.run(1.0)
+    world.controller = None
+    with pytest.raises(Unready, match="has not answered for"):
+        world.run(4.0)
+
+
+def test_a_car_that_no_longer_hears_its_motor_controller_brakes_it_all_the_same() -> None:
+    world = World(max_speed=2.0).begin()
+    world.go(5.5, 0.0)
+    world.run(1.5)
+    lost = 0
+    for _ in range(100):
+        world.physics(0.05)
+        world.wire.to_agent = b""  # the cable's one direction is broken
+        try:
+            world.car.poll(world.now)
+        except Unready:
+            lost += 1
+            world.car.rest(world.now)
+            assert vesc.encode(vesc.Brake(10.0)) in world.wire.to_drive
+    assert lost > 30 and standing(world)
+
+
+@pytest.mark.parametrize(("dead", "message"), [("controller", "motor controller"), ("station", "no position")])
+def test_check_says_what_is_missing(dead: str, message: str) -> None:
+    world = World()
+    setattr(world, dead, None)
+    with pytest.raises(Unready, match=message):
+        world.car.check()
+
+
+def test_check_of_a_missing_package_is_unready(monkeypatch: pytest.MonkeyPatch) -> None:
+    import builtins
+
+    real = builtins.__import__
+
+    def without(name: str, *rest: Any) -> Any:
+        if name == "casadi":
+            raise ImportError("No module named 'casadi'")
+        return real(name, *rest)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(Unready, match="casadi"):
+        World().car.check()
+
+
+def test_a_flood_of_forged_datagrams_neither_stops_nor_moves_it() -> None:
+    world = World().begin()
+    world.go(3.0, 0.0)
+    world.run(1.0)
+    for _ in range(5000):
+        world.wire.datagrams.append(datagram(1e3, 0.0, 0.0, 1)[:-1] + b"\0")
+    world.physics(0.05)
+    world.car.poll(world.now)
+    assert 4000 < len(world.wire.datagrams) < 5000
+    world.wire.datagrams.clear()
+    world.run(6.0)
+    assert world.value("reached") is True
+
+
+def test_no_position_waits_behind_forged_ones_and_is_then_taken_for_new() -> None:
+    """A socket's buffer holds 256 datagrams: all must be looked at in one poll."""
+    world = World().begin()
+    world.station = None
+    world.run(0.2)
+    for _ in range(255):
+        world.wire.datagrams.append(datagram(1e3, 0.0, 0.0, 1)[:-1] + b"\0")
+    world.wire.datagrams.append(datagram(0.0, 0.0, 0.0, 1))
+    world.physics(0.05)
+    world.car.poll(world.now)
+    assert world.car.sense(world.now).time == world.now
