@@ -67,11 +67,13 @@ class Joining:
         self._start: float | None = None
         self._next = 0.0
         self._returning = False
+        self.met = True  # no robot need be told of this one any more
         self.restarted: set[int] = set()  # robots that began anew while the mission runs
 
     def come_back(self, epoch: bytes) -> None:
         """This robot was in the mission of that name when its process died."""
         self._returning = True
+        self.met = False
         self._link.epoch = epoch
 
     @property
@@ -103,7 +105,7 @@ class Joining:
     def poll(self, now: float, fleet: float | None) -> float:
         """Send what is due at local time `now`; `fleet` is the fleet time, if known. When to be called again."""
         if self._start is not None:
-            return float("inf")
+            return self._meet(now)
         agreed = self._link.epoch and all(o.epoch == self._link.epoch for o in self._others.values())
         if agreed and self._pid == 0 and fleet is not None:
             self._start = round((fleet + LEAD) * 1e6) / 1e6
@@ -111,6 +113,15 @@ class Joining:
         if now >= self._next:
             self._next = now + PERIOD
             self.tell()
+        return self._next
+
+    def _meet(self, now: float) -> float:
+        """During the mission: Hellos to those whose present boot is not known, or who may not know ours."""
+        if now >= self._next:
+            self._next = now + PERIOD
+            for pid in self._link.strangers if self.met else self._others:
+                self._hello(pid, self._others[pid].challenge)
+            self._link.strangers.clear()
         return self._next
 
     def tell(self) -> None:
@@ -126,8 +137,8 @@ class Joining:
             if hello.answer != self._challenge(pid):
                 self._hello(pid, hello.challenge)  # let it prove that it lives; nothing is kept of it until then
                 return
-            comes_back = hello.init is None and hello.head.epoch == self._link.epoch
-            if self._start is not None and not comes_back:
+            same_mission = hello.head.epoch == self._link.epoch
+            if self._start is not None and not same_mission:
                 self.restarted.add(pid)
                 self._hello(pid, hello.challenge)
                 return
@@ -137,7 +148,8 @@ class Joining:
                 self._link.epoch = b""
         other.challenge = hello.challenge
         if self._start is not None:
-            if hello.start is None:  # it missed the proposal; two that know it have nothing to say
+            # Either it missed the proposal, or it has not met this boot; else two that know it have nothing to say.
+            if hello.start is None or hello.answer != self._challenge(pid):
                 self._hello(pid, other.challenge)
             return
         if self._returning:

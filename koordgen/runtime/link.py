@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Any
 
 from koordgen.runtime.clock import Clock, FleetClock
+from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.pieces import cut, lacking
 from koordgen.runtime.program import Program
 from koordgen.runtime.settings import Settings
@@ -77,12 +78,15 @@ class Link:
         fleet_clock: FleetClock,
         boot: bytes,
         report: Callable[[str], None],
+        metrics: Metrics,
     ) -> None:
+        self._metrics = metrics
         self.pid = settings.pid
         self.boot = boot
         self.epoch = b""
         self.rejected: dict[str, int] = {}
         self.sessions: dict[int, Session] = {}
+        self.strangers: set[int] = set()  # robots of this mission of whom another boot speaks than the one adopted
         self._names = [p.name for p in settings.peers]
         self._application = settings.application_id
         self._interface = bytes.fromhex(program.interface_hash)
@@ -159,6 +163,7 @@ class Link:
                 reason = "another mission"
             elif not adopted:
                 reason = "another boot"
+                self.strangers.add(head.pid)
             if reason is None and adopted and session is not None:
                 if session.fresh(head.sequence):
                     self._stamps(session, head)
@@ -242,8 +247,8 @@ class Link:
             room -= length
         return [*batches, tuple(batch)][:MOST_DATAGRAMS]
 
-    def _send(self, to: Sequence[int], message: Message) -> None:
-        self._transport.send(to, encode(message, self._key))
+    def _send(self, to: Collection[int], message: Message) -> None:
+        self._transport.send(list(to), encode(message, self._key))
 
 
 def _microseconds(seconds: float) -> int:

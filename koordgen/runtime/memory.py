@@ -277,12 +277,12 @@ class Memory:
 
     def _look(self) -> None:
         """After a round was applied or the view has changed: what is lacking now, and who is in from when."""
-        while len(self._views) > 1 and self._views[1].since <= self.applied + 1:
-            del self._views[0]
         for pid, log in enumerate(self._logs):
             for begins, ends in self._absences(pid):
                 if begins <= log.held + 1 <= ends:
                     log.skip(ends)
+        while len(self._views) > 1 and self._views[1].since <= self.applied + 1:
+            del self._views[0]
         members = self._at(self.applied + 1).members
         self._lacking = {p for p, log in enumerate(self._logs) if members[p] >= 0 and log.held <= self.applied}
 

@@ -40,6 +40,7 @@ class Outbox:
 
     def __init__(self, life: Life) -> None:
         self._waiting: deque[_Waiting] = deque()
+        self._commit: _Waiting | None = None  # of which it is not known whether it has won
         self.lives = [life]
 
     @property
@@ -55,19 +56,23 @@ class Outbox:
     @property
     def undecided(self) -> bool:
         """Whether an atomic event waits to hear whether its commit has won."""
-        return bool(self._waiting) and self._waiting[-1].lock >= 0
+        return self._commit is not None
 
     def add(self, record: Record, lock: int = -1, life: Life | None = None) -> None:
         """A round's record; with the life that its event leads to, if it had one."""
-        self._waiting.append(_Waiting(record, lock, life))
-        if lock < 0 and life is not None:
+        waiting = _Waiting(record, lock, life)
+        self._waiting.append(waiting)
+        if lock >= 0:
+            self._commit = waiting
+        elif life is not None:
             self.lives.append(life)
 
     def decide(self, memory: Memory) -> bool | None:
         """Whether the commit that was waited for has won; None when there is none, or no news of it."""
-        if not self.undecided or memory.applied < self._waiting[-1].record.round:
+        waiting = self._commit
+        if waiting is None or memory.applied < waiting.record.round:
             return None
-        waiting = self._waiting[-1]
+        self._commit = None
         waiting.lock = -1
         if memory.won == waiting.record.round:
             if waiting.life is not None:
@@ -102,6 +107,7 @@ class Outbox:
                 record = replace(record, event=None, effects=None, frame=None, skipped="not counted: the others went on")
             found.append(record)
         self._waiting.clear()
+        self._commit = None
         if life is not None:
             self.lives = [life]
         return life, found

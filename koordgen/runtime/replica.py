@@ -46,6 +46,8 @@ class _Peer:
     heard: int = -HEARD  # ticks
     asked: int = -ASKED
     told: int = -1
+    held: int = -1  # of its closings, and the round in which there was the last news of them
+    news: int = 0
     partly: dict[int, Partly] = field(default_factory=dict)
 
 
@@ -77,9 +79,9 @@ class Replica:
         self._tick = 0
         self._turn = self._pid
         self._silent: Closing | None = None  # the rounds closed while there is no store
-        self.views = Views(self._pid, view, vote, self._save)
         self.memory = memory
         self.comeback = None if memory is not None else Comeback(self._pid, view.number)
+        self.views = Views(self._pid, view, vote, self._own_word, self._follow, self._save)
         self.emergency = False  # heard of one
 
     @property
@@ -102,6 +104,11 @@ class Replica:
         if self.comeback is not None and self.comeback.incarnation(self.views.view) >= 0:
             return "not current: let in again, gathers the shared store"
         return "not current: does not count in the fleet, asks to be let in"
+
+    def alarm(self) -> None:
+        """Tell the others at once to come to rest, and from now on with each word."""
+        self.emergency = True
+        self._link.round(self._peers, self.word(0), ())
 
     def word(self, round_: int) -> Fields:
         """What this robot says of itself in `round_`; kept before it is said."""
@@ -176,15 +183,26 @@ class Replica:
         """What is due at the beginning of a tick in round `present`."""
         self._tick = tick
         memory = self.memory
+        if self.emergency:
+            self._link.round(self._peers, self.word(present), ())
         heard = 1 + sum(tick - p.heard < HEARD for p in self._peers.values())
         if heard >= majority(self._n):
-            doubted = () if memory is None else memory.missing(present - 1 - self._peer_timeout)
             asking = [p for p, peer in self._peers.items() if tick - peer.asked < ASKED]
-            before = self.views.view
-            self._send(self.views.poll(tick, self._own_word(), [p for p in doubted if p != self._pid], asking))
-            self._follow(before)
+            self._send(self.views.poll(tick, self._doubted(present), asking))
+            self._freeze()
         if self.comeback is not None:
             self._send(self.comeback.poll(tick, self.views.view))
+
+    def _doubted(self, present: int) -> list[int]:
+        """The members of whom nothing new has come for too long."""
+        memory = self.memory
+        if memory is None:
+            return []
+        for pid, held in enumerate(memory.held):
+            if pid != self._pid and (peer := self._peers[pid]).held != held:
+                peer.held, peer.news = held, present
+        late = memory.missing(present - 1 - self._peer_timeout)
+        return [p for p in late if p != self._pid and present - self._peers[p].news > self._peer_timeout]
 
     def _own_word(self) -> Word:
         memory = self.memory
@@ -286,25 +304,28 @@ class Replica:
         if value is not None and not fits(value, self._n):
             self._link.reject("view does not fit")
             return
-        before = self.views.view
-        self._send(self.views.take(sender, message, self._own_word()))
-        self._follow(before)
+        self._send(self.views.take(sender, message))
+        self._freeze()
 
     def _follow(self, before: View) -> None:
-        """After the view may have changed."""
+        """There is another view."""
         view, memory = self.views.view, self.memory
-        if memory is not None and view.number > before.number:
+        if memory is not None:
             goes_on = view.number == before.number + 1 and view.members[self._pid] == before.members[self._pid]
             if goes_on:
                 memory.adopt(view)
             else:
                 self.memory, self.comeback = None, Comeback(self._pid, before.number, news=self._tick)
-        if view.number > before.number:
-            self._gatherings.clear()
-            if self.memory is None:
-                self._said = min(self._said, view.since - 1)
-                self._silent = None
-                self._save()
+        self._gatherings.clear()
+        for pid, peer in self._peers.items():
+            peer.asked = -ASKED
+            if view.members[pid] != before.members[pid]:
+                peer.held = -1  # its time begins anew
+        if self.memory is None:
+            self._said = min(self._said, view.since - 1)
+            self._silent = None
+
+    def _freeze(self) -> None:
         if self.memory is not None:
             self.memory.frozen = self.views.frozen
 

@@ -100,21 +100,29 @@ class _Proposal:
     ballot: int
     begun: int
     words: dict[int, Word]
+    expected: Collection[int]
     enough: int | None = None  # the tick at which a majority had promised
     value: View | None = None
     votes: set[int] = field(default_factory=set)
 
 
 class Views:
-    """One robot's part in it. `view` is the latest it knows to be decided."""
+    """One robot's part in it. `view` is the latest it knows to be decided. `word` is what this robot can say of itself
+    now; `follow` is told the view before, when there is another."""
 
-    def __init__(self, pid: int, view: View, vote: Vote, save: Callable[[], None]) -> None:
+    def __init__(
+        self, pid: int, view: View, vote: Vote, word: Callable[[], Word], follow: Callable[[View], None],
+        save: Callable[[], None],
+    ) -> None:  # fmt: skip
         self._pid = pid
         self._n = len(view.members)
+        self._word = word
+        self._follow = follow
         self._save = save
         self._proposal: _Proposal | None = None
         self._reason: int | None = None  # the tick since which there is a reason for another view
         self._tick = 0
+        self._rest = 0  # the tick until which nobody is let in after the last change
         self.view = view
         self.vote = vote
 
@@ -128,9 +136,9 @@ class Views:
         """Whether another view is on its way."""
         return self.frozen or self._reason is not None
 
-    def poll(self, tick: int, word: Word, doubted: Collection[int], asking: Collection[int]) -> list[Out]:
+    def poll(self, tick: int, doubted: Collection[int], asking: Collection[int]) -> list[Out]:
         """What is to be sent at this tick, given members that are missed and others that want to be let in."""
-        self._tick = tick
+        self._tick, word = tick, self._word()
         if not word.state or not (doubted or asking or self.frozen):
             self._reason = self._proposal = None
             return []
@@ -138,30 +146,33 @@ class Views:
             return []
         if self._reason is None:
             self._reason = tick
+        if not doubted and not self.frozen and tick < self._rest:  # who wants to be let in can wait
+            return []
         trusted = [p for p, m in enumerate(self.view.members) if m >= 0 and p not in doubted]
         wait = PATIENCE * trusted.index(self._pid) if self._pid in trusted else PATIENCE * self._n
         proposal = self._proposal
         if proposal is None:
             if tick - self._reason < wait:
                 return []
-            proposal = self._begin(word)
+            proposal = self._begin(word, {*trusted, *asking})
         elif tick - proposal.begun > 2 * PATIENCE + wait:
-            proposal = self._begin(word)
+            proposal = self._begin(word, {*trusted, *asking})
         proposal.words[self._pid] = self._own(word)
-        expected = {*trusted, *asking}
-        return [*self._put(proposal, expected), *self._ask(proposal)]
+        return [*self._put(proposal), *self._ask(proposal)]
 
-    def take(self, sender: int, message: Ballots, word: Word) -> list[Out]:
-        """Answer a message of another robot; `word` is what this one can say of itself now."""
+    def take(self, sender: int, message: Ballots) -> list[Out]:
+        """Answer a message of another robot."""
         match message:
-            case Prepare(number=number, ballot=ballot):
-                if number <= self.view.number:
+            case Prepare(ballot=ballot, view=view):
+                if view.number < self.view.number:
                     return [((sender,), Decided, (self.view,))]
+                self.adopt(view)
+                number = view.number + 1
                 vote = promised(self.vote, number, ballot)
                 if vote is None:
                     return []
                 self._bind(vote)
-                own = self._own(word)
+                own = self._own(self._word())
                 fields = (number, ballot, own.view, own.applied, own.state, own.voted, own.accepted)
                 return [((sender,), Promise, fields)]
             case Promise():
@@ -184,19 +195,21 @@ class Views:
         """Go by a decided view; False when it is no news."""
         if value.number <= self.view.number:
             return False
-        self.view = value
+        before, self.view = self.view, value
         self._proposal = self._reason = None
+        self._rest = self._tick + PATIENCE
+        self._follow(before)
         self._save()
         return True
 
-    def _begin(self, word: Word) -> _Proposal:
+    def _begin(self, word: Word, expected: Collection[int]) -> _Proposal:
         number = self.view.number + 1
         bound = self.vote.promised if self.vote.number == number else 0
         ballot = (bound // MAX_ROBOTS + 1) * MAX_ROBOTS + self._pid
         vote = promised(self.vote, number, ballot)
         assert vote is not None  # it is higher than any this robot has seen
         self._bind(vote)
-        self._proposal = _Proposal(ballot, self._tick, {self._pid: self._own(word)})
+        self._proposal = _Proposal(ballot, self._tick, {self._pid: self._own(word)}, expected)
         return self._proposal
 
     def _own(self, word: Word) -> Word:
@@ -208,15 +221,15 @@ class Views:
         if proposal.value is not None:
             silent = [p for p in others if p not in proposal.votes]
             return [(silent, Accept, (proposal.ballot, proposal.value))]
-        return [([p for p in others if p not in proposal.words], Prepare, (self.view.number + 1, proposal.ballot))]
+        return [([p for p in others if p not in proposal.words], Prepare, (proposal.ballot, self.view))]
 
-    def _put(self, proposal: _Proposal, expected: Collection[int]) -> list[Out]:
+    def _put(self, proposal: _Proposal) -> list[Out]:
         """Put a value to the vote, if it is time."""
         if proposal.value is not None or len(proposal.words) < majority(self._n):
             return []
         if proposal.enough is None:
             proposal.enough = self._tick
-        if any(p not in proposal.words for p in expected) and self._tick - proposal.enough < GRACE:
+        if any(p not in proposal.words for p in proposal.expected) and self._tick - proposal.enough < GRACE:
             return []
         value = choose(self.view, proposal.words)
         vote = None if value is None else voted(self.vote, proposal.ballot, value)
@@ -235,8 +248,7 @@ class Views:
             self._proposal = None
             return []
         proposal.words[sender] = Word(message.view, message.applied, message.state, message.voted, message.accepted)
-        trusted = [p for p, m in enumerate(self.view.members) if m >= 0]
-        out = self._put(proposal, trusted)
+        out = self._put(proposal)
         return [*out, *self._ask(proposal)] if out or proposal.value is not None else []
 
     def _count(self, sender: int, message: Accepted) -> list[Out]:

@@ -162,11 +162,12 @@ class Piece(Wired, frozen=True, tag=3):
 
 
 class Prepare(Wired, frozen=True, tag=4):
-    """Ballot `ballot` for view number `number` begins: will you vote in no lower one, and apply no round meanwhile?"""
+    """Ballot `ballot` for the successor of `view`, which is decided, begins: will you vote in no lower one, and apply no
+    round meanwhile?"""
 
     head: Head
-    number: Natural
     ballot: Natural
+    view: View
 
 
 class Promise(Wired, frozen=True, tag=5):
