@@ -147,7 +147,7 @@ def stop_fleet(path: str, key_path: str | None, warn: Callable[[str], None]) -> 
     if key_path or fleet.key:
         beside = Path(path).parent / fleet.key
         key = read_key(Path(key_path) if key_path else beside if beside.exists() else Path(fleet.key), warn)
-    return stop_all(fleet.places, fleet.application, key)
+    return stop_all(fleet.places, fleet.application, key, PATIENCE)
 
 
 def show(results: list[Called], form: str) -> str:
@@ -176,7 +176,7 @@ def _told(result: Called) -> str:
     return f"{did}, answered after {result.after * 1e3:.0f} ms" + (f"; {result.note}" if result.note else "")
 
 
-def stop_all(fleet: Sequence[Place], application: int, key: bytes | None, patience: float = PATIENCE) -> list[Called]:
+def stop_all(fleet: Sequence[Place], application: int, key: bytes | None, patience: float) -> list[Called]:
     """Stop all robots at once; a name that takes long to be looked up keeps nobody else waiting."""
     results = [Called(place, "", 0.0, NO_ANSWER) for place in fleet]
     every = max(_SHORTEST, _EACH * len(fleet))

@@ -65,7 +65,7 @@ class Link(Node):
     """The medium that all robots share: what it carries (bits a second), the part of the datagrams that it loses, the
     most bytes of a packet."""
 
-    rate: float = 6e6  # what the slowest 802.11a/g rate carries; multicast goes at it
+    rate: float = 6e6  # the slowest of 802.11a/g, at which broadcast and multicast go
     loss: float = 0.1
     mtu: int = 1500
 
@@ -223,8 +223,11 @@ def _decimal(node: YamlNode | None) -> YamlNode | None:
 def _network(reader: Reader, node: YamlNode | None) -> dict[str, Any]:
     keys = {key for of_transport in NETWORK.values() for key in of_transport}
     given = reader.table(node, "network", [], ["transport", *sorted(keys)])
-    transport = _choice(reader, given.pop("transport", None), "network.transport", tuple(NETWORK)) or "unicast"
+    named = given.pop("transport", None)
+    transport = _choice(reader, named, "network.transport", tuple(NETWORK)) or "unicast"
     found: dict[str, Any] = {"transport": transport}
+    if named is not None and transport != getattr(named, "value", None):
+        return found  # told already; what the other keys mean depends on it
     for key, value in given.items():
         if key not in NETWORK[transport]:
             takes = f"it takes: {', '.join(NETWORK[transport])}" if NETWORK[transport] else "say which `transport`"
@@ -237,8 +240,8 @@ def _network(reader: Reader, node: YamlNode | None) -> dict[str, Any]:
             found[key] = [_endpoint(reader, entry, key) for entry in reader.items(value, f"network.{key}")]
         else:
             found[key] = reader.scalar(value, f"network.{key}", str)
-    if node is not None and "group" in NETWORK[transport]:
-        _group(reader, transport, found.get("group"), given.get("group", node))
+    if node is not None and "group" in NETWORK[transport] and found.get("group", "") is not None:
+        _group(reader, transport, found.get("group", ""), given.get("group", node))
     return found
 
 
@@ -250,9 +253,9 @@ def _choice(reader: Reader, node: YamlNode | None, what: str, known: tuple[str, 
     return None
 
 
-def _group(reader: Reader, transport: str, text: str | None, node: YamlNode) -> None:
+def _group(reader: Reader, transport: str, text: str, node: YamlNode) -> None:
     try:
-        right = IPv4Address(text or "").is_multicast == (transport == "multicast")
+        right = IPv4Address(text).is_multicast == (transport == "multicast")
     except AddressValueError:
         right = False
     if not right:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from koordgen.check import check
@@ -15,7 +14,9 @@ from koordgen.source import Source, Span
 from koordgen.syntax import decl as tree
 from koordgen.syntax.parse import parse
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # what `check` does not need is imported where it is: pathlib alone takes a tenth of its time
+    from pathlib import Path
+
     from koordgen.bundle.plan import Files
     from koordgen.check.params import Value
     from koordgen.fleet import Driver, Fleet
@@ -42,7 +43,8 @@ def read_source(path: str) -> Source:
     """The text of a user's file. Raises Rejected when it cannot be read or is no UTF-8."""
     start = Span(1, 1, 1, 1)
     try:
-        raw = Path(path).read_bytes()
+        with open(path, "rb") as file:
+            raw = file.read()
         return Source(path, raw.decode("utf-8-sig"))
     except OSError as error:
         problem = Diagnostic("F100", "error", f"cannot be read: {error.strerror or error}", start)
@@ -93,6 +95,8 @@ def plan_file(
     """check, fleet, params, verify, ports, budget, Python beside, plan: the bundles of one build, in memory. `wanted`
     are names of targets that exist; `functions` is the file of the extern functions, if not the usual one. Raises
     Rejected, BadParam, ManifestError."""
+    from pathlib import Path
+
     from koordgen import manifest, resources
     from koordgen.bundle.budget import check_budget
     from koordgen.bundle.calls import check_calls
@@ -135,6 +139,8 @@ def _beside(
     functions: str | None,
 ) -> tuple[dict[str, Path], list[Diagnostic]]:
     """The user's own Python that goes into bundles, by its path there, and what is wrong with it."""
+    from pathlib import Path
+
     from koordgen.bundle.functions import check_functions, functions_file
     from koordgen.emit.program import functions_module
 

@@ -158,7 +158,7 @@ def _link_help(found: Traffic, shared: tuple[Shared, ...], delta: float, link: L
 def _up(value: float) -> str:
     """Rounded up to three digits."""
     step = 10.0 ** (floor(log10(value)) - 2)
-    return f"{ceil(value / step) * step:.3g}" if value < 1e6 else f"{ceil(value / step) * int(step)}"
+    return f"{ceil(value / step) * step:.3g}" if value < 100 else f"{ceil(value / step) * round(step)}"
 
 
 def _longest(program: Program) -> tuple[Shared, ...]:

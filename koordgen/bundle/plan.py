@@ -20,6 +20,7 @@ if TYPE_CHECKING:  # reading YAML costs too much for builds that have no fleet
     from koordgen.fleet import Fleet, Robot
 
 Files = dict[str, bytes]
+ZENOH = "eclipse-zenoh>=1.10"
 
 
 class Ingredients(Node):
@@ -75,7 +76,7 @@ def _agent(these: Ingredients, target: Target, text: bytes, robot: Robot | None)
         "__main__.py": render("main_agent.py", module=module, name=name, drivers=_drivers(these)).encode(),
         "program.py": text,
         program.path: these.source,
-        "requirements.txt": _requirements(target),
+        "requirements.txt": _requirements(fleet, target),
         "README.md": render("README_agent.md", **values).encode(),
     }
     if robot is not None and fleet is not None:
@@ -101,7 +102,7 @@ def _harness(these: Ingredients, target: Target, agents: dict[str, Files]) -> Fi
         **these.common,
         **these.target_files[target.name],
         "__main__.py": render("main_harness.py", module=module, name=name).encode(),
-        "requirements.txt": _requirements(target, *(t for t in these.targets if t.kind == "agent")),
+        "requirements.txt": _requirements(None, target, *(t for t in these.targets if t.kind == "agent")),
         "README.md": render(
             "README_harness.md", app=program.name, source=program.path, target=target.name, summary=target.summary,
             version=__version__, robots=robots,
@@ -118,8 +119,11 @@ def _finished(files: Files) -> Files:
     return {**files, SUMS: sums(files)}
 
 
-def _requirements(*targets: Target) -> bytes:
+def _requirements(fleet: Fleet | None, *targets: Target) -> bytes:
+    """`fleet`: whose network the robots use; the simulator's is always the loopback."""
     lines = dict.fromkeys(line for target in targets for line in target.requirements)
+    if fleet is not None and fleet.network["transport"] == "zenoh":
+        lines[ZENOH] = None
     return "".join(f"{line}\n" for line in lines).encode()
 
 
@@ -152,6 +156,7 @@ def settings(program: Program, fleet: Fleet, robot: Robot) -> dict[str, Any]:
         **shared,
         "key_file": fleet.key or None,
         "insecure": fleet.insecure,
+        "network": fleet.network,
         "control": robot.control,
         "planner_budget": fleet.planner_budget,
         "safety": fleet.safety,

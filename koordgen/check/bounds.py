@@ -7,6 +7,7 @@ from koordgen.check.context import Context, Site
 from koordgen.check.decide import Example, find, relevant, unsat
 from koordgen.check.facts import Flow, excludes_zero, has_length, length, names_of, nonzero, number_of, term
 from koordgen.check.linear import N_SYS, PID, And, AtLeastZero, Fact, Formula, Linear
+from koordgen.check.runs import sure
 from koordgen.ir import expr as ir
 from koordgen.ir.decl import Param
 from koordgen.ir.types import FLOAT, INT
@@ -45,8 +46,12 @@ def index_proved(index: ir.Expr, span: Span, c: Context) -> bool:
             else:
                 c.warn("K031", f"{robot} may read {text}: index {shown} names no robot ({such})", span, _help(c))
             return False
-    check = "" if c.place in ("property", "assume") else f"; 'if 0 <= {c.text(index.span)} < N_SYS:' around it shows it"
-    c.warn("K031", f"{c.text(span)} may name no robot", span, _help(c) + (check if len(check) <= 80 else ""))
+        if _wrong_in_a_run(value, _SIZE, "N_SYS", "names no robot", span, c):
+            return False
+    open_ = _open_side(value, _SIZE, c.text(index.span), "N_SYS", c)
+    check = f"'if {open_ or f'0 <= {c.text(index.span)} < N_SYS'}:' around it shows it"
+    help = _help(c) if c.place in ("property", "assume") or len(check) > 80 else f"{_help(c)}; {check}"
+    c.warn("K031", f"{c.text(span)} may name no robot{_untold(open_)}", span, help)
     return False
 
 
@@ -64,22 +69,70 @@ def element_proved(operand: ir.Expr, index: ir.Expr, span: Span, c: Context) -> 
         help = f"{text}[len({text}) - {-value.constant}]" + (" is the last" if value.constant == -1 else "")
         c.error("K036", f"an index never counts from the end, as {c.text(index.span)} would", index.span, help)
         return False
+    many, at = f"len({c.text(operand.span)})", c.text(index.span)
     if value is not None and size is not None:
         sides = (linear.at_least(value, size), linear.less(value, _ZERO))
         bad = linear.Or(sides)
         if _holds_never(bad, c):
             return True
-        if _right_by_default(bad, c):
+        if _right_by_default(bad, c) or _element_refuted(sides, bad, value, size, span, c):
             return False
-        if _element_refuted(sides, bad, value, size, span, c):
+        if _wrong_in_a_run(value, size, many, "leaves its range", span, c):
             return False
-    text = c.text(operand.span)
-    check = f"'if 0 <= {c.text(index.span)} < len({text}):' around it shows that it does not"
-    if len(check) > 90 or isinstance(index, ir.Const):
-        check = f"'if len({text}) > {c.text(index.span)}:' around it shows that it does not"
+    open_ = f"{many} > {at}" if isinstance(index, ir.Const) else _open_side(value, size, at, many, c)
+    check = f"'if {open_ or f'0 <= {at} < {many}'}:' around it shows that it does not"
     help = f"{_help(c)}; {check}" if len(check) <= 90 else _help(c)
-    c.warn("K034", f"{c.text(span)} may leave its range", span, help)
+    c.warn("K034", f"{c.text(span)} may leave its range{_untold(open_)}", span, help)
     return False
+
+
+def _open_side(value: Linear | None, size: Linear | None, index: str, many: str, c: Context) -> str:
+    """What remains to be shown of an index where one side is shown already, in Koord's words."""
+    if value is None or size is None:
+        return ""
+    above, below = _never(linear.less(value, _ZERO), c), _never(linear.at_least(value, size), c)
+    return "" if above == below else f"{index} < {many}" if above else f"{index} >= 0"
+
+
+def _untold(open_: str) -> str:
+    return f": nothing says that {open_}" if 0 < len(open_) <= 60 else ""
+
+
+def _wrong_in_a_run(value: Linear, size: Linear, many: str, wrong: str, span: Span, c: Context) -> bool:
+    """Whether an index was reported that is sure to be wrong in the first or the last run of the loop around.
+    `many`: the size in Koord's words."""
+    runs = None if c.loop is None else sure(c.loop, span, (value, size))
+    if c.loop is None or runs is None:
+        return False
+    here = c.path
+    c.flow = runs.flow
+    found = _wrong_run(runs.values, c.loop.temp, value, size, c)
+    c.path = here
+    if found is None:
+        return False
+    at, such = found
+    c.refuted.append(len(c.found))
+    message = f"for {c.loop.name} = {linear.show(at)}, {c.text(span)} {wrong}{such}"
+    c.error("K030", message, span, f"the first index is 0, and the last is {many} - 1")
+    return True
+
+
+def _wrong_run(
+    runs: tuple[Linear, ...], var: str, value: Linear, size: Linear, c: Context
+) -> tuple[Linear, str] | None:
+    """A value of `var`, of those in `runs`, with which an index is wrong for all robots, or else for an example."""
+    bad = linear.Or((linear.at_least(value, size), linear.less(value, _ZERO)))
+    for at in runs:
+        now = linear.equal(linear.variable(var), at)
+        if _never(And((now, linear.negate(bad))), c) and not _never(now, c):
+            return at, ""
+    for at in runs:
+        index, count = linear.substitute(value, var, at), linear.substitute(size, var, at)
+        bad = linear.Or((linear.at_least(index, count), linear.less(index, _ZERO)))
+        example, certain = _refuted(bad, bad, (index, count), c)
+        if example is not None and certain:
+            return at, f" ({_example(example, linear.combine(index, count))})"
+    return None
 
 
 def _element_refuted(
@@ -161,12 +214,13 @@ def divisor_proved(divisor: ir.Expr, span: Span, c: Context) -> bool:
             if value.terms:
                 robot, _ = _who(bad, value, example, c)
                 message = f"{robot} divides by {text}, which is 0 ({_example(example, value)})"
+                help = f"leave those robots out with 'if {text} != 0:' around it, or divide by another number"
             else:
                 message = "this divides by 0" if text == "0" else f"this divides by {text}, which is 0"
-            c.error("K032", message, span)
+                help = "that has no value, and discards the event: divide by another number"
+            c.error("K032", message, span, help)
             return False
-    help = f"'if {text} != 0:' around it shows that it is not"
-    c.warn("K033", f"{text} may be zero", divisor.span, f"{_help(c)}; {help}")
+    c.warn("K033", f"{text} may be zero", divisor.span, f"{_help(c)}; 'if {text} != 0:' around it shows that it is not")
     return False
 
 

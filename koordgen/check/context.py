@@ -9,6 +9,7 @@ from typing import Literal
 from koordgen.check.facts import Flow
 from koordgen.check.linear import Formula
 from koordgen.check.path import Condition, Path, known
+from koordgen.check.runs import Loop
 from koordgen.diagnostics import Diagnostic, Edit, Label, Severity
 from koordgen.ir.builtins import CONSTANTS, FUNCTIONS
 from koordgen.ir.decl import (
@@ -85,6 +86,7 @@ class Context:
         self.result: Type | None = None  # its result type; None: not known yet (2020 dialect)
         self.module = ""  # the module whose assumption this is
         self.loops = 0  # how many loops stand around
+        self.loop: Loop | None = None  # the innermost `for`, if it counts
         self.atomic = 0  # how many `atomic` blocks stand around
         self.transaction = False  # the event contains `atomic` somewhere
         self.hoisted: list[Let] = []  # what must be evaluated before the statement that is being checked

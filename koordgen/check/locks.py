@@ -8,23 +8,6 @@ from typing import assert_never
 from koordgen.check import linear
 from koordgen.check.context import Context
 from koordgen.check.decide import unsat
-from koordgen.check.linear import (
-    N_SYS,
-    PID,
-    And,
-    AtLeastZero,
-    Choice,
-    Fact,
-    Formula,
-    Length,
-    Linear,
-    Or,
-    Quotient,
-    Remainder,
-    Unknown,
-    Value,
-    Var,
-)
 from koordgen.check.walk import nodes
 from koordgen.diagnostics import Label
 from koordgen.ir import decl, expr, stmt
@@ -124,24 +107,24 @@ def only_one_robot(c: Context) -> bool:
     return _contradictory(here) or (c.guard is not None and _contradictory([c.guard.formula]))
 
 
-def _contradictory(facts: list[Formula]) -> bool:
+def _contradictory(facts: list[linear.Formula]) -> bool:
     """Whether the facts cannot hold of two robots."""
-    pid, another, size = linear.variable(PID), linear.variable(_OTHER), linear.variable(N_SYS)
+    pid, another, size = linear.variable(linear.PID), linear.variable(_OTHER), linear.variable(linear.N_SYS)
     return unsat((*facts, *map(_renamed, facts), linear.less(pid, another), linear.less(another, size)))
 
 
-def _renamed(item: Formula) -> Formula:
+def _renamed(item: linear.Formula) -> linear.Formula:
     """A condition as it is for another robot."""
     match item:
-        case AtLeastZero(term):
-            return AtLeastZero(_term(term))
-        case Fact(key, holds):
-            return Fact(_key(key), holds)
-        case And(parts):
-            return And(tuple([_renamed(part) for part in parts]))
-        case Or(parts):
-            return Or(tuple([_renamed(part) for part in parts]))
-        case Unknown():
+        case linear.AtLeastZero(term):
+            return linear.AtLeastZero(_term(term))
+        case linear.Fact(key, holds):
+            return linear.Fact(_key(key), holds)
+        case linear.And(parts):
+            return linear.And(tuple([_renamed(part) for part in parts]))
+        case linear.Or(parts):
+            return linear.Or(tuple([_renamed(part) for part in parts]))
+        case linear.Unknown():
             return item
         case _:
             assert_never(item)
@@ -155,23 +138,23 @@ def _key(key: object) -> object:
     return key if isinstance(key, str) and _is_common(key) else (_OTHER, key)
 
 
-def _term(term: Linear) -> Linear:
-    return Linear(tuple([(_variable(var), factor) for var, factor in term.terms]), term.constant)
+def _term(term: linear.Linear) -> linear.Linear:
+    return linear.Linear(tuple([(_variable(var), factor) for var, factor in term.terms]), term.constant)
 
 
-def _variable(var: Var) -> Var:
+def _variable(var: linear.Var) -> linear.Var:
     match var:
         case str():
-            return var if var == N_SYS or _is_common(var) else f"other {var}"
-        case Quotient(operand, divisor):
-            return Quotient(_term(operand), divisor)
-        case Remainder(operand, divisor):
-            return Remainder(_term(operand), _term(divisor))
-        case Choice(condition, then, orelse):
-            return Choice(_renamed(condition), _term(then), _term(orelse))
-        case Length(of):
-            return Length(_key(of))
-        case Value(of):
-            return Value(_key(of))
+            return var if var == linear.N_SYS or _is_common(var) else f"other {var}"
+        case linear.Quotient(operand, divisor):
+            return linear.Quotient(_term(operand), divisor)
+        case linear.Remainder(operand, divisor):
+            return linear.Remainder(_term(operand), _term(divisor))
+        case linear.Choice(condition, then, orelse):
+            return linear.Choice(_renamed(condition), _term(then), _term(orelse))
+        case linear.Length(of):
+            return linear.Length(_key(of))
+        case linear.Value(of):
+            return linear.Value(_key(of))
         case _:
             assert_never(var)

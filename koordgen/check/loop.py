@@ -11,8 +11,10 @@ from koordgen.check.dialect import old_for
 from koordgen.check.facts import formula, range_facts
 from koordgen.check.name import module_named
 from koordgen.check.progress import ends
+from koordgen.check.runs import Loop
 from koordgen.check.update import updates
 from koordgen.check.walk import statements
+from koordgen.ir import expr as ir
 from koordgen.ir import stmt
 from koordgen.ir.decl import Local, Shared
 from koordgen.ir.types import BOOL, POISON, MapOf, Sequence, TupleOf, Type
@@ -34,11 +36,15 @@ def check_for(node: tree.For, c: Context, out: Out) -> None:
     types = _types(node, values.type, elements(values), c)
     c.scopes.append({})
     temps = [declare(name.name, type_, name.span, c) for name, type_ in zip(node.names, types, strict=True)]
+    around, c.loop = c.loop, None
     if before is not None and after is not None and len(temps) == 1 and temps[0] is not None:
         c.flow = after
         for fact in range_facts(temps[0].unique, values, before, after, changed, sized):
             c.flow = c.flow.knowing(fact)
+        if isinstance(values, (ir.Range, ir.Ids)):
+            c.loop = Loop(node.names[0].name, f"temp {temps[0].unique}", values, before, changed, sized, node.block)
     block = _body(node.block, c)
+    c.loop = around
     c.scopes.pop()
     c.flow = after
     if values.type is POISON or POISON in types or None in temps:

@@ -23,6 +23,7 @@ from koordgen.check.stmt import check_block
 from koordgen.diagnostics import Diagnostic, in_order
 from koordgen.ir import decl
 from koordgen.ir.stmt import Block
+from koordgen.ir.types import BOOL
 from koordgen.source import Source, Span
 from koordgen.syntax import decl as ast
 
@@ -70,6 +71,10 @@ def _program(program: ast.Program, c: Context) -> decl.Program:
     if ast.Event not in sections and ast.BrokenSection not in sections:
         c.error("K019", "the program has no event", Span(1, 1, 1, 1), "write 'Name:' with 'pre:' and 'eff:' under it")
     acting, locks = _events(of(ast.Event), shared, c)
+    if any(variable.type is BOOL for variable in locals_):
+        from koordgen.check.waiting import judge_waiting
+
+        judge_waiting(locals_, init, acting, c)
     properties: tuple[decl.Property, ...] = ()
     if ast.Property in sections:
         from koordgen.check.property import properties as check_properties

@@ -23,20 +23,8 @@ def compiled() -> dict[Path, str]:
 
 
 def main(arguments: list[str]) -> int:
-    """Write what has changed; with --check write nothing and say by the status whether something had to be."""
-    wanted = compiled()
-    stale = [p for p, text in wanted.items() if not p.is_file() or p.read_text(encoding="utf-8") != text]
-    gone = sorted(set(resources.generated_templates().glob("*.py")) - set(wanted))
-    if arguments == ["--check"]:
-        for path in (*stale, *gone):
-            print(f"{path}: stale; run `make generated`", file=sys.stderr)
-        return 1 if stale or gone else 0
-    for path in gone:
-        path.unlink()
-    for path in stale:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(wanted[path], encoding="utf-8")
-    return 0
+    there = sorted(resources.generated_templates().glob("*.py"))
+    return resources.freshen({**dict.fromkeys(there), **compiled()}, arguments)
 
 
 if __name__ == "__main__":

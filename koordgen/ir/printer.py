@@ -54,25 +54,25 @@ def _assumption(assumption: decl.Assumption) -> str:
 
 
 def _variable(name: str, type_: Type, size: str = "") -> str:
-    most = list(_capacities(type_))
+    most = list(capacities(type_))
     return f"{name}: {type_}{size}{' max ' if most else ''}{', '.join(map(str, most))}"
 
 
-def _capacities(type_: Type) -> Iterator[int]:
-    """In pre-order."""
+def capacities(type_: Type) -> Iterator[int]:
+    """What the parts of a type may hold at most, in the order in which `max` names them: pre-order."""
     match type_:
         case Sized(_, capacity):
             yield capacity
         case Sequence(_, element, capacity):
             yield capacity
-            yield from _capacities(element)
+            yield from capacities(element)
         case MapOf(key, value, capacity):
             yield capacity
-            yield from _capacities(key)
-            yield from _capacities(value)
+            yield from capacities(key)
+            yield from capacities(value)
         case TupleOf(items):
             for item in items:
-                yield from _capacities(item)
+                yield from capacities(item)
         case _:
             pass
 

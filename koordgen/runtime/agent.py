@@ -136,7 +136,11 @@ def _check(program: Program, settings: Settings, key: bytes | None, platform: Pl
     Control.open(settings, key).close()
     own = settings.peers[settings.pid]
     place = settings.bind or own.host
-    print(f"port       {place}:{own.port} is free, all {n} peers have addresses")
+    if settings.network.transport == "zenoh":
+        print(f"network    zenoh opens as {settings.network.mode}")
+    else:
+        print(f"port       {place}:{own.port} is free, all {n} peers have addresses")
+        print(f"network    {settings.network.transport} {settings.network.group}".rstrip())
     print(f"control    {place}:{settings.control_port} is free: emergency stop and --status")
     for line in platform.check():
         print(f"body       {line}")

@@ -158,7 +158,10 @@ class Control:
 
     def _part(self, nonce: bytes, part: int, report: Report) -> StatusPart | str:
         if nonce not in self._status:
-            self._status[nonce] = json.dumps(report()).encode()
+            try:
+                self._status[nonce] = json.dumps(report()).encode()
+            except Exception:  # a question must not bring down the robot that is asked
+                return "no report can be made"
             if len(self._status) > MOST_ASKERS:
                 del self._status[next(iter(self._status))]
         text = self._status[nonce]

@@ -51,6 +51,7 @@ class Session:
     newest: int = 0
     seen: int = 0
     heard: tuple[int, int] | None = None
+    round: int = 0  # the latest in which it said to be
 
     def fresh(self, sequence: int) -> bool:
         """Take a sequence number; False when it was taken before or is older than the window."""
@@ -166,7 +167,7 @@ class Link:
                 self.strangers.add(head.pid)
             if reason is None and adopted and session is not None:
                 if session.fresh(head.sequence):
-                    self._stamps(session, head)
+                    self._stamps(session, message)
                 else:
                     reason = "replayed"
         if reason is not None:
@@ -193,18 +194,27 @@ class Link:
             )
         return what
 
-    def _stamps(self, session: Session, head: Head) -> None:
-        now = _microseconds(self._clock.now())
+    def _stamps(self, session: Session, message: Message) -> None:
+        head, clock = message.head, self._fleet_clock
+        local = self._clock.now()
+        now = _microseconds(local)
         if session.heard is None or head.sent > session.heard[0]:
             session.heard = (head.sent, now)
-        if head.pid != self._reference:
-            return
-        for echo in head.echoes:
-            if echo.pid == self.pid:
-                self._fleet_clock.take(echo.sent / 1e6, echo.received / 1e6, head.sent / 1e6, now / 1e6)
+        fleet = None if head.fleet is None else head.fleet / 1e6
+        if head.pid == clock.reference or not clock.known:
+            for echo in head.echoes:
+                if echo.pid == self.pid:
+                    clock.take(head.pid, echo.sent / 1e6, echo.received / 1e6, head.sent / 1e6, now / 1e6, fleet)
+        if isinstance(message, Round) and message.round > session.round:
+            ahead = message.round - session.round if session.round else 1
+            session.round = message.round
+            delay = None if fleet is None or not clock.known else clock.read(local) - (head.sent / 1e6 + fleet)
+            self._metrics.heard(head.pid, ahead, delay, local)
 
     def _head(self) -> Head:
         self._sequence += 1
+        now = self._clock.now()
+        offset = self._fleet_clock.offset(now)
         peers = sorted(p for p, s in self.sessions.items() if s.heard is not None)
         if len(peers) > MAX_ECHOES:  # all in turn
             at = self._next_echo % len(peers)
@@ -219,8 +229,8 @@ class Link:
             self.boot,
             self.epoch,
             self._sequence,
-            _microseconds(self._clock.now()),
-            None,
+            _microseconds(now),
+            None if offset is None else round(offset * 1e6),
             echoes,
         )
 

@@ -71,7 +71,7 @@ class Agent:
         self._names = tuple(p.name for p in settings.peers)
         self.metrics = Metrics(settings.pid, len(self._names))
         self._layout = Layout(program.shared, len(self._names))
-        self._fleet_clock = FleetClock(reference=settings.pid == 0)
+        self._fleet_clock = FleetClock(settings.pid)
         self._link = Link(program, settings, key, transport, clock, self._fleet_clock, boot, self._report, self.metrics)
         self._joining = Joining(self._link, self._layout, self._names)
         self._before = store.load()  # what an earlier process of this robot has kept
@@ -168,6 +168,8 @@ class Agent:
                 self._joining.take(message, fleet)
             elif self._rounds is not None:
                 self._rounds.take(message)
+        if self._before.mission is not None and self._rounds is None and self._link.sessions:
+            self._fleet_clock.follow(min(self._link.sessions), now)  # who keeps the time is not known before the view
         self._watch_restarts()
         if self._rounds is not None:
             wake = min(wake, self._poll_rounds(self._rounds, now), self._joining.poll(now, fleet))
@@ -200,6 +202,7 @@ class Agent:
         if view.number != self._view:
             self._view = view.number
             self._tell_view(view)
+            self._fleet_clock.follow(next(p for p, m in enumerate(view.members) if m >= 0), now)
         return wake
 
     def _tell_view(self, view: View) -> None:

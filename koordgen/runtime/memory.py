@@ -325,7 +325,7 @@ class Memory:
         self._look()
         number, members = self.view.number, self.view.members
         words = [w.applied if w.view == number else 0 for p, w in self._words.items() if members[p] >= 0]
-        self._settle(min(words, default=through) if words else through)
+        self._settle(min(through, *words) if words else through)
 
     def _write(self, changed: dict[int, Any], index: int, author: int, item: Any) -> None:
         value = self._layout.resolve(index, item, self._base(index, author))

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from random import Random
 
 from koordgen.runtime.clock import Clock
+from koordgen.runtime.transport import MOST_AT_ONCE
+from koordgen.runtime.wire import LIMIT
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,63 +22,84 @@ class Conditions:
     duplication: float = 0.0
 
 
-class MemoryNetwork:
-    """Connects the transports it hands out. `cut` tells whether a datagram from one pid to another is lost now; the
-    same seed and the same sends give the same arrivals."""
+Queue = list[tuple[float, int, bytes]]  # a heap: time of arrival, number, datagram
 
-    def __init__(self, clock: Clock, seed: int, conditions: Conditions = Conditions()) -> None:
+
+class MemoryNetwork:
+    """Connects the transports it hands out. `conditions` are those of every link but the ones in `links`, by sender
+    and receiver; `cut` tells whether a datagram from one pid to another is lost now; with `group`, what goes to several
+    is heard by all others, as over multicast. The same seed and the same sends give the same arrivals."""
+
+    def __init__(self, clock: Clock, seed: int, conditions: Conditions = Conditions(), group: bool = False) -> None:
         self._clock = clock
         self._random = Random(seed)
         self.conditions = conditions
+        self.links: dict[tuple[int, int], Conditions] = {}
         self.cut: Callable[[int, int], bool] = lambda sender, receiver: False
+        self.group = group
         self.sent = 0
-        self._queues: dict[int, list[tuple[float, int, bytes]]] = {}
+        self._queues: dict[int, Queue] = {}
 
     def transport(self, pid: int) -> MemoryTransport:
         """The transport of one robot; taking it anew drops what was under way to its predecessor."""
-        self._queues[pid] = []
-        return MemoryTransport(self, pid)
+        queue: Queue = []
+        self._queues[pid] = queue
+        return MemoryTransport(self, pid, queue)
+
+    def others(self, pid: int) -> list[int]:
+        return sorted(self._queues.keys() - {pid})
 
     def send(self, sender: int, receiver: int, datagram: bytes) -> None:
         self.sent += 1
-        now, c = self._clock.now(), self.conditions
+        now, c = self._clock.now(), self.links.get((sender, receiver), self.conditions)
         copies = 2 if self._random.random() < c.duplication else 1
         for _ in range(copies):
             lost = self._random.random() < c.loss
             delay = c.delay + c.jitter * self._random.random()
             if not lost and receiver in self._queues and not self.cut(sender, receiver):
-                heapq.heappush(self._queues[receiver], (now + delay, self.sent, datagram))
+                heapq.heappush(self._queues[receiver], (now + delay, self.sent, datagram[: LIMIT + 1]))
 
-    def receive(self, pid: int) -> list[bytes]:
-        queue, now = self._queues[pid], self._clock.now()
-        arrived = []
-        while queue and queue[0][0] <= now:
-            arrived.append(heapq.heappop(queue)[2])
-        return arrived
+    def arrived(self, queue: Queue) -> list[bytes]:
+        now = self._clock.now()
+        taken: list[bytes] = []
+        while queue and queue[0][0] <= now and len(taken) < MOST_AT_ONCE:
+            taken.append(heapq.heappop(queue)[2])
+        return taken
 
     def next_arrival(self, pid: int) -> float:
         """When the next datagram arrives at a robot, by the network's clock."""
-        queue = self._queues[pid]
+        queue = self._queues.get(pid)
         return queue[0][0] if queue else float("inf")
+
+    def leave(self, pid: int, queue: Queue) -> None:
+        queue.clear()
+        if self._queues.get(pid) is queue:
+            del self._queues[pid]
 
 
 class MemoryTransport:
     """One robot's end of a MemoryNetwork."""
 
-    def __init__(self, network: MemoryNetwork, pid: int) -> None:
+    def __init__(self, network: MemoryNetwork, pid: int, queue: Queue) -> None:
         self._network = network
         self._pid = pid
+        self._queue = queue
+        self._closed = False
         self.troubles: dict[str, int] = {}
 
     def send(self, to: Sequence[int], datagram: bytes) -> None:
-        for pid in to:
+        if self._closed:
+            self.troubles["send: closed"] = self.troubles.get("send: closed", 0) + 1
+            return
+        for pid in self._network.others(self._pid) if self._network.group and len(to) > 1 else to:
             self._network.send(self._pid, pid, datagram)
 
     def receive(self) -> Sequence[bytes]:
-        return self._network.receive(self._pid)
+        return self._network.arrived(self._queue)
 
     def wait(self, seconds: float) -> None:
         """Simulated time is moved by its owner, not by waiting."""
 
     def close(self) -> None:
-        """Nothing to give back."""
+        self._closed = True
+        self._network.leave(self._pid, self._queue)

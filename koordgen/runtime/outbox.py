@@ -104,7 +104,9 @@ class Outbox:
         for waiting in self._waiting:
             record = waiting.record
             if record.effects is not None and record.round > acted:
-                record = replace(record, event=None, effects=None, frame=None, skipped="not counted: the others went on")
+                record = replace(
+                    record, event=None, effects=None, frame=None, skipped="not counted: the others went on"
+                )
             found.append(record)
         self._waiting.clear()
         self._commit = None

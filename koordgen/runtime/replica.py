@@ -252,7 +252,11 @@ class Replica:
             return
         known = self._gatherings.get(piece.author)
         if known is None or (known[1] != piece.round and not memory.wants(piece.author, known[1], present)):
-            known = self._gatherings[piece.author] = piece.incarnation, piece.round, Gathering(piece.digest, piece.count)
+            known = self._gatherings[piece.author] = (
+                piece.incarnation,
+                piece.round,
+                Gathering(piece.digest, piece.count),
+            )
         if known[:2] != (piece.incarnation, piece.round):
             return  # one at a time; it will be asked for again
         refused = known[2].take((piece.digest, piece.index, piece.count, piece.data))

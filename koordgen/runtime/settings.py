@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any, Literal, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 
@@ -83,7 +83,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     trace: str | None = None  # JSON lines, one a round
     planner_budget: float = 0.01  # seconds that a call of a planner within an event may take; more is counted and told
     bind: str = ""  # the address to listen on, when it is not the one that peers send to
-    control: int | None = None  # UDP port for emergency stop and status; None: see `control_port`
+    control: Annotated[int, msgspec.Meta(ge=1, le=65535)] | None = None  # UDP port of orders; None: `control_port`
     state: str | None = "state"  # folder of what survives a crash, beside the bundle; None: none
 
     @property

@@ -99,8 +99,9 @@ def _config(settings: Settings) -> zenoh.Config:
         "listen/endpoints": own if network.listen is None else network.listen,
         "listen/exit_on_failure": True,
         "connect/endpoints": places[:pid] if network.connect is None else network.connect,
-        "connect/timeout_ms": 0,  # peers that are not there yet are tried again, beside the program
-        "connect/exit_on_failure": False,
+        # Peers that are not there yet are tried again, in the background; a client without its router is nothing.
+        "connect/timeout_ms": 0 if network.mode == "client" else -1,
+        "connect/exit_on_failure": network.mode == "client",
         "connect/retry": {"period_init_ms": 250, "period_max_ms": 1000, "period_increase_factor": 2},
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,

@@ -7,9 +7,10 @@ itself is needed at start-up. States and rules are numbered in an order of our o
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+
+from koordgen import resources
 
 GRAMMAR = Path(__file__).with_name("koord.lark")
 TABLES = Path(__file__).parents[1] / "_generated" / "grammar.py"
@@ -29,16 +30,10 @@ SPLICING: the rules that may have a spliced list among their children.
 def tables() -> str:
     """The text of the generated module."""
     from lark import Lark
-    from lark.lexer import Lexer
-
-    class NoLexer(Lexer):  # the tokens come from layout.py
-        def __init__(self, conf: object) -> None: ...
-
-        def lex(self, state: object, parser_state: object) -> Iterator[Any]:
-            raise NotImplementedError
 
     grammar = GRAMMAR.read_text(encoding="utf-8")
-    lark = Lark(grammar, parser="lalr", lexer=NoLexer, keep_all_tokens=True, maybe_placeholders=False)
+    # Its lexer is never run: the tokens come from layout.py.
+    lark = Lark(grammar, parser="lalr", lexer="basic", keep_all_tokens=True, maybe_placeholders=False)
     literals = {t.name: t.pattern.value for t in lark.terminals if t.pattern.type == "str"}
     table = lark.parser.parser._parse_table
     symbols = {name: literals.get(name, name) for row in table.states.values() for name in row}
@@ -104,16 +99,7 @@ def _reached(table: Any, symbols: dict[str, str]) -> list[int]:
 
 
 def main(arguments: list[str]) -> int:
-    """Write what has changed; with --check write nothing and say by the status whether something had to be."""
-    text = tables()
-    fresh = TABLES.is_file() and TABLES.read_text(encoding="utf-8") == text
-    if arguments == ["--check"]:
-        if not fresh:
-            print(f"{TABLES}: stale; run `make generated`", file=sys.stderr)
-        return 0 if fresh else 1
-    if not fresh:
-        TABLES.write_text(text, encoding="utf-8")
-    return 0
+    return resources.freshen({TABLES: tables()}, arguments)
 
 
 if __name__ == "__main__":

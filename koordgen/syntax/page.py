@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from koordgen import resources
 from koordgen.syntax.generate import GRAMMAR
 
 PAGE = Path(__file__).parents[2] / "docs" / "grammar.md"
@@ -77,16 +78,7 @@ def _name(rule: str) -> str:
 
 
 def main(arguments: list[str]) -> int:
-    """Write the page if it changed; with --check write nothing and say by the status whether something had to be."""
-    text = page(GRAMMAR.read_text(encoding="utf-8"))
-    fresh = PAGE.is_file() and PAGE.read_text(encoding="utf-8") == text
-    if arguments == ["--check"]:
-        if not fresh:
-            print(f"{PAGE}: stale; run `make generated`", file=sys.stderr)
-        return 0 if fresh else 1
-    if not fresh:
-        PAGE.write_text(text, encoding="utf-8")
-    return 0
+    return resources.freshen({PAGE: page(GRAMMAR.read_text(encoding="utf-8"))}, arguments)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from random import Random
 from typing import NamedTuple
@@ -64,7 +65,7 @@ def remainder_of(i: e.Expr, n: int) -> e.Expr:
     return e.Binary("%", i, whole(n), True, INT, AT)
 
 
-class General:
+class General(ABC):
     """A generator for one place of one program; expressions.py completes it."""
 
     def __init__(self, rng: Random, program: d.Program, place: str) -> None:
@@ -249,10 +250,6 @@ class General:
         }.get((str(source), str(type_)))  # fmt: skip
         return e.Field(self.expr(source, n), self.rng.choice(names), type_, AT) if names else None
 
+    @abstractmethod
     def special(self, type_: Type) -> list[Maker]:
         """What makes values of this type and of no other."""
-        raise NotImplementedError
-
-    def updated(self, read: e.Expr, n: int) -> e.Expr:
-        """A value with something in it changed, at some depth."""
-        raise NotImplementedError

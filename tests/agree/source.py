@@ -12,6 +12,7 @@ from koordgen.ir import decl as d
 from koordgen.ir import expr as e
 from koordgen.ir import stmt as s
 from koordgen.ir.builtins import METHODS, UPDATES
+from koordgen.ir.printer import capacities
 from koordgen.ir.types import ExternType, MapOf, PerRobot, RecordType, Scalar, Sequence, Sized, TupleOf, Type
 
 _METHODS = {name for _, name in METHODS}
@@ -269,30 +270,12 @@ def _part(name: str) -> str:
 
 
 def _declared(type_: Type, name: str) -> str:
-    most = list(_capacities(type_))
+    most = list(capacities(type_))
     return f"{type_} {name}" + (f" max {', '.join(map(str, most))}" if most else "")
 
 
 def _parameter(type_: Type, name: str) -> str:
     return f"{type_.element} {name}[N_SYS]" if isinstance(type_, PerRobot) else f"{type_} {name}"
-
-
-def _capacities(type_: Type) -> Iterator[int]:
-    match type_:
-        case Sized(_, capacity):
-            yield capacity
-        case Sequence(_, element, capacity):
-            yield capacity
-            yield from _capacities(element)
-        case MapOf(key, value, capacity):
-            yield capacity
-            yield from _capacities(key)
-            yield from _capacities(value)
-        case TupleOf(items):
-            for item in items:
-                yield from _capacities(item)
-        case _:
-            pass
 
 
 def _plain(type_: Type) -> str:

@@ -132,6 +132,15 @@ def test_a_delta_that_no_fleet_may_have_is_no_help() -> None:
     assert "a link of" in found.help
 
 
+@pytest.mark.parametrize("delta", [0.005, 0.1, 2.0, 60.0])
+def test_rates_are_told_in_digits(delta: float) -> None:
+    program = writing(400)
+    (found,) = check_link(program, 2, delta, Link(rate=1e3 if delta < 60 else 100.0))
+    rate = float(re.findall(r"a link of (\d+) bit/s", found.help)[0])
+    needed = round_bytes(program, 2, Link()) * 8 / delta
+    assert needed <= rate <= needed * 1.01
+
+
 def test_a_closing_in_pieces_is_told() -> None:
     (found,) = check_link(writing(3000), 2, 0.1, Link())
     assert (found.code, found.severity) == ("B009", "warning")

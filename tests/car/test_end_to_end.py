@@ -6,11 +6,8 @@ These tests open devices; the world's clock is still the test's own, so that no 
 from __future__ import annotations
 
 import os
-import pty
-import signal
 import socket
 import time
-import tty
 from collections.abc import Iterator
 
 import pytest
@@ -24,6 +21,7 @@ from targets.car.settings import CarSettings
 from targets.sim.bodies import Device
 from targets.sim.drive import TIMEOUT, BaseStation, Controller, SimulatedDrive
 from tests.car.world import KEY, PHYSICS, TestBody, context, robot_settings
+from tests.terminal import terminal
 
 
 class Bench:
@@ -179,22 +177,9 @@ def test_the_feed_is_the_same_for_the_same_seed_and_fifty_a_second() -> None:
 
 
 def test_a_device_that_takes_nothing_blocks_nobody() -> None:
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    link = RealLinks().drive(f"vesc:{os.ttyname(slave)}")
-    before = signal.signal(signal.SIGALRM, _hung)
-    try:
-        signal.alarm(5)
+    with terminal() as (master, path):
+        link = RealLinks().drive(f"vesc:{path}")
         written = [link.write(bytes(60)) for _ in range(2000)]
         assert written[0] == 60 and written[-1] == 0
         assert os.read(master, 60) == bytes(60)
-    finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
         link.close()
-        os.close(master)
-        os.close(slave)
-
-
-def _hung(number: int, frame: object) -> None:
-    raise KeyboardInterrupt("it hangs")

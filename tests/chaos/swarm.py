@@ -14,10 +14,12 @@ from typing import Any
 
 from koordgen.runtime.settings import Settings
 from tests.chaos.bundle import KEY, NAMES
+from tests.chaos.checks import CURRENT, rounds
 from tests.chaos.lab import HUB, HUB_ADDRESS, Lab, address
 
 MAIN = str(Path(__file__).with_name("robot_main.py"))
 RELAY = str(Path(__file__).with_name("relay.py"))
+FLOODER = str(Path(__file__).with_name("flooder.py"))
 PORT = 47100
 Line = dict[str, Any]
 
@@ -32,10 +34,18 @@ class Robot:
         self.killed = False
         self._trace: Path | None = None
         self._at = 0
+        self._first = 0  # of the lines, which the present process told
 
     def began(self, process: subprocess.Popen[bytes], trace: Path) -> None:
         self.process, self._trace, self._at, self.killed = process, trace, 0, False
+        self._first = len(self.lines)
         self.boots += 1
+
+    @property
+    def back(self) -> bool:
+        """Whether its present process has shared state."""
+        lines = rounds(self.lines[self._first :])
+        return any(t["event"] or t["skipped"] in CURRENT for t in lines)
 
     @property
     def status(self) -> int | None:
@@ -64,7 +74,7 @@ class Swarm:
         self.robots = {pid: Robot() for pid in range(lab.n)}
         self._bundle, self._folder, self._delay = bundle, folder, delay
         self._changes = changes
-        self._relay: subprocess.Popen[bytes] | None = None
+        self._helpers: list[subprocess.Popen[bytes]] = []
 
     def __enter__(self) -> Swarm:
         self._folder.mkdir(parents=True)
@@ -74,11 +84,11 @@ class Swarm:
         if self._delay:
             places = [f"{PORT + pid}={address(pid)}:{PORT + pid}" for pid in self.robots]
             command = [*self.lab.inside(HUB), sys.executable, RELAY, HUB_ADDRESS, str(self._delay), *places]
-            self._relay = subprocess.Popen(command)
+            self._helpers.append(subprocess.Popen(command))
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        for process in (*(r.process for r in self.robots.values()), self._relay):
+        for process in (*(r.process for r in self.robots.values()), *self._helpers):
             if process is not None:
                 process.kill()
                 process.wait()
@@ -117,6 +127,14 @@ class Swarm:
             process.wait(timeout=10)
         for robot in self.robots.values():
             robot.read()
+
+    def flood(self, seconds: float, rate: float) -> subprocess.Popen[bytes]:
+        """So many bad datagrams a second to each robot, from the middle of the network."""
+        places = [f"{address(pid)}:{PORT + pid}" for pid in self.robots]
+        command = [*self.lab.inside(HUB), sys.executable, FLOODER, str(seconds), str(rate), *places]
+        process = subprocess.Popen(command)
+        self._helpers.append(process)
+        return process
 
     def wait(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
         """Wait so long; True as soon as `until`, or when all processes that were not killed have ended."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 import msgspec
 import pytest
@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from koordgen import fleet, manifest
-from koordgen.runtime.settings import Safety, Settings
+from koordgen.runtime.settings import Network, Safety, Settings
 from koordgen.source import Source, Span
 
 EXAMPLE = Path(__file__).parents[2] / "examples/lineform/fleet.yaml"
@@ -47,6 +47,14 @@ def test_the_example_is_right() -> None:
 
 def test_safety_defaults_are_the_runtimes() -> None:
     assert {f: getattr(Safety(), f) for f in Safety.__struct_fields__} == fleet.SAFETY
+
+
+def test_network_keys_are_the_runtimes() -> None:
+    known = {"transport"}.union(*fleet.NETWORK.values())
+    assert known == set(Network.__struct_fields__)
+    hints = get_type_hints(Network)
+    assert tuple(fleet.NETWORK) == get_args(hints["transport"])
+    assert get_args(hints["mode"]) == fleet.ZENOH_MODES
 
 
 GOOD = """\
@@ -104,6 +112,18 @@ robots:
         (("delta: 0.1", "link: {loss: 1.0}\ndelta: 0.1"), "F005", 1, 14, "0 to 0.9"),
         (("delta: 0.1", "link: {mtu: 100}\ndelta: 0.1"), "F005", 1, 13, "576 to 65535"),
         (("delta: 0.1", "link:\ndelta: 0.1"), "F004", 1, 6, "must be a mapping"),
+        (("delta: 0.1", "network: {transprot: zenoh}\ndelta: 0.1"), "F002", 1, 11, "did you mean 'transport'"),
+        (("delta: 0.1", "network: {transport: tcp, group: 1}\ndelta: 0.1"), "F005", 1, 22, "there are: unicast, b"),
+        (("delta: 0.1", "network: {transport: 7}\ndelta: 0.1"), "F004", 1, 22, "network.transport must be a"),
+        (("delta: 0.1", "network: {group: 239.255.71.1}\ndelta: 0.1"), "F005", 1, 18, "nothing to transport unicast"),
+        (("delta: 0.1", "network: {transport: multicast}\ndelta: 0.1"), "F005", 1, 10, "`group: 239.255.71.1`"),
+        (("delta: 0.1", "network: {transport: multicast, group: 10.0.0.1}\ndelta: 0.1"), "F005", 1, 40, "needs a gro"),
+        (("delta: 0.1", "network: {transport: multicast, group: 9}\ndelta: 0.1"), "F004", 1, 40, "group must be a"),
+        (("delta: 0.1", "network: {transport: broadcast, group: 239.1.2.3}\ndelta: 0.1"), "F005", 1, 40, "192.168.1."),
+        (("delta: 0.1", "network: {transport: zenoh, port: 1}\ndelta: 0.1"), "F005", 1, 35, "takes: mode, listen"),
+        (("delta: 0.1", "network: {transport: zenoh, mode: hub}\ndelta: 0.1"), "F005", 1, 35, "peer, router, client"),
+        (("delta: 0.1", "network: {transport: zenoh, connect: x}\ndelta: 0.1"), "F004", 1, 38, "must be a list"),
+        (("delta: 0.1", "network: {transport: zenoh, listen: [x]}\ndelta: 0.1"), "F005", 1, 38, "no endpoint of Zenoh"),
     ],
 )  # fmt: skip
 def test_each_mistake_at_its_place(change: tuple[str, str], code: str, line: int, column: int, words: str) -> None:
@@ -129,6 +149,29 @@ def test_the_link(text: str, link: fleet.Link | None) -> None:
     assert found == []
     assert read_fleet is not None
     assert read_fleet.link == link
+
+
+@pytest.mark.parametrize(
+    ("text", "network"),
+    [
+        ("", Network()),
+        ("network: {}", Network()),
+        (
+            "network: {transport: multicast, group: 239.255.71.1, port: 47001, interface: wlan0}",
+            Network("multicast", "239.255.71.1", 47001, "wlan0"),
+        ),
+        ("network: {transport: broadcast, group: 192.168.1.255}", Network("broadcast", "192.168.1.255")),
+        ("network: {transport: zenoh}", Network("zenoh")),
+        (
+            "network: {transport: zenoh, mode: client, connect: [tcp/10.0.0.1:7447], listen: []}",
+            Network("zenoh", mode="client", connect=("tcp/10.0.0.1:7447",), listen=()),
+        ),
+    ],
+)
+def test_the_network_is_what_robots_read(text: str, network: Network) -> None:
+    read_fleet, found = read(f"{text}\n{GOOD}")
+    assert found == [] and read_fleet is not None
+    assert msgspec.convert(read_fleet.network, Network) == network
 
 
 def test_several_mistakes_in_one_run() -> None:

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import os
-import pty
-import signal
 import socket
 import time
-import tty
 
 import pytest
 
@@ -18,6 +15,7 @@ from targets.quad.transport import opened
 from targets.sim.autopilot import SimulatedAutopilot
 from targets.sim.bodies import DeviceContext
 from tests.quad.rig import ORIGIN, STEP, PointMass, settings
+from tests.terminal import terminal
 
 
 def test_a_flight_over_loopback() -> None:
@@ -89,29 +87,15 @@ def test_tcp_comes_back_after_a_break() -> None:
 
 
 def test_a_serial_device_that_takes_nothing_blocks_nobody_and_gets_whole_frames_later() -> None:
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    link = opened(f"serial:{os.ttyname(slave)}:115200")
-    before = signal.signal(signal.SIGALRM, _hung)
-    try:
-        signal.alarm(5)
+    with terminal() as (master, path):
+        link = opened(f"serial:{path}:115200")
         frames = [bytes([i % 251]) * 61 for i in range(2000)]
         taken = [frame for frame in frames if link.send(frame)]
         assert 0 < len(taken) < 1000
-        signal.alarm(5)
         got = os.read(master, 65536)
         while not link.send(b"last"):
             got += os.read(master, 65536)
         while not got.endswith(b"last"):
             got += os.read(master, 65536)
         assert got == b"".join(taken) + b"last"
-    finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
         link.close()
-        os.close(master)
-        os.close(slave)
-
-
-def _hung(number: int, frame: object) -> None:
-    raise KeyboardInterrupt("it hangs")

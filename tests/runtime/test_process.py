@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,29 +23,23 @@ from koordgen.runtime.settings import Peer
 from tests.runtime.fleet import NAMES, FakePlatform, settings
 from tests.runtime.lineform import PROGRAM
 from tests.runtime.robot_main import body
+from tests.runtime.transports import BROADCAST, MULTICAST, free_ports, needs_zenoh
 
 MAIN = str(Path(__file__).with_name("robot_main.py"))
-
-
-def free_ports(n: int) -> list[int]:
-    with ExitStack() as stack:
-        sockets = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(n)]
-        for s in sockets:
-            s.bind(("127.0.0.1", 0))
-        return [s.getsockname()[1] for s in sockets]
 
 
 @pytest.fixture
 def bundles(tmp_path: Path) -> list[Path]:
     """Three robots' folders with settings and the fleet's key."""
     n = 3
-    peers = [Peer(NAMES[i], "127.0.0.1", port) for i, port in enumerate(free_ports(n))]
+    ports = free_ports(2 * n)
+    peers = [Peer(NAMES[i], "127.0.0.1", port) for i, port in enumerate(ports[:n])]
     folders = []
     for pid in range(n):
         folder = tmp_path / NAMES[pid]
         folder.mkdir()
         plain = msgspec.to_builtins(settings(pid, n, delta=0.05, key_file="fleet.key"))
-        plain |= {"peers": msgspec.to_builtins(peers), "trace": str(folder / "trace.jsonl")}
+        plain |= {"peers": msgspec.to_builtins(peers), "trace": str(folder / "trace.jsonl"), "control": ports[n + pid]}
         (folder / "settings.json").write_text(json.dumps(plain))
         (folder / "fleet.key").write_bytes(bytes(range(32)))
         (folder / "fleet.key").chmod(0o600)
@@ -106,6 +100,29 @@ def test_three_robots_run_and_end_safely(bundles: list[Path], started: list[subp
     for r in rounds(bundles[2])[:20]:
         if r["round"] in first:
             assert abs(r["time"] - r["late"] - first[r["round"]]) < 0.01
+
+
+@pytest.mark.parametrize("kind", ["multicast", "broadcast", pytest.param("zenoh", marks=needs_zenoh)])
+def test_three_robots_over_other_networks(
+    bundles: list[Path], started: list[subprocess.Popen[str]], kind: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    network: dict[str, Any] = {"transport": kind}
+    if kind != "zenoh":
+        network |= {"group": MULTICAST if kind == "multicast" else BROADCAST, "port": free_ports(1)[0]}
+    for folder in bundles:
+        change(folder, network=network)
+    assert run(bundles[1], "--check") == 0
+    assert f"network    {kind} " in capsys.readouterr().out
+    processes = [start(folder, started) for folder in bundles]
+    limit = time.monotonic() + 20
+    while time.monotonic() < limit and not all(len(rounds(f)) >= 20 for f in bundles):
+        time.sleep(0.1)
+    for process in processes:
+        process.send_signal(signal.SIGTERM)
+    for process in processes:
+        _, errors = process.communicate(timeout=10)
+        assert process.returncode == 0, errors
+    assert len([r for r in rounds(bundles[1])[:20] if r["event"] == "TargetUpdate"]) >= 10
 
 
 def test_a_third_signal_ends_at_once(bundles: list[Path], started: list[subprocess.Popen[str]]) -> None:
@@ -211,6 +228,7 @@ def test_a_port_in_use_names_robot_and_address(bundles: list[Path], capsys: pyte
     ("changes", "message"),
     [
         ({"delta": "fast"}, "Expected `float`, got `str` - at `$.delta`"),
+        ({"control": 65536}, "Expected `int` <= 65535 - at `$.control`"),
         ({"pid": 3}, "pid 3 is not among the 3 peers"),
         ({"wings": 2}, "unknown field `wings`"),
         ({"key_file": None}, "no key_file; a fleet without a key must say so: `insecure: true`"),

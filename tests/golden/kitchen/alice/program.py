@@ -261,7 +261,7 @@ PROGRAM = Program(
     name="kitchen",
     source="kitchen.koord",
     program_hash="f673908ac1d10545",
-    interface_hash="0078c4720991478f",
+    interface_hash="b1f61fc5e4735cea",
     locals=(
         Variable("count", "local", int, Fixed(9), lambda: 0),  # kitchen.koord:64
         Variable("level", "local", float, Fixed(9), lambda: PARAM_MARGIN * 2.0),  # kitchen.koord:65

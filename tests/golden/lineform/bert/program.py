@@ -43,7 +43,7 @@ PROGRAM = Program(
     name="lineform",
     source="lineform.koord",
     program_hash="2751bd73a76f9758",
-    interface_hash="4037aa01d19f1ddd",
+    interface_hash="9d6360299e59b87d",
     locals=(
     ),
     shared=(

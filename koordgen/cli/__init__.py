@@ -1,16 +1,16 @@
-"""The command line: the only file that prints and exits. Thin; what a command does not need is never imported."""
+"""The command line: the only room that prints and exits. Thin; what a command does not need is never imported."""
 
 from __future__ import annotations
 
-import argparse
 import gc
 import sys
 from typing import TYPE_CHECKING
 
-from koordgen import __version__
+from koordgen.cli.options import parsed
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from argparse import Namespace
+    from collections.abc import Callable, Collection, Sequence
     from typing import TextIO
 
     from koordgen.check.params import Value
@@ -37,17 +37,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     collecting = gc.isenabled()
     gc.disable()  # nothing here lives long enough to be collected, and trees have no cycles
     try:
-        return _run(_parser(arguments).parse_args(arguments))
+        return _run(parsed(arguments))
     finally:
         if collecting:
             gc.enable()
 
 
-def _run(options: argparse.Namespace) -> int:
+def _run(options: Namespace) -> int:
     from koordgen.pipeline import Rejected
 
     try:
-        return int(options.run(options))
+        return _COMMANDS.get(options.command, _harness)(options)
     except Rejected as rejected:
         _show(rejected, options)
         return WRONG
@@ -64,93 +64,7 @@ def _run(options: argparse.Namespace) -> int:
         return _internal(error)
 
 
-def _parser(arguments: list[str]) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="koordgen", description="Compiles Koord programs to agents for robots.", allow_abbrev=False
-    )
-    parser.add_argument("--version", action="version", version=f"koordgen {__version__}")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-
-    command = commands.add_parser("check", help="check a program")
-    command.add_argument("program", metavar="APP.koord")
-    _format_option(command)
-    command.set_defaults(run=_check)
-
-    command = commands.add_parser("dump", help="show a program as it stands after a pass")
-    command.add_argument("program", metavar="APP.koord")
-    command.add_argument("--after", metavar="PASS", choices=("parse", "check"), default="check", help="parse or check")
-    _format_option(command)
-    command.set_defaults(run=_dump)
-
-    command = commands.add_parser("build", help="write a bundle for each target, or for each robot of a fleet")
-    command.add_argument("program", metavar="APP.koord")
-    command.add_argument("--target", metavar="A,B", required=True, help="the targets to build for")
-    command.add_argument("-o", "--out", metavar="DIR", default="build", help="DIR/<app>/ is written (default: build)")
-    _build_options(command)
-    command.set_defaults(run=_build)
-
-    command = commands.add_parser("fmt", help="format programs in place")
-    command.add_argument("files", metavar="FILE", nargs="+", help="`-` reads standard input, writes standard output")
-    command.add_argument("--check", action="store_true", help="write nothing; status 1 when a file would change")
-    command.add_argument("--diff", action="store_true", help="like --check, and show what would change")
-    command.add_argument("--upgrade", action="store_true", help="rewrite the 2020 dialect as well")
-    command.add_argument("--format", choices=("text", "json"), default="text", help="of what is told (default: text)")
-    command.set_defaults(run=_fmt)
-
-    command = commands.add_parser("explain", help="tell more of a code, with a wrong and a right example")
-    command.add_argument("code", metavar="CODE", nargs="?", help="for example K030; without one, all codes are listed")
-    command.set_defaults(run=_explain)
-
-    command = commands.add_parser("estop", help="emergency stop: bring all robots of a fleet to rest at once")
-    command.add_argument("fleet", metavar="FLEET", help="the fleet file (YAML)")
-    command.add_argument("--key", metavar="FILE", help="the fleet's key (default: beside the fleet file, or here)")
-    command.add_argument("--format", choices=("text", "json"), default="text", help="of what is told (default: text)")
-    command.set_defaults(run=_estop)
-
-    command = commands.add_parser("key", help="make a fleet's key")
-    command.add_argument("action", choices=("new",))
-    command.add_argument("file", metavar="FILE")
-    command.set_defaults(run=_key)
-
-    for name, summary in _harnesses(arguments):
-        command = commands.add_parser(name, help=f"build and run: {summary}")
-        command.add_argument("program", metavar="APP.koord")
-        command.add_argument("--duration", metavar="S", type=float, help="seconds of mission, from its first round")
-        command.add_argument("--seed", metavar="N", type=int, help="seed of all that is random")
-        command.add_argument("--out", metavar="DIR", help="where trace, summary, pictures and report go")
-        command.add_argument("--quiet", action="store_true", help="no progress")
-        _build_options(command, fleet_required=True)
-        command.set_defaults(run=_harness)
-    return parser
-
-
-def _format_option(command: argparse.ArgumentParser) -> None:
-    help = "of diagnostics (default: text)"
-    command.add_argument("--format", choices=("text", "json", "sarif"), default="text", help=help)
-
-
-def _build_options(command: argparse.ArgumentParser, fleet_required: bool = False) -> None:
-    command.add_argument("--fleet", metavar="FILE", required=fleet_required, help="the fleet file (YAML)")
-    command.add_argument(
-        "--param", metavar="NAME=VALUE", action="append", default=[], help="a param's value; goes before the fleet's"
-    )
-    command.add_argument(
-        "--functions", metavar="FILE", help="Python of the extern functions (default: <app>_functions.py beside it)"
-    )
-    _format_option(command)
-
-
-def _harnesses(arguments: list[str]) -> list[tuple[str, str]]:
-    """Targets that run a whole fleet are commands. Their manifests are read only when such a command, or help, is
-    asked for."""
-    if arguments and arguments[0] in ("check", "dump", "build", "fmt", "explain", "key", "estop"):
-        return []
-    from koordgen import manifest
-
-    return [(t.name, t.summary) for t in map(manifest.load, manifest.available()) if t.kind == "harness"]
-
-
-def _check(options: argparse.Namespace) -> int:
+def _check(options: Namespace) -> int:
     from koordgen.pipeline import check_file
 
     checked = check_file(options.program)
@@ -158,14 +72,14 @@ def _check(options: argparse.Namespace) -> int:
     return HOLDS
 
 
-def _dump(options: argparse.Namespace) -> int:
+def _dump(options: Namespace) -> int:
     from koordgen.pipeline import dump
 
     print(dump(options.program, options.after), end="")
     return HOLDS
 
 
-def _build(options: argparse.Namespace) -> int:
+def _build(options: Namespace) -> int:
     from pathlib import Path
 
     bundles, app = _planned(options, _targets(options.target))
@@ -176,7 +90,7 @@ def _build(options: argparse.Namespace) -> int:
     return HOLDS
 
 
-def _harness(options: argparse.Namespace) -> int:
+def _harness(options: Namespace) -> int:
     import shlex
     import signal
     import subprocess
@@ -214,7 +128,7 @@ def _harness(options: argparse.Namespace) -> int:
     return status
 
 
-def _fmt(options: argparse.Namespace) -> int:
+def _fmt(options: Namespace) -> int:
     from koordgen.check import check
     from koordgen.format.files import format_file, output
     from koordgen.pipeline import Rejected
@@ -232,7 +146,7 @@ def _fmt(options: argparse.Namespace) -> int:
     return WRONG if mistakes or (dry and any(r.changed for r in results)) else HOLDS
 
 
-def _explain(options: argparse.Namespace) -> int:
+def _explain(options: Namespace) -> int:
     from koordgen.diagnostics import CATALOGUE
 
     if options.code is None:
@@ -251,7 +165,7 @@ def _explain(options: argparse.Namespace) -> int:
     return HOLDS
 
 
-def _estop(options: argparse.Namespace) -> int:
+def _estop(options: Namespace) -> int:
     from koordgen.estop import BY_HAND, CannotStop, show, stop_fleet
 
     try:
@@ -264,7 +178,7 @@ def _estop(options: argparse.Namespace) -> int:
     return HOLDS
 
 
-def _key(options: argparse.Namespace) -> int:
+def _key(options: Namespace) -> int:
     import os
     import secrets
 
@@ -282,6 +196,11 @@ def _key(options: argparse.Namespace) -> int:
     return HOLDS
 
 
+_COMMANDS: dict[str, Callable[[Namespace], int]] = {
+    "check": _check, "dump": _dump, "build": _build, "fmt": _fmt, "explain": _explain, "estop": _estop, "key": _key,
+}  # fmt: skip
+
+
 def _targets(text: str) -> list[str]:
     from koordgen import manifest
 
@@ -293,7 +212,7 @@ def _targets(text: str) -> list[str]:
     return list(dict.fromkeys(wanted))
 
 
-def _planned(options: argparse.Namespace, targets: list[str]) -> tuple[dict[str, dict[str, bytes]], str]:
+def _planned(options: Namespace, targets: list[str]) -> tuple[dict[str, dict[str, bytes]], str]:
     from koordgen.check.params import BadParam
     from koordgen.manifest import ManifestError
     from koordgen.pipeline import plan_file
@@ -354,14 +273,14 @@ def _require_packages() -> None:
         raise Failure(SURROUNDINGS, message, f"{sys.executable} -m pip install 'koordgen[sim]'")
 
 
-def _show(rejected: Rejected, options: argparse.Namespace) -> None:
+def _show(rejected: Rejected, options: Namespace) -> None:
     _tell(rejected.found, options)
     codes = [d.code for _, d in rejected.found if d.severity == "error"]
     if options.format == "text":
         _say(f"{len(codes)} error{'s' if len(codes) != 1 else ''}; `koordgen explain {codes[0]}` tells more")
 
 
-def _tell(found: Collection[tuple[Source, Diagnostic]], options: argparse.Namespace) -> None:
+def _tell(found: Collection[tuple[Source, Diagnostic]], options: Namespace) -> None:
     """All that a command has to say of the user's files, once: for machines a document, even when it is nothing."""
     if options.format == "json":
         from koordgen.diagnostics import to_json
@@ -380,7 +299,7 @@ def _tell(found: Collection[tuple[Source, Diagnostic]], options: argparse.Namesp
             _say(render(diagnostic, source))
 
 
-def _output(options: argparse.Namespace) -> TextIO | None:
+def _output(options: Namespace) -> TextIO | None:
     """Where a command's own words go: aside when a document for machines has standard output, which None means."""
     return None if options.format == "text" else sys.stderr
 

@@ -1,0 +1,237 @@
+"""Our side: whole agents on real UDP, each in a process of its own, and the bare stack under them.
+
+What looks inside an agent stands in `Inside` and `Stack`, and nowhere else.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from peers_exchange import Heard
+
+from koordgen.runtime.bounds import Fixed, Text
+from koordgen.runtime.clock import FleetClock, SystemClock
+from koordgen.runtime.layout import Layout
+from koordgen.runtime.link import Link, Session
+from koordgen.runtime.machine import Agent
+from koordgen.runtime.memory import Memory
+from koordgen.runtime.platform import Sensed
+from koordgen.runtime.program import Cell, Event, Frame, Program, Slots, Transaction, Variable
+from koordgen.runtime.rounds import PUBLISH
+from koordgen.runtime.settings import Box, Network, Origin, Peer, Settings
+from koordgen.runtime.trace import Record, Trace
+from koordgen.runtime.transport import Transport, open_transport
+from koordgen.runtime.values import Point
+from koordgen.runtime.wire import Closing, Round, decode
+
+KEY = bytes(range(32))
+WARM_UP = 20  # rounds before those that count
+
+
+class Update(Transaction):
+    def __init__(self, frame: Frame) -> None:
+        super().__init__(frame)
+        self.report: Slots[str] = self.slots("report")
+        self.count: Cell[int] = self.local("count")
+
+
+def publish(state: Update) -> None:
+    state.count.value += 1
+    state.report.own = f"{state.count.value:0{len(state.report.own)}}"
+
+
+def program(size: int) -> Program:
+    """Each robot writes `size` bytes in every round."""
+    text = "0" * size
+    return Program(
+        name="update",
+        source="update.koord",
+        program_hash="00112233445566aa",
+        interface_hash="aabbccddeeff0011",
+        locals=(Variable("count", "local", int, Fixed(9), lambda: 0),),
+        shared=(Variable("report", "allread", str, Text(size), lambda: text),),
+        ports=(),
+        init=None,
+        events=(Event("Publish", 1, lambda s: True, publish),),
+        begin=Update,
+        file=__file__,
+        lines={},
+    )
+
+
+def settings(pid: int, ports: Sequence[int], delta: float, transport: Any) -> Settings:
+    """The last of `ports` is the group's."""
+    return Settings(
+        app="update",
+        robot=f"robot{pid}",
+        pid=pid,
+        delta=delta,
+        peers=tuple(Peer(f"robot{i}", "127.0.0.1", port) for i, port in enumerate(ports[:-1])),
+        origin=Origin(47.4, 8.5, 400.0),
+        geofence=Box(Point(-5, -5, -1), Point(5, 5, 4)),
+        network=Network(transport, "239.77.0.1", ports[-1]),
+    )
+
+
+class Still:
+    """A body that is always ready and at rest."""
+
+    period = 0.1
+    ready = True
+    rested = True
+    progress = "standing"
+
+    def check(self) -> list[str]:
+        return []
+
+    def start(self, now: float) -> None: ...
+
+    def poll(self, now: float) -> None: ...
+
+    def sense(self, now: float) -> Sensed:
+        return Sensed({}, now)
+
+    def command(self, actuators: Mapping[str, Any], now: float) -> None: ...
+
+    def call(self, port: str, args: tuple[Any, ...]) -> Any:
+        raise LookupError(port)
+
+    def hold(self, on: bool, now: float) -> None: ...
+
+    def rest(self, now: float) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class Tapped:
+    """A transport that notes what it sent and when."""
+
+    def __init__(self, transport: Transport) -> None:
+        self._transport = transport
+        self.sent: list[tuple[float, bytes]] = []
+        self.receive, self.wait, self.close = transport.receive, transport.wait, transport.close
+
+    @property
+    def troubles(self) -> dict[str, int]:
+        return self._transport.troubles
+
+    def send(self, to: Any, datagram: bytes) -> None:
+        self._transport.send(to, datagram)
+        self.sent.append((time.monotonic(), datagram))
+
+
+class Inside:
+    """What is looked at within a running agent."""
+
+    def __init__(self, agent: Agent) -> None:
+        self._agent = agent
+
+    @property
+    def start(self) -> float | None:
+        """The tick of round 1. Fleet time is robot 0's clock, and on one host all clocks are the same."""
+        rounds = self._agent._rounds
+        return None if rounds is None else rounds._start
+
+    @property
+    def complete(self) -> int:
+        """The last round of which the updates of all robots are here."""
+        rounds = self._agent._rounds
+        return 0 if rounds is None else min(rounds._memory.held)
+
+
+def run_agent(
+    pid: int, ports: Sequence[int], transport: str, delta: float, count: int, size: int, patience: float
+) -> dict[str, Any]:
+    """Run one agent for `count` rounds, which must begin within `patience` seconds (else TimeoutError). By round:
+    seconds from the tick to consistency, and to the departure of the own closing, infinite when that never came; and
+    the rounds in which no event ran, with the reason."""
+    clock, given = SystemClock(), settings(pid, ports, delta, transport)
+    skipped: dict[int, str] = {}
+
+    def note(record: Record) -> None:
+        if record.event is None or record.skipped:
+            skipped[record.round] = record.skipped or "no event"
+
+    tapped = Tapped(open_transport(given))
+    trace = Trace(None, print)
+    agent = Agent(program(size), given, KEY, Still(), clock, tapped, trace, _tell, os.urandom(8), [note])
+    inside, last = Inside(agent), WARM_UP + count
+    complete, times = 0, dict[int, float]()
+    limit = time.monotonic() + patience
+    while agent.round < last + 10 and not agent.done:
+        wake = agent.poll(clock.now())
+        now, reached = time.monotonic(), inside.complete
+        for round_ in range(complete + 1, reached + 1):
+            times[round_] = now
+        complete = reached
+        if agent.round == 0 and now > limit:
+            raise TimeoutError(f"no round within {patience:.0f} s")
+        tapped.wait(min(wake - clock.now(), 0.1))
+    tapped.close()
+    start, never = inside.start, float("inf")
+    assert start is not None
+    left = closings(tapped.sent, pid)
+    counted = range(WARM_UP + 1, last + 1)
+    ticks = {r: start + (r - 1) * delta for r in counted}
+    return {
+        "consistent": [times.get(r, never) - ticks[r] for r in counted],
+        "left": [left.get(r, never) - ticks[r] for r in counted],
+        "deadline": PUBLISH * delta,
+        "skipped": {r: skipped[r] for r in counted if r in skipped},
+        "bytes": sum(len(d) for _, d in tapped.sent[-200:]) / max(1, len(tapped.sent[-200:])),
+    }
+
+
+def closings(sent: Sequence[tuple[float, bytes]], pid: int) -> dict[int, float]:
+    """When the own closing of each round left first."""
+    left: dict[int, float] = {}
+    for at, datagram in sent:
+        message = decode(datagram, KEY)
+        if isinstance(message, Round):
+            for closing in message.closings:
+                if closing.author == pid:
+                    for round_ in range(closing.first, closing.round + 1):
+                        left.setdefault(round_, at)
+    return left
+
+
+def _tell(level: str, line: str) -> None:
+    """What is wrong shows in the figures."""
+
+
+class Stack:
+    """Link and memory of one of two robots, without the machine around them, as an Exchange."""
+
+    def __init__(self, pid: int, ports: Sequence[int], size: int) -> None:
+        ours, given, clock = program(size), settings(pid, ports, 0.01, "unicast"), SystemClock()
+        layout = Layout(ours.shared, 2)
+        self._pid, self._other, self._text = pid, 1 - pid, "0" * size
+        self._transport = open_transport(given)
+        boots = [bytes([p] * 8) for p in range(2)]
+        self._link = Link(ours, given, KEY, self._transport, clock, FleetClock(pid), boots[pid], print)
+        self._link.epoch = bytes(8)
+        self._link.sessions[self._other] = Session(boots[self._other])
+        self._memory = Memory(layout, pid, [Closing(p, 0, 0, 0) for p in range(2)])
+        self._closed = 0
+        self.size = 0
+
+    def publish(self, round_: int) -> None:
+        memory = self._memory
+        self._closed = round_
+        memory.close(round_, {"report": self._text}, False)
+        self._link.round([self._other], round_, memory.settled, memory.held, memory.own(round_))
+        memory.advance(round_ + 1)
+
+    def take(self, seconds: float) -> Heard:
+        self._transport.wait(seconds)
+        memory, before = self._memory, self._memory.held[self._other]
+        for message in self._link.receive():
+            if isinstance(message, Round):
+                for closing in message.closings:
+                    memory.take(closing, self._closed)
+                memory.heard(self._other, message.held, message.round - 1, message.settled, self._closed)
+        memory.advance(self._closed + 1)
+        return [(self._other, r) for r in range(before + 1, memory.held[self._other] + 1)]

@@ -1,0 +1,194 @@
+"""What others have for the same job: raw UDP, CycloneDDS, Zenoh, each as an Exchange between N processes on loopback.
+
+Each runs as its makers mean it to for small, frequent, reliable updates: CycloneDDS with a reliable writer and a
+waitset on the loopback interface, Zenoh as peers on TCP with an express publisher. None authenticates anything.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import queue
+import socket
+import struct
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+PACKAGES = {"zenoh": "eclipse-zenoh", "cyclonedds": "cyclonedds"}
+_HEAD = struct.Struct("<II")
+Heard = list[tuple[int, int]]  # pid and round
+
+
+class Exchange(Protocol):
+    def publish(self, round_: int) -> None:
+        """One robot's update of a round, to all others."""
+        ...
+
+    def take(self, seconds: float) -> Heard:
+        """What has arrived from others; waits so long for the first."""
+        ...
+
+
+class Raw:
+    """Blocking sockets and nothing else: two robots."""
+
+    def __init__(self, pid: int, ports: Sequence[int], size: int) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", ports[pid]))
+        self._socket.connect(("127.0.0.1", ports[1 - pid]))
+        self._other, self._rest = 1 - pid, bytes(size - _HEAD.size)
+        self._pid = pid
+
+    def publish(self, round_: int) -> None:
+        self._socket.send(_HEAD.pack(self._pid, round_) + self._rest)
+
+    def take(self, seconds: float) -> Heard:
+        pid, round_ = _HEAD.unpack_from(self._socket.recv(2048))
+        return [(pid, round_)]
+
+
+class Zenoh:
+    def __init__(self, pid: int, ports: Sequence[int], size: int) -> None:
+        import zenoh
+
+        config = zenoh.Config()
+        config.insert_json5("mode", '"peer"')
+        config.insert_json5("scouting/multicast/enabled", "false")
+        config.insert_json5("listen/endpoints", json.dumps([f"tcp/127.0.0.1:{ports[pid]}"]))
+        config.insert_json5("connect/endpoints", json.dumps([f"tcp/127.0.0.1:{p}" for p in ports[:pid]]))
+        self._session = zenoh.open(config)
+        self._arrived: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        self._subscriber = self._session.declare_subscriber("robot/*", self._hear)
+        self._publisher = self._session.declare_publisher(f"robot/{pid}", express=True)
+        self._pid, self._rest = pid, bytes(size - _HEAD.size)
+
+    def _hear(self, sample: Any) -> None:
+        self._arrived.put(sample.payload.to_bytes())
+
+    def publish(self, round_: int) -> None:
+        self._publisher.put(_HEAD.pack(self._pid, round_) + self._rest)
+
+    def take(self, seconds: float) -> Heard:
+        heard: Heard = []
+        try:
+            arrived = self._arrived.get(timeout=seconds) if seconds > 0 else self._arrived.get_nowait()
+            while True:
+                pid, round_ = _HEAD.unpack_from(arrived)
+                if pid != self._pid:
+                    heard.append((pid, round_))
+                arrived = self._arrived.get_nowait()
+        except queue.Empty:
+            return heard
+
+
+class Cyclone:
+    def __init__(self, pid: int, ports: Sequence[int], size: int) -> None:
+        os.environ["CYCLONEDDS_URI"] = (
+            '<CycloneDDS><Domain Id="any"><General><Interfaces><NetworkInterface address="127.0.0.1" multicast="true"/>'
+            "</Interfaces></General><Discovery><MaxAutoParticipantIndex>200</MaxAutoParticipantIndex></Discovery>"
+            "</Domain></CycloneDDS>"
+        )
+        from cyclonedds.core import InstanceState, Policy, Qos, ReadCondition, SampleState, ViewState, WaitSet
+        from cyclonedds.domain import DomainParticipant
+        from cyclonedds.pub import DataWriter
+        from cyclonedds.sub import DataReader
+        from cyclonedds.topic import Topic
+        from cyclonedds.util import duration
+
+        quality = Qos(Policy.Reliability.Reliable(duration(seconds=1)), Policy.History.KeepLast(256))
+        self._type = _update_type()
+        self._duration = duration
+        # A domain of its own for each run, so that one run's robots are not another's.
+        self._participant = DomainParticipant(ports[0] % 200)
+        topic = Topic(self._participant, "update", self._type)
+        self._writer = DataWriter(self._participant, topic, qos=quality)
+        self._reader = DataReader(self._participant, topic, qos=quality)
+        self._waitset = WaitSet(self._participant)
+        anything = SampleState.Any | ViewState.Any | InstanceState.Any
+        self._condition = ReadCondition(self._reader, anything)
+        self._waitset.attach(self._condition)
+        self._pid, self._rest = pid, "x" * (size - _HEAD.size)
+
+    def publish(self, round_: int) -> None:
+        self._writer.write(self._type(self._pid, round_, self._rest))
+
+    def take(self, seconds: float) -> Heard:
+        found = self._reader.take(N=256)
+        if not found and seconds > 0:
+            self._waitset.wait(self._duration(nanoseconds=int(seconds * 1e9)))
+            found = self._reader.take(N=256)
+        return [(s.pid, s.round) for s in found if s.pid != self._pid]
+
+
+def _update_type() -> Any:
+    from cyclonedds.idl import IdlStruct
+    from cyclonedds.idl.types import uint32
+
+    space: dict[str, Any] = {"__annotations__": {"pid": uint32, "round": uint32, "rest": str}, "__module__": __name__}
+    return dataclass(type("Update", (IdlStruct,), space, typename="Update"))
+
+
+Make = Callable[[int, Sequence[int], int], Exchange]  # from pid, ports and bytes of an update
+PEERS: dict[str, Make] = {"zenoh": Zenoh, "cyclonedds": Cyclone}
+
+
+def missing() -> dict[str, str]:
+    """The peers that are not there, and how to get each."""
+    return {
+        name: f"{name} is not there: pip install 'koordgen[bench]' (or {package})"
+        for name, package in PACKAGES.items()
+        if importlib.util.find_spec(name) is None
+    }
+
+
+def meet(exchange: Exchange, n: int, limit: float = 30.0) -> None:
+    """Publish until all others were heard. Raises TimeoutError."""
+    heard: set[int] = set()
+    end = time.monotonic() + limit
+    while time.monotonic() < end:
+        exchange.publish(0)
+        again = time.monotonic() + 0.2
+        while (rest := again - time.monotonic()) > 0:
+            heard |= {pid for pid, _ in exchange.take(rest)}
+        if len(heard) == n - 1:
+            exchange.publish(0)
+            return
+    raise TimeoutError(f"heard {len(heard)} of {n - 1} others within {limit:.0f} s")
+
+
+def ping(exchange: Exchange, pid: int, count: int) -> list[float]:
+    """Seconds of each of `count` round trips, as robot 0 sees them."""
+    took = []
+    for round_ in range(1, count + 1):
+        began = time.perf_counter()
+        if pid == 0:
+            exchange.publish(round_)
+        while not any(r == round_ for _, r in exchange.take(1.0)):
+            pass
+        if pid != 0:
+            exchange.publish(round_)
+        took.append(time.perf_counter() - began)
+    return took
+
+
+def keep_rounds(exchange: Exchange, n: int, delta: float, start: float, count: int) -> list[float]:
+    """For each round the seconds from its tick until the other n - 1 updates of it were here, however late; infinite
+    when they did not come until a second after the end."""
+    arrived: dict[int, int] = {}
+    took = [float("inf")] * count
+
+    def hear_until(end: float) -> None:
+        while (rest := end - time.monotonic()) > 0:
+            for _, round_ in exchange.take(rest):
+                arrived[round_] = arrived.get(round_, 0) + 1
+                if arrived[round_] == n - 1 and 1 <= round_ <= count:
+                    took[round_ - 1] = time.monotonic() - start - (round_ - 1) * delta
+
+    for round_ in range(1, count + 1):
+        hear_until(start + (round_ - 1) * delta)
+        exchange.publish(round_)
+    hear_until(start + count * delta + 1.0)
+    return took

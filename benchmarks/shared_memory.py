@@ -1,0 +1,277 @@
+"""What shared memory costs, beside its peers in the same run: `python benchmarks/shared_memory.py [--quick]`.
+
+1. Round trip of an update through the whole stack (encode, MAC, UDP on loopback, verify, decode, apply), beside raw
+   UDP with as many bytes, Zenoh and CycloneDDS. 2. Time to consistency: 16 robots, rounds of 10 ms, from the tick until
+a robot has the other 15 updates. 3. The largest fleet that holds its rounds. 4. Rounds of 10 ms of four agents: how
+many closings leave late. Figures are medians over runs that take turns. The peers come with `pip install
+'koordgen[bench]'`; without them our figures stand alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import multiprocessing
+import socket
+import statistics
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import peers_agents
+import peers_exchange
+from peers_exchange import PEERS, Make, Raw, keep_rounds, meet, ping
+
+KOORDGEN = "koordgen"
+OURS = {KOORDGEN: "multicast", "koordgen, unicast": "unicast"}
+SIZE = 230  # bytes of a robot's update
+SIZES = (4, 8, 12, 16, 20, 24, 28, 32, 48, 64, 80, 96, 112, 128)  # fleets that are tried
+TARGETS = {0.01: 24, 0.05: 64, 0.1: 96}  # delta (s) -> robots
+_processes = multiprocessing.get_context("fork")
+Figures = dict[str, Any]
+
+
+def free_ports(n: int) -> list[int]:
+    with ExitStack() as stack:
+        sockets = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(n)]
+        for s in sockets:
+            s.bind(("127.0.0.1", 0))
+        return [s.getsockname()[1] for s in sockets]
+
+
+class Failed(Exception):
+    """A run that did not come to its end; the message says why."""
+
+
+def together(work: Callable[..., Any], n: int, limit: float) -> list[Any]:
+    """`work(pid, ports, barrier, start)` in n processes, with a port for each and one more; their results. Raises
+    Failed."""
+    ports, barrier, start = free_ports(n + 1), _processes.Barrier(n), _processes.Value("d", 0.0)
+    ends = [_processes.Pipe(duplex=False) for _ in range(n)]
+
+    def child(pid: int) -> None:
+        try:
+            ends[pid][1].send(work(pid, ports, barrier, start))
+        except Exception as error:
+            ends[pid][1].send(f"{type(error).__name__}: {error}")
+
+    children = [_processes.Process(target=child, args=(pid,), daemon=True) for pid in range(n)]
+    end = time.monotonic() + limit
+    try:
+        for process in children:
+            process.start()
+        results = []
+        for receive, _ in ends:
+            if not receive.poll(max(0.0, end - time.monotonic())):
+                raise Failed(f"not done within {limit:.0f} s")
+            result = receive.recv()
+            if isinstance(result, str):
+                raise Failed(result)
+            results.append(result)
+        return results
+    finally:
+        for process in children:
+            process.kill()
+            process.join()
+        for receive, send in ends:
+            receive.close()
+            send.close()
+
+
+def round_trip(make: Make, count: int, size: int = SIZE) -> float:
+    """Median seconds."""
+
+    def work(pid: int, ports: Sequence[int], barrier: Any, start: Any) -> list[float]:
+        exchange = make(pid, ports, size)
+        if make in PEERS.values():
+            meet(exchange, 2)
+            barrier.wait()
+            time.sleep(0.3)  # nothing is under way any more
+            exchange.take(0.0)
+        barrier.wait()
+        return ping(exchange, pid, count)
+
+    took: list[float] = together(work, 2, 60)[0]
+    return statistics.median(took)
+
+
+def agents(transport: str, n: int, delta: float, count: int, patience: float = 60.0) -> list[Figures]:
+    def work(pid: int, ports: Sequence[int], barrier: Any, start: Any) -> Figures:
+        return peers_agents.run_agent(pid, ports, transport, delta, count, SIZE, patience)
+
+    return together(work, n, patience + 10 + 2 * count * delta)
+
+
+def peer_rounds(name: str, n: int, delta: float, count: int) -> list[float]:
+    """Seconds to consistency of all robots' rounds of a peer."""
+
+    def work(pid: int, ports: Sequence[int], barrier: Any, start: Any) -> list[float]:
+        exchange = PEERS[name](pid, ports, SIZE)
+        meet(exchange, n)
+        barrier.wait()
+        if pid == 0:
+            start.value = time.monotonic() + 0.5
+        barrier.wait()
+        exchange.take(0.0)
+        return keep_rounds(exchange, n, delta, start.value, count + 10)[10:]
+
+    return [t for robot in together(work, n, 60 + count * delta) for t in robot]
+
+
+def our_rounds(name: str, n: int, delta: float, count: int) -> list[float]:
+    return [t for r in agents(OURS[name], n, delta, count) for t in r["consistent"]]
+
+
+def median_of(measure: Callable[[str, int, float, int], list[float]], *what: Any) -> float:
+    """Infinite when it failed."""
+    try:
+        return statistics.median(measure(*what))
+    except Failed as failed:
+        print(f"  {what}: {failed}")
+        return float("inf")
+
+
+def keeps(name: str, n: int, delta: float, count: int, patience: float = 60.0) -> bool:
+    """Whether no robot missed a round."""
+    try:
+        if name not in OURS:
+            return max(peer_rounds(name, n, delta, count)) < delta
+        results = agents(OURS[name], n, delta, count, patience)
+    except Failed as failed:
+        print(f"  {name}, {n} robots, delta {delta * 1e3:.0f} ms: {failed}")
+        return False
+    return not any(r["skipped"] for r in results)
+
+
+def largest(name: str, delta: float, count: int) -> int:
+    """The largest of SIZES that keeps its rounds, by bisection; a size has two tries, since others may disturb one."""
+    low, high = -1, len(SIZES)
+    while high - low > 1:
+        middle = (low + high) // 2
+        if any(keeps(name, SIZES[middle], delta, count) for _ in range(2)):
+            low = middle
+        else:
+            high = middle
+    return SIZES[low] if low >= 0 else 0
+
+
+def in_turn(runs: int, measured: Mapping[str, Callable[[], float]]) -> dict[str, float]:
+    """The median of each over `runs` runs that take turns."""
+    found: dict[str, list[float]] = {name: [] for name in measured}
+    for _ in range(runs):
+        for name, measure in measured.items():
+            found[name].append(measure())
+    return {name: statistics.median(times) for name, times in found.items()}
+
+
+def part_round_trip(peers: Sequence[str], quick: bool) -> Figures:
+    count, runs = (2000, 1) if quick else (5000, 5)
+    size = 330  # of a datagram with the update in it
+    measured = {"raw": partial(round_trip, Raw, count, size), KOORDGEN: partial(round_trip, peers_agents.Stack, count)}
+    found = in_turn(runs, measured | {name: partial(round_trip, PEERS[name], count) for name in peers})
+    print(f"\n1. Round trip of an update of {SIZE} bytes, two processes, {runs} x {count}")
+    for name, seconds in found.items():
+        print(f"  {name:18} {seconds * 1e6:8.1f} us")
+    tell(f"{KOORDGEN} / raw", found[KOORDGEN] / found["raw"], "at most", 1.6)
+    for name in peers:
+        tell(f"{name} / {KOORDGEN}", found[name] / found[KOORDGEN], "at least", 5.0)
+    return {name: seconds * 1e6 for name, seconds in found.items()}
+
+
+def part_consistency(peers: Sequence[str], quick: bool) -> Figures:
+    n, delta, count, runs = 16, 0.01, *((100, 1) if quick else (500, 5))
+    measured: dict[str, Callable[[], float]] = {}
+    for name in (*OURS, *peers):
+        rounds = our_rounds if name in OURS else peer_rounds
+        measured[name] = partial(median_of, rounds, name, n, delta, count)
+    found = in_turn(runs, measured)
+    print(
+        f"\n2. Time to consistency, {n} robots, delta {delta * 1e3:.0f} ms, {SIZE} bytes each, {runs} x {count} rounds"
+    )
+    for name, seconds in found.items():
+        print(f"  {name:18} {seconds * 1e3:8.2f} ms")
+    for name, least in (("cyclonedds", 2.0), ("zenoh", 3.0)):
+        if name in peers:
+            tell(f"{name} / {KOORDGEN}", found[name] / found[KOORDGEN], "at least", least)
+    return {name: seconds * 1e3 for name, seconds in found.items()}
+
+
+def part_largest(peers: Sequence[str], quick: bool) -> Figures:
+    figures: Figures = {}
+    print("\n3. Largest fleet that misses no round" + (" (only: does ours hold the wanted size?)" if quick else ""))
+    for delta, wanted in TARGETS.items():
+        count = round((1.0 if quick else 5.0) / delta)
+        label = f"{delta * 1e3:.0f} ms"
+        if quick:
+            figures[label] = {KOORDGEN: wanted if keeps(KOORDGEN, wanted, delta, count, 5.0) else 0}
+        else:
+            figures[label] = {name: largest(name, delta, count) for name in (KOORDGEN, *peers)}
+        sizes = ", ".join(f"{name} {n}" for name, n in figures[label].items())
+        tell(f"delta {label}: {sizes}", figures[label][KOORDGEN], "at least", wanted)
+    return figures
+
+
+def part_late(quick: bool) -> Figures:
+    n, delta, count = 4, 0.01, 300 if quick else 6000
+    print(f"\n4. {n} agents, delta {delta * 1e3:.0f} ms, {count} rounds each")
+    try:
+        results = agents(OURS[KOORDGEN], n, delta, count)
+    except Failed as failed:
+        print(f"  {failed}")
+        return {"late": None}
+    left = [(t, r["deadline"]) for r in results for t in r["left"]]
+    late = sum(t > deadline for t, deadline in left) / len(left)
+    skipped = sum(len(r["skipped"]) for r in results) / len(left)
+    figures = {"late": late, "skipped": skipped, "left_ms": statistics.median(t for t, _ in left) * 1e3}
+    print(
+        f"  closings leave {figures['left_ms']:.2f} ms after the tick (median), {skipped:.3%} of rounds without event"
+    )
+    tell("share of late closings (%)", late * 100, "below", 0.1)
+    return figures
+
+
+def tell(what: str, figure: float, how: str, target: float) -> None:
+    good = figure >= target if how == "at least" else figure <= target
+    said = f"{figure:8.2f}" if math.isfinite(figure) else "    none"
+    print(f"  {what:46} {said}  (wanted: {how} {target:g}{'' if good and math.isfinite(figure) else ': MISSED'})")
+
+
+def finite(figures: Any) -> Any:
+    """JSON knows no infinity."""
+    if isinstance(figures, dict):
+        return {name: finite(figure) for name, figure in figures.items()}
+    return figures if figures is None or math.isfinite(figures) else None
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--quick", action="store_true", help="under a minute: one run of each, few rounds")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there, too")
+    parser.add_argument("--only", type=int, choices=(1, 2, 3, 4), action="append", help="only this part")
+    arguments = parser.parse_args()
+    absent = peers_exchange.missing()
+    for text in absent.values():
+        print(text)
+    peers = [name for name in PEERS if name not in absent]
+    quick, only = arguments.quick, arguments.only or [1, 2, 3, 4]
+    parts: dict[int, tuple[str, Callable[[], Figures]]] = {
+        1: ("round_trip_us", lambda: part_round_trip(peers, quick)),
+        2: ("consistency_ms", lambda: part_consistency(peers, quick)),
+        3: ("largest_fleet", lambda: part_largest(peers, quick)),
+        4: ("late", lambda: part_late(quick)),
+    }
+    figures = {name: part() for number, (name, part) in parts.items() if number in only}
+    if arguments.json is not None:
+        arguments.json.write_text(json.dumps(finite(figures), indent=2) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

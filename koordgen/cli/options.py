@@ -1,0 +1,127 @@
+"""What can be asked on the command line. Of a known command only its own parser is made: all of them take 1 ms."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from typing import Any
+
+from koordgen import __version__
+
+
+class _Parser(argparse.ArgumentParser):
+    """Asks how wide the terminal is only when there is something to show: argparse itself does so at every argument,
+    and what it imports for that takes 3 ms."""
+
+    def __init__(self, **given: Any) -> None:
+        super().__init__(formatter_class=_of_any_width, **given)
+
+    def format_usage(self) -> str:
+        self.formatter_class = argparse.HelpFormatter
+        return super().format_usage()
+
+    def format_help(self) -> str:
+        self.formatter_class = argparse.HelpFormatter
+        return super().format_help()
+
+
+def _of_any_width(prog: str) -> argparse.HelpFormatter:
+    return argparse.HelpFormatter(prog, width=80)
+
+
+def parsed(arguments: list[str]) -> argparse.Namespace:
+    """The options, `command` among them. Exits where they are wrong, or help or the version is asked for."""
+    parser = _Parser(prog="koordgen", description="Compiles Koord programs to agents for robots.", allow_abbrev=False)
+    parser.add_argument("--version", action="version", version=f"koordgen {__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    asked = arguments[0] if arguments else ""
+    for name, (summary, fill) in _COMMANDS.items():
+        if asked == name or asked not in _COMMANDS:
+            fill(commands.add_parser(name, help=summary))
+    for name, summary in _harnesses() if asked not in _COMMANDS else ():
+        _harness(commands.add_parser(name, help=f"build and run: {summary}"))
+    return parser.parse_args(arguments)
+
+
+def _check(command: argparse.ArgumentParser) -> None:
+    command.add_argument("program", metavar="APP.koord")
+    _format(command)
+
+
+def _dump(command: argparse.ArgumentParser) -> None:
+    command.add_argument("program", metavar="APP.koord")
+    command.add_argument("--after", metavar="PASS", choices=("parse", "check"), default="check", help="parse or check")
+    _format(command)
+
+
+def _build(command: argparse.ArgumentParser) -> None:
+    command.add_argument("program", metavar="APP.koord")
+    command.add_argument("--target", metavar="A,B", required=True, help="the targets to build for")
+    command.add_argument("-o", "--out", metavar="DIR", default="build", help="DIR/<app>/ is written (default: build)")
+    _of_a_build(command)
+
+
+def _fmt(command: argparse.ArgumentParser) -> None:
+    command.add_argument("files", metavar="FILE", nargs="+", help="`-` reads standard input, writes standard output")
+    command.add_argument("--check", action="store_true", help="write nothing; status 1 when a file would change")
+    command.add_argument("--diff", action="store_true", help="like --check, and show what would change")
+    command.add_argument("--upgrade", action="store_true", help="rewrite the 2020 dialect as well")
+    command.add_argument("--format", choices=("text", "json"), default="text", help="of what is told (default: text)")
+
+
+def _explain(command: argparse.ArgumentParser) -> None:
+    command.add_argument("code", metavar="CODE", nargs="?", help="for example K030; without one, all codes are listed")
+
+
+def _estop(command: argparse.ArgumentParser) -> None:
+    command.add_argument("fleet", metavar="FLEET", help="the fleet file (YAML)")
+    command.add_argument("--key", metavar="FILE", help="the fleet's key (default: beside the fleet file, or here)")
+    command.add_argument("--format", choices=("text", "json"), default="text", help="of what is told (default: text)")
+
+
+def _key(command: argparse.ArgumentParser) -> None:
+    command.add_argument("action", choices=("new",))
+    command.add_argument("file", metavar="FILE")
+
+
+def _harness(command: argparse.ArgumentParser) -> None:
+    command.add_argument("program", metavar="APP.koord")
+    command.add_argument("--duration", metavar="S", type=float, help="seconds of mission, from its first round")
+    command.add_argument("--seed", metavar="N", type=int, help="seed of all that is random")
+    command.add_argument("--out", metavar="DIR", help="where trace, summary, pictures and report go")
+    command.add_argument("--quiet", action="store_true", help="no progress")
+    _of_a_build(command, fleet_required=True)
+
+
+def _of_a_build(command: argparse.ArgumentParser, fleet_required: bool = False) -> None:
+    command.add_argument("--fleet", metavar="FILE", required=fleet_required, help="the fleet file (YAML)")
+    command.add_argument(
+        "--param", metavar="NAME=VALUE", action="append", default=[], help="a param's value; goes before the fleet's"
+    )
+    command.add_argument(
+        "--functions", metavar="FILE", help="Python of the extern functions (default: <app>_functions.py beside it)"
+    )
+    _format(command)
+
+
+def _format(command: argparse.ArgumentParser) -> None:
+    help = "of diagnostics (default: text)"
+    command.add_argument("--format", choices=("text", "json", "sarif"), default="text", help=help)
+
+
+_COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
+    "check": ("check a program", _check),
+    "dump": ("show a program as it stands after a pass", _dump),
+    "build": ("write a bundle for each target, or for each robot of a fleet", _build),
+    "fmt": ("format programs in place", _fmt),
+    "explain": ("tell more of a code, with a wrong and a right example", _explain),
+    "estop": ("emergency stop: bring all robots of a fleet to rest at once", _estop),
+    "key": ("make a fleet's key", _key),
+}
+
+
+def _harnesses() -> list[tuple[str, str]]:
+    """Targets that run a whole fleet are commands."""
+    from koordgen import manifest
+
+    return [(t.name, t.summary) for t in map(manifest.load, manifest.available()) if t.kind == "harness"]

@@ -1,0 +1,143 @@
+"""Sockets: which addresses and groups can be opened, and what is told of those that cannot."""
+
+from __future__ import annotations
+
+import socket
+import time
+from contextlib import ExitStack
+from typing import Any
+
+import pytest
+
+from koordgen.runtime import udp
+from koordgen.runtime.settings import Network
+from koordgen.runtime.transport import CannotOpen, Transport, open_transport
+from tests.runtime.transports import BROADCAST, MULTICAST, free_ports, opened, settings
+
+
+UNICAST = Network()
+
+
+def open_one(ports: list[int], network: Network = UNICAST, **changes: Any) -> Transport:
+    return open_transport(settings(0, ports, network, **changes))
+
+
+def groups() -> list[Network]:
+    port = free_ports(1)[0]
+    return [
+        Network(transport="multicast", group=MULTICAST, port=port),
+        Network(transport="multicast", group=MULTICAST, port=port, interface="127.0.0.1"),
+        Network(transport="multicast", group=MULTICAST, port=port, interface="lo"),
+        Network(transport="broadcast", group=BROADCAST, port=port),
+    ]
+
+
+@pytest.mark.parametrize("network", [Network(), *groups()])
+def test_a_port_in_use_names_robot_and_address(network: Network) -> None:
+    ports = free_ports(2)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", ports[0]))
+        with pytest.raises(CannotOpen, match=rf"^127.0.0.1:{ports[0]}, where robot r0 listens, is in use"):
+            open_one(ports, network)
+
+
+@pytest.mark.parametrize("network", groups())
+def test_a_group_port_in_use_by_something_else(network: Network) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("", network.port))
+        place = rf"^{network.group}:{network.port}, the {network.transport} group of robot r0, is in use by something"
+        with pytest.raises(CannotOpen, match=place):
+            open_one(free_ports(2), network)
+
+
+@pytest.mark.parametrize("network", groups())
+def test_robots_of_one_host_share_a_group(network: Network) -> None:
+    with ExitStack() as stack:
+        transports = opened(stack, free_ports(3), network)
+        transports[2].send([0, 1], b"x")
+        for transport in transports[:2]:
+            transport.wait(5)
+            assert transport.receive() == [b"x"]
+        assert transports[2].receive() == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"transport": "multicast", "group": "10.0.0.1"}, "10.0.0.1:47000, the multicast group of robot r0: not a mul"),
+        ({"transport": "multicast", "group": "ff02::1"}, "not an IPv4 address"),
+        ({"transport": "multicast", "group": ""}, "not an IPv4 address"),
+        ({"transport": "multicast", "group": MULTICAST, "port": 0}, "not a port"),
+        ({"transport": "multicast", "group": MULTICAST, "port": 65536}, "not a port"),
+        ({"transport": "multicast", "group": MULTICAST, "interface": "nope9"}, "set `interface` to the address"),
+        ({"transport": "multicast", "group": MULTICAST, "interface": "192.0.2.77"}, "set `interface` to the address"),
+        ({"transport": "broadcast", "group": MULTICAST}, "set `transport` to multicast"),
+        ({"transport": "broadcast", "group": "192.0.2.77"}, "is no broadcast address of a network of this host"),
+    ],
+)
+def test_groups_that_cannot_be(changes: dict[str, Any], told: str) -> None:
+    with pytest.raises(CannotOpen) as raised:
+        open_one(free_ports(2), Network(**changes))
+    assert told in str(raised.value)
+
+
+@pytest.mark.parametrize("port", [0, -1, 65536, 99999])
+@pytest.mark.parametrize("own", [True, False])
+def test_ports_that_cannot_be(port: int, own: bool) -> None:
+    ports = [port, *free_ports(1)] if own else [*free_ports(1), port]
+    with pytest.raises(CannotOpen, match=rf"robot r{int(not own)}: 127.0.0.1:{port} is no address"):
+        open_one(ports)
+
+
+def test_an_address_of_another_host() -> None:
+    with pytest.raises(CannotOpen, match=r"192.0.2.77:\d+, where robot r0 listens, is no address of this host: set"):
+        open_one(free_ports(2), bind="192.0.2.77")
+
+
+def test_listening_everywhere() -> None:
+    ports = free_ports(2)
+    transport = open_one(ports, bind="0.0.0.0")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sender.sendto(b"x", ("127.0.0.1", ports[0]))
+    transport.wait(5)
+    assert transport.receive() == [b"x"]
+    transport.close()
+
+
+def test_what_cannot_be_sent_is_counted_by_reason() -> None:
+    transport = open_one(free_ports(2))
+    transport.send([1], bytes(70_000))
+    transport.send([1, 1], bytes(70_000))
+    assert transport.troubles == {"send: EMSGSIZE": 3}
+    transport.close()
+
+
+def test_a_group_takes_one_datagram_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    sent: list[tuple[str, int]] = []
+    monkeypatch.setattr(udp.GroupTransport, "_send", lambda self, datagram, address: sent.append(address))
+    ports, network = free_ports(4), groups()[0]
+    transport = open_one(ports, network)
+    transport.send([1, 2, 3], b"x")
+    transport.send([2], b"x")
+    assert sent == [(network.group, network.port), ("127.0.0.1", ports[2])]
+    transport.close()
+
+
+def test_waiting_is_finer_than_a_millisecond() -> None:
+    transport = open_one(free_ports(2))
+    late = []
+    for _ in range(10):
+        start = time.monotonic()
+        transport.wait(0.0031)
+        late.append(time.monotonic() - start - 0.0031)
+    transport.close()
+    assert min(late) < 0.0007  # a poll alone would always be 0.9 ms late
+
+
+def test_nothing_stays_open_after_a_failure() -> None:
+    port = free_ports(1)[0]
+    network = Network(transport="multicast", group=MULTICAST, port=port, interface="nope9")
+    ports = free_ports(2)
+    with pytest.raises(CannotOpen):
+        open_one(ports, network)
+    open_one(ports).close()  # its own port is free again; a socket left open would also be a ResourceWarning

@@ -1,0 +1,147 @@
+"""Fleets of transports of every kind, opened for one test on the loopback or in memory."""
+
+from __future__ import annotations
+
+import importlib.util
+import socket
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from typing import Any
+
+import pytest
+
+from koordgen.runtime.clock import SimulatedClock
+from koordgen.runtime.network import Conditions, MemoryNetwork
+from koordgen.runtime.settings import Box, Network, Origin, Peer, Settings
+from koordgen.runtime.transport import Transport, open_transport
+
+NO_ZENOH = importlib.util.find_spec("zenoh") is None
+needs_zenoh = pytest.mark.skipif(NO_ZENOH, reason="the package eclipse-zenoh is not installed")
+PATIENCE = 5.0  # seconds until a test gives up; never waited for when all is well
+MULTICAST = "239.255.71.1"
+BROADCAST = "127.255.255.255"
+
+
+def free_ports(n: int) -> list[int]:
+    with ExitStack() as stack:
+        sockets = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(n)]
+        for each in sockets:
+            each.bind(("127.0.0.1", 0))
+        return [int(each.getsockname()[1]) for each in sockets]
+
+
+def settings(pid: int, ports: Sequence[int], network: Network, **changes: Any) -> Settings:
+    peers = tuple(Peer(f"r{i}", "127.0.0.1", port) for i, port in enumerate(ports))
+    box = Box((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))  # type: ignore[arg-type]
+    return Settings("app", f"r{pid}", pid, 0.1, peers, Origin(0.0, 0.0, 0.0), box, network=network, **changes)
+
+
+class Opened:
+    """`transports` by pid. `tick` lets a moment pass, where time is simulated; `inject` sends a robot something that
+    no transport would: from nobody, to the address at which it hears what goes to `several` or to it alone."""
+
+    def __init__(
+        self,
+        transports: list[Transport],
+        inject: Callable[[int, bytes, bool], None],
+        tick: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.transports = transports
+        self.inject = inject
+        self.tick = tick
+
+    def collect(self, pid: int, count: int) -> list[bytes]:
+        """What arrives at a robot until there are so many, or patience ends."""
+        found: list[bytes] = []
+        end = time.monotonic() + PATIENCE
+        while len(found) < count and time.monotonic() < end:
+            self.tick()
+            self.transports[pid].wait(0.05)
+            found += self.transports[pid].receive()
+        return found
+
+    def is_quiet(self, pid: int) -> bool:
+        """Whether nothing but a mark that it is sent now arrives; what was sent before would be there by then."""
+        sender = (pid + 1) % len(self.transports)
+        self.transports[sender].send([pid], b"mark")
+        return self.collect(pid, 1) == [b"mark"]
+
+
+def memory(stack: ExitStack, n: int) -> Opened:
+    clock = SimulatedClock()
+    network = MemoryNetwork(clock, 1, Conditions(delay=0.001))
+
+    def tick() -> None:
+        clock.time += 0.01
+
+    transports: list[Transport] = [network.transport(pid) for pid in range(n)]
+    return Opened(transports, lambda pid, data, several: network.send(-1, pid, data), tick)
+
+
+def udp(stack: ExitStack, n: int, kind: str) -> Opened:
+    *ports, port = free_ports(n + 1)
+    group = {"unicast": "", "multicast": MULTICAST, "broadcast": BROADCAST}[kind]
+    network = Network(transport=kind, group=group, port=port)  # type: ignore[arg-type]
+    transports = opened(stack, ports, network)
+    out = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+    out.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+    out.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
+
+    def inject(pid: int, data: bytes, several: bool) -> None:
+        out.sendto(data, (group, port) if several and group else ("127.0.0.1", ports[pid]))
+
+    return Opened(transports, inject)
+
+
+def zenoh(stack: ExitStack, n: int) -> Opened:
+    import zenoh as package
+
+    ports = free_ports(n)
+    found = Opened(opened(stack, ports, Network(transport="zenoh")), lambda pid, data, several: None)
+    config = package.Config()
+    for key, value in (("scouting/multicast/enabled", "false"), ("listen/endpoints", "[]")):
+        config.insert_json5(key, value)
+    config.insert_json5("connect/endpoints", str([f"udp/127.0.0.1:{port}" for port in ports]))
+    session = stack.enter_context(package.open(config))
+
+    def inject(pid: int, data: bytes, several: bool) -> None:
+        session.put(f"koordgen/0/{'all' if several else pid}", data)
+
+    found.inject = inject
+    for pid in range(n):
+        meet(found, pid, lambda pid=pid: inject(pid, b"", False))  # type: ignore[misc]
+        for sender in range(n):
+            if sender != pid:
+                meet(found, pid, lambda s=sender, p=pid: found.transports[s].send([p], b""))  # type: ignore[misc]
+                meet(found, pid, lambda s=sender: found.transports[s].send(range(n), b""))  # type: ignore[misc]
+    for pid in range(n):  # what is still under way comes before these
+        ends = {b"end%d" % sender for sender in range(n) if sender != pid} | {b"end"}
+        inject(pid, b"end", False)
+        for sender in range(n):
+            if sender != pid:
+                found.transports[sender].send([pid], b"end%d" % sender)
+        while ends:
+            ends -= set(found.collect(pid, 1))
+    return found
+
+
+def meet(found: Opened, pid: int, send: Callable[[], None]) -> None:
+    """Send until it is heard: Zenoh's sessions get to know one another in the background."""
+    end = time.monotonic() + PATIENCE
+    heard = False
+    while not heard:
+        assert time.monotonic() < end, "the sessions do not find each other"
+        send()
+        found.transports[pid].wait(0.02)
+        heard = bool(found.transports[pid].receive())
+
+
+def opened(stack: ExitStack, ports: Sequence[int], *networks: Network) -> list[Transport]:
+    """One for each port; all of one network, or each of its own."""
+    transports = []
+    for pid in range(len(ports)):
+        transport = open_transport(settings(pid, ports, networks[pid % len(networks)]))
+        stack.callback(transport.close)
+        transports.append(transport)
+    return transports
