@@ -26,7 +26,6 @@ from koordgen.runtime.drivers import Drivers, with_drivers
 from koordgen.runtime.extern import BadExtern
 from koordgen.runtime.layout import Layout, TooLarge
 from koordgen.runtime.machine import INTERNAL, OK, SURROUNDINGS, WRONG_PROGRAM, Agent
-from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.platform import Platform, Unready
 from koordgen.runtime.program import Program
 from koordgen.runtime.runner import EndedAtOnce, interrupting
@@ -34,7 +33,7 @@ from koordgen.runtime.seal import BadKey, load_key
 from koordgen.runtime.settings import BadSettings, Settings, load
 from koordgen.runtime.status import ask, show
 from koordgen.runtime.store import Store
-from koordgen.runtime.trace import Record, Trace
+from koordgen.runtime.trace import Trace
 from koordgen.runtime.transport import CannotOpen, open_transport
 
 __all__ = ["Agent", "main"]
@@ -170,17 +169,12 @@ def _run(
         opened.callback(store.close)
         trace = _open_trace(settings.trace)
         opened.callback(trace.close)
-        metrics = Metrics(settings.pid, len(settings.peers))
-
-        def observe(record: Record) -> None:
-            metrics.round(record.round, record.late, record.event, record.skipped, record.frame is not None)
-
         agent = Agent(
-            program, settings, key, platform, clock, transport, trace, emit, os.urandom(8), [observe], interrupting
+            program, settings, key, platform, clock, transport, trace, emit, os.urandom(8), store, limit=interrupting
         )
 
         def report() -> dict[str, Any]:
-            return _report(settings, agent, metrics, control, clock.now())
+            return _report(settings, agent, control, clock.now())
 
         signals = opened.enter_context(_Signals())
         seen = 0
@@ -188,7 +182,7 @@ def _run(
         while not agent.done:
             if control.poll(clock.now(), agent.phase, report) and not stopped:
                 stopped = True
-                agent.end("emergency stop")
+                agent.stop_all("emergency stop")
             wake = agent.poll(clock.now())
             if signals.count > seen:
                 seen += 1
@@ -203,7 +197,7 @@ def _run(
         return agent.status
 
 
-def _report(settings: Settings, agent: Agent, metrics: Metrics, control: Control, now: float) -> dict[str, Any]:
+def _report(settings: Settings, agent: Agent, control: Control, now: float) -> dict[str, Any]:
     counters = agent.counters()
     dropped = {k.removeprefix("dropped: "): v for k, v in counters.items() if k.startswith("dropped: ")}
     return {
@@ -214,7 +208,7 @@ def _report(settings: Settings, agent: Agent, metrics: Metrics, control: Control
         "phase": agent.phase,
         "round": agent.round,
         "counters": {k: v for k, v in counters.items() if not k.startswith("dropped: ")},
-        **metrics.snapshot(now, dropped | {f"order: {k}": v for k, v in control.rejected.items()}),
+        **agent.metrics.snapshot(now, dropped | {f"order: {k}": v for k, v in control.rejected.items()}),
     }
 
 

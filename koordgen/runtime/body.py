@@ -101,6 +101,11 @@ class Body:
         self._fenced = tuple(moved)
         self._platform.command(inside, now)
 
+    def restore(self, actuators: Mapping[str, Any], now: float) -> None:
+        """Go on with what an earlier life of this robot had commanded, where that differs."""
+        nothing = object()
+        self.command({n: v for n, v in actuators.items() if self.actuators.get(n, nothing) != v}, now)
+
     def hold(self, reason: str, on: bool, now: float) -> bool:
         """Hold for a reason, or no longer for that one; the robot moves when no reason is left. True on a change."""
         if on == (reason in self._reasons) or self._retired:

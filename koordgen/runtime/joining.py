@@ -4,6 +4,10 @@ Each robot tells each other one, every PERIOD, its boot, its `init` result and w
 adopted only when its Hello answers a challenge that opened after the last adoption, so a recorded Hello of an earlier
 boot never passes for the present one. Who holds all results announces the epoch, a digest of all boots. Once all
 announce the same one, the robot with the lowest pid proposes the start of round 1, and everyone passes it on.
+
+A robot whose process died within a mission comes back with the epoch that it had kept, and without an `init`: it is
+adopted by those who are in that mission, and learns the start from them. When all robots are there and nobody is in it,
+that mission is lost, and a new one begins.
 """
 
 from __future__ import annotations
@@ -37,6 +41,7 @@ class _Other:
     init: Closing | None = None
     epoch: bytes = b""
     holds: tuple[int, ...] = ()
+    idle: bool = False  # it is in no mission
     elsewhere: bool = False  # it is in a mission that our boot is not part of
 
 
@@ -61,25 +66,46 @@ class Joining:
         self._init: Closing | None = None
         self._start: float | None = None
         self._next = 0.0
+        self._returning = False
+        self.met = True  # no robot need be told of this one any more
         self.restarted: set[int] = set()  # robots that began anew while the mission runs
 
+    def come_back(self, epoch: bytes) -> None:
+        """This robot was in the mission of that name when its process died."""
+        self._returning = True
+        self.met = False
+        self._link.epoch = epoch
+
+    @property
+    def lost(self) -> bool:
+        """Whether the mission that this robot would come back to is nobody's any more."""
+        return self._returning and self._start is None and all(o.idle for o in self._others.values())
+
+    @property
+    def returned(self) -> float | None:
+        """The start of round 1 of the mission that this robot comes back to, once it has heard it."""
+        return self._start if self._returning else None
+
     def ready(self, init: Closing) -> None:
-        """The own `init` has run."""
+        """The own `init` has run: this robot begins a mission."""
         self._init = init
+        if self._returning:
+            self._returning = False
+            self._link.epoch = b""
         self._agree()
 
     @property
     def mission(self) -> Mission | None:
         """The mission, once its start is known."""
         inits = self._inits()
-        if self._start is None or inits is None:
+        if self._start is None or inits is None or self._returning:
             return None
         return Mission(self._link.epoch, self._start, inits)
 
     def poll(self, now: float, fleet: float | None) -> float:
         """Send what is due at local time `now`; `fleet` is the fleet time, if known. When to be called again."""
         if self._start is not None:
-            return float("inf")
+            return self._meet(now)
         agreed = self._link.epoch and all(o.epoch == self._link.epoch for o in self._others.values())
         if agreed and self._pid == 0 and fleet is not None:
             self._start = round((fleet + LEAD) * 1e6) / 1e6
@@ -87,6 +113,15 @@ class Joining:
         if now >= self._next:
             self._next = now + PERIOD
             self.tell()
+        return self._next
+
+    def _meet(self, now: float) -> float:
+        """During the mission: Hellos to those whose present boot is not known, or who may not know ours."""
+        if now >= self._next:
+            self._next = now + PERIOD
+            for pid in self._link.strangers if self.met else self._others:
+                self._hello(pid, self._others[pid].challenge)
+            self._link.strangers.clear()
         return self._next
 
     def tell(self) -> None:
@@ -102,17 +137,23 @@ class Joining:
             if hello.answer != self._challenge(pid):
                 self._hello(pid, hello.challenge)  # let it prove that it lives; nothing is kept of it until then
                 return
-            if self._start is not None:
+            same_mission = hello.head.epoch == self._link.epoch
+            if self._start is not None and not same_mission:
                 self.restarted.add(pid)
                 self._hello(pid, hello.challenge)
                 return
             self._link.adopt(hello)
             other = self._others[pid] = _Other(adoptions=other.adoptions + 1)
-            self._link.epoch = b""
+            if self._start is None and not self._returning:
+                self._link.epoch = b""
         other.challenge = hello.challenge
         if self._start is not None:
-            if hello.start is None:  # it missed the proposal; two that know it have nothing to say
+            # Either it missed the proposal, or it has not met this boot; else two that know it have nothing to say.
+            if hello.start is None or hello.answer != self._challenge(pid):
                 self._hello(pid, other.challenge)
+            return
+        if self._returning:
+            self._learn(other, hello, fleet)
             return
         init = hello.init
         if init is not None and (init.author != pid or init.round != 0 or self._layout.read(init) is None):
@@ -122,6 +163,11 @@ class Joining:
         other.epoch = hello.head.epoch
         other.holds = hello.holds
         self._agree()
+        self._learn(other, hello, fleet)
+
+    def _learn(self, other: _Other, hello: Hello, fleet: float | None) -> None:
+        """Take over the start of the own mission from one who is in it."""
+        other.idle = hello.start is None
         other.elsewhere = hello.start is not None and hello.head.epoch != self._link.epoch
         if hello.start is not None and self._link.epoch and not other.elsewhere:
             start = hello.start / 1e6
@@ -138,15 +184,17 @@ class Joining:
         unready = [self._names[p] for p, o in self._others.items() if self._link.sessions.get(p) and o.init is None]
         deaf = [self._names[p] for p, o in self._others.items() if o.init is not None and not o.epoch]
         parts = []
+        if self._returning:
+            parts.append("coming back to the mission")
         if elsewhere:
             parts.append(f"{', '.join(elsewhere)} in a mission that began before this start: end it first")
         if silent:
             reasons = dict.fromkeys(text for reason, text in _UNHEARD.items() if self._link.rejected.get(reason))
             why = f" ({'; '.join(reasons)})" if reasons else ""
             parts.append(f"waiting for {', '.join(silent)}, not heard yet{why}")
-        if unready:
+        if unready and not self._returning:
             parts.append(f"waiting for {', '.join(unready)} to get ready")
-        if deaf and not silent and not unready:
+        if deaf and not self._returning and not silent and not unready:
             parts.append(f"waiting until {', '.join(deaf)} hear from all")
         return "; ".join(parts) or "waiting for the start of round 1"
 

@@ -21,6 +21,7 @@ PATCH_FROM = 128  # bytes: a shorter value goes whole
 _CLOSING = 1 + 1 + 3 * 9 + 3 + 3 + 3  # array, author, incarnation, first, round, three bools, lock, array of writes
 _WRITE = 1 + 3 + 1  # array, index, bool
 _NONE: Mapping[str, Any] = MappingProxyType({})
+_parts = msgspec.msgpack.Decoder(list[msgspec.Raw])
 
 
 class TooLarge(Exception):
@@ -72,6 +73,26 @@ class Layout:
         """What an author's writes take the place of: the variables' values, of allread ones the author's slot."""
         pairs = zip(self.names, self.is_slots, strict=True)
         return {name: store[name][author] if slots else store[name] for name, slots in pairs}
+
+    def pack(self, store: Mapping[str, Any]) -> tuple[msgspec.Raw, ...]:
+        """The whole store as it goes over the wire, for one who comes in."""
+        return tuple([msgspec.Raw(encoder.encode(store[name])) for name in self.names])
+
+    def unpack(self, values: Sequence[msgspec.Raw]) -> dict[str, Any] | None:
+        """The store in what `pack` made; None when anything in it does not fit this program."""
+        if len(values) != len(self.names):
+            return None
+        store: dict[str, Any] = {}
+        for index, (name, slots, data) in enumerate(zip(self.names, self.is_slots, values, strict=True)):
+            try:
+                parts = _parts.decode(data) if slots else [data]
+            except (msgspec.DecodeError, RecursionError):
+                return None
+            found = tuple([self._value(index, part) for part in parts])
+            if len(found) != (self.n_sys if slots else 1) or None in found:
+                return None
+            store[name] = found if slots else found[0]
+        return store
 
     def writes(self, shared: Mapping[str, Any], bases: Mapping[str, Any] = _NONE) -> tuple[Write, ...]:
         """What an event wrote, as it goes over the wire. A large value that differs little from that in `bases`, of the

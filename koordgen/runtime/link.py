@@ -6,10 +6,14 @@ interface and program, fresh, and of this mission; what is not is dropped and co
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
 
 from koordgen.runtime.clock import Clock, FleetClock
+from koordgen.runtime.metrics import Metrics
+from koordgen.runtime.pieces import cut, lacking
 from koordgen.runtime.program import Program
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.transport import Transport
@@ -21,7 +25,8 @@ from koordgen.runtime.wire import (
     Head,
     Hello,
     Message,
-    Need,
+    Partly,
+    Piece,
     Round,
     decode,
     encode,
@@ -31,6 +36,10 @@ from koordgen.runtime.wire import (
 
 REPLAY_WINDOW = 1024  # datagrams that may arrive out of order
 MOST_DATAGRAMS = 4  # to one peer for one catch-up
+MOST_PIECES_AT_ONCE = 16
+NOTHING: Mapping[int, Partly] = MappingProxyType({})
+
+Fields = tuple[int, int, int, int, bool, tuple[int, ...]]  # of Round, between its head and its closings
 
 
 @dataclass(slots=True)
@@ -42,6 +51,7 @@ class Session:
     newest: int = 0
     seen: int = 0
     heard: tuple[int, int] | None = None
+    round: int = 0  # the latest in which it said to be
 
     def fresh(self, sequence: int) -> bool:
         """Take a sequence number; False when it was taken before or is older than the window."""
@@ -69,12 +79,15 @@ class Link:
         fleet_clock: FleetClock,
         boot: bytes,
         report: Callable[[str], None],
+        metrics: Metrics,
     ) -> None:
+        self._metrics = metrics
         self.pid = settings.pid
         self.boot = boot
         self.epoch = b""
         self.rejected: dict[str, int] = {}
         self.sessions: dict[int, Session] = {}
+        self.strangers: set[int] = set()  # robots of this mission of whom another boot speaks than the one adopted
         self._names = [p.name for p in settings.peers]
         self._application = settings.application_id
         self._interface = bytes.fromhex(program.interface_hash)
@@ -88,29 +101,40 @@ class Link:
         self._reported: set[tuple[int, str]] = set()
         self._sequence = 0
         self._next_echo = 0
-        self._room = LIMIT - overhead(len(settings.peers))
+        self.room = LIMIT - overhead(len(settings.peers))  # bytes for closings or a piece in one datagram
 
     def hello(self, to: int, challenge: bytes, answer: bytes, holds: tuple[int, ...], init: Closing | None,
               start: int | None) -> None:  # fmt: skip
         self._send([to], Hello(self._head(), to, challenge, answer, holds, init, start))
 
-    def need(self, to: Sequence[int], through: int, held: tuple[int, ...]) -> None:
-        self._send(to, Need(self._head(), 0, through, 0, held, ()))
+    def say(self, to: Collection[int], kind: type[Message], *fields: Any) -> None:
+        """One message of this kind, with its fields behind the head."""
+        if to:
+            self._send(to, kind(self._head(), *fields))
 
-    def round(self, to: Sequence[int], round_: int, settled: int, held: tuple[int, ...],
-              closings: Sequence[Closing]) -> None:  # fmt: skip
-        """One datagram, or as few as the closings fit in, at most MOST_DATAGRAMS; the rest waits to be asked for."""
-        for batch in self._batches(closings):
-            self._send(to, Round(self._head(), 0, round_, 0, settled, False, held, batch))
+    def round(self, to: Collection[int], word: Fields, closings: Sequence[Closing],
+              partly: Mapping[int, Partly] = NOTHING) -> None:  # fmt: skip
+        """A word with closings: one datagram, or as few as they fit in, at most MOST_DATAGRAMS; the rest waits to be
+        asked for. Of a closing that is longer than a datagram go those pieces that are not in `partly`, by author."""
+        if not to:
+            return
+        small = []
+        for closing in closings:
+            if len(closing.writes) and len(blob := encoder.encode(closing)) > self.room:
+                self._pieces(to, closing, blob, partly.get(closing.author))
+            else:
+                small.append(closing)
+        for batch in self._batches(small):
+            self._send(to, Round(self._head(), *word, batch))
 
-    def receive(self) -> list[Hello | Round | Need]:
+    def receive(self) -> list[Message]:
         """What arrived and may be listened to. A Hello of a boot that was not adopted is among it: `joining` judges."""
         accepted = []
         for datagram in self._transport.receive():
             message = decode(datagram, self._key)
             if isinstance(message, str):
                 self.reject(message)
-            elif isinstance(message, Hello | Round | Need) and self._admit(message):
+            elif self._admit(message):
                 accepted.append(message)
         return accepted
 
@@ -140,9 +164,10 @@ class Link:
                 reason = "another mission"
             elif not adopted:
                 reason = "another boot"
+                self.strangers.add(head.pid)
             if reason is None and adopted and session is not None:
                 if session.fresh(head.sequence):
-                    self._stamps(session, head)
+                    self._stamps(session, message)
                 else:
                     reason = "replayed"
         if reason is not None:
@@ -169,19 +194,27 @@ class Link:
             )
         return what
 
-    def _stamps(self, session: Session, head: Head) -> None:
-        now = _microseconds(self._clock.now())
+    def _stamps(self, session: Session, message: Message) -> None:
+        head, clock = message.head, self._fleet_clock
+        local = self._clock.now()
+        now = _microseconds(local)
         if session.heard is None or head.sent > session.heard[0]:
             session.heard = (head.sent, now)
-        if head.pid != self._reference:
-            return
-        for echo in head.echoes:
-            if echo.pid == self.pid:
-                stamps = (echo.sent / 1e6, echo.received / 1e6, head.sent / 1e6, now / 1e6)
-                self._fleet_clock.take(head.pid, *stamps, fleet=0.0)
+        fleet = None if head.fleet is None else head.fleet / 1e6
+        if head.pid == clock.reference or not clock.known:
+            for echo in head.echoes:
+                if echo.pid == self.pid:
+                    clock.take(head.pid, echo.sent / 1e6, echo.received / 1e6, head.sent / 1e6, now / 1e6, fleet)
+        if isinstance(message, Round) and message.round > session.round:
+            ahead = message.round - session.round if session.round else 1
+            session.round = message.round
+            delay = None if fleet is None or not clock.known else clock.read(local) - (head.sent / 1e6 + fleet)
+            self._metrics.heard(head.pid, ahead, delay, local)
 
     def _head(self) -> Head:
         self._sequence += 1
+        now = self._clock.now()
+        offset = self._fleet_clock.offset(now)
         peers = sorted(p for p, s in self.sessions.items() if s.heard is not None)
         if len(peers) > MAX_ECHOES:  # all in turn
             at = self._next_echo % len(peers)
@@ -196,28 +229,36 @@ class Link:
             self.boot,
             self.epoch,
             self._sequence,
-            _microseconds(self._clock.now()),
-            None,
+            _microseconds(now),
+            None if offset is None else round(offset * 1e6),
             echoes,
         )
+
+    def _pieces(self, to: Collection[int], closing: Closing, blob: bytes, known: Partly | None) -> None:
+        pieces = cut(blob, self.room)
+        mask = known.mask if known is not None and known.digest == pieces[0][0] else b""
+        for index in lacking(len(pieces), mask)[:MOST_PIECES_AT_ONCE]:
+            place = closing.author, closing.incarnation, closing.round
+            digest, _, count, data = pieces[index]
+            self._send(to, Piece(self._head(), *place, digest, index, count, data))
 
     def _batches(self, closings: Sequence[Closing]) -> list[tuple[Closing, ...]]:
         if len(closings) < 2:
             return [tuple(closings)]
         batches: list[tuple[Closing, ...]] = []
         batch: list[Closing] = []
-        room = self._room
+        room = self.room
         for closing in closings:
             length = len(encoder.encode(closing))
             if batch and length > room:
                 batches.append(tuple(batch))
-                batch, room = [], self._room
+                batch, room = [], self.room
             batch.append(closing)
             room -= length
         return [*batches, tuple(batch)][:MOST_DATAGRAMS]
 
-    def _send(self, to: Sequence[int], message: Message) -> None:
-        self._transport.send(to, encode(message, self._key))
+    def _send(self, to: Collection[int], message: Message) -> None:
+        self._transport.send(list(to), encode(message, self._key))
 
 
 def _microseconds(seconds: float) -> int:

@@ -10,21 +10,28 @@ import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 
+import msgspec
+
 from koordgen.runtime.body import Body
 from koordgen.runtime.clock import Clock, FleetClock
 from koordgen.runtime.joining import Joining
 from koordgen.runtime.layout import Layout
 from koordgen.runtime.link import Link
 from koordgen.runtime.memory import Memory
+from koordgen.runtime.metrics import Metrics
+from koordgen.runtime.outbox import Life
 from koordgen.runtime.platform import Platform, Unready
 from koordgen.runtime.program import Fault, Program
-from koordgen.runtime.rounds import Rounds
+from koordgen.runtime.replica import Replica
+from koordgen.runtime.rounds import Lost, Rounds
 from koordgen.runtime.runner import Limit, Runner, unlimited
 from koordgen.runtime.safety import Guard, Verdict
 from koordgen.runtime.settings import Settings
+from koordgen.runtime.store import Acceptor, Keeper, Loaded, Locals, LocalsCodec, Mission
 from koordgen.runtime.trace import Observe, Record, Trace
 from koordgen.runtime.transport import Transport
-from koordgen.runtime.wire import Closing, Hello
+from koordgen.runtime.views import Vote
+from koordgen.runtime.wire import Closing, Hello, View, encoder
 
 OK, WRONG_PROGRAM, SURROUNDINGS, INTERNAL = 0, 1, 5, 70
 LOST_BODY = 10.0  # seconds that a body which is lost for good is still tried to be brought to rest
@@ -48,6 +55,7 @@ class Agent:
         trace: Trace,
         emit: Emit,
         boot: bytes,
+        store: Keeper,
         monitors: Sequence[Observe] = (),
         limit: Limit = unlimited,
     ) -> None:
@@ -58,21 +66,32 @@ class Agent:
         self._trace = trace
         self._emit = emit
         self._monitors = list(monitors)
+        self._store = store
+        self._codec = LocalsCodec(program)
         self._names = tuple(p.name for p in settings.peers)
+        self.metrics = Metrics(settings.pid, len(self._names))
         self._layout = Layout(program.shared, len(self._names))
         self._fleet_clock = FleetClock(settings.pid)
-        self._link = Link(program, settings, key, transport, clock, self._fleet_clock, boot, self._report)
+        self._link = Link(program, settings, key, transport, clock, self._fleet_clock, boot, self._report, self.metrics)
         self._joining = Joining(self._link, self._layout, self._names)
+        self._before = store.load()  # what an earlier process of this robot has kept
+        self._epoch = b""  # the mission that is kept
+        if self._before.mission is not None:
+            self._epoch = self._before.mission.epoch
+            self._joining.come_back(self._epoch)
         self._body = Body(program, platform, settings.geofence, settings.planner_budget, self._warn)
         self._runner = Runner(program, settings.pid, len(self._names), clock, limit)
         self._guard = Guard(settings.safety, settings.geofence)
         self._verdict = Verdict("go")
         self._rounds: Rounds | None = None
+        self._replica: Replica | None = None
+        self._view = -1
         self._next_body = 0.0
         self._said = ""
         self._faulty = ""
         self._counted: dict[str, int] = {}
         self._known_restarts = 0
+        self._init: Life | None = None
         self._resting_since = 0.0
         self._served = 0.0  # when the platform's `poll` last went well
         self._asked_to_end = False
@@ -105,6 +124,13 @@ class Agent:
         self._asked_to_end = True
         self._rest(why, OK)
         self.done = self.done or not self._started
+
+    def stop_all(self, why: str) -> None:
+        """An emergency: come to rest at once, and tell the others to."""
+        if self._replica is not None:
+            self._replica.alarm()
+        self._log("error", why)
+        self.end(why)
 
     def poll(self, now: float) -> float:
         """Do what is due at local time `now`; returns when to be polled again at the latest (earlier when a datagram
@@ -142,16 +168,52 @@ class Agent:
                 self._joining.take(message, fleet)
             elif self._rounds is not None:
                 self._rounds.take(message)
+        if self._before.mission is not None and self._rounds is None and self._link.sessions:
+            self._fleet_clock.follow(min(self._link.sessions), now)  # who keeps the time is not known before the view
         self._watch_restarts()
         if self._rounds is not None:
-            wake = min(wake, self._rounds.poll(now, self._platform.sense, self._unready()))
+            wake = min(wake, self._poll_rounds(self._rounds, now), self._joining.poll(now, fleet))
             if self._rounds.over and self.phase == "running":
                 self._asked_to_end = True
                 self._rest("all robots have stopped", OK)
         elif self.phase in ("starting", "joining"):
+            self._keep_mission()
             wake = min(wake, self._joining.poll(now, fleet))
+            if self._joining.lost and self.phase == "joining":
+                self._log("warning", "no robot is in the mission that this one comes back to: a new one begins")
+                self._run_init(now)
             self._begin_rounds(now)
         return wake
+
+    def _poll_rounds(self, rounds: Rounds, now: float) -> float:
+        replica = self._replica
+        assert replica is not None
+        try:
+            wake = rounds.poll(now, self._platform.sense, self._unready())
+        except Lost as lost:
+            self._log("error", str(lost))
+            self._rest("cannot come back", SURROUNDINGS)
+            return now + self._platform.period
+        if replica.emergency and self.phase == "running":
+            self._log("error", "emergency stop, heard from another robot")
+            self.end("emergency stop")
+        self._joining.met = self._joining.met or not replica.out
+        view = replica.views.view
+        if view.number != self._view:
+            self._view = view.number
+            self._tell_view(view)
+            self._fleet_clock.follow(next(p for p, m in enumerate(view.members) if m >= 0), now)
+        return wake
+
+    def _tell_view(self, view: View) -> None:
+        """Say who counts, where that is not everyone from the beginning."""
+        if view.number:
+            out = [self._names[p] for p, m in enumerate(view.members) if m < 0]
+            back = [self._names[p] for p, m in enumerate(view.members) if m == view.number]
+            parts = [f"{', '.join(out)} {'does' if len(out) == 1 else 'do'} not count" if out else "all robots count"]
+            if back:
+                parts.append(f"{', '.join(back)} {'is' if len(back) == 1 else 'are'} back")
+            self._log("warning", f"from round {view.since} on {'; '.join(parts)} (view {view.number})")
 
     def _poll_body(self, now: float) -> float:
         if now < self._next_body - 1e-9:
@@ -179,6 +241,8 @@ class Agent:
         if self.phase == "rested":
             over = self._rounds is None or self._rounds.over
             self.done = self._asked_to_end or over or self._broken
+            if self.done and not self._broken:
+                self._store.clear()  # this robot's part is over: nothing to come back to
 
     def _begin_joining(self, now: float) -> None:
         """The body is ready: hold, and run `init` once."""
@@ -186,6 +250,15 @@ class Agent:
         self._body.hold("joining", True, now)
         sensed = self._platform.sense(now)
         self._body.begin(sensed)
+        if self._before.mission is None:
+            self._run_init(now)
+
+    def _run_init(self, now: float) -> None:
+        """Begin a mission of one's own, with nothing of an earlier one."""
+        self._before = Loaded()
+        self._store.clear()
+        self._epoch = b""
+        sensed = self._platform.sense(now)
         shared = self._layout.initial()
         frame = self._runner.frame(shared, self._body.sensors(sensed), self._body.actuators, self._body.call)
         done = self._runner.init(frame)
@@ -197,29 +270,76 @@ class Agent:
         self._body.command(done.actuators, now)
         self._stream(done.streams, now)
         writes = self._layout.writes(done.shared)
+        self._init = Life(0, done.locals, self._body.actuators, done.stopped)
         self._joining.ready(Closing(self._settings.pid, 0, 0, 0, done.stopped, writes=writes))
 
+    def _keep_mission(self) -> None:
+        """Before this robot says to which mission it belongs, that is kept: should its process die, it comes back."""
+        init = self._init
+        if init is not None and self._link.epoch not in (b"", self._epoch):
+            self._epoch = self._link.epoch
+            self._store.write(Mission(self._epoch, 0, b""))
+            self._keep(init, 0)
+
+    def _keep(self, life: Life, incarnation: int) -> None:
+        own, actuators = self._codec.encode(life.locals, life.actuators)
+        self._store.write(Locals(life.round, incarnation, own, actuators, life.stopped))
+
+    def _announce(self, view: View, applied: int, vote: Vote) -> None:
+        value = b"" if vote.value is None else encoder.encode(vote.value)
+        self._store.write(Acceptor(encoder.encode(view), applied, vote.number, vote.promised, vote.voted, value))
+
     def _begin_rounds(self, now: float) -> None:
-        mission = self._joining.mission
-        if mission is None or self.phase != "joining":
+        if self.phase != "joining":
             return
-        memory = Memory(self._layout, self._settings.pid, mission.inits)
+        mission, returned = self._joining.mission, self._joining.returned
+        n = len(self._names)
+        if mission is not None and self._init is not None:
+            start, epoch, lives = mission.start, mission.epoch, [self._init]
+            view, vote, applied = View(0, 1, (0,) * n), Vote(), 0
+            memory = Memory.begin(self._layout, self._settings.pid, view, mission.inits)
+        elif returned is not None:
+            start, epoch, memory, lives = returned, self._epoch, None, self._lives()
+            view, vote, applied = self._bound()
+        else:
+            return
+        timeout = self._settings.safety.peer_timeout
         self._fleet_clock.lock()
+        self._replica = Replica(self._link, self._layout, memory, view, vote, applied, timeout, self._announce)
         self._rounds = Rounds(
             self._runner,
             self._body,
-            memory,
-            self._link,
+            self._replica,
             self._fleet_clock,
             self._names,
-            mission.start,
+            start,
             self._settings.delta,
+            lives,
             self._observe,
+            self._keep,
         )
-        self._enter("running", f"mission {mission.epoch.hex()}, round 1 at {mission.start:.3f} s of fleet time")
+        self._enter("running", f"mission {epoch.hex()}, round 1 at {start:.3f} s of fleet time")
         if self._rounds.stopped:
             self._body.hold("stopped", True, now)
         self._next_body = now
+
+    def _lives(self) -> list[Life]:
+        """Those that an earlier process of this robot has kept."""
+        found = []
+        for kept in self._before.locals:
+            decoded = self._codec.decode(kept.locals, kept.actuators)
+            if decoded is not None:
+                found.append(Life(kept.round, *decoded, kept.stopped))
+        return found or [Life(-1, self._runner.locals, self._body.actuators, False)]
+
+    def _bound(self) -> tuple[View, Vote, int]:
+        """What an earlier process of this robot has bound it to."""
+        n, kept = len(self._names), self._before.acceptor
+        if kept is None:
+            return View(0, 1, (0,) * n), Vote(), 0
+        view = msgspec.msgpack.decode(kept.view, type=View)
+        value = msgspec.msgpack.decode(kept.accepted, type=View) if kept.accepted else None
+        return view, Vote(kept.number, kept.promised, kept.accepted_ballot, value), kept.applied
 
     def _judge(self, now: float) -> None:
         verdict = self._guard.judge(self._platform.sense(now), now)
@@ -267,8 +387,11 @@ class Agent:
         if fault and fault != self._faulty:
             self._log("error", f"{fault}; the event is discarded, the robot holds")
         self._faulty = fault
+        self.metrics.round(record.round, record.late, record.event, record.skipped, record.frame is not None)
         if rounds.counters.in_a_row == self._settings.safety.missed_rounds:
             self._log("warning", f"{rounds.counters.in_a_row} rounds in a row {record.skipped}")
+            if self._settings.safety.missed_action == "rest":
+                self._rest("the shared memory is gone", SURROUNDINGS)
         for monitor in tuple(self._monitors):
             try:
                 monitor(record)

@@ -1,118 +1,101 @@
 """The replicated shared store of one robot: a pure state machine over closings, without I/O and without a clock.
 
 S_r, the store in round r, is S_1 (initial values and everyone's `init`) with the closings of rounds 1 to r-1 applied
-round by round: within a round first the commits, then the plain writes by ascending pid. A robot is current for r when
-it holds all of them; then its `shared` is S_r, the same on every robot. What another robot said it lacks is handed out
-again, whoever wrote it.
+round by round, of those robots that count in each (`View`): within a round first the commits, one for each lock, then the
+plain writes by ascending pid. A robot is current for r when it has applied r-1; then its `shared` is S_r, the same on
+every robot. A round is stable once a majority has said to have applied it: no later view leaves it out.
 """
 
 from __future__ import annotations
 
-from bisect import bisect_left
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-import msgspec
-
 from koordgen.runtime.layout import Layout
-from koordgen.runtime.wire import Closing, Write
+from koordgen.runtime.log import GAPS, Entry, Log, detached, shortened
+from koordgen.runtime.views import majority
+from koordgen.runtime.wire import Closing, State, View
 
 AHEAD = 8  # rounds that a peer's clock may be ahead of ours
-GAPS = 64  # closings kept while one before them is missing, for each author
 WINDOW = 256  # closings of one author that not everyone holds; its author writes no more then
 
 
-@dataclass(frozen=True, slots=True)
-class _Entry:
-    closing: Closing
-    values: Sequence[tuple[int, Any]]
-
-
 @dataclass(slots=True)
-class _Log:
-    """One author's closings: `entries` without a gap up to `held`, `later` by their first round beyond a gap."""
+class _Word:
+    """What a peer last said about itself: goes by this view, has applied, holds, wanted closings up to `through`."""
 
-    held: int = 0
-    entries: list[_Entry] = field(default_factory=list)
-    later: dict[int, _Entry] = field(default_factory=dict)
-
-    def append(self, entry: _Entry) -> None:
-        closing = entry.closing
-        if closing.first <= self.held:
-            closing = msgspec.structs.replace(closing, first=self.held + 1)
-        if self.entries and not closing.writes:
-            last = self.entries[-1].closing
-            if not last.writes and last.stopped == closing.stopped:
-                closing = msgspec.structs.replace(closing, first=last.first)
-                self.entries.pop()
-        self.entries.append(_Entry(closing, entry.values))
-        self.held = closing.round
-
-    def absorb(self) -> None:
-        """Append what is no longer beyond a gap."""
-        while self.later:
-            first = min(self.later)
-            if first > self.held + 1:
-                return
-            entry = self.later.pop(first)
-            if entry.closing.round > self.held:
-                self.append(entry)
-
-    def at(self, round_: int) -> _Entry:
-        """The entry that covers a round which is held and not forgotten."""
-        return self.entries[bisect_left(self.entries, round_, key=lambda e: e.closing.round)]
-
-    def between(self, low: int, high: int) -> list[Closing]:
-        start = bisect_left(self.entries, low, key=lambda e: e.closing.round)
-        found = []
-        for entry in self.entries[start:]:
-            closing = entry.closing
-            if closing.first > high:
-                break
-            found.append(closing if closing.first >= low else msgspec.structs.replace(closing, first=low))
-        return found
-
-    def forget(self, through: int) -> None:
-        count = 0
-        while count < len(self.entries) and self.entries[count].closing.round <= through:
-            count += 1
-        del self.entries[:count]
-
-
-@dataclass(slots=True)
-class _Statement:
-    """What a peer last said about itself: held everyone's closings up to `held`, wanted them up to `through`."""
-
-    held: list[int]
+    held: Sequence[int]
+    view: int = -1
+    applied: int = 0
     through: int = 0
     answered: bool = True
 
 
-class Memory:
-    """One robot's replica. `inits` are the round-0 closings of all robots, already read once by the same layout."""
+def winner(contenders: Sequence[int], lock: int, round_: int, n_sys: int) -> int:
+    """Whose commit counts, of those that would change what one lock protects in one round: the first place goes round,
+    so everyone comes to it."""
+    return min(contenders, key=lambda pid: (pid - round_ - lock) % n_sys)
 
-    def __init__(self, layout: Layout, pid: int, inits: Sequence[Closing]) -> None:
+
+class Memory:
+    """One robot's replica, beginning with a store that all rounds up to `applied` are in."""
+
+    def __init__(
+        self,
+        layout: Layout,
+        pid: int,
+        view: View,
+        shared: Mapping[str, Any],
+        applied: int = 0,
+        stopped: Mapping[int, int] | None = None,
+        acted: Sequence[int] = (),
+    ) -> None:
         self._layout = layout
         self._pid = pid
+        self._views = [view]  # the one of round applied + 1, and those after it
+        n = self._n = layout.n_sys
+        self._logs = [Log(applied) for _ in range(n)]
+        self._words = {p: _Word((0,) * n) for p in range(n) if p != pid}
+        self._lacking: set[int] = set()  # members whose closing of round applied + 1 is not here
+        self._snapshot: tuple[int, State] | None = None
+        self.frozen = False
+        self.settled = 0  # all members hold everything up to here
+        self.applied = applied  # `shared` is S_{applied + 1}
+        self.shared = shared
+        self.stopped = dict(stopped or {})  # pid -> the round it stopped in
+        self.acted = list(acted) or [0] * n  # the last round in which an event counted
+        self.won = 0  # the last round in which a commit of ours counted
+        self.unfit = 0  # patches that fitted no value: a fault of their author's, dropped by everyone alike
+        self.prompt: tuple[int, ...] = ()  # who waits to hear that the last applied round was applied
+        self._look()
+
+    @classmethod
+    def begin(cls, layout: Layout, pid: int, view: View, inits: Sequence[Closing]) -> Memory:
+        """At round 1, from the round-0 closings of all robots, already read once by the same layout."""
+        memory = cls(layout, pid, view, layout.initial())
+        memory._apply([Entry(c, layout.read(c) or ()) for c in sorted(inits, key=lambda c: c.author)], 0)
+        return memory
+
+    @classmethod
+    def resume(cls, layout: Layout, pid: int, state: State) -> Memory | None:
+        """From what another robot handed over; None when it does not fit the program."""
         n = layout.n_sys
-        self._logs = [_Log() for _ in range(n)]
-        self._statements = {p: _Statement([0] * n) for p in range(n) if p != pid}
-        self._settled = 0
-        self.applied = 0  # `shared` is S_{applied + 1}
-        self.shared: Mapping[str, Any] = layout.initial()
-        self.stopped: dict[int, int] = {}  # pid -> the round it stopped in
-        self._apply([_Entry(c, layout.read(c) or ()) for c in sorted(inits, key=lambda c: c.author)], 0)
+        shared = layout.unpack(state.values)
+        if shared is None or len(state.stopped) != n or len(state.acted) != n or len(state.view.members) != n:
+            return None
+        stopped = {p: r for p, r in enumerate(state.stopped) if r >= 0}
+        return cls(layout, pid, state.view, shared, state.applied, stopped, state.acted)
+
+    @property
+    def view(self) -> View:
+        """The latest view."""
+        return self._views[-1]
 
     @property
     def held(self) -> tuple[int, ...]:
         """For each robot the last round up to which its closings are held without a gap."""
-        return tuple(log.held for log in self._logs)
-
-    @property
-    def settled(self) -> int:
-        """A round up to which all robots hold everything."""
-        return self._settled
+        return tuple([log.held for log in self._logs])
 
     @property
     def crowded(self) -> bool:
@@ -121,76 +104,120 @@ class Memory:
 
     @property
     def laggard(self) -> int:
-        """The peer that, by its own words, holds least."""
-        return min(self._statements, key=lambda p: min(self._statements[p].held), default=self._pid)
+        """The member that, by its own words, has applied least."""
+        others = [p for p in self._words if self.view.members[p] >= 0]
+        return min(others, key=lambda p: self._words[p].applied, default=self._pid)
 
     @property
     def all_stopped(self) -> int | None:
-        """The round by which every robot had stopped, as far as closings are applied."""
-        return max(self.stopped.values()) if len(self.stopped) == self._layout.n_sys else None
+        """The round by which every member had stopped, as far as closings are applied."""
+        rounds = [self.stopped.get(p) for p, m in enumerate(self.view.members) if m >= 0]
+        return None if None in rounds else max(r for r in rounds if r is not None)
 
-    def close(self, round_: int, shared: Mapping[str, Any], stopped: bool, commit: bool = False) -> None:
-        """Close the own rounds up to `round_`, which wrote `shared`, as a commit or plainly; earlier ones not closed
-        yet had no writes."""
-        writes = self._layout.writes(shared)
-        log = self._logs[self._pid]
-        if round_ > log.held + 1 and writes:
-            log.append(_Entry(Closing(self._pid, 0, log.held + 1, round_ - 1, stopped), ()))
-        first = round_ if writes else log.held + 1
-        closing = Closing(self._pid, 0, first, round_, stopped, lock=0 if commit and writes else -1, writes=writes)
-        log.append(_Entry(closing, self._layout.read(closing) or ()))
+    def member(self) -> bool:
+        """Whether this robot counts."""
+        return self.view.members[self._pid] >= 0
+
+    def adopt(self, view: View) -> None:
+        """Go by the next view. Closings of those who no longer count, or count anew, are dropped beyond its beginning."""
+        before = self.view
+        self._views.append(view)
+        for pid, (old, new) in enumerate(zip(before.members, view.members, strict=True)):
+            if old != new:
+                self._logs[pid].cut(view.since - 1)
+                if pid != self._pid:
+                    self._words[pid] = _Word((0,) * self._n)
+        self.frozen = False
+        self._look()
+
+    def close(self, round_: int, shared: Mapping[str, Any], *, stopped: bool, acted: bool = False, prompt: bool = False,
+              lock: int = -1) -> None:  # fmt: skip
+        """Close the own rounds up to `round_`, in which an event (`lock` is -1 for a plain one) wrote `shared`; earlier
+        ones not closed yet had none."""
+        log, incarnation = self._logs[self._pid], self.view.members[self._pid]
+        single = bool(shared) or acted or lock >= 0
+        if round_ > log.held + 1 and single:
+            log.append(Entry(Closing(self._pid, incarnation, log.held + 1, round_ - 1, stopped), ()))
+        first = round_ if single else log.held + 1
+        writes = self._layout.writes(shared, self._layout.bases(self.shared, self._pid)) if shared else ()
+        closing = Closing(self._pid, incarnation, first, round_, stopped, acted, prompt, lock, writes)
+        log.append(Entry(closing, self._layout.read(closing) or ()))
+        self._lacking.discard(self._pid)
 
     def take(self, closing: Closing, present: int) -> str | None:
         """Take a closing heard in round `present`; None, or why it is refused. A known one is no news, no error."""
-        values = self._layout.read(closing)
-        if values is None or closing.first < 1:
+        log = self._logs[closing.author] if closing.author < self._n else None
+        if log is not None and closing.round <= log.held:
+            return None
+        if log is None or closing.first < 1 or closing.first > closing.round:
             return "closing does not fit"
-        if closing.author == self._pid:
-            return None if closing.round <= self._logs[self._pid].held else "closing of ours that we did not write"
         if closing.round > present + AHEAD:
             return "closing too far ahead"
-        log = self._logs[closing.author]
-        if closing.round <= log.held:
-            return None
-        if len(log.entries) >= 2 * WINDOW or (closing.first > log.held + 1 and len(log.later) >= GAPS):
+        fitting = self._of_this_life(closing)
+        if fitting is None:
+            return "closing of another view"
+        if closing.author == self._pid:
+            return "closing of ours that we did not write"
+        values = self._layout.read(fitting)
+        if values is None:
+            return "closing does not fit"
+        if len(log.entries) >= 2 * WINDOW or (fitting.first > log.held + 1 and len(log.later) >= GAPS):
             return "no room for a closing"
-        kept = tuple(Write(w.index, msgspec.Raw(bytes(w.value))) for w in closing.writes)  # not the whole datagram
-        entry = _Entry(msgspec.structs.replace(closing, writes=kept), values)
-        if closing.first > log.held + 1:
-            known = log.later.get(closing.first)
-            if known is None or known.closing.round < closing.round:
-                log.later[closing.first] = entry
-            return None
-        log.append(entry)
-        log.absorb()
+        log.take(Entry(detached(fitting), values))
+        if log.held > self.applied:
+            self._lacking.discard(closing.author)
         return None
 
-    def heard(self, pid: int, held: Sequence[int], through: int, settled: int, present: int) -> str | None:
-        """Note what a peer said it holds; None, or why that cannot be."""
-        if len(held) != self._layout.n_sys or max(*held, through, settled) > present + AHEAD:
-            return "statement does not fit"
-        statement = self._statements[pid]
-        statement.held = [max(old, new) for old, new in zip(statement.held, held, strict=True)]
-        if through >= statement.through:
-            statement.through = through
-            statement.answered = False
-        self._settle(settled)
+    def wants(self, author: int, round_: int, present: int) -> bool:
+        """Whether a closing of that author and round would be news."""
+        return self._logs[author].held < round_ <= present + AHEAD
+
+    def heard(self, pid: int, view: int, applied: int, held: Sequence[int], through: int, settled: int, present: int,
+              asks: bool) -> str | None:  # fmt: skip
+        """Note a peer's word; `asks`: it wants what it lacks at once. None, or why the word cannot be."""
+        if len(held) != self._n or max(through, settled, applied, max(held)) > present + AHEAD:
+            return "word does not fit"
+        word = self._words[pid]
+        if view >= word.view and applied >= word.applied:
+            word.view, word.applied = view, applied
+        if through > word.through or (asks and through == word.through):
+            word.held, word.through, word.answered = held, through, False
+        if view == self.view.number and settled > self.settled:
+            self._settle(min(settled, self.applied))
         return None
 
     def advance(self, round_: int) -> bool:
         """Go through the boundaries before `round_` as far as closings are held; True iff current for it."""
-        while self.applied < round_ - 1 and all(log.held > self.applied for log in self._logs):
-            entries = [log.at(self.applied + 1) for log in self._logs]
-            silent = all(not e.closing.writes for e in entries)
-            through = min(round_ - 1, min(e.closing.round for e in entries)) if silent else self.applied + 1
+        while not self._lacking and self.applied < round_ - 1:
+            if self.frozen and self.applied >= self.view.since - 1:
+                break
+            members = [p for p, m in enumerate(self._at(self.applied + 1).members) if m >= 0]
+            entries = [self._logs[p].at(self.applied + 1) for p in members]
+            through = self.applied + 1
+            if all(not e.closing.writes and not e.closing.acted and e.closing.lock < 0 for e in entries):
+                end = min((v.since - 1 for v in self._views if v.since > through), default=round_ - 1)
+                through = min(round_ - 1, end, min(e.closing.round for e in entries))
             self._apply(entries, through)
-        if not self._statements:
-            self._settle(self.applied)
-        return self.applied >= round_ - 1
+        return self.applied >= round_ - 1 and not self.frozen and self.member()
+
+    def stable(self, round_: int) -> bool:
+        """Whether no view can leave out what was done up to this round."""
+        if round_ < self.view.since:
+            return self.applied >= round_
+        if round_ > self.applied:
+            return False
+        number = self.view.number
+        return 1 + sum(w.view == number and w.applied >= round_ for w in self._words.values()) >= majority(self._n)
+
+    def unaware(self, round_: int) -> list[int]:
+        """The members that have not said to have applied a round."""
+        number, members = self.view.number, self.view.members
+        return [p for p, w in self._words.items() if members[p] >= 0 and not (w.view == number and w.applied >= round_)]
 
     def missing(self, through: int) -> list[int]:
-        """The robots whose closings up to `through` are not all held."""
-        return [p for p, log in enumerate(self._logs) if log.held < through]
+        """The members whose closings up to `through` are not all held."""
+        members = self.view.members
+        return [p for p, log in enumerate(self._logs) if members[p] >= 0 and log.held < through]
 
     def own(self, first: int) -> list[Closing]:
         """The own closings from `first` on."""
@@ -200,43 +227,114 @@ class Memory:
     def repeat(self, pid: int) -> list[Closing]:
         """What a peer lacked when it last spoke, and we hold: once for each time it says so. Its turn begins with our
         own closings, so that several robots that answer at once begin with different ones."""
-        statement = self._statements[pid]
-        if statement.answered:
+        word = self._words[pid]
+        if word.answered or self.view.members[pid] < 0:
             return []
-        statement.answered = True
-        n = len(self._logs)
+        word.answered = True
         found: list[Closing] = []
-        for author in (*range(self._pid, n), *range(self._pid)):
-            low = max(statement.held[author], self._settled) + 1
-            found += self._logs[author].between(low, statement.through)
+        for author in (*range(self._pid, self._n), *range(self._pid)):
+            low = max(word.held[author], self.settled) + 1
+            if low <= word.through:
+                found += self._logs[author].between(low, word.through)
         return found
 
-    def _settle(self, told: int) -> None:
-        """Forget what everyone holds, by the peers' own statements or (`told`) by one who knows it from all."""
-        least = min((min(s.held) for s in self._statements.values()), default=self.applied)
-        self._settled = max(self._settled, min(max(least, told), min(self.held)))
-        for log in self._logs:
-            log.forget(min(self._settled, self.applied))
+    def snapshot(self) -> tuple[int, State]:
+        """The round and the store for one who comes in; made once for each round."""
+        if self._snapshot is None or self._snapshot[0] != self.applied:
+            stopped = tuple([self.stopped.get(p, -1) for p in range(self._n)])
+            values = self._layout.pack(self.shared)
+            view = self._at(self.applied + 1)
+            self._snapshot = self.applied, State(view, self.applied, values, stopped, tuple(self.acted))
+        return self._snapshot
 
-    def _apply(self, entries: Sequence[_Entry], through: int) -> None:
-        """Apply one closing of each robot, given in ascending pid: first the commits, then the plain writes, so that
+    def _at(self, round_: int) -> View:
+        """The view of a round not before the next one to be applied."""
+        return next(v for v in reversed(self._views) if v.since <= round_ or v is self._views[0])
+
+    def _of_this_life(self, closing: Closing) -> Closing | None:
+        """The closing as far as its author counted in that incarnation, or None."""
+        view = self._at(closing.round)
+        if view.members[closing.author] == closing.incarnation:
+            return closing
+        for view in self._views:
+            if view.since > closing.first and view.members[closing.author] != closing.incarnation:
+                single = closing.writes or closing.acted or closing.lock >= 0
+                began = self._at(closing.first).members[closing.author] == closing.incarnation
+                return shortened(closing, view.since - 1) if began and not single else None
+        return None
+
+    def _base(self, index: int, author: int) -> Any:
+        """A variable's value (of an allread variable, the author's slot) in the round after the last applied one."""
+        value = self.shared[self._layout.names[index]]
+        return value[author] if self._layout.is_slots[index] else value
+
+    def _settle(self, through: int) -> None:
+        """Forget what everyone holds."""
+        if through > self.settled:
+            self.settled = through
+            for log in self._logs:
+                log.forget(through)
+
+    def _look(self) -> None:
+        """After a round was applied or the view has changed: what is lacking now, and who is in from when."""
+        for pid, log in enumerate(self._logs):
+            for begins, ends in self._absences(pid):
+                if begins <= log.held + 1 <= ends:
+                    log.skip(ends)
+        while len(self._views) > 1 and self._views[1].since <= self.applied + 1:
+            del self._views[0]
+        members = self._at(self.applied + 1).members
+        self._lacking = {p for p, log in enumerate(self._logs) if members[p] >= 0 and log.held <= self.applied}
+
+    def _absences(self, pid: int) -> Iterator[tuple[int, int]]:
+        """The rounds, first and last, in which a robot does not count, before the latest view."""
+        for i, (view, following) in enumerate(zip(self._views, self._views[1:], strict=False)):
+            if view.members[pid] < 0:
+                yield view.since if i else 0, following.since - 1
+
+    def _counting(self, entries: Sequence[Entry], round_: int) -> list[Entry]:
+        """Those whose event counts, in the order in which they take effect."""
+        contenders: dict[int, list[int]] = {}
+        for entry in entries:
+            if entry.closing.lock >= 0:
+                contenders.setdefault(entry.closing.lock, []).append(entry.closing.author)
+        winners = {winner(pids, lock, round_, self._n) for lock, pids in contenders.items()}
+        commits = [e for e in entries if e.closing.lock >= 0 and e.closing.author in winners]
+        return [*commits, *(e for e in entries if e.closing.lock < 0)]
+
+    def _apply(self, entries: Sequence[Entry], through: int) -> None:
+        """Apply one closing of each member, given in ascending pid: first the commits, then the plain writes, so that
         the highest pid wins a plain conflict, also over that round's commit."""
-        names, is_slots = self._layout.names, self._layout.is_slots
-        changed: dict[str, Any] = {}
-        for entry in sorted(entries, key=lambda e: e.closing.lock < 0):
-            author = entry.closing.author
-            for index, value in entry.values:
-                name = names[index]
-                if not is_slots[index]:
-                    changed[name] = value
-                else:
-                    slots = changed.get(name)
-                    if slots is None:
-                        slots = changed[name] = list(self.shared[name])
-                    slots[author] = value
-            if entry.closing.stopped:
-                self.stopped.setdefault(author, max(entry.closing.first, self.applied + 1) if through else 0)
+        changed: dict[int, Any] = {}
+        for entry in self._counting(entries, through):
+            closing = entry.closing
+            author = closing.author
+            for index, item in entry.values:
+                self._write(changed, index, author, item)
+            if closing.stopped:
+                self.stopped.setdefault(author, max(closing.first, self.applied + 1) if through else 0)
+            if closing.acted:
+                self.acted[author] = closing.round
+            if author == self._pid and closing.lock >= 0:
+                self.won = closing.round
         if changed:
-            frozen = {k: tuple(v) if is_slots[names.index(k)] else v for k, v in changed.items()}
-            self.shared = {**self.shared, **frozen}
+            names, slots = self._layout.names, self._layout.is_slots
+            self.shared = {**self.shared, **{names[i]: tuple(v) if slots[i] else v for i, v in changed.items()}}
+        self.prompt = tuple([e.closing.author for e in entries if e.closing.prompt and e.closing.round == through])
         self.applied = through
+        self._look()
+        number, members = self.view.number, self.view.members
+        words = [w.applied if w.view == number else 0 for p, w in self._words.items() if members[p] >= 0]
+        self._settle(min(through, *words) if words else through)
+
+    def _write(self, changed: dict[int, Any], index: int, author: int, item: Any) -> None:
+        value = self._layout.resolve(index, item, self._base(index, author))
+        if value is None:
+            self.unfit += 1
+        elif not self._layout.is_slots[index]:
+            changed[index] = value
+        else:
+            slots = changed.get(index)
+            if slots is None:
+                slots = changed[index] = list(self.shared[self._layout.names[index]])
+            slots[author] = value

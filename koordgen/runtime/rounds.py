@@ -13,19 +13,19 @@ from dataclasses import dataclass
 
 from koordgen.runtime.body import Body, unusable
 from koordgen.runtime.clock import FleetClock
-from koordgen.runtime.link import Link
-from koordgen.runtime.memory import Memory
+from koordgen.runtime.outbox import AHEAD, Life, Outbox, has_outputs
 from koordgen.runtime.platform import Sensed
 from koordgen.runtime.program import Frame
+from koordgen.runtime.replica import SLOTS, Replica, Talk
 from koordgen.runtime.runner import LATE, Outcome, Runner
 from koordgen.runtime.trace import Observe, Record
-from koordgen.runtime.wire import Need, Round
 
 PUBLISH = 0.5  # of delta: when a round's closing leaves at the latest
-SLOTS = 5  # moments in a round at which what is missing is asked for
-FIRST_SLOT = 3  # ... from this one on the present round's closings, before it the last round's
+FIRST_SLOT = 3  # the first of a round's SLOTS in which its own closings are asked for, before it the last round's
 LINGER = 20  # rounds after all have stopped
 WOKE_LATE = "woke after the publish deadline"
+
+Keep = Callable[[Life, int], None]
 
 
 @dataclass(slots=True)
@@ -35,7 +35,8 @@ class _Present:
     round: int = 0
     open: bool = False
     sensed: Sensed | None = None
-    asked: int = -1  # the last slot in which missing closings were asked for
+    slot: int = -1  # the last slot that was looked at
+    confirmed: bool = False  # those who wait for it were told that the round is applied
 
 
 @dataclass(slots=True)
@@ -45,41 +46,51 @@ class Counters:
     missed: int = 0  # slept through
     faults: int = 0
     discarded: int = 0  # faults by the publish deadline
-    waited: int = 0  # rounds in which an atomic event had to wait for its turn
+    gave_way: int = 0  # commits that did not count because another robot's did
+    current: int = 0  # rounds in which the shared state was there in time
     asked: int = 0  # times that missing closings were asked for
+    out: int = 0  # rounds in which the others went on without this robot
     in_a_row: int = 0  # rounds until now without current state or time for an event
 
 
+class Lost(Exception):
+    """This robot cannot go on in the mission; the message says why."""
+
+
 class Rounds:
-    """`observe` gets each round's record. `leave` makes the robot close its rounds without events from then on."""
+    """`observe` gets the record of each round once it is certain. `keep` must have kept a life, which the given
+    incarnation of this robot leads, before its closing leaves. `leave` makes the robot close its rounds without events
+    from then on."""
 
     def __init__(
         self,
         runner: Runner,
         body: Body,
-        memory: Memory,
-        link: Link,
+        replica: Replica,
         clock: FleetClock,
         names: tuple[str, ...],
         start: float,
         delta: float,
+        lives: list[Life],
         observe: Observe,
+        keep: Keep,
     ) -> None:
         self._runner = runner
         self._body = body
-        self._memory = memory
-        self._link = link
+        self._replica = replica
         self._clock = clock
         self._names = names
         self._start = start
         self._delta = delta
         self._observe = observe
-        self._peers = tuple(p for p in range(len(names)) if p != link.pid)
+        self._keep = keep
         self._present = _Present()
         self._published = 0
-        self._turn = link.pid
         self._left = False
-        self.stopped = link.pid in memory.stopped
+        self._outbox = Outbox(lives[0])
+        self._outbox.lives = list(lives)
+        self._was_out = replica.out
+        self.stopped = self._outbox.life.stopped
         self.counters = Counters()
 
     @property
@@ -90,37 +101,26 @@ class Rounds:
     @property
     def lacking(self) -> list[str]:
         """The names of those whose closings are missing for the present round."""
-        return [self._names[p] for p in self._memory.missing(self._present.round - 1)]
+        memory = self._replica.memory
+        return [] if memory is None else [self._names[p] for p in memory.missing(self._present.round - 1)]
 
     @property
     def over(self) -> bool:
-        """Whether all robots have stopped and the linger has passed."""
-        since = self._memory.all_stopped
+        """Whether all robots that count have stopped and the linger has passed."""
+        memory = self._replica.memory
+        since = None if memory is None else memory.all_stopped
         return since is not None and self._present.round > since + LINGER
 
     def leave(self) -> None:
         self._left = True
 
-    def take(self, message: Round | Need) -> None:
+    def take(self, message: Talk) -> None:
         """A message of this mission."""
-        present, sender = max(self._present.round, 1), message.head.pid
-        through, settled = (message.through, 0) if isinstance(message, Need) else (message.round - 1, message.settled)
-        if isinstance(message, Round):
-            for closing in message.closings:
-                refused = self._memory.take(closing, present)
-                if refused is not None:
-                    self._link.reject(refused)
-        refused = self._memory.heard(sender, message.held, max(0, through), settled, present)
-        if refused is not None:
-            self._link.reject(refused)
-        elif isinstance(message, Need):
-            closings = self._memory.repeat(sender)
-            if closings:
-                self._link.round([sender], self._present.round, self._memory.settled, self._memory.held, closings)
+        self._replica.take(message, max(self._present.round, 1))
 
     def poll(self, now: float, sense: Callable[[float], Sensed], unready: str | None) -> float:
         """Do what is due at local time `now`; returns when to be called again at the latest. `sense` samples the
-        sensors, `unready` says why no event may run."""
+        sensors, `unready` says why no event may run. Raises Lost."""
         elapsed = self._clock.read(now) - self._start
         round_ = math.floor(elapsed / self._delta + 1e-6) + 1
         if round_ < 1:
@@ -129,22 +129,76 @@ class Rounds:
             self._begin(round_, sense(now))
         present = self._present
         into = elapsed - (present.round - 1) * self._delta
-        current = self._memory.advance(present.round)
+        slot = min(SLOTS - 1, math.floor(into / self._delta * SLOTS + 1e-6))
+        fresh = slot > present.slot
+        if fresh:
+            present.slot = slot
+            self._replica.poll((present.round - 1) * SLOTS + slot, present.round)
+        memory = self._replica.memory
+        current = False
+        if memory is not None:
+            self._come_back(now)
+            current = memory.advance(present.round)
+            self._settle(now)
+        self._was_out = memory is None
         if present.open:
             self._decide(now, into, current, unready)
-        return self._ask(into)
+        if memory is not None and not present.open:
+            memory.advance(present.round + 1)
+            self._settle(now)
+            self._confirm(memory.applied)
+        return self._ask(slot, fresh)
 
     def _tick(self, part: float) -> float:
         return self._clock.local(self._start + (self._present.round - 1 + part) * self._delta)
 
     def _begin(self, round_: int, sensed: Sensed) -> None:
-        present = self._present
+        present, memory = self._present, self._replica.memory
         slept = round_ - present.round - (0 if present.open else 1)
-        if slept > 0:
-            self._memory.close(round_ - 1, {}, self.stopped)
+        if slept > 0 and memory is not None:
+            if memory.held[self._replica.pid] < round_ - 1:
+                memory.close(round_ - 1, {}, stopped=self.stopped)
             self.counters.missed += slept
         self._present = _Present(round_, True, sensed)
         self.counters.rounds += 1
+
+    def _come_back(self, now: float) -> None:
+        """Go on where the others say that this robot was, if it was out until now."""
+        memory = self._replica.memory
+        if not self._was_out or memory is None:
+            return
+        acted = memory.acted[self._replica.pid]
+        life, records = self._outbox.settle(acted)
+        if life is None:
+            raise Lost(
+                f"the last event of this robot that the others count is that of round {acted}, and its own variables of "
+                "that round are not kept any more: it cannot come back to this mission"
+            )
+        self._runner.locals, self.stopped = life.locals, life.stopped
+        self._body.restore(life.actuators, now)
+        self._body.hold("stopped", self.stopped, now)
+        for record in records:
+            self._observe(record)
+        self._published = memory.held[self._replica.pid]
+
+    def _settle(self, now: float) -> None:
+        """Do what has become certain."""
+        memory, outbox = self._replica.memory, self._outbox
+        assert memory is not None
+        won = outbox.decide(memory)
+        if won:
+            self._runner.locals = outbox.life.locals
+            self.stopped = self.stopped or outbox.life.stopped
+        elif won is False:
+            self.counters.gave_way += 1
+        for record in outbox.ready(memory):
+            effects = record.effects
+            if effects is not None:
+                self._body.command(effects.actuators, now)
+                self._body.hold("stopped", effects.stopped or self.stopped, now)
+            self._observe(record)
+        if outbox.first is None:
+            self._body.hold("not confirmed", False, now)
 
     def _decide(self, now: float, into: float, current: bool, unready: str | None) -> None:
         """Run an event, or find that there will be none; or leave the round open for what may still arrive."""
@@ -152,32 +206,54 @@ class Rounds:
         assert sensed is not None
         sensors = self._body.sensors(sensed)
         overdue = into >= PUBLISH * self._delta - 1e-9
+        lagging = False
         if self._left:
             reason: str | None = "left the mission"
-        elif self.stopped:
+        elif self.stopped and current:
             reason = "stopped"
-        elif not current:
-            if not overdue:
-                return
-            reason = f"not current: lacks {', '.join(self.lacking)}"
-        elif overdue:
-            reason = WOKE_LATE
-        elif self._memory.crowded:
-            reason = f"not current: {self._names[self._memory.laggard]} lags behind"
-        elif (bad := unusable(sensors)) is not None:
-            reason = bad
         else:
-            reason = unready
-        lagging = reason is not None and reason.startswith("not current")
-        self.counters.in_a_row = self.counters.in_a_row + 1 if lagging or reason == WOKE_LATE else 0
-        self._body.hold("not current", lagging, now)
+            reason = self._unsettled(current)
+            lagging = reason is not None
+            if lagging and not overdue:
+                return
+            if reason is None and overdue:
+                reason = WOKE_LATE
+        if reason is None:
+            reason = unusable(sensors) or unready
+        late = lagging or reason == WOKE_LATE
+        self.counters.current += current
+        self.counters.in_a_row = self.counters.in_a_row + 1 if late else 0
+        self._body.hold("not current", lagging and not current, now)
+        self._body.hold("not confirmed", self._outbox.first is not None, now)
         if reason is not None:
             self.counters.skipped += 1
-            self._close(Record(self.round, now, into, sensors, None, skipped=reason), now)
+            self._close(Record(self.round, now, into, sensors, None, skipped=reason))
             return
-        frame = self._runner.frame(self._memory.shared, sensors, self._body.actuators, self._body.call)
-        outcome = self._runner.step(frame, self.round, self._tick(PUBLISH))
-        self._finish(outcome, frame, now, into)
+        memory = self._replica.memory
+        assert memory is not None
+        frame = self._runner.frame(memory.shared, sensors, self._body.actuators, self._body.call)
+        self._finish(self._runner.step(frame, self._tick(PUBLISH)), frame, now, into)
+
+    def _unsettled(self, current: bool) -> str | None:
+        """Why no event may run as far as the shared memory goes."""
+        memory, round_ = self._replica.memory, self._present.round
+        if memory is None:
+            return self._replica.status
+        if not current:
+            if memory.frozen:
+                return "not current: the fleet decides who counts"
+            return f"not current: lacks {', '.join(self.lacking)}"
+        if self._outbox.first is not None or self._outbox.undecided:
+            unaware = memory.unaware(self._outbox.first or round_ - 1)
+            return f"not confirmed: waits for the word of a majority, not heard from {self._named(unaware)}"
+        if round_ > AHEAD and not memory.stable(round_ - AHEAD):
+            return f"not confirmed: not heard from {self._named(memory.unaware(round_ - AHEAD))}"
+        if memory.crowded:
+            return f"not current: {self._names[memory.laggard]} lags behind"
+        return None
+
+    def _named(self, pids: list[int]) -> str:
+        return ", ".join(self._names[p] for p in pids)
 
     def _finish(self, outcome: Outcome, frame: Frame, now: float, into: float) -> None:
         self._body.hold("fault", outcome.fault is not None, now)
@@ -187,55 +263,58 @@ class Rounds:
             self.counters.faults += 1
             self.counters.discarded += outcome.fault.reason == LATE
         elif outcome.effects is None:
-            skipped = outcome.waiting or "no event enabled"
-        self.counters.waited += outcome.waiting is not None
+            skipped = "no event enabled"
         calls = self._body.calls()
         record = Record(
             self.round, now, into, frame.sensors, frame, outcome.event, outcome.effects, skipped, outcome.fault, calls
         )
-        self._close(record, now, outcome.commit)
+        self._close(record, outcome.lock)
 
-    def _close(self, record: Record, now: float, commit: bool = False) -> None:
-        """The closing leaves, then the actuators are commanded: what others never hear of must not move a robot."""
-        effects = record.effects
-        if effects is not None and effects.stopped:
-            self.stopped = True
-        memory, present = self._memory, self._present
-        memory.close(present.round, effects.shared if effects else {}, self.stopped or self._left, commit)
-        present.open = False
-        own = memory.own(self._published + 1)
-        self._published = present.round
-        content = present.round, memory.settled, memory.held
-        plain: list[int] = []
-        for pid in self._peers:
-            repeats = memory.repeat(pid)
-            if repeats:
-                self._link.round([pid], *content, [*own, *(c for c in repeats if c not in own)])
-            else:
-                plain.append(pid)
-        self._link.round(plain, *content, own)
+    def _close(self, record: Record, lock: int = -1) -> None:
+        """The closing leaves. What the event does beyond the shared memory waits until it is certain that it counts."""
+        effects, memory, round_ = record.effects, self._replica.memory, self._present.round
+        self._present.open = False
+        life = None
         if effects is not None:
-            self._body.command(effects.actuators, now)
-            if self.stopped:
-                self._body.hold("stopped", True, now)
-        self._observe(record)
+            assert memory is not None
+            actuators = {**self._body.actuators, **effects.actuators}
+            life = Life(round_, effects.locals, actuators, effects.stopped or self.stopped)
+            if lock < 0:
+                self._runner.locals, self.stopped = life.locals, life.stopped
+            self._keep(life, memory.view.members[self._replica.pid])
+        self._outbox.add(record, lock, life)
+        if memory is not None:
+            stopped = self.stopped or self._left or (life is not None and life.stopped)
+            shared = effects.shared if effects else {}
+            prompt = has_outputs(effects)
+            memory.close(round_, shared, stopped=stopped, acted=life is not None, prompt=prompt, lock=lock)
+        else:
+            self.counters.out += 1
+        self._replica.publish(self._published + 1, round_)
+        self._published = round_
 
-    def _ask(self, into: float) -> float:
-        """Ask for what should have come by now; returns the next moment at which there may be something to do."""
+    def _confirm(self, applied: int) -> None:
+        """Tell those who wait for it that this robot has applied the round they closed."""
         present = self._present
-        slot = min(SLOTS - 1, math.floor(into / self._delta * SLOTS + 1e-6))
+        if applied >= present.round and not present.confirmed:
+            present.confirmed = True
+            self._replica.confirm(present.round)
+
+    def _ask(self, slot: int, fresh: bool) -> float:
+        """Ask for what should have come by now; returns the next moment at which there may be something to do."""
+        present, memory = self._present, self._replica.memory
+        following = self._tick((slot + 1) / SLOTS)
+        if memory is None:
+            return min(following, self._tick(PUBLISH)) if present.open else following
         through = present.round if slot >= FIRST_SLOT else present.round - 1
-        missing = [p for p in self._memory.missing(through) if p != self._link.pid]
-        if missing and slot > present.asked:
-            present.asked = slot
-            others = [p for p in self._peers if p not in missing]
-            self._turn += 1
-            helper = [others[self._turn % len(others)]] if others else []
-            self._link.need([*missing, *helper], through, self._memory.held)
+        missing = [p for p in memory.missing(through) if p != self._replica.pid]
+        waited = self._outbox.first
+        unaware = memory.unaware(waited) if waited is not None and (waited < through or slot >= 1) else []
+        if fresh and (missing or unaware):
+            self._replica.ask(missing, unaware, through)
             self.counters.asked += 1
         if present.open:
-            deadline = self._tick(PUBLISH)
-            return min(deadline, self._tick((slot + 1) / SLOTS))
-        if missing:
-            return self._tick((slot + 1) / SLOTS)
+            return min(self._tick(PUBLISH), following)
+        if missing or waited is not None or self._replica.busy:
+            return following
         return self._tick(FIRST_SLOT / SLOTS if slot < FIRST_SLOT else 1.0)

@@ -11,7 +11,6 @@ from types import FrameType
 from typing import Any
 
 from koordgen.runtime.clock import Clock
-from koordgen.runtime.locks import holder
 from koordgen.runtime.program import Effects, Event, Fault, Frame, Program, choose, run
 
 LATE = "not finished by the round's publish deadline"
@@ -62,18 +61,17 @@ def interrupting(seconds: float) -> Iterator[None]:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a round's attempt came to: no event enabled (all None), an event's effects, or a fault with none.
-    `waiting` says in words for which lock an atomic event waits; `commit`: the effects are a transaction's."""
+    """What a round's attempt came to: no event enabled (all None), an event's effects, or a fault with none. `lock`: of
+    an atomic event; its effects are there once the fleet has found that its commit counts. -1: of a plain one."""
 
     event: str | None = None
     effects: Effects | None = None
     fault: Fault | None = None
-    waiting: str | None = None
-    commit: bool = False
+    lock: int = -1
 
 
 class Runner:
-    """One program on one robot. `locals` change only when an event counts."""
+    """One program on one robot. `locals` are changed by whoever knows that an event counts."""
 
     def __init__(self, program: Program, pid: int, n_sys: int, clock: Clock, limit: Limit) -> None:
         self.program = program
@@ -101,9 +99,9 @@ class Runner:
             self.locals = done.locals
         return done
 
-    def step(self, frame: Frame, round_: int, deadline: float) -> Outcome:
-        """Choose and run this round's event; what is not finished by `deadline` (local time) is discarded whole. The
-        first enabled event it is, or none: without the right to its lock the robot skips."""
+    def step(self, frame: Frame, deadline: float) -> Outcome:
+        """Choose and run this round's event, the first enabled one; what is not finished by `deadline` (local time) is
+        discarded whole."""
         event: Event | None = None
         done: Effects | Fault
         try:
@@ -114,9 +112,6 @@ class Runner:
                 if isinstance(chosen, Fault):
                     return Outcome(fault=chosen)
                 event = chosen
-                if event.lock is not None and holder(event.lock, round_, self._n_sys) != self._pid:
-                    names = ", ".join(self.program.locks[event.lock])
-                    return Outcome(waiting=f"{event.name} waits for its turn to change {names}")
                 done = run(self.program, event.effect, frame, event.line)
         except Overrun:
             done = Fault(self.program.source, event.line if event else 0, LATE)
@@ -125,5 +120,4 @@ class Runner:
             return Outcome(name, fault=done)
         if self._clock.now() > deadline:
             return Outcome(name, fault=Fault(self.program.source, event.line if event else 0, LATE))
-        self.locals = done.locals
-        return Outcome(name, done, commit=event is not None and event.lock is not None)
+        return Outcome(name, done, lock=-1 if event is None or event.lock is None else event.lock)

@@ -45,7 +45,9 @@ class Safety(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     position_stale: float = 0.5  # seconds without a fresh own position: hold
     position_lost: float = 2.0  # ... : end safely
-    missed_rounds: int = 10  # rounds in a row in which the shared state was not current: logged as a warning
+    missed_rounds: int = 10  # rounds in a row in which the shared state was not current, then:
+    missed_action: Literal["hold", "rest"] = "hold"  # go on holding, with a warning; or end safely
+    peer_timeout: int = 10  # rounds in which nothing comes of a robot, then the others go on without it
     outside_fence: float = 0.5  # seconds outside the geofence: end safely
 
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from hashlib import blake2s
 from hmac import compare_digest
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import msgspec
 
@@ -96,6 +96,16 @@ class _Identity(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fie
 
 
 _identity_decoder = msgspec.msgpack.Decoder(_Identity)
+
+
+class Keeper(Protocol):
+    """Where a robot keeps what it must find again after its process has died."""
+
+    def write(self, record: Kept) -> bool: ...
+
+    def load(self) -> Loaded: ...
+
+    def clear(self) -> None: ...
 
 
 class Store:

@@ -77,7 +77,7 @@ class Closing(Wired, frozen=True):
     nothing in any of them (so the silence of a long outage is one closing). Round 0 is the result of `init`.
 
     `incarnation` tells which of its lives in the mission wrote it (see View). `stopped` holds in all of the rounds.
-    `acted`: an event ended that changed more than the shared store. `prompt`: the author waits until a majority says that it
+    `acted`: an event of the author's ended. `prompt`: the author waits until a majority says that it
     has applied this round. `lock`: of an atomic event, of which one a round and lock counts; -1 for all else."""
 
     author: Pid
@@ -162,11 +162,12 @@ class Piece(Wired, frozen=True, tag=3):
 
 
 class Prepare(Wired, frozen=True, tag=4):
-    """Ballot `ballot` for view number `number` begins: will you vote in no lower one, and apply no round meanwhile?"""
+    """Ballot `ballot` for the successor of `view`, which is decided, begins: will you vote in no lower one, and apply no
+    round meanwhile?"""
 
     head: Head
-    number: Natural
     ballot: Natural
+    view: View
 
 
 class Promise(Wired, frozen=True, tag=5):
@@ -232,7 +233,7 @@ class StatePiece(Wired, frozen=True, tag=10):
 class State(Wired, frozen=True):
     """The shared store after round `applied`: what someone needs who comes (back) in. `values[i]` is variable i's value, an
     allread variable's as the array of its slots. `stopped[p]`: the round in which robot p stopped, or -1. `acted[p]`:
-    the last round in which an event of robot p counted that changed more than the store."""
+    the last round in which an event of robot p counted."""
 
     view: View
     applied: Natural

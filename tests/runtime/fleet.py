@@ -15,6 +15,7 @@ from koordgen.runtime.network import Conditions, MemoryNetwork
 from koordgen.runtime.platform import Sensed
 from koordgen.runtime.program import Program
 from koordgen.runtime.settings import Box, Origin, Peer, Safety, Settings
+from koordgen.runtime.store import KEPT, Acceptor, Loaded, Locals, Mission
 from koordgen.runtime.trace import Record, Trace
 from koordgen.runtime.values import Point, distance
 from tests.runtime.lineform import PROGRAM
@@ -35,6 +36,33 @@ def settings(pid: int, n: int, delta: float = 0.1, **changes: Any) -> Settings:
         geofence=Box(Point(-6, -5, -0.5), Point(6, 5, 4)),
         **changes,
     )
+
+
+class Kept:
+    """What a robot keeps, for the next process that is the same robot."""
+
+    def __init__(self) -> None:
+        self.mission: Mission | None = None
+        self.locals: dict[int, Locals] = {}
+        self.acceptor: Acceptor | None = None
+
+    def write(self, record: Mission | Locals | Acceptor) -> bool:
+        match record:
+            case Mission():
+                self.mission = record
+            case Acceptor():
+                self.acceptor = record
+            case Locals():
+                self.locals[record.round] = record
+                for old in sorted(self.locals)[:-KEPT]:
+                    del self.locals[old]
+        return True
+
+    def load(self) -> Loaded:
+        return Loaded(self.mission, tuple(self.locals[r] for r in sorted(self.locals)), self.acceptor)
+
+    def clear(self) -> None:
+        self.__init__()  # type: ignore[misc]
 
 
 class FakePlatform:
@@ -151,6 +179,7 @@ class Fleet:
         skewed = clocks or (lambda pid, base: SimulatedClock(base, offset=100.0 * (pid + 1), rate=1 + 20e-6 * pid))
         self._clocks = [skewed(pid, self.time) for pid in range(n)]
         self.robots: dict[int, Robot] = {}
+        self.kept = [Kept() for _ in range(n)]
 
     def boot(self, pid: int, platform: FakePlatform | None = None, **changes: Any) -> Robot:
         """Start (or start anew) one robot's process."""
@@ -167,6 +196,7 @@ class Fleet:
             Trace(file, lines.append),
             lambda level, line: lines.append(line),
             self.random.randbytes(8),
+            self.kept[pid],
             monitors=[records.append],
         )
         robot = self.robots[pid] = Robot(agent, body, self._clocks[pid], file, lines, records, self.time.time)

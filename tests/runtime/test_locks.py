@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from koordgen.runtime.locks import holder
+from koordgen.runtime.memory import winner
 from koordgen.runtime.network import Conditions
 from koordgen.runtime.program import Event, Program, Stopped
 from tests.runtime.fleet import Fleet

@@ -1,0 +1,120 @@
+"""What a robot's rounds came to, until it is certain that they count.
+
+An event's locals are there at once, or when its commit has won. What leaves the robot, its commands, lines and trace,
+waits until the round is stable: nothing that the fleet does not count ever moves a robot.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from koordgen.runtime.memory import Memory
+from koordgen.runtime.program import Effects
+from koordgen.runtime.trace import Record
+
+AHEAD = 3  # rounds beyond the last stable one in which events without outputs may still run
+
+
+@dataclass(frozen=True, slots=True)
+class Life:
+    """A robot's own variables after its event of a round; of round 0, after `init`."""
+
+    round: int
+    locals: Mapping[str, Any]
+    actuators: Mapping[str, Any]
+    stopped: bool
+
+
+@dataclass(slots=True)
+class _Waiting:
+    record: Record
+    lock: int  # -1: a plain event, or none
+    life: Life | None
+
+
+class Outbox:
+    """In order of the rounds. `lives` are those that may have to be gone back to; the first is certain."""
+
+    def __init__(self, life: Life) -> None:
+        self._waiting: deque[_Waiting] = deque()
+        self._commit: _Waiting | None = None  # of which it is not known whether it has won
+        self.lives = [life]
+
+    @property
+    def life(self) -> Life:
+        """The latest one, of which it is not yet certain that it counts."""
+        return self.lives[-1]
+
+    @property
+    def first(self) -> int | None:
+        """The first round whose outputs wait."""
+        return next((w.record.round for w in self._waiting if has_outputs(w.record.effects)), None)
+
+    @property
+    def undecided(self) -> bool:
+        """Whether an atomic event waits to hear whether its commit has won."""
+        return self._commit is not None
+
+    def add(self, record: Record, lock: int = -1, life: Life | None = None) -> None:
+        """A round's record; with the life that its event leads to, if it had one."""
+        waiting = _Waiting(record, lock, life)
+        self._waiting.append(waiting)
+        if lock >= 0:
+            self._commit = waiting
+        elif life is not None:
+            self.lives.append(life)
+
+    def decide(self, memory: Memory) -> bool | None:
+        """Whether the commit that was waited for has won; None when there is none, or no news of it."""
+        waiting = self._commit
+        if waiting is None or memory.applied < waiting.record.round:
+            return None
+        self._commit = None
+        waiting.lock = -1
+        if memory.won == waiting.record.round:
+            if waiting.life is not None:
+                self.lives.append(waiting.life)
+            return True
+        why = f"{waiting.record.event} gave way to another robot's transaction"
+        waiting.record = replace(waiting.record, event=None, effects=None, frame=None, skipped=why)
+        waiting.life = None
+        return False
+
+    def ready(self, memory: Memory) -> list[Record]:
+        """The records that are certain now, in order."""
+        found = []
+        while self._waiting and self._waiting[0].lock < 0:
+            waiting = self._waiting[0]
+            if waiting.record.effects is not None and not memory.stable(waiting.record.round):
+                break
+            self._waiting.popleft()
+            found.append(waiting.record)
+            while waiting.life is not None and self.lives[0] is not waiting.life:
+                del self.lives[0]
+        return found
+
+    def settle(self, acted: int) -> tuple[Life | None, list[Record]]:
+        """After coming back, when the last event of ours that counts is that of round `acted`: the life to go on with,
+        None when it is not known any more, and all records, now that they are certain."""
+        life = next((life for life in self.lives if life.round == acted), None)
+        found = []
+        for waiting in self._waiting:
+            record = waiting.record
+            if record.effects is not None and record.round > acted:
+                record = replace(
+                    record, event=None, effects=None, frame=None, skipped="not counted: the others went on"
+                )
+            found.append(record)
+        self._waiting.clear()
+        self._commit = None
+        if life is not None:
+            self.lives = [life]
+        return life, found
+
+
+def has_outputs(effects: Effects | None) -> bool:
+    """Whether an event did something that leaves the robot."""
+    return effects is not None and bool(effects.actuators or effects.streams or effects.stopped)

@@ -1,0 +1,351 @@
+"""One robot's shared memory as it talks to the others: words, closings, questions, ballots, and coming back.
+
+`memory` is the store, or None while this robot has none that counts: after its process began anew, or after the others
+went on without it. Time comes in as ticks, SLOTS in a round.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field
+from typing import Any
+
+from koordgen.runtime.comeback import Comeback, Store
+from koordgen.runtime.layout import Layout
+from koordgen.runtime.link import Fields, Link
+from koordgen.runtime.memory import Memory
+from koordgen.runtime.pieces import Gathering
+from koordgen.runtime.views import Out, Views, Vote, Word, fits, majority
+from koordgen.runtime.wire import (
+    Accept,
+    Closing,
+    Decided,
+    Need,
+    Partly,
+    Piece,
+    Prepare,
+    Promise,
+    Round,
+    StatePiece,
+    View,
+    Want,
+    closing_of,
+)
+
+SLOTS = 5  # moments in a round at which what is missing is asked for
+MOST_PARTLY = 8
+ASKED = 3 * SLOTS  # ticks for which a request to be let in counts
+HEARD = 2 * SLOTS  # ticks for which a robot counts as one that can be heard
+
+Talk = Any  # one of wire.Message but Hello
+Announce = Callable[[View, int, Vote], None]
+
+
+@dataclass(slots=True)
+class _Peer:
+    heard: int = -HEARD  # ticks
+    asked: int = -ASKED
+    told: int = -1
+    held: int = -1  # of its closings, and the round in which there was the last news of them
+    news: int = 0
+    partly: dict[int, Partly] = field(default_factory=dict)
+
+
+class Replica:
+    """`announce` keeps a view, the last round said to have been applied in it, and a vote, for the time after a restart;
+    it is called before any datagram that says so leaves."""
+
+    def __init__(
+        self,
+        link: Link,
+        layout: Layout,
+        memory: Memory | None,
+        view: View,
+        vote: Vote,
+        applied: int,
+        peer_timeout: int,
+        announce: Announce,
+    ) -> None:
+        self._link = link
+        self._layout = layout
+        self._pid = link.pid
+        self._n = layout.n_sys
+        self._peer_timeout = peer_timeout
+        self._announce = announce
+        self._said = applied
+        self._peers = {p: _Peer() for p in range(self._n) if p != self._pid}
+        self._gatherings: dict[int, tuple[int, int, Gathering]] = {}  # author -> incarnation, round, pieces
+        self._stores = Store()
+        self._tick = 0
+        self._turn = self._pid
+        self._silent: Closing | None = None  # the rounds closed while there is no store
+        self.memory = memory
+        self.comeback = None if memory is not None else Comeback(self._pid, view.number)
+        self.views = Views(self._pid, view, vote, self._own_word, self._follow, self._save)
+        self.emergency = False  # heard of one
+
+    @property
+    def pid(self) -> int:
+        return self._pid
+
+    @property
+    def out(self) -> bool:
+        """Whether this robot does not count at present, or has no store."""
+        return self.memory is None
+
+    @property
+    def busy(self) -> bool:
+        """Whether there may be something to do at the next tick."""
+        return self.comeback is not None or self.views.busy
+
+    @property
+    def status(self) -> str:
+        """Why there is no store, in words."""
+        if self.comeback is not None and self.comeback.incarnation(self.views.view) >= 0:
+            return "not current: let in again, gathers the shared store"
+        return "not current: does not count in the fleet, asks to be let in"
+
+    def alarm(self) -> None:
+        """Tell the others at once to come to rest, and from now on with each word."""
+        self.emergency = True
+        self._link.round(self._peers, self.word(0), ())
+
+    def word(self, round_: int) -> Fields:
+        """What this robot says of itself in `round_`; kept before it is said."""
+        memory = self.memory
+        if memory is None:
+            return self.views.view.number, 0, self._said, 0, self.emergency, (0,) * self._n
+        if memory.applied != self._said:
+            self._said = memory.applied
+            self._save()
+        return memory.view.number, round_, memory.applied, memory.settled, self.emergency, memory.held
+
+    def publish(self, first: int, round_: int) -> None:
+        """The own closings from `first` on go to everyone, and to each what it lacked when it last spoke."""
+        memory, word = self.memory, self.word(round_)
+        if memory is None:
+            closing = self._silence(round_)
+            self._link.round(self._peers, word, () if closing is None else (closing,))
+            return
+        own = memory.own(first)
+        plain: list[int] = []
+        for pid, peer in self._peers.items():
+            repeats = memory.repeat(pid)
+            if repeats:
+                known = {c.round for c in own}
+                rest = [c for c in repeats if c.author != self._pid or c.round not in known]
+                self._link.round([pid], word, [*own, *rest], peer.partly)
+            else:
+                plain.append(pid)
+        self._link.round(plain, word, own)
+
+    def confirm(self, round_: int) -> None:
+        """Tell those who wait for it that this robot has applied a round."""
+        memory = self.memory
+        if memory is not None:
+            waiting = [p for p in memory.prompt if p != self._pid]
+            if waiting:
+                self._link.round(waiting, self.word(round_), ())
+
+    def ask(self, missing: Collection[int], unaware: Collection[int], through: int) -> None:
+        """Ask for closings up to `through` that are missing, of their authors and of one other who may hold them, and for
+        the word of those whose word is wanted."""
+        memory = self.memory
+        assert memory is not None
+        peers = [p for p in missing if p != self._pid]
+        others = [p for p in self._peers if p not in peers]
+        self._turn += 1
+        helper = [others[self._turn % len(others)]] if others and peers else []
+        to = {*peers, *helper, *unaware}
+        held = self._gatherings.items()
+        partly = tuple([Partly(author, r, g.name, g.mask) for author, (_, r, g) in held][:MOST_PARTLY])
+        view, _, applied, _, _, have = self.word(through)
+        self._link.say(sorted(to), Need, view, through, applied, have, partly)
+
+    def take(self, message: Talk, present: int) -> None:
+        """A message of this mission, heard in round `present`."""
+        sender = message.head.pid
+        peer = self._peers[sender]
+        peer.heard = self._tick
+        match message:
+            case Round() | Need():
+                self._words(sender, message, present)
+            case Piece():
+                self._piece(message, present)
+            case Want():
+                self._want(sender, message)
+            case StatePiece():
+                self._state(message)
+            case _:
+                self._ballot(sender, message)
+
+    def poll(self, tick: int, present: int) -> None:
+        """What is due at the beginning of a tick in round `present`."""
+        self._tick = tick
+        memory = self.memory
+        if self.emergency:
+            self._link.round(self._peers, self.word(present), ())
+        heard = 1 + sum(tick - p.heard < HEARD for p in self._peers.values())
+        if heard >= majority(self._n):
+            asking = [p for p, peer in self._peers.items() if tick - peer.asked < ASKED]
+            self._send(self.views.poll(tick, self._doubted(present), asking))
+            self._freeze()
+        if self.comeback is not None:
+            self._send(self.comeback.poll(tick, self.views.view))
+
+    def _doubted(self, present: int) -> list[int]:
+        """The members of whom nothing new has come for too long."""
+        memory = self.memory
+        if memory is None:
+            return []
+        for pid, held in enumerate(memory.held):
+            if pid != self._pid and (peer := self._peers[pid]).held != held:
+                peer.held, peer.news = held, present
+        late = memory.missing(present - 1 - self._peer_timeout)
+        return [p for p in late if p != self._pid and present - self._peers[p].news > self._peer_timeout]
+
+    def _own_word(self) -> Word:
+        memory = self.memory
+        if memory is not None and memory.applied != self._said:
+            self._said = memory.applied
+            self._save()
+        return Word(self.views.view.number, self._said, memory is not None)
+
+    def _save(self) -> None:
+        self._announce(self.views.view, self._said, self.views.vote)
+
+    def _send(self, outs: Collection[Out]) -> None:
+        for to, kind, fields in outs:
+            self._link.say(to, kind, *fields)
+
+    def _words(self, sender: int, message: Round | Need, present: int) -> None:
+        asks = isinstance(message, Need)
+        self._tell(sender, message.view)
+        if isinstance(message, Round):
+            self.emergency = self.emergency or message.emergency
+            for closing in message.closings:
+                self._closing(closing, present)
+        memory = self.memory
+        if memory is None:
+            return
+        through = message.through if isinstance(message, Need) else message.round - 1
+        settled = 0 if isinstance(message, Need) else message.settled
+        refused = memory.heard(
+            sender, message.view, message.applied, message.held, max(0, through), settled, present, asks
+        )
+        if refused is not None:
+            self._link.reject(refused)
+        elif isinstance(message, Need):
+            peer = self._peers[sender]
+            peer.partly = {p.author: p for p in message.partly}
+            self._link.round([sender], self.word(present), memory.repeat(sender), peer.partly)
+
+    def _closing(self, closing: Closing, present: int) -> None:
+        if self.memory is not None:
+            refused = self.memory.take(closing, present)
+            if refused is not None:
+                self._link.reject(refused)
+
+    def _piece(self, piece: Piece, present: int) -> None:
+        memory = self.memory
+        if memory is None or piece.author >= self._n or not memory.wants(piece.author, piece.round, present):
+            return
+        known = self._gatherings.get(piece.author)
+        if known is None or (known[1] != piece.round and not memory.wants(piece.author, known[1], present)):
+            known = self._gatherings[piece.author] = (
+                piece.incarnation,
+                piece.round,
+                Gathering(piece.digest, piece.count),
+            )
+        if known[:2] != (piece.incarnation, piece.round):
+            return  # one at a time; it will be asked for again
+        refused = known[2].take((piece.digest, piece.index, piece.count, piece.data))
+        if refused is not None:
+            self._link.reject(refused)
+            return
+        blob = known[2].blob()
+        if blob is None:
+            return
+        del self._gatherings[piece.author]
+        closing = closing_of(blob)
+        if closing is None or closing.author != piece.author:
+            self._link.reject("closing does not fit")
+        else:
+            self._closing(closing, present)
+
+    def _want(self, sender: int, want: Want) -> None:
+        view, memory = self.views.view, self.memory
+        self._tell(sender, want.view)
+        if want.incarnation < 0:
+            if want.view >= view.members[sender]:
+                self._peers[sender].asked = self._tick
+        elif memory is not None and want.incarnation == view.members[sender] and memory.applied >= view.since - 1:
+            self._send(self._stores.answer(sender, want, memory.snapshot()[1], self._link.room))
+
+    def _state(self, piece: StatePiece) -> None:
+        comeback, view = self.comeback, self.views.view
+        if comeback is None or comeback.incarnation(view) < 0:
+            return
+        found = comeback.take(piece, self._tick)
+        if found is None:
+            return
+        if isinstance(found, str):
+            self._link.reject(found)
+            return
+        memory = None
+        if fits(found.view, self._n) and found.view.number == view.number and found.applied >= view.since - 1:
+            memory = Memory.resume(self._layout, self._pid, found)
+        if memory is None:
+            self._link.reject("store does not fit")
+            return
+        if self._silent is not None and self._silent.round > memory.applied:
+            memory.close(self._silent.round, {}, stopped=False)
+        self._silent = self.comeback = None
+        self.memory = memory
+
+    def _ballot(self, sender: int, message: Prepare | Promise | Accept | Decided) -> None:
+        value = getattr(message, "value", None) or getattr(message, "accepted", None)
+        if value is not None and not fits(value, self._n):
+            self._link.reject("view does not fit")
+            return
+        self._send(self.views.take(sender, message))
+        self._freeze()
+
+    def _follow(self, before: View) -> None:
+        """There is another view."""
+        view, memory = self.views.view, self.memory
+        if memory is not None:
+            goes_on = view.number == before.number + 1 and view.members[self._pid] == before.members[self._pid]
+            if goes_on:
+                memory.adopt(view)
+            else:
+                self.memory, self.comeback = None, Comeback(self._pid, before.number, news=self._tick)
+        self._gatherings.clear()
+        for pid, peer in self._peers.items():
+            peer.asked = -ASKED
+            if view.members[pid] != before.members[pid]:
+                peer.held = -1  # its time begins anew
+        if self.memory is None:
+            self._said = min(self._said, view.since - 1)
+            self._silent = None
+
+    def _freeze(self) -> None:
+        if self.memory is not None:
+            self.memory.frozen = self.views.frozen
+
+    def _tell(self, sender: int, view: int) -> None:
+        """Let one who is behind know the view."""
+        peer = self._peers[sender]
+        if view < self.views.view.number and peer.told != self._tick:
+            peer.told = self._tick
+            self._link.say([sender], Decided, self.views.view)
+
+    def _silence(self, round_: int) -> Closing | None:
+        """The closing of one that is in again and has no store yet: it does nothing."""
+        view = self.views.view
+        incarnation = -1 if self.comeback is None else self.comeback.incarnation(view)
+        if incarnation < 0 or round_ < view.since:
+            return None
+        first = self._silent.first if self._silent is not None else view.since
+        self._silent = Closing(self._pid, incarnation, first, round_)
+        return self._silent
