@@ -57,6 +57,14 @@ def test_what_was_mentioned_before_is_not_open(start: int, expected: bool) -> No
     assert not is_open(node, {"b": 0}, 0)
 
 
+def test_where_a_condition_fails_its_opposite_is_known_and_where_it_holds_itself() -> None:
+    path = Path()
+    asked = Condition(e.Compare(">", e.LocalRead("a", INT, AT), e.Const(3, INT, AT), BOOL, AT), path)
+    assert path.passing(asked).flow.facts == (asked.formula,)
+    assert path.failing(asked).flow.facts == (negate(asked.formula),)
+    assert unsat((*path.passing(asked).flow.facts, *path.failing(asked).flow.facts))
+
+
 def codes(effect: str, guard: str = "on") -> list[str]:
     text = (
         "allread: int x[N_SYS]\nallwrite: int total\nlocal:\n  int a\n  int b\n  bool on\n"
@@ -76,6 +84,9 @@ def codes(effect: str, guard: str = "on") -> list[str]:
         ("on", "    a = 2\n    if a > 3: pass\n", ["K043"]),
         ("on", "    a = b\n    if b > 3:\n      if a < 2: pass\n", ["K043"]),
         ("on", "    if not on: pass\n", ["K043"]),
+        ("on", "    if a > 3: stop\n    if a > 4: pass\n", ["K043"]),
+        ("on", "    if a > 3: stop\n    if a > 2: pass\n", []),
+        ("on", "    if a > 3: b = 1\n    elif a > 4: pass\n", ["K043"]),
         ("pid == 1", "    if pid == 0: pass\n", ["K043"]),
         ("total == 1", "    if total == 0: pass\n", ["K043"]),
         ("on", "    if pid < 0: pass\n", ["K043"]),
