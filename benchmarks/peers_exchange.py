@@ -59,6 +59,9 @@ class Zenoh:
         config.insert_json5("scouting/multicast/enabled", "false")
         config.insert_json5("listen/endpoints", json.dumps([f"tcp/127.0.0.1:{ports[pid]}"]))
         config.insert_json5("connect/endpoints", json.dumps([f"tcp/127.0.0.1:{p}" for p in ports[:pid]]))
+        retry = {"period_init_ms": 200, "period_max_ms": 500, "period_increase_factor": 1}
+        config.insert_json5("connect/retry", json.dumps(retry))
+        config.insert_json5("connect/timeout_ms", "-1")
         self._session = zenoh.open(config)
         self._arrived: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         self._subscriber = self._session.declare_subscriber("robot/*", self._hear)

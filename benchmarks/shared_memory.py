@@ -13,13 +13,15 @@ import argparse
 import json
 import math
 import multiprocessing
+import random
 import socket
 import statistics
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
+from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
 
@@ -39,11 +41,16 @@ Figures = dict[str, Any]
 
 
 def free_ports(n: int) -> list[int]:
-    with ExitStack() as stack:
-        sockets = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(n)]
-        for s in sockets:
-            s.bind(("127.0.0.1", 0))
-        return [s.getsockname()[1] for s in sockets]
+    """Ports that are free for UDP and TCP, below those that the kernel gives to connections."""
+    found: list[int] = []
+    for port in range(random.randrange(10_000, 25_000), 32_000):
+        with suppress(OSError), ExitStack() as stack:
+            for kind in (socket.SOCK_DGRAM, socket.SOCK_STREAM):
+                stack.enter_context(socket.socket(socket.AF_INET, kind)).bind(("127.0.0.1", port))
+            found.append(port)
+        if len(found) == n:
+            break
+    return found
 
 
 class Failed(Exception):
@@ -67,15 +74,16 @@ def together(work: Callable[..., Any], n: int, limit: float) -> list[Any]:
     try:
         for process in children:
             process.start()
-        results = []
-        for receive, _ in ends:
-            if not receive.poll(max(0.0, end - time.monotonic())):
+        results: dict[int, Any] = {}
+        while len(results) < n:
+            ready = wait([ends[pid][0] for pid in range(n) if pid not in results], end - time.monotonic())
+            if not ready:
                 raise Failed(f"not done within {limit:.0f} s")
-            result = receive.recv()
-            if isinstance(result, str):
-                raise Failed(result)
-            results.append(result)
-        return results
+            for pid in (p for p in range(n) if ends[p][0] in ready):
+                result = results[pid] = ends[pid][0].recv()
+                if isinstance(result, str):
+                    raise Failed(f"robot {pid}: {result}")
+        return [results[pid] for pid in range(n)]
     finally:
         for process in children:
             process.kill()
