@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 Lines = Mapping[int, Sequence[dict[str, Any]]]
-# Why a robot ran no event although its shared state was current.
-CURRENT = ("no event enabled", "stopped")
+# How the reasons begin for which a robot without current shared state ran no event.
+NOT_CURRENT = ("not current", "woke after", "left the mission", "not counted", "no record")
 
 
 def rounds(lines: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -72,16 +72,19 @@ def wrong_reads(lines: Lines) -> tuple[int, list[str]]:
     return reads, wrong
 
 
+def is_current(t: Mapping[str, Any]) -> bool:
+    """Whether the robot had the shared state of the round in time."""
+    return not (t["skipped"] or "").startswith(NOT_CURRENT)
+
+
 def current(lines: Lines, first: int, last: int) -> tuple[float, Counter[str]]:
-    """The share of robot-rounds from `first` to `last` in which the robot was current, and why it was not in others."""
+    """The share of robot-rounds from `first` to `last` in which the robot was current, and why no event ran."""
     good, why = 0, Counter[str]()
     for pid in lines:
         told = {t["round"]: t for t in rounds(lines[pid])}
         for round_ in range(first, last + 1):
-            t = told.get(round_)
-            reason = "no record" if t is None else (t["skipped"] or "")
-            if not reason or reason in CURRENT or "waits for its turn" in reason:
-                good += 1
-            else:
-                why[reason.partition(":")[0]] += 1
+            t = told.get(round_, {"skipped": "no record"})
+            good += is_current(t)
+            if t["skipped"]:
+                why[t["skipped"].partition(":")[0]] += 1
     return good / (len(lines) * (last - first + 1)), why

@@ -12,9 +12,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from koordgen.runtime.settings import Settings
 from tests.chaos.bundle import KEY, NAMES
-from tests.chaos.checks import CURRENT, rounds
+from tests.chaos.checks import is_current, rounds
 from tests.chaos.lab import HUB, HUB_ADDRESS, Lab, address
 
 MAIN = str(Path(__file__).with_name("robot_main.py"))
@@ -45,7 +44,7 @@ class Robot:
     def back(self) -> bool:
         """Whether its present process has shared state."""
         lines = rounds(self.lines[self._first :])
-        return any(t["event"] or t["skipped"] in CURRENT for t in lines)
+        return any(is_current(t) for t in lines)
 
     @property
     def status(self) -> int | None:
@@ -165,15 +164,13 @@ class Swarm:
         def place(other: int) -> str:
             return HUB_ADDRESS if self._delay and other != pid else address(other)
 
-        found = {
+        return {
             "robot": NAMES[pid],
             "pid": pid,
             "delta": self.delta,
             "peers": [{"name": NAMES[p], "host": place(p), "port": PORT + p} for p in self.robots],
             "key_file": "fleet.key",
             "trace": str(trace),
+            "state": str(self._folder / f"{NAMES[pid]}.state"),
             **self._changes,
         }
-        if "state" in Settings.__struct_fields__:
-            found["state"] = str(self._folder / f"{NAMES[pid]}.state")
-        return found

@@ -192,7 +192,7 @@ def test_availability(loss: float, least: float, tmp_path: Path, bundles: Path, 
 
     found = side_by_side(share, fleets, say, f"availability at {loss:.0%} loss", fleets)
     for part, why in found:
-        say(f"{part:.3%} of robot-rounds current at {loss:.0%} loss; others: {dict(why)}")
+        say(f"{part:.3%} of robot-rounds current at {loss:.0%} loss; no event: {dict(why)}")
     assert min(part for part, _ in found) >= least
 
 
@@ -209,7 +209,7 @@ def test_flood(tmp_path: Path, bundles: Path, say: Say) -> None:
         swarm.end()
         share, why = current(swarm.lines, first, last)
         dropped = {k: v for k, v in _counters(swarm.lines[0]).items() if k.startswith("dropped")}
-        say(f"{share:.3%} of robot-rounds current in {last - first + 1} rounds; others: {dict(why)}; {dropped}")
+        say(f"{share:.3%} of robot-rounds current in {last - first + 1} rounds; no event: {dict(why)}; {dropped}")
         assert sum(dropped.values()) > 1000 * seconds
         assert share >= 0.999
 

@@ -22,7 +22,7 @@ from koordgen.runtime.program import Program
 from koordgen.runtime.trace import Record
 from koordgen.runtime.values import Point
 from tests.chaos.bundle import PROGRAMS
-from tests.chaos.checks import Lines, commits, wrong_reads, wrong_sums
+from tests.chaos.checks import NOT_CURRENT, Lines, commits, wrong_reads, wrong_sums
 from tests.chaos.runs import Say
 from tests.emit.generated import load
 from tests.runtime.fleet import FakePlatform, Fleet, Robot
@@ -99,7 +99,7 @@ class Dying:
 
 
 def _knew(record: Record) -> bool:
-    return record.frame is not None or record.skipped == "stopped"
+    return not (record.skipped or "").startswith(NOT_CURRENT)
 
 
 def told(robot: Robot) -> list[dict[str, Any]]:
