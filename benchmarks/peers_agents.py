@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from peers_exchange import Heard
@@ -18,14 +19,16 @@ from koordgen.runtime.layout import Layout
 from koordgen.runtime.link import Link, Session
 from koordgen.runtime.machine import Agent
 from koordgen.runtime.memory import Memory
+from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.platform import Sensed
 from koordgen.runtime.program import Cell, Event, Frame, Program, Slots, Transaction, Variable
 from koordgen.runtime.rounds import PUBLISH
 from koordgen.runtime.settings import Box, Network, Origin, Peer, Settings
+from koordgen.runtime.store import Store
 from koordgen.runtime.trace import Record, Trace
 from koordgen.runtime.transport import Transport, open_transport
 from koordgen.runtime.values import Point
-from koordgen.runtime.wire import Closing, Round, decode
+from koordgen.runtime.wire import Closing, Round, View, decode
 
 KEY = bytes(range(32))
 WARM_UP = 20  # rounds before those that count
@@ -139,11 +142,12 @@ class Inside:
     def complete(self) -> int:
         """The last round of which the updates of all robots are here."""
         rounds = self._agent._rounds
-        return 0 if rounds is None else min(rounds._memory.held)
+        memory = None if rounds is None else rounds._replica.memory
+        return 0 if memory is None else min(memory.held)
 
 
 def run_agent(
-    pid: int, ports: Sequence[int], transport: str, delta: float, count: int, size: int, patience: float
+    pid: int, ports: Sequence[int], transport: str, delta: float, count: int, size: int, patience: float, folder: Path
 ) -> dict[str, Any]:
     """Run one agent for `count` rounds, which must begin within `patience` seconds (else TimeoutError). By round:
     seconds from the tick to consistency, and to the departure of the own closing, infinite when that never came; and
@@ -156,8 +160,9 @@ def run_agent(
             skipped[record.round] = record.skipped or "no event"
 
     tapped = Tapped(open_transport(given))
-    trace = Trace(None, print)
-    agent = Agent(program(size), given, KEY, Still(), clock, tapped, trace, _tell, os.urandom(8), [note])
+    trace, program_ = Trace(None, print), program(size)
+    store = Store.open(folder / f"{pid}.state", program_, given.robot, pid, len(given.peers), print)
+    agent = Agent(program_, given, KEY, Still(), clock, tapped, trace, _tell, os.urandom(8), store, [note])
     inside, last = Inside(agent), WARM_UP + count
     complete, times = 0, dict[int, float]()
     limit = time.monotonic() + patience
@@ -171,6 +176,7 @@ def run_agent(
             raise TimeoutError(f"no round within {patience:.0f} s")
         tapped.wait(min(wake - clock.now(), 0.1))
     tapped.close()
+    store.close()
     start, never = inside.start, float("inf")
     assert start is not None
     left = closings(tapped.sent, pid)
@@ -211,27 +217,28 @@ class Stack:
         self._pid, self._other, self._text = pid, 1 - pid, "0" * size
         self._transport = open_transport(given)
         boots = [bytes([p] * 8) for p in range(2)]
-        self._link = Link(ours, given, KEY, self._transport, clock, FleetClock(pid), boots[pid], print)
+        self._link = Link(ours, given, KEY, self._transport, clock, FleetClock(pid), boots[pid], print, Metrics(pid, 2))
         self._link.epoch = bytes(8)
         self._link.sessions[self._other] = Session(boots[self._other])
-        self._memory = Memory(layout, pid, [Closing(p, 0, 0, 0) for p in range(2)])
+        self._memory = Memory.begin(layout, pid, View(0, 1, (0, 0)), [Closing(p, 0, 0, 0) for p in range(2)])
         self._closed = 0
         self.size = 0
 
     def publish(self, round_: int) -> None:
         memory = self._memory
         self._closed = round_
-        memory.close(round_, {"report": self._text}, False)
-        self._link.round([self._other], round_, memory.settled, memory.held, memory.own(round_))
+        memory.close(round_, {"report": self._text}, stopped=False, acted=True)
+        word = (0, round_, memory.applied, memory.settled, False, memory.held)
+        self._link.round([self._other], word, memory.own(round_))
         memory.advance(round_ + 1)
 
     def take(self, seconds: float) -> Heard:
         self._transport.wait(seconds)
         memory, before = self._memory, self._memory.held[self._other]
-        for message in self._link.receive():
-            if isinstance(message, Round):
-                for closing in message.closings:
+        for m in self._link.receive():
+            if isinstance(m, Round):
+                for closing in m.closings:
                     memory.take(closing, self._closed)
-                memory.heard(self._other, message.held, message.round - 1, message.settled, self._closed)
+                memory.heard(self._other, m.view, m.applied, m.held, m.round - 1, m.settled, self._closed, False)
         memory.advance(self._closed + 1)
         return [(self._other, r) for r in range(before + 1, memory.held[self._other] + 1)]

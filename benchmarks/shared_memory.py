@@ -23,6 +23,7 @@ from contextlib import ExitStack, suppress
 from functools import partial
 from multiprocessing.connection import wait
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -112,9 +113,10 @@ def round_trip(make: Make, count: int, size: int = SIZE) -> float:
 
 def agents(transport: str, n: int, delta: float, count: int, patience: float = 60.0) -> list[Figures]:
     def work(pid: int, ports: Sequence[int], barrier: Any, start: Any) -> Figures:
-        return peers_agents.run_agent(pid, ports, transport, delta, count, SIZE, patience)
+        return peers_agents.run_agent(pid, ports, transport, delta, count, SIZE, patience, Path(folder))
 
-    return together(work, n, patience + 10 + 2 * count * delta)
+    with TemporaryDirectory() as folder:
+        return together(work, n, patience + 10 + 2 * count * delta)
 
 
 def peer_rounds(name: str, n: int, delta: float, count: int) -> list[float]:
