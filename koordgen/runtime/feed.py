@@ -53,7 +53,7 @@ class Feed:
             return self._reject("not authentic")
         try:
             sample = _decoder.decode(payload)
-        except (msgspec.DecodeError, RecursionError):
+        except (ValueError, RecursionError):
             return self._reject("malformed")
         position = sample.pose.position
         if not all(map(math.isfinite, (position.x, position.y, position.z, sample.pose.yaw, sample.age))):

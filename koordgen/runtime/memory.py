@@ -1,9 +1,9 @@
 """The replicated shared store of one robot: a pure state machine over closings, without I/O and without a clock.
 
 S_r, the store in round r, is S_1 (initial values and everyone's `init`) with the closings of rounds 1 to r-1 applied
-round by round, of those robots that count in each (`View`): within a round first the commits, one for each lock, then the
-plain writes by ascending pid. A robot is current for r when it has applied r-1; then its `shared` is S_r, the same on
-every robot. A round is stable once a majority has said to have applied it: no later view leaves it out.
+round by round, of those robots that count in each (`View`): within a round first the commits, one for each lock, then
+the plain writes by ascending pid. A robot is current for r when it has applied r-1; then its `shared` is S_r, the same
+on every robot. A round is stable once a majority has said to have applied it: no later view leaves it out.
 """
 
 from __future__ import annotations
@@ -119,7 +119,8 @@ class Memory:
         return self.view.members[self._pid] >= 0
 
     def adopt(self, view: View) -> None:
-        """Go by the next view. Closings of those who no longer count, or count anew, are dropped beyond its beginning."""
+        """Go by the next view. Closings of those who no longer count, or count anew, are dropped from its beginning
+        on."""
         before = self.view
         self._views.append(view)
         for pid, (old, new) in enumerate(zip(before.members, view.members, strict=True)):

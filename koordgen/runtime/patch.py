@@ -51,7 +51,7 @@ def patched(old: bytes, patch: bytes, most: int) -> bytes | None:
     bytes."""
     try:
         runs = _decoder.decode(patch)
-    except (msgspec.DecodeError, RecursionError):
+    except (ValueError, RecursionError):
         return None
     parts: list[bytes] = []
     at, size = 0, 0

@@ -52,8 +52,8 @@ class _Peer:
 
 
 class Replica:
-    """`announce` keeps a view, the last round said to have been applied in it, and a vote, for the time after a restart;
-    it is called before any datagram that says so leaves."""
+    """`announce` keeps a view, the last round said to have been applied in it, and a vote, for the time after a
+    restart; it is called before any datagram that says so leaves."""
 
     def __init__(
         self,
@@ -148,8 +148,8 @@ class Replica:
                 self._link.round(waiting, self.word(round_), ())
 
     def ask(self, missing: Collection[int], unaware: Collection[int], through: int) -> None:
-        """Ask for closings up to `through` that are missing, of their authors and of one other who may hold them, and for
-        the word of those whose word is wanted."""
+        """Ask for closings up to `through` that are missing, of their authors and of one other who may hold them, and
+        for the word of those whose word is wanted."""
         memory = self.memory
         assert memory is not None
         peers = [p for p in missing if p != self._pid]
@@ -182,7 +182,6 @@ class Replica:
     def poll(self, tick: int, present: int) -> None:
         """What is due at the beginning of a tick in round `present`."""
         self._tick = tick
-        memory = self.memory
         if self.emergency:
             self._link.round(self._peers, self.word(present), ())
         heard = 1 + sum(tick - p.heard < HEARD for p in self._peers.values())

@@ -171,8 +171,8 @@ class Rounds:
         life, records = self._outbox.settle(acted)
         if life is None:
             raise Lost(
-                f"the last event of this robot that the others count is that of round {acted}, and its own variables of "
-                "that round are not kept any more: it cannot come back to this mission"
+                f"the last event of this robot that the others count is that of round {acted}, and its own variables "
+                "of that round are not kept any more: it cannot come back to this mission"
             )
         self._runner.locals, self.stopped = life.locals, life.stopped
         self._body.restore(life.actuators, now)

@@ -91,7 +91,7 @@ class Scans:
             return self._reject("not authentic")
         try:
             sweep = _decoder.decode(payload)
-        except (msgspec.DecodeError, RecursionError):
+        except (ValueError, RecursionError):
             return self._reject("malformed")
         if not _sound(sweep):
             return self._reject("out of range")

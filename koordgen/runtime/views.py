@@ -1,9 +1,9 @@
-"""Who counts: how a majority agrees on the next view, by one ballot after another until one is decided (Paxos, Lamport 1998).
+"""Who counts: how a majority agrees on the next view, by one ballot after another until one is decided.
 
-The value of view w+1 is made of what its proposer was promised: everyone who promised is in it, and the rounds of view w
-end with the greatest that one of them had applied. Who has promised applies no further round, so nobody who stays goes
-beyond that end. All N robots vote, also those that do not count now. Everything here is without clock, network and disk;
-`save` is called before any word leaves that must be true after a restart too.
+That is Paxos (Lamport 1998). The value of view w+1 is made of what its proposer was promised: everyone who promised is
+in it, and the rounds of view w end with the greatest that one of them had applied. Who has promised applies no further
+round, so nobody who stays goes beyond that end. All N robots vote, also those that do not count now. Everything here is
+without clock, network and disk; `save` is called before any word leaves that must be true after a restart too.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ def voted(vote: Vote, ballot: int, value: View) -> Vote | None:
 
 
 def choose(view: View, words: Mapping[int, Word]) -> View | None:
-    """The successor of `view` that a proposer who goes by it may put to the vote, given the promises; None while they do
-    not suffice: no majority, or nobody who has all that someone of them said to have applied."""
+    """The successor of `view` that a proposer who goes by it may put to the vote, given the promises; None while they
+    do not suffice: no majority, or nobody who has all that someone of them said to have applied."""
     if len(words) < majority(len(view.members)):
         return None
     bound = max(words.values(), key=lambda w: w.voted)

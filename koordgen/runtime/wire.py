@@ -114,9 +114,9 @@ class Hello(Wired, frozen=True, tag=0):
 
 
 class Round(Wired, frozen=True, tag=1):
-    """The sender's word: it is in `round`, goes by view number `view`, has applied all rounds up to `applied`, and holds
-    robot p's closings up to `held[p]`. All members hold everything up to `settled`. Any robot may carry any other's
-    closings. `emergency`: someone with the fleet's key has stopped the fleet."""
+    """The sender's word: it is in `round`, goes by view number `view`, has applied all rounds up to `applied`, and
+    holds robot p's closings up to `held[p]`. All members hold everything up to `settled`. Any robot may carry any
+    other's closings. `emergency`: someone with the fleet's key has stopped the fleet."""
 
     head: Head
     view: Natural
@@ -162,8 +162,8 @@ class Piece(Wired, frozen=True, tag=3):
 
 
 class Prepare(Wired, frozen=True, tag=4):
-    """Ballot `ballot` for the successor of `view`, which is decided, begins: will you vote in no lower one, and apply no
-    round meanwhile?"""
+    """Ballot `ballot` for the successor of `view`, which is decided, begins: will you vote in no lower one, and apply
+    no round meanwhile?"""
 
     head: Head
     ballot: Natural
@@ -171,8 +171,8 @@ class Prepare(Wired, frozen=True, tag=4):
 
 
 class Promise(Wired, frozen=True, tag=5):
-    """Yes. The sender went by `view` and had said to have applied up to `applied` in it; `state`: it still has the store
-    of that round; `accepted` is what it has voted for in ballot `voted`."""
+    """Yes. The sender went by `view` and had said to have applied up to `applied` in it; `state`: it still has the
+    store of that round; `accepted` is what it has voted for in ballot `voted`."""
 
     head: Head
     number: Natural
@@ -231,9 +231,9 @@ class StatePiece(Wired, frozen=True, tag=10):
 
 
 class State(Wired, frozen=True):
-    """The shared store after round `applied`: what someone needs who comes (back) in. `values[i]` is variable i's value, an
-    allread variable's as the array of its slots. `stopped[p]`: the round in which robot p stopped, or -1. `acted[p]`:
-    the last round in which an event of robot p counted."""
+    """The shared store after round `applied`: what someone needs who comes (back) in. `values[i]` is variable i's
+    value, an allread variable's as the array of its slots. `stopped[p]`: the round in which robot p stopped, or -1.
+    `acted[p]`: the last round in which an event of robot p counted."""
 
     view: View
     applied: Natural
@@ -267,7 +267,7 @@ def decode(datagram: bytes, key: bytes | None) -> Message | str:
         return "another format version"
     try:
         message: Message = _decoder.decode(memoryview(payload)[1:])
-    except (msgspec.DecodeError, RecursionError):
+    except (ValueError, RecursionError):
         return "malformed"
     return message
 
@@ -276,7 +276,7 @@ def closing_of(blob: bytes) -> Closing | None:
     """The closing that came in pieces, or None when that is none."""
     try:
         return _closings.decode(blob)
-    except (msgspec.DecodeError, RecursionError):
+    except (ValueError, RecursionError):
         return None
 
 
@@ -284,7 +284,7 @@ def state_of(blob: bytes) -> State | None:
     """The State that came in pieces, or None when that is none."""
     try:
         return _states.decode(blob)
-    except (msgspec.DecodeError, RecursionError):
+    except (ValueError, RecursionError):
         return None
 
 
