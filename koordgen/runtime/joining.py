@@ -12,6 +12,7 @@ that mission is lost, and a new one begins.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from hashlib import blake2s
 
@@ -42,6 +43,7 @@ class _Other:
     epoch: bytes = b""
     holds: tuple[int, ...] = ()
     idle: bool = False  # it is in no mission
+    inside: bool = False  # it is in ours
     elsewhere: bool = False  # it is in a mission that our boot is not part of
 
 
@@ -67,6 +69,7 @@ class Joining:
         self._start: float | None = None
         self._next = 0.0
         self._returning = False
+        self._announced: deque[bytes] = deque(maxlen=8)  # missions that others may have begun with this boot
         self.met = True  # no robot need be told of this one any more
         self.restarted: set[int] = set()  # robots that began anew while the mission runs
 
@@ -80,6 +83,11 @@ class Joining:
     def lost(self) -> bool:
         """Whether the mission that this robot would come back to is nobody's any more."""
         return self._returning and self._start is None and all(o.idle for o in self._others.values())
+
+    @property
+    def inside(self) -> list[int]:
+        """Those who are in the mission that this robot comes back to."""
+        return [p for p, o in self._others.items() if o.inside] if self._returning else []
 
     @property
     def returned(self) -> float | None:
@@ -167,8 +175,12 @@ class Joining:
 
     def _learn(self, other: _Other, hello: Hello, fleet: float | None) -> None:
         """Take over the start of the own mission from one who is in it."""
+        epoch = hello.head.epoch
+        if hello.start is not None and epoch != self._link.epoch and epoch in self._announced:
+            self.come_back(epoch)  # they began when all had met, before another robot's boot changed
         other.idle = hello.start is None
-        other.elsewhere = hello.start is not None and hello.head.epoch != self._link.epoch
+        other.elsewhere = hello.start is not None and epoch != self._link.epoch
+        other.inside = hello.start is not None and not other.elsewhere
         if hello.start is not None and self._link.epoch and not other.elsewhere:
             start = hello.start / 1e6
             if fleet is not None and start - fleet <= LONGEST_LEAD:
@@ -217,3 +229,5 @@ class Joining:
         if self._start is None and self._inits() is not None:
             boots = {p: s.boot for p, s in self._link.sessions.items()} | {self._pid: self._link.boot}
             self._link.epoch = epoch_of([boots[p] for p in sorted(boots)])
+            if self._link.epoch not in self._announced:
+                self._announced.append(self._link.epoch)

@@ -168,8 +168,8 @@ class Agent:
                 self._joining.take(message, fleet)
             elif self._rounds is not None:
                 self._rounds.take(message)
-        if self._before.mission is not None and self._rounds is None and self._link.sessions:
-            self._fleet_clock.follow(min(self._link.sessions), now)  # who keeps the time is not known before the view
+        if self._rounds is None and self._joining.inside:
+            self._fleet_clock.follow(min(self._joining.inside), now)  # who keeps the time is not known before the view
         self._watch_restarts()
         if self._rounds is not None:
             wake = min(wake, self._poll_rounds(self._rounds, now), self._joining.poll(now, fleet))
@@ -193,6 +193,7 @@ class Agent:
         except Lost as lost:
             self._log("error", str(lost))
             self._rest("cannot come back", SURROUNDINGS)
+            self._rounds = None
             return now + self._platform.period
         if replica.emergency and self.phase == "running":
             self._log("error", "emergency stop, heard from another robot")
@@ -299,8 +300,10 @@ class Agent:
             view, vote, applied = View(0, 1, (0,) * n), Vote(), 0
             memory = Memory.begin(self._layout, self._settings.pid, view, mission.inits)
         elif returned is not None:
-            start, epoch, memory, lives = returned, self._epoch, None, self._lives()
+            start, epoch, memory = returned, self._link.epoch, None
+            lives = self._lives() if self._init is None else [self._init]
             view, vote, applied = self._bound()
+            self._keep_mission()
         else:
             return
         timeout = self._settings.safety.peer_timeout

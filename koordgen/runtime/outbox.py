@@ -99,7 +99,8 @@ class Outbox:
     def settle(self, acted: int) -> tuple[Life | None, list[Record]]:
         """After coming back, when the last event of ours that counts is that of round `acted`: the life to go on with,
         None when it is not known any more, and all records, now that they are certain."""
-        life = next((life for life in self.lives if life.round == acted), None)
+        proposed = [w.life for w in self._waiting if w.lock >= 0 and w.life is not None]  # it may have won after all
+        life = next((life for life in (*self.lives, *proposed) if life.round == acted), None)
         found = []
         for waiting in self._waiting:
             record = waiting.record
