@@ -228,3 +228,12 @@ class Fleet:
             until=lambda: all(r.agent.round >= rounds or r.agent.done for r in self.robots.values()),
         )
         assert all(r.agent.round >= rounds or r.agent.done for r in self.robots.values())
+
+    def run_told(self, rounds: int) -> None:
+        """Until every robot's records go so far: what a round came to is told once it is certain."""
+
+        def told() -> bool:
+            return all(r.agent.done or (r.records and r.records[-1].round >= rounds) for r in self.robots.values())
+
+        self.run(60 + rounds * self.delta, until=told)
+        assert told()

@@ -128,7 +128,7 @@ def test_an_event_that_never_ends_is_interrupted(endless: Callable[[State], None
     sensors, actuators = {"Motion.position": Point(), "Motion.reached": True}, {"Motion.target": Point()}
     shared: dict[str, Any] = {"x": (Point(),), "last": 0}
     began = clock.now()
-    outcome = runner.step(runner.frame(shared, sensors, actuators, no_ports), 1, began + 0.03)
+    outcome = runner.step(runner.frame(shared, sensors, actuators, no_ports), began + 0.03)
     assert outcome.event == "Only" and outcome.effects is None
     assert "publish deadline" in str(outcome.fault)
     assert clock.now() - began < 0.5
@@ -203,7 +203,7 @@ def test_reached_is_true_before_any_command_and_never_stale_after_one() -> None:
     fleet.boot(1, body)
     fleet.boot(2)
     bert = fleet.robots[1]
-    fleet.run_rounds(1)
+    fleet.run_told(1)
     assert bert.records[0].sensors["Motion.reached"] is True
     body.says, body.fresh = True, False  # judged by a position that is older than the command
     body.seen = body.commands[0][0] - 0.01

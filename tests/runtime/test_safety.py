@@ -207,7 +207,7 @@ def test_a_full_disk_ends_the_trace_with_one_warning_and_not_the_robot() -> None
 
 def test_the_trace_is_what_its_readers_rely_on() -> None:
     fleet = Fleet().boot_all()
-    fleet.run_rounds(4)
+    fleet.run_told(4)
     robot = fleet.robots[1]
     lines = [json.loads(line) for line in robot.file.getvalue().splitlines()]
     assert lines[0] == {

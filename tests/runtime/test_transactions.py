@@ -1,4 +1,5 @@
-"""Transactions on robots: one commit a lock and round, in turns; no update is lost, whatever the network does."""
+"""Transactions on robots: of all that try, one counts for each lock and round; no update is lost, whatever the network
+does."""
 
 from __future__ import annotations
 
@@ -50,10 +51,14 @@ def plain(program: Program) -> Program:
 
 
 @pytest.mark.parametrize("n_sys", [1, 2, 5])
-def test_each_lock_has_one_holder_a_round_and_everyone_has_a_turn(n_sys: int) -> None:
+def test_of_all_who_try_one_wins_and_everyone_has_a_turn(n_sys: int) -> None:
+    everyone = list(range(n_sys))
     for lock in range(3):
-        assert {holder(lock, r, n_sys) for r in range(7, 7 + n_sys)} == set(range(n_sys))
-        assert all(0 <= holder(lock, r, n_sys) < n_sys for r in range(50))
+        assert {winner(everyone, lock, r, n_sys) for r in range(7, 7 + n_sys)} == set(everyone)
+        for only in everyone:
+            assert winner([only], lock, 9, n_sys) == only, "who tries alone waits for no turn"
+        for round_ in range(n_sys):
+            assert winner(everyone[1:] or [0], lock, round_, n_sys) in (everyone[1:] or [0])
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -69,6 +74,7 @@ def test_an_atomic_counter_loses_no_update(conditions: Conditions, seed: int) ->
     fleet.run(
         120, until=lambda: all(r.agent._rounds is not None and r.agent._rounds.stopped for r in fleet.robots.values())
     )
+    fleet.run(2.0)  # the last one stopped tells what came of it
     for robot in fleet.robots.values():
         assert robot.agent._runner.locals == {"count": OFTEN}
         assert robot.agent._rounds is not None and robot.agent._rounds.stopped
@@ -77,7 +83,7 @@ def test_an_atomic_counter_loses_no_update(conditions: Conditions, seed: int) ->
     assert sorted(rec.effects.shared["last"] for rec in committed if rec.effects) == list(range(1, 5 * OFTEN + 1))
 
 
-def test_without_the_right_the_same_counter_loses_updates() -> None:
+def test_as_plain_events_the_same_counter_loses_updates() -> None:
     """What the test above would see."""
     fleet = Fleet(n=5, program=plain(COUNTER)).boot_all()
     fleet.run_rounds(30)
@@ -85,20 +91,42 @@ def test_without_the_right_the_same_counter_loses_updates() -> None:
     assert frame is not None and frame.shared["last"] == OFTEN
 
 
-def test_a_robot_without_the_right_skips_and_does_not_fall_through() -> None:
+def test_who_gives_way_skips_and_does_not_fall_through() -> None:
     fleet = Fleet(n=3, program=COUNTER).boot_all()
-    fleet.run_rounds(6)
+    fleet.run_told(6)
     for pid, robot in fleet.robots.items():
         for record in robot.records[:6]:
-            if holder(0, record.round, 3) == pid:
+            if winner(range(3), 0, record.round, 3) == pid:
                 assert (record.event, record.skipped) == ("Count", None)
             else:
-                assert record.event is None and record.effects is None
-                assert record.skipped == "Count waits for its turn to change last"
+                assert record.event is None and record.effects is None and record.frame is None
+                assert record.skipped == "Count gave way to another robot's transaction"
         traced = robot.trace("round")[:6]
         assert [t["skipped"] for t in traced] == [r.skipped for r in robot.records[:6]]
-        assert robot.agent.counters()["waited"] == 4
+        assert robot.agent.counters()["gave_way"] == 4
         assert not robot.held()
+
+
+def test_a_robot_that_tries_alone_counts_in_every_round() -> None:
+    alone = replace(COUNTER, events=(replace(COUNTER.events[0], guard=lambda s: s.pid == 2), COUNTER.events[2]))
+    fleet = Fleet(n=3, program=alone).boot_all()
+    fleet.run_told(8)
+    assert [r.event for r in fleet.robots[2].records[:8]] == ["Count"] * 8
+    assert fleet.robots[2].agent.counters()["gave_way"] == 0
+
+
+def test_transactions_of_different_locks_do_not_give_way_to_each_other() -> None:
+    def other(s: State) -> None:
+        s.count.value += 1
+
+    events = (
+        Event("Count", 3, lambda s: s.pid == 0, counts, 0),
+        Event("Other", 5, lambda s: s.pid == 1, other, 1),
+    )
+    fleet = Fleet(n=2, program=replace(COUNTER, events=events, locks=(("last",), ("x",)))).boot_all()
+    fleet.run_told(8)
+    for pid, name in enumerate(("Count", "Other")):
+        assert [r.event for r in fleet.robots[pid].records[:8]] == [name] * 8
 
 
 def test_a_commit_goes_before_the_plain_writes_of_its_round() -> None:
@@ -115,11 +143,10 @@ def test_a_commit_goes_before_the_plain_writes_of_its_round() -> None:
         ),
     )
     fleet = Fleet(n=3, program=program).boot_all()
-    fleet.run_rounds(9)
-    committed = [r.round for r in fleet.robots[2].records if r.event == "Count"]
-    assert committed == [r for r in range(1, 10) if holder(0, r, 3) == 2]
+    fleet.run_told(8)
+    assert [r.round for r in fleet.robots[2].records if r.event == "Count"][:8] == list(range(1, 9))
     seen = {r.round: r.frame.shared["last"] for r in fleet.robots[0].records if r.frame is not None}
-    assert all(seen[r] == 100 for r in range(2, 10))
+    assert all(seen[r] == 100 for r in range(2, 9))
 
 
 def test_streams_are_told_and_traced() -> None:
@@ -128,7 +155,7 @@ def test_streams_are_told_and_traced() -> None:
 
     program = replace(PROGRAM, events=(Event("Speak", 3, lambda s: s.pid == 1, speaks),))
     fleet = Fleet(n=2, program=program).boot_all()
-    fleet.run_rounds(3)
+    fleet.run_told(3)
     bert = fleet.robots[1]
     streamed = [json.loads(line) for line in bert.file.getvalue().splitlines() if b'"stream"' in line]
     assert [(t["round"], t["port"], t["text"]) for t in streamed] == [
