@@ -1,4 +1,5 @@
-"""Whole rounds: what agents do over a network without loss is the semantics' round, locks by time division included."""
+"""Whole rounds: what agents do over a network without loss is the semantics' round, also who of several that try to
+change what one lock protects gives way."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ import pytest
 
 from tests.agree.both import Difference
 from tests.agree.programs import N_SYS
-from tests.agree.rounds import ROUNDS, Right, agree, small
+from tests.agree.rounds import ROUNDS, Winner, agree, small
 
 
 def run(seeds: Iterable[int]) -> tuple[int, Counter[str]]:
@@ -38,18 +39,18 @@ def test_rounds_of_500_programs() -> None:
     assert programs >= 400
 
 
-def other(lock: int, round_: int, n_sys: int) -> int:
-    return (round_ + lock + 1) % n_sys
+def last(trying: list[int], lock: int, round_: int, n_sys: int) -> int:
+    return max(trying, key=lambda pid: (pid - round_ - lock) % n_sys)
 
 
-def nobody(lock: int, round_: int, n_sys: int) -> int:
+def nobody(trying: list[int], lock: int, round_: int, n_sys: int) -> int:
     return -1
 
 
-@pytest.mark.parametrize("right", [other, nobody])
-def test_another_order_of_rights_is_seen(right: Right) -> None:
+@pytest.mark.parametrize("wins", [last, nobody])
+def test_another_winner_is_seen(wins: Winner) -> None:
     with pytest.raises(Difference):
         for seed in range(60):
             program = small(seed)
             if program is not None:
-                agree(program, seed, Counter(), right)
+                agree(program, seed, Counter(), wins)
