@@ -10,11 +10,10 @@ import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 
-import msgspec
-
 from koordgen.runtime.body import Body
 from koordgen.runtime.clock import Clock, FleetClock
 from koordgen.runtime.joining import Joining
+from koordgen.runtime.keeping import Keeping
 from koordgen.runtime.layout import Layout
 from koordgen.runtime.link import Link
 from koordgen.runtime.memory import Memory
@@ -27,11 +26,11 @@ from koordgen.runtime.rounds import Lost, Rounds
 from koordgen.runtime.runner import Limit, Runner, unlimited
 from koordgen.runtime.safety import Guard, Verdict
 from koordgen.runtime.settings import Settings
-from koordgen.runtime.store import Acceptor, Keeper, Loaded, Locals, LocalsCodec, Mission
+from koordgen.runtime.store import Keeper
 from koordgen.runtime.trace import Observe, Record, Trace
 from koordgen.runtime.transport import Transport
-from koordgen.runtime.views import Vote
-from koordgen.runtime.wire import Closing, Hello, View, encoder
+from koordgen.runtime.views import Vote, described
+from koordgen.runtime.wire import Closing, Hello, View
 
 OK, WRONG_PROGRAM, SURROUNDINGS, INTERNAL = 0, 1, 5, 70
 LOST_BODY = 10.0  # seconds that a body which is lost for good is still tried to be brought to rest
@@ -66,19 +65,15 @@ class Agent:
         self._trace = trace
         self._emit = emit
         self._monitors = list(monitors)
-        self._store = store
-        self._codec = LocalsCodec(program)
         self._names = tuple(p.name for p in settings.peers)
         self.metrics = Metrics(settings.pid, len(self._names))
         self._layout = Layout(program.shared, len(self._names))
         self._fleet_clock = FleetClock(settings.pid)
         self._link = Link(program, settings, key, transport, clock, self._fleet_clock, boot, self._report, self.metrics)
         self._joining = Joining(self._link, self._layout, self._names)
-        self._before = store.load()  # what an earlier process of this robot has kept
-        self._epoch = b""  # the mission that is kept
-        if self._before.mission is not None:
-            self._epoch = self._before.mission.epoch
-            self._joining.come_back(self._epoch)
+        self._keeping = Keeping(store, program, len(self._names))
+        if self._keeping.interrupted:
+            self._joining.come_back(self._keeping.interrupted)
         self._body = Body(program, platform, settings.geofence, settings.planner_budget, self._warn)
         self._runner = Runner(program, settings.pid, len(self._names), clock, limit)
         self._guard = Guard(settings.safety, settings.geofence)
@@ -177,7 +172,8 @@ class Agent:
                 self._asked_to_end = True
                 self._rest("all robots have stopped", OK)
         elif self.phase in ("starting", "joining"):
-            self._keep_mission()
+            if self._init is not None:
+                self._keeping.mission(self._link.epoch, self._init)
             wake = min(wake, self._joining.poll(now, fleet))
             if self._joining.lost and self.phase == "joining":
                 self._log("warning", "no robot is in the mission that this one comes back to: a new one begins")
@@ -202,19 +198,10 @@ class Agent:
         view = replica.views.view
         if view.number != self._view:
             self._view = view.number
-            self._tell_view(view)
+            if view.number:
+                self._log("warning", described(view, self._names))
             self._fleet_clock.follow(next(p for p, m in enumerate(view.members) if m >= 0), now)
         return wake
-
-    def _tell_view(self, view: View) -> None:
-        """Say who counts, where that is not everyone from the beginning."""
-        if view.number:
-            out = [self._names[p] for p, m in enumerate(view.members) if m < 0]
-            back = [self._names[p] for p, m in enumerate(view.members) if m == view.number]
-            parts = [f"{', '.join(out)} {'does' if len(out) == 1 else 'do'} not count" if out else "all robots count"]
-            if back:
-                parts.append(f"{', '.join(back)} {'is' if len(back) == 1 else 'are'} back")
-            self._log("warning", f"from round {view.since} on {'; '.join(parts)} (view {view.number})")
 
     def _poll_body(self, now: float) -> float:
         if now < self._next_body - 1e-9:
@@ -243,7 +230,7 @@ class Agent:
             over = self._rounds is None or self._rounds.over
             self.done = self._asked_to_end or over or self._broken
             if self.done and not self._broken:
-                self._store.clear()  # this robot's part is over: nothing to come back to
+                self._keeping.forget()  # this robot's part is over: nothing to come back to
 
     def _begin_joining(self, now: float) -> None:
         """The body is ready: hold, and run `init` once."""
@@ -251,14 +238,12 @@ class Agent:
         self._body.hold("joining", True, now)
         sensed = self._platform.sense(now)
         self._body.begin(sensed)
-        if self._before.mission is None:
+        if not self._keeping.interrupted:
             self._run_init(now)
 
     def _run_init(self, now: float) -> None:
         """Begin a mission of one's own, with nothing of an earlier one."""
-        self._before = Loaded()
-        self._store.clear()
-        self._epoch = b""
+        self._keeping.forget()
         sensed = self._platform.sense(now)
         shared = self._layout.initial()
         frame = self._runner.frame(shared, self._body.sensors(sensed), self._body.actuators, self._body.call)
@@ -274,22 +259,6 @@ class Agent:
         self._init = Life(0, done.locals, self._body.actuators, done.stopped)
         self._joining.ready(Closing(self._settings.pid, 0, 0, 0, done.stopped, writes=writes))
 
-    def _keep_mission(self) -> None:
-        """Before this robot says to which mission it belongs, that is kept: should its process die, it comes back."""
-        init = self._init
-        if init is not None and self._link.epoch not in (b"", self._epoch):
-            self._epoch = self._link.epoch
-            self._store.write(Mission(self._epoch, 0, b""))
-            self._keep(init, 0)
-
-    def _keep(self, life: Life, incarnation: int) -> None:
-        own, actuators = self._codec.encode(life.locals, life.actuators)
-        self._store.write(Locals(life.round, incarnation, own, actuators, life.stopped))
-
-    def _announce(self, view: View, applied: int, vote: Vote) -> None:
-        value = b"" if vote.value is None else encoder.encode(vote.value)
-        self._store.write(Acceptor(encoder.encode(view), applied, vote.number, vote.promised, vote.voted, value))
-
     def _begin_rounds(self, now: float) -> None:
         if self.phase != "joining":
             return
@@ -301,14 +270,17 @@ class Agent:
             memory = Memory.begin(self._layout, self._settings.pid, view, mission.inits)
         elif returned is not None:
             start, epoch, memory = returned, self._link.epoch, None
-            lives = self._lives() if self._init is None else [self._init]
-            view, vote, applied = self._bound()
-            self._keep_mission()
+            view, applied, vote = self._keeping.announced()
+            if self._init is None:
+                lives = self._keeping.lives() or [Life(-1, self._runner.locals, self._body.actuators, False)]
+            else:
+                lives = [self._init]
+                self._keeping.mission(epoch, self._init)
         else:
             return
         timeout = self._settings.safety.peer_timeout
         self._fleet_clock.lock()
-        self._replica = Replica(self._link, self._layout, memory, view, vote, applied, timeout, self._announce)
+        self._replica = Replica(self._link, self._layout, memory, view, vote, applied, timeout, self._keeping.announce)
         self._rounds = Rounds(
             self._runner,
             self._body,
@@ -319,30 +291,12 @@ class Agent:
             self._settings.delta,
             lives,
             self._observe,
-            self._keep,
+            self._keeping.life,
         )
         self._enter("running", f"mission {epoch.hex()}, round 1 at {start:.3f} s of fleet time")
         if self._rounds.stopped:
             self._body.hold("stopped", True, now)
         self._next_body = now
-
-    def _lives(self) -> list[Life]:
-        """Those that an earlier process of this robot has kept."""
-        found = []
-        for kept in self._before.locals:
-            decoded = self._codec.decode(kept.locals, kept.actuators)
-            if decoded is not None:
-                found.append(Life(kept.round, *decoded, kept.stopped))
-        return found or [Life(-1, self._runner.locals, self._body.actuators, False)]
-
-    def _bound(self) -> tuple[View, Vote, int]:
-        """What an earlier process of this robot has bound it to."""
-        n, kept = len(self._names), self._before.acceptor
-        if kept is None:
-            return View(0, 1, (0,) * n), Vote(), 0
-        view = msgspec.msgpack.decode(kept.view, type=View)
-        value = msgspec.msgpack.decode(kept.accepted, type=View) if kept.accepted else None
-        return view, Vote(kept.number, kept.promised, kept.accepted_ballot, value), kept.applied
 
     def _judge(self, now: float) -> None:
         verdict = self._guard.judge(self._platform.sense(now), now)

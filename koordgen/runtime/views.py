@@ -8,7 +8,7 @@ without clock, network and disk; `save` is called before any word leaves that mu
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -93,6 +93,16 @@ def fits(view: View, n_sys: int) -> bool:
         and max(counted) <= view.number
         and view.since >= 1
     )
+
+
+def described(view: View, names: Sequence[str]) -> str:
+    """Who counts, in words."""
+    out = [name for name, m in zip(names, view.members, strict=True) if m < 0]
+    back = [name for name, m in zip(names, view.members, strict=True) if m == view.number]
+    parts = [f"{', '.join(out)} {'does' if len(out) == 1 else 'do'} not count" if out else "all robots count"]
+    if back:
+        parts.append(f"{', '.join(back)} {'is' if len(back) == 1 else 'are'} back")
+    return f"from round {view.since} on {'; '.join(parts)} (view {view.number})"
 
 
 @dataclass(slots=True)
