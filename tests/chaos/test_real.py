@@ -160,8 +160,8 @@ def test_partition_and_heal(tmp_path: Path, bundles: Path, say: Say) -> None:
             lab.partition([majority, minority])
             cut = time.monotonic()
             swarm.wait(40 * delta)
-            lab.heal()
             healed = time.monotonic()
+            lab.heal()
             ended = swarm.wait(LONG)
             wrong = wrong_sums(swarm.lines, times)
             if not ended:
