@@ -20,7 +20,16 @@ _ENDPOINT = re.compile(r"[a-z_]+/\S+")
 _ADDRESS = re.compile(r"([A-Za-z0-9.-]+|\[[0-9A-Fa-f:.]+\]):(\d{1,5})")
 _EXPONENT = re.compile(r"\d+(\.\d*)?[eE]\+?\d+", re.ASCII)
 # Thresholds of the safety layer, with the defaults of koordgen/runtime/settings.py (a test compares them).
-SAFETY = {"position_stale": 0.5, "position_lost": 2.0, "missed_rounds": 10, "outside_fence": 0.5}
+SAFETY: dict[str, Any] = {
+    "position_stale": 0.5,
+    "position_lost": 2.0,
+    "missed_rounds": 10,
+    "missed_action": "hold",
+    "peer_timeout": 10,
+    "outside_fence": 0.5,
+}
+MISSED_ACTIONS = ("hold", "rest")  # as there (a test compares them)
+LEAST_TIMEOUT = 3  # rounds: what is lost is asked for in the round after, and some of that is lost again
 MOST_ROBOTS = 128  # as koordgen/runtime/wire.py allows (a test compares them)
 MOST_OBSTACLES = 1000
 # What may be said of each transport, as koordgen/runtime/settings.py reads it (a test compares them).
@@ -82,7 +91,7 @@ class Fleet(Node):
     key: str  # file name; empty without one
     insecure: bool
     params: dict[str, Any]
-    safety: dict[str, float]
+    safety: dict[str, Any]
     planner_budget: float  # seconds that a planner may take within an event
     drivers: dict[str, Driver]
     robots: tuple[Robot, ...]
@@ -191,13 +200,21 @@ def _drivers(reader: Reader, node: YamlNode | None) -> dict[str, Driver]:
     return found
 
 
-def _safety(reader: Reader, node: YamlNode | None) -> dict[str, float]:
-    given = reader.table(node, "safety", [], SAFETY)
+def _safety(reader: Reader, node: YamlNode | None) -> dict[str, Any]:
     found = dict(SAFETY)
-    for key, value in given.items():
-        number = reader.number(value, f"safety.{key}", 0.05, 10000.0, type(SAFETY[key]))
-        if number is not None:
-            found[key] = number
+    for key, value in reader.table(node, "safety", [], SAFETY).items():
+        what = f"safety.{key}"
+        said: Any
+        match key:
+            case "missed_action":
+                said = _choice(reader, value, what, MISSED_ACTIONS)
+            case "missed_rounds":
+                said = reader.number(value, f"{what} (rounds)", 1, 10000, int)
+            case "peer_timeout":
+                said = reader.number(value, f"{what} (rounds)", LEAST_TIMEOUT, 10000, int)
+            case _:
+                said = reader.number(value, f"{what} (seconds)", 0.05, 10000.0)
+        found[key] = SAFETY[key] if said is None else said
     return found
 
 

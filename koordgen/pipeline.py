@@ -98,7 +98,6 @@ def plan_file(
     from pathlib import Path
 
     from koordgen import manifest, resources
-    from koordgen.bundle.budget import check_budget
     from koordgen.bundle.calls import check_calls
     from koordgen.bundle.offer import check_ports
     from koordgen.bundle.plan import plan, read_ingredients
@@ -119,15 +118,24 @@ def plan_file(
     program = with_params(checked.program, given)
     verify(program)
     drivers = fleet.drivers if fleet else {}
-    wrong = [*check_ports(program, used, drivers), *(check_budget(program, len(fleet.robots)) if fleet else ())]
+    sending = _check_sending(program, fleet) if fleet else []
+    wrong = [*check_ports(program, used, drivers), *(d for d in sending if d.severity == "error")]
     own, missing = _beside(program, path, fleet_path, drivers, used, functions)
     if wrong or missing:
         raise Rejected([(checked.source, d) for d in (*wrong, *missing)])
     if fleet:
         slow = check_calls(program, len(fleet.robots), fleet.delta, fleet.planner_budget)
-        checked = replace(checked, noticed=tuple(in_order([*checked.noticed, *slow])))
+        checked = replace(checked, noticed=tuple(in_order([*checked.noticed, *sending, *slow])))
     source = Path(path).read_bytes()
     return checked, plan(read_ingredients(program, source, used, fleet, resources.package(), own), wanted)
+
+
+def _check_sending(program: Program, fleet: Fleet) -> list[Diagnostic]:
+    """What such a fleet cannot send (errors), or not at once (warnings)."""
+    from koordgen.bundle.budget import check_budget, check_link
+
+    robots, to_all = len(fleet.robots), fleet.network["transport"] in ("broadcast", "multicast")
+    return check_budget(program, robots) or check_link(program, robots, fleet.delta, fleet.link, to_all)
 
 
 def _beside(

@@ -1,5 +1,5 @@
-"""Whether what a round's writes take can be sent, by one robot and by all: decided at build time, with the
-arithmetic in the message."""
+"""Whether what robots share can be sent, by one and by all of them: decided at build time, with the arithmetic in the
+message."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, assert_never
 
 from koordgen.diagnostics import Diagnostic
 from koordgen.emit.types import EXTERN_BYTES, FIXED, NUMBER
-from koordgen.ir import stmt
+from koordgen.ir import expr, stmt
 from koordgen.ir.decl import Program, Shared
 from koordgen.ir.types import ExternType, MapOf, PerRobot, RecordType, Scalar, Sequence, Sized, TupleOf, Type
 from koordgen.node import Node, replace
@@ -27,12 +27,16 @@ _UDP, _IP, _FRAME = 8, 20, 38  # bytes of a datagram; of each packet that it tak
 
 
 def check_budget(program: Program, robots: int) -> list[Diagnostic]:
-    """An error at the shared variable that takes most, if a fleet of that size cannot send them all in one round."""
+    """Errors, each at the shared variable that takes most, if a fleet of that size cannot send what they hold: in one
+    round, to a robot that comes back, or after `init`."""
     if len(program.shared) > MOST_SHARED:
         message = f"a program of {len(program.shared)} shared variables; at most {MOST_SHARED} are supported"
         return [Diagnostic("B004", "error", message, program.shared[-1].span, help="gather some of them in records")]
-    room = most_closing(robots)
-    total = _closing(program.shared)
+    return [*(_check_closing(program, robots) or _check_store(program, robots)), *_check_init(program, robots)]
+
+
+def _check_closing(program: Program, robots: int) -> list[Diagnostic]:
+    room, total = most_closing(robots), _closing(program.shared)
     if total <= room:
         return []
     largest = max(program.shared, key=lambda v: most_bytes(v.type))
@@ -40,18 +44,73 @@ def check_budget(program: Program, robots: int) -> list[Diagnostic]:
         f"one round's shared writes take up to {total} bytes; with {robots} robots at most {room} can be sent; "
         f"{largest.name} alone takes up to {most_bytes(largest.type)}"
     )
-    found = _capacity(largest, lambda v: total - most_bytes(largest.type) + most_bytes(v.type) <= room)
-    help = (
-        f"it fits with {found}"
-        if found
-        else "share fewer or smaller variables, or declare smaller capacities with `max`"
+    return [Diagnostic("B004", "error", message, largest.span, help=_less(program, largest, robots))]
+
+
+def _check_store(program: Program, robots: int) -> list[Diagnostic]:
+    room, total = most_store(robots), store_bytes(program.shared, robots)
+    if total <= room:
+        return []
+    largest = max(program.shared, key=lambda v: _kept(v, robots))
+    slots = f", {robots} slots of {most_bytes(largest.type)}" if largest.kind == "allread" else ""
+    message = (
+        f"all shared variables together take up to {total} bytes; with {robots} robots at most {room} can be handed to "
+        f"a robot that comes back; {largest.name} alone takes up to {_kept(largest, robots)}{slots}"
     )
+    return [Diagnostic("B004", "error", message, largest.span, help=_less(program, largest, robots))]
+
+
+def _less(program: Program, largest: Shared, robots: int) -> str:
+    """What makes everything fit."""
+
+    def fits(variable: Shared) -> bool:
+        shared = _with(program.shared, variable)
+        return _closing(shared) <= most_closing(robots) and store_bytes(shared, robots) <= most_store(robots)
+
+    found = _capacity(largest, fits)
+    less = "share fewer or smaller variables, or declare smaller capacities with `max`"
+    return f"it fits with {found}" if found else less
+
+
+def _check_init(program: Program, robots: int) -> list[Diagnostic]:
+    room, total = most_init(robots), _init_bytes(program, program.shared)
+    if total <= room or robots < 2:
+        return []
+    written = [(v, _most_in(program.init, v)) for v in program.shared]
+    largest = max(written, key=lambda pair: pair[1])[0]
+    each = " + ".join(f"{most} for {v.name}" for v, most in written if most)
+    message = (
+        f"what `init` writes to shared variables must fit in one datagram; it takes up to {total} bytes: {_CLOSING} + "
+        f"{each}; with {robots} robots there is room for {room}"
+    )
+    found = _capacity(largest, lambda v: _init_bytes(program, _with(program.shared, v)) <= room)
+    ways = [f"it fits with {found}"] if found else []
+    help = ", or ".join([*ways, "give the variable its first value where it is declared, or write it in an event"])
     return [Diagnostic("B004", "error", message, largest.span, help=help)]
 
 
 def most_closing(robots: int) -> int:
     """The most bytes that a closing may have in a fleet of that size."""
-    return min(MOST_CLOSING, MOST_PIECES * (DATAGRAM - overhead(robots)))
+    return min(MOST_CLOSING, most_store(robots))
+
+
+def most_store(robots: int) -> int:
+    """The most bytes that all shared variables may take in a fleet of that size: a robot that comes back gets them in
+    pieces."""
+    return MOST_PIECES * (DATAGRAM - overhead(robots))
+
+
+def store_bytes(shared: tuple[Shared, ...], robots: int) -> int:
+    """The most bytes of these variables, every slot of them, with what else a robot is told that comes back."""
+    members = _head(robots, 16, 0) + NUMBER * robots
+    acted = _head(robots, 16, 0) + 5 * robots
+    beside = 1 + (1 + 2 * NUMBER + members) + NUMBER + _head(len(shared), 16, 0) + members + acted
+    return beside + sum(_kept(v, robots) for v in shared)
+
+
+def most_init(robots: int) -> int:
+    """The most bytes of the closing that tells what `init` wrote: it goes in one datagram, a Hello."""
+    return DATAGRAM - (128 + 20 * min(robots, 8) + _head(robots, 16, 0) + robots)
 
 
 class Traffic(Node):
@@ -181,6 +240,39 @@ def _written(block: stmt.Block) -> set[str]:
             case _:
                 pass
     return found
+
+
+def _init_bytes(program: Program, shared: tuple[Shared, ...]) -> int:
+    return _CLOSING + sum(_most_in(program.init, v) for v in shared)
+
+
+def _most_in(block: stmt.Block, variable: Shared) -> int:
+    """The most bytes of a write of what these statements give to a variable; 0 if they write it nowhere."""
+    most = 0
+    for s in block:
+        match s:
+            case stmt.Assign(stmt.OwnSlot(name) | stmt.SharedPlace(name), value) if name == variable.name:
+                most = max(most, _WRITE + most_bytes(_as_long_as(value, variable.type)))
+            case stmt.If(_, then, orelse):
+                most = max(most, _most_in(then, variable), _most_in(orelse, variable))
+            case stmt.For(block=inner) | stmt.While(block=inner):
+                most = max(most, _most_in(inner, variable))
+            case _:
+                pass
+    return most
+
+
+def _as_long_as(value: expr.Expr, type_: Type) -> Type:
+    """A variable's type with no more capacity than an expression needs of it: `[]` holds nothing."""
+    if isinstance(value, expr.Make) and isinstance(type_, (Sequence, MapOf)):
+        return replace(type_, capacity=min(type_.capacity, len(value.items)))
+    return type_
+
+
+def _kept(variable: Shared, robots: int) -> int:
+    """The most bytes of all that a variable holds."""
+    most = most_bytes(variable.type)
+    return _head(robots, 16, 0) + robots * most if variable.kind == "allread" else most
 
 
 def _with(shared: tuple[Shared, ...], changed: Shared) -> tuple[Shared, ...]:

@@ -184,8 +184,14 @@ def _key(options: Namespace) -> int:
 
     try:
         descriptor = os.open(options.file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(secrets.token_bytes(32))
+        try:
+            with os.fdopen(descriptor, "wb") as file:
+                file.write(secrets.token_bytes(32))
+                file.flush()
+                os.fsync(descriptor)
+        except BaseException:
+            os.unlink(options.file)  # half a key would stand in the way of a whole one
+            raise
     except FileExistsError:
         raise Failure(
             SURROUNDINGS, f"{options.file} exists", "a key is never overwritten; choose another name"

@@ -25,7 +25,8 @@ _parts = msgspec.msgpack.Decoder(list[msgspec.Raw])
 
 
 class TooLarge(Exception):
-    """What a robot may write in one round is more than it can send, or there are too many robots or variables."""
+    """What a robot may write in one round, or what all of them hold, is more than can be sent; or there are too many
+    robots or variables."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,11 +56,25 @@ class Layout:
             raise TooLarge(
                 f"one round's shared writes take up to {needed} bytes; with {n_sys} robots at most {most} can be sent"
             )
+        needed, most = self.state_bytes, most_state(n_sys)
+        if needed > most:
+            raise TooLarge(
+                f"all shared variables together take up to {needed} bytes; with {n_sys} robots at most {most} can be "
+                "handed to a robot that comes back"
+            )
 
     @property
     def closing_bytes(self) -> int:
         """The most bytes of an encoded closing."""
         return _CLOSING + sum(_WRITE + v.bound.bytes for v in self._shared)
+
+    @property
+    def state_bytes(self) -> int:
+        """The most bytes of an encoded State."""
+        n, array = self.n_sys, 1 if self.n_sys < 16 else 3
+        view = 1 + 2 * 9 + array + 9 * n
+        beside = 1 + view + 9 + (1 if len(self._shared) < 16 else 3) + (array + 9 * n) + (array + 5 * n)
+        return beside + sum(array + n * v.bound.bytes if v.kind == "allread" else v.bound.bytes for v in self._shared)
 
     def initial(self) -> dict[str, Any]:
         """The shared variables before any `init`; an allread variable as the tuple of its slots."""
@@ -86,7 +101,7 @@ class Layout:
         for index, (name, slots, data) in enumerate(zip(self.names, self.is_slots, values, strict=True)):
             try:
                 parts = _parts.decode(data) if slots else [data]
-            except (msgspec.DecodeError, RecursionError):
+            except (ValueError, RecursionError):
                 return None
             found = tuple([self._value(index, part) for part in parts])
             if len(found) != (self.n_sys if slots else 1) or None in found:
@@ -137,7 +152,7 @@ class Layout:
         """The value in an encoding; None when it is none that this program can write."""
         try:
             value = self._decoders[index].decode(data)
-        except (msgspec.DecodeError, RecursionError):
+        except (ValueError, RecursionError):
             return None
         return value if transmissible(value) and not self._shared[index].bound.flaw(value) else None
 
@@ -151,4 +166,9 @@ class Layout:
 
 def most_closing(n_sys: int) -> int:
     """The most bytes that a closing may have in a fleet of that size: in many small pieces, less than in few."""
-    return min(MOST_CLOSING, MOST_PIECES * (LIMIT - overhead(n_sys)))
+    return min(MOST_CLOSING, most_state(n_sys))
+
+
+def most_state(n_sys: int) -> int:
+    """The most bytes that an encoded State may have in a fleet of that size: as many as go in pieces."""
+    return MOST_PIECES * (LIMIT - overhead(n_sys))

@@ -8,7 +8,17 @@ from typing import Any
 import msgspec
 import pytest
 
-from koordgen.bundle.budget import MOST_CLOSING, MOST_SHARED, check_budget, most_bytes, most_closing, overhead
+from koordgen.bundle.budget import (
+    MOST_CLOSING,
+    MOST_SHARED,
+    check_budget,
+    most_bytes,
+    most_closing,
+    most_init,
+    most_store,
+    overhead,
+    store_bytes,
+)
 from koordgen.check import check
 from koordgen.emit.program import WIRE_FORMAT, program_text
 from koordgen.ir.decl import Program
@@ -60,7 +70,7 @@ def test_the_wire_format_is_the_hashed_one() -> None:
     assert WIRE_FORMAT == wire.WIRE_FORMAT
 
 
-@pytest.mark.parametrize("n_sys", [1, 2, 5, 16, 60, 90, 128])
+@pytest.mark.parametrize("n_sys", [1, 2, 5, 16, 60])
 def test_both_give_the_same_verdict(n_sys: int) -> None:
     others = "  int i\n  bool b\n  float f\n  string s max 30000\n"
     room = most_closing(n_sys) - 38 - sum(5 + most_bytes(v.type) for v in program(others).shared) - 5
@@ -71,10 +81,81 @@ def test_both_give_the_same_verdict(n_sys: int) -> None:
         assert fits == robots_verdict(generated(made), n_sys) == (extra <= 0), extra
 
 
+@pytest.mark.parametrize("n_sys", [2, 5, 15, 16, 60, 90, 128])
+def test_both_give_the_same_verdict_on_the_whole_store(n_sys: int) -> None:
+    """Closings are short enough here; what a robot that comes back is given is not, by one character."""
+    source = "  int i\n  bool b\nallread:\n  float f[N_SYS]\n  string t[N_SYS] max MAX\n"
+    large = program(source.replace("MAX", "130500" if n_sys < 60 else "9000"))
+    (found,) = check_budget(large, n_sys)
+    (most,) = re.findall(r"it fits with `max (\d+)`", found.help)
+    for extra in (0, 1):
+        made = program(source.replace("MAX", str(int(most) + extra)))
+        assert (not check_budget(made, n_sys)) == robots_verdict(generated(made), n_sys) == (extra == 0), extra
+
+
+def test_the_message_on_the_whole_store_has_the_arithmetic() -> None:
+    (found,) = check_budget(checked("allread: string t[N_SYS] max 120000\nallwrite: int i\n" + EVENT), 5)
+    assert (found.code, found.severity, found.span.line) == ("B004", "error", 1)
+    assert found.message == (
+        "all shared variables together take up to 600183 bytes; with 5 robots at most 239104 can be handed to a robot "
+        "that comes back; t alone takes up to 600026, 5 slots of 120005"
+    )
+
+
+@pytest.mark.parametrize("n_sys", [1, 15, 16, 128])
+def test_no_store_is_longer_than_its_bound(n_sys: int) -> None:
+    shared = program("  int i\n  string s max 300\nallread:\n  Point p[N_SYS]\n")
+    bound = Layout(generated(shared).shared, n_sys)
+    values = {"i": -(2**63), "s": "x" * 300, "p": (Point(0.1, 0.2, 0.3),) * n_sys}
+    top = 2**53
+    view = wire.View(top, top, (top,) * n_sys)
+    state = wire.State(view, top, bound.pack(values), (top,) * n_sys, (2**32 - 1,) * n_sys)
+    assert len(wire.encoder.encode(state)) == bound.state_bytes == store_bytes(shared.shared, n_sys)
+
+
+def init_writing(characters: int, written: str) -> Program:
+    shared = f"allread: string t[N_SYS] max {characters}\nallwrite:\n  List<Point> way max 90\n  int i\n"
+    return checked(f"{shared}local: string own max 3000\ninit:\n  i = 1\n{written}{EVENT}")
+
+
+@pytest.mark.parametrize("n_sys", [2, 15, 16, 128])
+def test_what_init_writes_goes_in_one_datagram(n_sys: int) -> None:
+    write = "  if pid == 0:\n    t[pid] = own\n"
+    *_, found = check_budget(init_writing(2000, write), n_sys)  # in the largest fleet all of it is too large as well
+    assert (found.code, found.severity, found.span.line) == ("B004", "error", 1)
+    assert found.message == (
+        "what `init` writes to shared variables must fit in one datagram; it takes up to 2060 bytes: 38 + 2008 for t + "
+        f"14 for i; with {n_sys} robots there is room for {most_init(n_sys)}"
+    )
+    assert found.help.endswith("give the variable its first value where it is declared, or write it in an event")
+    (most,) = map(int, re.findall(r"it fits with `max (\d+)`", found.help))
+    if n_sys < 128:
+        assert check_budget(init_writing(most, write), n_sys) == []
+    assert check_budget(init_writing(most + 1, write), n_sys) != []
+    assert check_budget(init_writing(2000, write), 1) == [], "there is nobody to be told"
+
+
+@pytest.mark.parametrize("n_sys", [1, 2, 15, 16, 128])
+def test_the_room_for_it_is_a_hellos(n_sys: int) -> None:
+    top, token = 2**53, bytes(8)
+    echoes = (wire.Echo(127, top, top),) * min(wire.MAX_ECHOES, n_sys)
+    head = wire.Head(top, token, token, 127, token, token, top, top, top, echoes)
+    hello = wire.Hello(head, 127, token, token, tuple(range(n_sys)), None, top)
+    nothing = len(wire.encoder.encode(None))
+    assert len(wire.encode(hello, bytes(32))) - nothing + most_init(n_sys) == wire.LIMIT
+
+
+def test_a_list_that_init_spells_out_takes_what_it_holds() -> None:
+    assert check_budget(init_writing(9, "  way = []\n"), 5) == []
+    assert check_budget(init_writing(9, "  way = [Point(1, 2, 3), Point(1, 2, 3)]\n"), 5) == []
+    (found,) = check_budget(init_writing(9, "  List<Point> w = []\n  way = w\n"), 5)
+    assert "2528 for way" in found.message
+
+
 def test_limits_are_the_layouts() -> None:
     assert (MOST_CLOSING, MOST_SHARED) == (layout.MOST_CLOSING, layout.MOST_SHARED)
     for n in range(1, wire.MAX_ROBOTS + 1):
-        assert most_closing(n) == layout.most_closing(n)
+        assert (most_closing(n), most_store(n)) == (layout.most_closing(n), layout.most_state(n))
 
 
 def test_more_shared_variables_than_a_closing_may_write() -> None:

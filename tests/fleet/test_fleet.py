@@ -49,6 +49,28 @@ def test_safety_defaults_are_the_runtimes() -> None:
     assert {f: getattr(Safety(), f) for f in Safety.__struct_fields__} == fleet.SAFETY
 
 
+def test_safety_actions_are_the_runtimes() -> None:
+    assert get_args(get_type_hints(Safety)["missed_action"]) == fleet.MISSED_ACTIONS
+
+
+@pytest.mark.parametrize(
+    ("text", "safety"),
+    [
+        ("", Safety()),
+        ("safety: {}", Safety()),
+        (
+            "safety: {missed_rounds: 1, missed_action: rest, peer_timeout: 3}",
+            Safety(missed_rounds=1, missed_action="rest", peer_timeout=3),
+        ),
+        ("safety: {position_stale: 1, position_lost: 3}", Safety(position_stale=1.0, position_lost=3.0)),
+    ],
+)
+def test_safety_is_what_robots_read(text: str, safety: Safety) -> None:
+    read_fleet, found = read(f"{text}\n{GOOD}")
+    assert found == [] and read_fleet is not None
+    assert msgspec.convert(read_fleet.safety, Safety) == safety
+
+
 def test_network_keys_are_the_runtimes() -> None:
     known = {"transport"}.union(*fleet.NETWORK.values())
     assert known == set(Network.__struct_fields__)
@@ -104,6 +126,13 @@ robots:
         (("delta: 0.1", "params: {laps: 1.5}\ndelta: 0.1"), "F004", 1, 16, "laps is of type int"),
         (("delta: 0.1", "params: {home: [1, 2]}\ndelta: 0.1"), "F004", 1, 16, "home is of type Point"),
         (("delta: 0.1", "safety: {missed_rounds: 2.5}\ndelta: 0.1"), "F004", 1, 25, "whole number"),
+        (("delta: 0.1", "safety: {missed_rounds: 0}\ndelta: 0.1"), "F005", 1, 25, "missed_rounds (rounds) is 0; it"),
+        (("delta: 0.1", "safety: {missed_action: land}\ndelta: 0.1"), "F005", 1, 25, "there are: hold, rest"),
+        (("delta: 0.1", "safety: {missed_action: 1}\ndelta: 0.1"), "F004", 1, 25, "must be a text"),
+        (("delta: 0.1", "safety: {peer_timeout: 2}\ndelta: 0.1"), "F005", 1, 24, "it must be 3 to 10000"),
+        (("delta: 0.1", "safety: {peer_timeout: 0.5}\ndelta: 0.1"), "F004", 1, 24, "whole number"),
+        (("delta: 0.1", "safety: {peer_timout: 5}\ndelta: 0.1"), "F002", 1, 10, "did you mean 'peer_timeout'"),
+        (("delta: 0.1", "safety: {position_lost: 0}\ndelta: 0.1"), "F005", 1, 25, "position_lost (seconds) is 0; it"),
         (("delta: 0.1", "link: {rat: 6e6}\ndelta: 0.1"), "F002", 1, 8, "did you mean 'rate'"),
         (("delta: 0.1", "link: {rate: fast}\ndelta: 0.1"), "F004", 1, 14, "link.rate (bits a second) must be"),
         (("delta: 0.1", "link: {rate: '6e6'}\ndelta: 0.1"), "F004", 1, 14, "link.rate (bits a second) must be"),
