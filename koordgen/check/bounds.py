@@ -127,10 +127,13 @@ def _wrong_run(
         now = linear.equal(linear.variable(var), at)
         if _never(And((now, linear.negate(bad))), c) and not _never(now, c):
             return at, ""
+    assert c.flow is not None
+    if not all(_is_given(name, c) for fact in c.flow.facts for name in linear.variables(fact)):
+        return None  # no example is certain
     for at in runs:
         index, count = linear.substitute(value, var, at), linear.substitute(size, var, at)
         bad = linear.Or((linear.at_least(index, count), linear.less(index, _ZERO)))
-        example, certain = _refuted(bad, bad, (index, count), c)
+        example, certain = (None, False) if _never(bad, c) else _refuted(bad, bad, (index, count), c)
         if example is not None and certain:
             return at, f" ({_example(example, linear.combine(index, count))})"
     return None
@@ -344,12 +347,17 @@ def _refuted(side: Formula, bad: Formula, values: tuple[Linear, ...], c: Context
     or because `bad` holds whenever one gets here."""
     assert c.flow is not None
     names = [var for value in values for var in linear.variables(value)]
-    if any(not isinstance(v, str) or (v not in (PID, N_SYS) and v not in c.defaults) for v in names):
+    if not all(_is_given(name, c) for name in names):
         return None, False
     example = find((*c.flow.facts, side), c.defaults)
     if example is None:
         return None, False
     return example, example.certain or _never(linear.negate(bad), c)
+
+
+def _is_given(name: object, c: Context) -> bool:
+    """Whether an example gives a variable a value."""
+    return isinstance(name, str) and (name in (PID, N_SYS) or name in c.defaults)
 
 
 def _who(side: Formula, value: Linear, example: Example, c: Context) -> tuple[str, str]:

@@ -50,6 +50,7 @@ FLEET: tuple[Formula, ...] = (
     at_least(variable(PID), constant(0)),
     less(variable(PID), variable(N_SYS)),
 )
+_FLEET_NAMES = {PID, N_SYS}
 
 
 def unsat(formulas: Iterable[Formula]) -> bool:
@@ -64,13 +65,15 @@ def _unsat(formulas: tuple[Formula, ...]) -> bool:
 
 def relevant(facts: Iterable[Formula], about: Formula) -> tuple[Formula, ...]:
     """Those facts that share variables with a condition, or with a fact that does: the others cannot help to refute it,
-    unless they refute themselves."""
+    unless they refute themselves. pid and N_SYS share what holds of every fleet."""
     names = set(variables(about))
     left = [(fact, set(variables(fact))) for fact in facts]
     kept: list[Formula] = []
     grown = True
     while grown:
         grown = False
+        if names & _FLEET_NAMES:
+            names |= _FLEET_NAMES
         for item in list(left):
             if names & item[1]:
                 left.remove(item)

@@ -30,12 +30,12 @@ def judge_power(value: ir.Binary, c: Context) -> None:
 
 
 def _judge(value: ir.Builtin | ir.Binary, help: str, c: Context) -> None:
-    if c.flow is None or c.poisoned:
+    if c.path is None or c.poisoned:
         return
-    text = c.text(value.span)
+    span = value.span
     try:
         compute(value)
     except OverflowError:
-        c.error("K057", f"{text} is too large for a float", value.span, "a float reaches to about 1.8e308")
+        c.error("K057", f"{c.text(span)} is too large for a float", span, "a float reaches to about 1.8e308")
     except ValueError:
-        c.error("K057", f"{text} has no value", value.span, help)
+        c.error("K057", f"{c.text(span)} has no value", span, help)

@@ -20,6 +20,7 @@ MOST_VALUES = 20
 _Names = frozenset[str]
 _Valued = tuple[Linear | Formula, _Names]
 _NONE: _Names = frozenset()
+_FLEET: _Names = frozenset((linear.PID, linear.N_SYS))
 
 
 class Known(Node):
@@ -50,7 +51,9 @@ class Flow(Node):
 
     def relevant(self, names: frozenset[str]) -> list[Formula]:
         """The facts that share variables with `names`, or with a fact that does: the others cannot help to refute
-        anything about these, unless they refute themselves."""
+        anything about these, unless they refute themselves. pid and N_SYS share what holds of every fleet."""
+        if not names.isdisjoint(_FLEET):
+            names |= _FLEET
         if names.isdisjoint(self.about):
             return []
         left = list(self.known)
@@ -62,7 +65,7 @@ class Flow(Node):
                 if not names.isdisjoint(known.about):
                     left.remove(known)
                     kept.append(known.formula)
-                    names |= known.about
+                    names |= known.about if known.about.isdisjoint(_FLEET) else known.about | _FLEET
                     grown = True
         return kept
 
