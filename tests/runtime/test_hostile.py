@@ -14,10 +14,30 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from koordgen.runtime import wire
+from koordgen.runtime.bounds import Fixed
 from koordgen.runtime.link import Session
+from koordgen.runtime.program import Program, Variable
 from koordgen.runtime.seal import MEMORY, POSITION, seal, unseal
 from koordgen.runtime.values import Point
-from koordgen.runtime.wire import LIMIT, WIRE_FORMAT, Closing, Hello, Message, Need, Round, Write
+from koordgen.runtime.views import Vote
+from koordgen.runtime.wire import (
+    LIMIT,
+    WIRE_FORMAT,
+    Accept,
+    Accepted,
+    Closing,
+    Decided,
+    Hello,
+    Message,
+    Need,
+    Piece,
+    Promise,
+    Round,
+    StatePiece,
+    View,
+    Want,
+    Write,
+)
 from tests.runtime.fleet import KEY, Fleet, Robot
 from tests.runtime.lineform import PROGRAM
 
@@ -28,16 +48,16 @@ CLEO = 2
 def snapshot(robot: Robot) -> Any:
     """All state that datagrams could change, as plain values; what was dropped is counted elsewhere."""
     agent = robot.agent
-    rounds = agent._rounds
-    assert rounds is not None
-    memory = rounds._memory
+    replica = agent._replica
+    assert replica is not None and replica.memory is not None
+    memory = replica.memory
     logs = [
         (log.held, [str(e) for e in log.entries], sorted((k, str(e)) for k, e in log.later.items()))
         for log in memory._logs
     ]
     return (
         logs,
-        str(memory._statements),
+        str(memory._words),
         memory.settled,
         memory.applied,
         memory.shared,
@@ -45,14 +65,18 @@ def snapshot(robot: Robot) -> Any:
         agent._link.epoch,
         list(agent._fleet_clock._exchanges),
         str(agent._joining._others),
+        (replica.views.view, replica.views.vote, str(replica.views._proposal)),
+        str({p: (peer.asked, peer.told, peer.partly) for p, peer in replica._peers.items()}),
+        str(replica._gatherings),
+        replica.emergency,
     )
 
 
 class Wiretap:
     """A mission of three with everything that went over its air."""
 
-    def __init__(self) -> None:
-        self.fleet = Fleet(n=3)
+    def __init__(self, program: Program = PROGRAM) -> None:
+        self.fleet = Fleet(n=3, program=program)
         self.heard: list[tuple[int, int, bytes]] = []
         send = self.fleet.network.send
 
@@ -79,6 +103,11 @@ class Wiretap:
 
     def unharmed(self) -> bool:
         return bool(snapshot(self.victim) == self.before)
+
+    def unbound(self) -> bool:
+        """Whether the view and the vote on the next are what they were."""
+        replica = self.victim.agent._replica
+        return replica is not None and (replica.views.view.number, replica.views.vote) == (0, Vote())
 
     def forged(self, change: Callable[[Round], Message]) -> bytes:
         """A datagram that the genuine key sealed, from a robot gone wrong: the next one of cleo, changed."""
@@ -156,7 +185,7 @@ _plain = st.recursive(
 )
 
 
-@given(_plain | st.binary(max_size=200).map(msgspec.Raw), st.integers(0, 3))
+@given(_plain | st.binary(max_size=200).map(msgspec.Raw), st.integers(0, 11))
 @hypothesis_settings(max_examples=1500, deadline=None)
 def test_well_sealed_nonsense_changes_nothing(tap: Wiretap, value: Any, tag: int) -> None:
     """From a robot that has the key: garbage, and a genuine head followed by garbage."""
@@ -168,6 +197,72 @@ def test_well_sealed_nonsense_changes_nothing(tap: Wiretap, value: Any, tag: int
     for body in (value, [tag, head, value], [tag, head, 1, value, [0, 0, 0], []], [tag, head, 1, 1, [0] * 3, [value]]):
         tap.play(seal(KEY, MEMORY, version + wire.encoder.encode(body)))
     assert tap.unharmed()
+
+
+NO_TEXT = b"\xa2\xff\xfe"  # MessagePack of a text of two bytes that are no UTF-8
+
+
+@pytest.mark.parametrize("tag", range(12))
+def test_a_text_that_is_not_unicode_is_malformed(tap: Wiretap, tag: int) -> None:
+    payload = unseal(KEY, MEMORY, tap.forged(lambda m: m))
+    assert payload is not None
+    head = wire.encoder.encode(msgspec.msgpack.decode(payload[1:])[1])
+    for body in (NO_TEXT, b"\x93" + bytes([tag]) + head + NO_TEXT, b"\x92" + bytes([tag]) + NO_TEXT):
+        assert tap.play(seal(KEY, MEMORY, bytes([WIRE_FORMAT]) + body)) == {"malformed": 1}
+    assert tap.unharmed()
+
+
+def test_a_text_variable_of_a_peer_that_is_not_unicode_is_refused() -> None:
+    text = Variable("text", "allwrite", str, Fixed(99), lambda: "")
+    tap = Wiretap(replace(PROGRAM, shared=(*PROGRAM.shared, text)))
+    bad = (closing(writes=(Write(2, msgspec.Raw(NO_TEXT)),)),)
+    assert tap.play(tap.forged(lambda m: msgspec.structs.replace(m, closings=bad))) == {"closing does not fit": 1}
+    after = snapshot(tap.victim)
+    assert after[0] == tap.before[0] and after[4] == tap.before[4]
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        View(1, 30, (0, 0)),
+        View(1, 30, (0, 0, 0, 0)),
+        View(1, 30, (0, -1, -1)),
+        View(1, 30, (0, 2, 0)),
+        View(1, 0, (0, 0, 0)),
+    ],
+)
+def test_views_that_cannot_be_are_refused(value: View) -> None:
+    words: list[Callable[[Round], Message]] = [
+        lambda m: Decided(m.head, value),
+        lambda m: Accept(m.head, 200, value),
+        lambda m: Promise(m.head, 1, 128, 0, 20, True, 100, value),
+    ]
+    for change in words:
+        tap = Wiretap()
+        assert tap.play(tap.forged(change)) == {"view does not fit": 1}
+        assert snapshot(tap.victim)[:5] == tap.before[:5] and tap.unbound()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda m: Promise(m.head, 1, 128, 0, 20, True, 0, None),
+        lambda m: Accepted(m.head, 1, 128),
+        lambda m: Want(m.head, 0, 0, 20, b"", b""),
+        lambda m: Want(m.head, 0, 7, 20, bytes(8), bytes(32)),
+        lambda m: StatePiece(m.head, 20, bytes(8), 0, 1, b"x"),
+        lambda m: Piece(m.head, 127, 0, 21, bytes(8), 0, 1, b"x"),
+        lambda m: Piece(m.head, 0, 0, 21, bytes(8), 0, 1, b"x"),
+        lambda m: Piece(m.head, CLEO, 0, TOP, bytes(8), 0, 1, b"x"),
+    ],
+)
+def test_words_that_nobody_asked_for_bind_to_nothing(change: Callable[[Round], Message]) -> None:
+    tap = Wiretap()
+    tap.play(tap.forged(change))
+    after = snapshot(tap.victim)
+    assert after[:5] == tap.before[:5] and tap.unbound()
+    tap.fleet.run(5 * tap.fleet.delta)
+    assert all(r.records[-1].frame is not None for r in tap.fleet.robots.values())
 
 
 def deeply_nested() -> bytes:
@@ -223,16 +318,19 @@ def test_closings_that_do_not_fit_are_refused(bad: Closing, reason: str) -> None
     [
         lambda m: msgspec.structs.replace(m, held=(1, 1)),
         lambda m: msgspec.structs.replace(m, held=(1,) * 4),
-        lambda m: msgspec.structs.replace(m, held=(1, TOP, 1)),
+        lambda m: msgspec.structs.replace(m, held=(1, 2**31, 1)),
         lambda m: msgspec.structs.replace(m, settled=TOP),
         lambda m: msgspec.structs.replace(m, round=TOP),
-        lambda m: Need(m.head, TOP, (0, 0, 0)),
+        lambda m: msgspec.structs.replace(m, applied=TOP),
+        lambda m: Need(m.head, 0, TOP, 0, (0, 0, 0), ()),
+        lambda m: Need(m.head, 0, 0, TOP, (0, 0, 0), ()),
+        lambda m: Need(m.head, 0, 0, 0, (0, 0), ()),
     ],
 )
-def test_statements_that_cannot_be_are_refused(change: Callable[[Round], Message]) -> None:
+def test_words_that_cannot_be_are_refused(change: Callable[[Round], Message]) -> None:
     tap = Wiretap()
     sent = tap.fleet.network.sent
-    assert tap.play(tap.forged(change)) == {"statement does not fit": 1}
+    assert tap.play(tap.forged(change)) == {"word does not fit": 1}
     assert snapshot(tap.victim)[:5] == tap.before[:5]
     assert tap.fleet.network.sent == sent  # nor is it answered
 
@@ -271,7 +369,8 @@ def test_a_closing_of_a_flood_is_kept_only_up_to_a_bound() -> None:
         tap.play(tap.forged(change))
     rounds = tap.victim.agent._rounds
     assert rounds is not None
-    assert sum(len(log.later) + len(log.entries) for log in rounds._memory._logs) < 100
+    assert rounds._replica.memory is not None
+    assert sum(len(log.later) + len(log.entries) for log in rounds._replica.memory._logs) < 100
     assert len(link.rejected) < 20
 
 
@@ -288,91 +387,3 @@ def test_a_sequence_number_is_taken_once(sequences: list[int]) -> None:
         if fresh:
             taken.add(sequence)
         assert session.seen < 1 << 1024
-
-
-def test_a_recorded_hello_of_an_earlier_boot_never_passes_for_live() -> None:
-    fleet = Fleet(n=3)
-    recorded: list[tuple[int, bytes]] = []
-    send = fleet.network.send
-
-    def tapped(sender: int, receiver: int, datagram: bytes) -> None:
-        if sender == 1:
-            recorded.append((receiver, datagram))
-        send(sender, receiver, datagram)
-
-    fleet.network.send = tapped  # type: ignore[method-assign]
-    fleet.boot(0)
-    fleet.boot(1)
-    fleet.run(1.0)
-    old = fleet.robots[0].agent._link.sessions[1].boot
-    del fleet.robots[1]
-    old_hellos = list(recorded)
-    fleet.boot(1)
-    fleet.run(1.0)
-    new = fleet.robots[1].agent._link.boot
-    assert fleet.robots[0].agent._link.sessions[1].boot == new != old
-    for receiver, datagram in old_hellos:
-        if receiver in fleet.network._queues:
-            send(1, receiver, datagram)
-    fleet.run(0.01)
-    assert fleet.robots[0].agent._link.sessions[1].boot == new
-    fleet.boot(2)
-    for _ in range(5):
-        for receiver, datagram in old_hellos:
-            send(1, receiver, datagram)
-        fleet.run(0.3)
-    fleet.run_rounds(3)
-    assert all(r.records[-1].frame is not None for r in fleet.robots.values())
-
-
-def test_a_robot_that_began_anew_during_the_mission_is_told_of_and_not_let_in() -> None:
-    fleet = Fleet(n=3).boot_all()
-    fleet.run_rounds(5)
-    fleet.boot(1)
-    fleet.run(2.0)
-    assert fleet.robots[1].agent.phase == "joining"
-    assert any("alice, cleo in a mission that began before this start" in line for line in fleet.robots[1].lines)
-    told = [line for line in fleet.robots[0].lines if "bert began anew during the mission" in line]
-    assert len(told) == 1
-    assert fleet.robots[0].platform.held and fleet.robots[0].records[-1].skipped == "not current: lacks bert"
-
-
-def test_a_robot_with_another_program_is_named() -> None:
-    fleet = Fleet(n=3)
-    fleet.boot(0)
-    fleet.boot(2)
-    fleet.boot(1, program=replace(PROGRAM, program_hash="ffffffffffffffff"))
-    fleet.run(3.0)
-    assert all(r.agent.round == 0 for r in fleet.robots.values())
-    for pid in (0, 2):
-        said = [line for line in fleet.robots[pid].lines if "robot bert runs another program" in line]
-        assert len(said) == 1
-
-
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        ({"key": bytes(32)}, "sealed with another key"),
-        ({"key": None, "insecure": True}, "sealed with another key"),
-        ({"application_id": 7}, "another application_id"),
-        ({"program": replace(PROGRAM, program_hash="ffffffffffffffff")}, "another program"),
-    ],
-)
-def test_the_waiting_say_why_a_robot_that_sends_is_not_heard(change: dict[str, Any], told: str) -> None:
-    fleet = Fleet(n=2)
-    fleet.boot(0)
-    fleet.boot(1, **change)
-    fleet.run(3.0)
-    for robot in fleet.robots.values():
-        said = [line for line in robot.lines if "not heard yet" in line]
-        assert told in said[-1]
-        assert len(said) <= 2, "once more at most, when the reason is known"
-
-
-def test_silence_is_given_no_reason() -> None:
-    fleet = Fleet(n=2)
-    fleet.boot(0)
-    fleet.run(3.0)
-    assert [line.rpartition("waiting ")[2] for line in fleet.robots[0].lines if "waiting" in line] == [
-        "for bert, not heard yet"
-    ]
