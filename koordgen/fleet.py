@@ -30,6 +30,7 @@ SAFETY: dict[str, Any] = {
 }
 MISSED_ACTIONS = ("hold", "rest")  # as there (a test compares them)
 LEAST_TIMEOUT = 3  # rounds: what is lost is asked for in the round after, and some of that is lost again
+GOING_ON = 5  # rounds after `peer_timeout` by which the others have gone on
 MOST_ROBOTS = 128  # as koordgen/runtime/wire.py allows (a test compares them)
 MOST_OBSTACLES = 1000
 # What may be said of each transport, as koordgen/runtime/settings.py reads it (a test compares them).
@@ -201,20 +202,28 @@ def _drivers(reader: Reader, node: YamlNode | None) -> dict[str, Driver]:
 
 
 def _safety(reader: Reader, node: YamlNode | None) -> dict[str, Any]:
-    found = dict(SAFETY)
-    for key, value in reader.table(node, "safety", [], SAFETY).items():
+    found, given = dict(SAFETY), reader.table(node, "safety", [], SAFETY)
+    for key, value in given.items():
         what = f"safety.{key}"
-        said: Any
         match key:
             case "missed_action":
-                said = _choice(reader, value, what, MISSED_ACTIONS)
+                found[key] = _choice(reader, value, what, MISSED_ACTIONS)
             case "missed_rounds":
-                said = reader.number(value, f"{what} (rounds)", 1, 10000, int)
+                found[key] = reader.number(value, f"{what} (rounds)", 1, 10000, int)
             case "peer_timeout":
-                said = reader.number(value, f"{what} (rounds)", LEAST_TIMEOUT, 10000, int)
+                found[key] = reader.number(value, f"{what} (rounds)", LEAST_TIMEOUT, 10000, int)
             case _:
-                said = reader.number(value, f"{what} (seconds)", 0.05, 10000.0)
-        found[key] = SAFETY[key] if said is None else said
+                found[key] = reader.number(value, f"{what} (seconds)", 0.05, 10000.0)
+    if None in found.values() or found["missed_action"] != "rest":
+        return found
+    patience, missed = found["peer_timeout"] + GOING_ON, found["missed_rounds"]
+    if missed <= patience:
+        message = (
+            f"missed_action rest after {missed} rounds would bring all robots to rest when one is gone: they miss up to "
+            f"peer_timeout + {GOING_ON} = {patience} rounds before they go on without it"
+        )
+        help = f"say `missed_rounds: {patience + 1}` or more, or a shorter peer_timeout"
+        reader.report("F005", message, given["missed_action"], help)
     return found
 
 
