@@ -51,15 +51,13 @@ def _asked(guard: ir.Expr, starts: Starts) -> set[str]:
     found: set[str] = set()
     pending = [guard]
     while pending:
-        match pending.pop():
-            case ir.Logic("and", left, right):
-                pending += [left, right]
-            case ir.LocalRead(name) if starts.get(name) is False:
-                found.add(name)
-            case ir.Unary("not", ir.LocalRead(name)) if starts.get(name) is True:
-                found.add(name)
-            case _:
-                pass
+        node, start = pending.pop(), False
+        if type(node) is ir.Logic and node.op == "and":
+            pending += (node.left, node.right)
+        elif type(node) is ir.Unary and node.op == "not":
+            node, start = node.operand, True
+        if type(node) is ir.LocalRead and starts.get(node.name) is start:
+            found.add(node.name)
     return found
 
 
