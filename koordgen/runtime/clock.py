@@ -25,6 +25,7 @@ SLOTS = 32
 APART = 5.0  # seconds between two edges that say something about the rate
 ROUNDING = 2e-6  # stamps are whole microseconds
 SLEW = 0.05  # the share of elapsed time by which a locked clock may be corrected: keeps it monotonic, no round jumps
+FRESH = 0.005  # seconds for which an estimate is taken as it is: two clocks part by a microsecond
 STEP = 0.1  # seconds: what would take longer than STEP / SLEW to make good is no error of an estimate
 
 
@@ -178,6 +179,7 @@ class FleetClock:
         self._followed = -inf
         self._offset = 0.0
         self._locked = False
+        self._estimated = -inf  # when the estimate was last looked at
         self._last = -inf
 
     @property
@@ -213,6 +215,7 @@ class FleetClock:
             self._known = False  # it was nobody's time but ours
         self.reference = reference
         self._followed = now
+        self._estimated = -inf
         self._known = self._known or reference == self._pid or self._estimate(now) is not None
 
     def take(self, peer: int, sent: float, received: float, answered: float, now: float, fleet: float | None) -> bool:
@@ -224,6 +227,7 @@ class FleetClock:
             return False
         before = self._exchanges.setdefault(peer, _Peer())
         after = self._exchanges[peer] = before.take(edges, fleet)
+        self._estimated = -inf
         if peer == self.reference:
             self.breaks += after is not before
             self._known = self._known or after.fleet is not None
@@ -235,6 +239,10 @@ class FleetClock:
 
     def read(self, now: float) -> float:
         """Fleet time at local time `now`; never decreases once locked, as long as `now` does not."""
+        if 0.0 <= now - self._estimated < FRESH:
+            self._last = max(self._last, now)
+            return now + self._offset
+        self._estimated = now
         estimate = self._estimate(now)
         if estimate is not None:
             wanted = estimate[0] - self._offset

@@ -35,6 +35,7 @@ from koordgen.runtime.wire import (
 )
 
 REPLAY_WINDOW = 1024  # datagrams that may arrive out of order
+REFERENCE_EVERY, OTHERS_EVERY = 0.05, 1.0  # seconds between exchanges that the clock learns from
 MOST_DATAGRAMS = 4  # to one peer for one catch-up
 MOST_PIECES_AT_ONCE = 16
 NOTHING: Mapping[int, Partly] = MappingProxyType({})
@@ -51,6 +52,7 @@ class Session:
     newest: int = 0
     seen: int = 0
     heard: tuple[int, int] | None = None
+    timed: float = float("-inf")  # when the clock last learned from it
     round: int = 0  # the latest in which it said to be
 
     def fresh(self, sequence: int) -> bool:
@@ -201,9 +203,10 @@ class Link:
         if session.heard is None or head.sent > session.heard[0]:
             session.heard = (head.sent, now)
         fleet = None if head.fleet is None else head.fleet / 1e6
-        if head.pid == clock.reference or not clock.known:
+        if local - session.timed >= (REFERENCE_EVERY if head.pid == clock.reference else OTHERS_EVERY):
             for echo in head.echoes:
                 if echo.pid == self.pid:
+                    session.timed = local
                     clock.take(head.pid, echo.sent / 1e6, echo.received / 1e6, head.sent / 1e6, now / 1e6, fleet)
         if isinstance(message, Round) and message.round > session.round:
             ahead = message.round - session.round if session.round else 1

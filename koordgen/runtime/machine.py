@@ -84,6 +84,7 @@ class Agent:
         self._next_body = 0.0
         self._said = ""
         self._faulty = ""
+        self._missed = 0  # rounds in a row, when last judged
         self._counted: dict[str, int] = {}
         self._known_restarts = 0
         self._init: Life | None = None
@@ -191,6 +192,7 @@ class Agent:
             self._rest("cannot come back", SURROUNDINGS)
             self._rounds = None
             return now + self._platform.period
+        self._judge_missed(rounds)
         if replica.emergency and self.phase == "running":
             self._log("error", "emergency stop, heard from another robot")
             self.end("emergency stop")
@@ -202,6 +204,16 @@ class Agent:
                 self._log("warning", described(view, self._names))
             self._fleet_clock.follow(next(p for p, m in enumerate(view.members) if m >= 0), now)
         return wake
+
+    def _judge_missed(self, rounds: Rounds) -> None:
+        """Say, and do, what is due after so many rounds without the shared state or the time for an event. Not when
+        their records are told, which wait for the others."""
+        safety, missed = self._settings.safety, rounds.counters.in_a_row
+        before, self._missed = self._missed, missed
+        if before < safety.missed_rounds <= missed:
+            self._log("warning", f"{missed} rounds in a row {rounds.reason}")
+            if safety.missed_action == "rest":
+                self._rest("the shared memory is gone", SURROUNDINGS)
 
     def _poll_body(self, now: float) -> float:
         if now < self._next_body - 1e-9:
@@ -332,8 +344,6 @@ class Agent:
             self.done = True
 
     def _observe(self, record: Record) -> None:
-        rounds = self._rounds
-        assert rounds is not None
         counters = self.counters()
         changed = {k: v for k, v in counters.items() if k != "rounds" and self._counted.get(k, 0) != v}
         self._counted = counters
@@ -345,10 +355,6 @@ class Agent:
             self._log("error", f"{fault}; the event is discarded, the robot holds")
         self._faulty = fault
         self.metrics.round(record.round, record.late, record.event, record.skipped, record.frame is not None)
-        if rounds.counters.in_a_row == self._settings.safety.missed_rounds:
-            self._log("warning", f"{rounds.counters.in_a_row} rounds in a row {record.skipped}")
-            if self._settings.safety.missed_action == "rest":
-                self._rest("the shared memory is gone", SURROUNDINGS)
         for monitor in tuple(self._monitors):
             try:
                 monitor(record)

@@ -67,6 +67,7 @@ class Memory:
         self.acted = list(acted) or [0] * n  # the last round in which an event counted
         self.won = 0  # the last round in which a commit of ours counted
         self.unfit = 0  # patches that fitted no value: a fault of their author's, dropped by everyone alike
+        self._watched, self._reached = -1, 0  # a round, and how many others have said to have applied it
         self.prompt: tuple[int, ...] = ()  # who waits to hear that the last applied round was applied
         self._look()
 
@@ -114,6 +115,11 @@ class Memory:
         rounds = [self.stopped.get(p) for p, m in enumerate(self.view.members) if m >= 0]
         return None if None in rounds else max(r for r in rounds if r is not None)
 
+    @property
+    def lacking(self) -> bool:
+        """Whether a closing is missing that the next round to be applied needs."""
+        return bool(self._lacking)
+
     def member(self) -> bool:
         """Whether this robot counts."""
         return self.view.members[self._pid] >= 0
@@ -129,6 +135,7 @@ class Memory:
                 if pid != self._pid:
                     self._words[pid] = _Word((0,) * self._n)
         self.frozen = False
+        self._watched = -1
         self._look()
 
     def close(self, round_: int, shared: Mapping[str, Any], *, stopped: bool, acted: bool = False, prompt: bool = False,
@@ -180,9 +187,11 @@ class Memory:
             return "word does not fit"
         word = self._words[pid]
         if view >= word.view and applied >= word.applied:
+            before = word.applied if word.view == view else -1
             word.view, word.applied = view, applied
+            self._reached += view == self.view.number and before < self._watched <= applied
         if through > word.through or (asks and through == word.through):
-            word.held, word.through, word.answered = held, through, False
+            word.held, word.through, word.answered = held, through, min(held) >= through
         if view == self.view.number and settled > self.settled:
             self._settle(min(settled, self.applied))
         return None
@@ -207,8 +216,11 @@ class Memory:
             return self.applied >= round_
         if round_ > self.applied:
             return False
-        number = self.view.number
-        return 1 + sum(w.view == number and w.applied >= round_ for w in self._words.values()) >= majority(self._n)
+        if round_ != self._watched:
+            number = self.view.number
+            self._watched = round_
+            self._reached = sum(w.view == number and w.applied >= round_ for w in self._words.values())
+        return 1 + self._reached >= majority(self._n)
 
     def unaware(self, round_: int) -> list[int]:
         """The members that have not said to have applied a round."""
@@ -254,7 +266,7 @@ class Memory:
 
     def _of_this_life(self, closing: Closing) -> Closing | None:
         """The closing as far as its author counted in that incarnation, or None."""
-        view = self._at(closing.round)
+        view = self._views[0] if len(self._views) == 1 else self._at(closing.round)
         if view.members[closing.author] == closing.incarnation:
             return closing
         for view in self._views:

@@ -15,6 +15,7 @@ from koordgen.runtime.memory import Memory
 from koordgen.runtime.program import Effects
 from koordgen.runtime.trace import Record
 
+MOST_WAITING = 64  # records; behind so many that of a round in which nothing was done is not told
 AHEAD = 3  # rounds beyond the last stable one in which events without outputs may still run
 
 
@@ -61,7 +62,8 @@ class Outbox:
     def add(self, record: Record, lock: int = -1, life: Life | None = None) -> None:
         """A round's record; with the life that its event leads to, if it had one."""
         waiting = _Waiting(record, lock, life)
-        self._waiting.append(waiting)
+        if len(self._waiting) < MOST_WAITING or life is not None:
+            self._waiting.append(waiting)
         if lock >= 0:
             self._commit = waiting
         elif life is not None:
@@ -83,12 +85,21 @@ class Outbox:
         waiting.life = None
         return False
 
-    def ready(self, memory: Memory) -> list[Record]:
-        """The records that are certain now, in order."""
+    def can_settle(self, memory: Memory) -> bool:
+        """Whether there is news of what waits."""
+        if not self._waiting:
+            return False
+        first, commit = self._waiting[0], self._commit
+        if commit is not None and memory.applied >= commit.record.round:
+            return True
+        return first.lock < 0 and (first.record.effects is None or memory.stable(first.record.round))
+
+    def ready(self, memory: Memory | None) -> list[Record]:
+        """The records that are certain now, in order; without a store those before the first that did something."""
         found = []
         while self._waiting and self._waiting[0].lock < 0:
             waiting = self._waiting[0]
-            if waiting.record.effects is not None and not memory.stable(waiting.record.round):
+            if waiting.record.effects is not None and (memory is None or not memory.stable(waiting.record.round)):
                 break
             self._waiting.popleft()
             found.append(waiting.record)

@@ -115,9 +115,7 @@ class Replica:
         memory = self.memory
         if memory is None:
             return self.views.view.number, 0, self._said, 0, self.emergency, (0,) * self._n
-        if memory.applied != self._said:
-            self._said = memory.applied
-            self._save()
+        self.keep()
         return memory.view.number, round_, memory.applied, memory.settled, self.emergency, memory.held
 
     def publish(self, first: int, round_: int) -> None:
@@ -203,12 +201,16 @@ class Replica:
         late = memory.missing(present - 1 - self._peer_timeout)
         return [p for p in late if p != self._pid and present - self._peers[p].news > self._peer_timeout]
 
-    def _own_word(self) -> Word:
+    def keep(self) -> None:
+        """Keep the last applied round, before anyone is told of it or acts on it."""
         memory = self.memory
         if memory is not None and memory.applied != self._said:
             self._said = memory.applied
             self._save()
-        return Word(self.views.view.number, self._said, memory is not None)
+
+    def _own_word(self) -> Word:
+        self.keep()
+        return Word(self.views.view.number, self._said, self.memory is not None)
 
     def _save(self) -> None:
         self._announce(self.views.view, self._said, self.views.vote)

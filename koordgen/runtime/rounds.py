@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from koordgen.runtime.body import Body, unusable
 from koordgen.runtime.clock import FleetClock
+from koordgen.runtime.memory import Memory
 from koordgen.runtime.outbox import AHEAD, Life, Outbox, has_outputs
 from koordgen.runtime.platform import Sensed
 from koordgen.runtime.program import Frame
@@ -86,12 +87,14 @@ class Rounds:
         self._keep = keep
         self._present = _Present()
         self._published = 0
+        self._wake = 0.0
         self._left = False
         self._outbox = Outbox(lives[0])
         self._outbox.lives = list(lives)
         self._was_out = replica.out
         self.stopped = self._outbox.life.stopped
         self.counters = Counters()
+        self.reason: str | None = None  # why the last round that was closed had no event
 
     @property
     def round(self) -> int:
@@ -108,7 +111,7 @@ class Rounds:
     def over(self) -> bool:
         """Whether all robots that count have stopped and the linger has passed."""
         memory = self._replica.memory
-        since = None if memory is None else memory.all_stopped
+        since = None if memory is None or not (self.stopped or self._left) else memory.all_stopped
         return since is not None and self._present.round > since + LINGER
 
     def leave(self) -> None:
@@ -135,11 +138,16 @@ class Rounds:
             present.slot = slot
             self._replica.poll((present.round - 1) * SLOTS + slot, present.round)
         memory = self._replica.memory
+        if not (fresh or present.open or memory is None or self._was_out) and self._calm(memory):
+            return self._wake
         current = False
         if memory is not None:
             self._come_back(now)
             current = memory.advance(present.round)
             self._settle(now)
+        else:
+            for record in self._outbox.ready(None):
+                self._observe(record)
         self._was_out = memory is None
         if present.open:
             self._decide(now, into, current, unready)
@@ -147,7 +155,13 @@ class Rounds:
             memory.advance(present.round + 1)
             self._settle(now)
             self._confirm(memory.applied)
-        return self._ask(slot, fresh)
+        self._wake = self._ask(slot, fresh)
+        return self._wake
+
+    def _calm(self, memory: Memory) -> bool:
+        """Whether nothing that has come since the last poll of this round makes a difference to it."""
+        applied = self._present.round
+        return (memory.applied >= applied or memory.lacking) and not self._outbox.can_settle(memory)
 
     def _tick(self, part: float) -> float:
         return self._clock.local(self._start + (self._present.round - 1 + part) * self._delta)
@@ -194,6 +208,7 @@ class Rounds:
         for record in outbox.ready(memory):
             effects = record.effects
             if effects is not None:
+                self._replica.keep()  # our own word is one of the majority's
                 self._body.command(effects.actuators, now)
                 self._body.hold("stopped", effects.stopped or self.stopped, now)
             self._observe(record)
@@ -223,6 +238,7 @@ class Rounds:
         late = lagging or reason == WOKE_LATE
         self.counters.current += current
         self.counters.in_a_row = self.counters.in_a_row + 1 if late else 0
+        self.reason = reason
         self._body.hold("not current", lagging and not current, now)
         self._body.hold("not confirmed", self._outbox.first is not None, now)
         if reason is not None:
