@@ -219,8 +219,8 @@ def _safety(reader: Reader, node: YamlNode | None) -> dict[str, Any]:
     patience, missed = found["peer_timeout"] + GOING_ON, found["missed_rounds"]
     if missed <= patience:
         message = (
-            f"missed_action rest after {missed} rounds would bring all robots to rest when one is gone: they miss up to "
-            f"peer_timeout + {GOING_ON} = {patience} rounds before they go on without it"
+            f"missed_action rest after {missed} rounds would bring all robots to rest when one is gone: they miss up "
+            f"to peer_timeout + {GOING_ON} = {patience} rounds before they go on without it"
         )
         help = f"say `missed_rounds: {patience + 1}` or more, or a shorter peer_timeout"
         reader.report("F005", message, given["missed_action"], help)
