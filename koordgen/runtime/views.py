@@ -66,14 +66,22 @@ def voted(vote: Vote, ballot: int, value: View) -> Vote | None:
 
 def choose(view: View, words: Mapping[int, Word]) -> View | None:
     """The successor of `view` that a proposer who goes by it may put to the vote, given the promises; None while they
-    do not suffice: no majority, or nobody who has all that someone of them said to have applied."""
-    if len(words) < majority(len(view.members)):
+    do not suffice.
+
+    Who stays cannot take back what it has applied, so the rounds of `view` end with the last that one of them has, and
+    not before the last that may be stable: that a majority may have said to have applied, those who lost their store
+    since and those who are silent included."""
+    n_sys = len(view.members)
+    if len(words) < majority(n_sys):
         return None
     bound = max(words.values(), key=lambda w: w.voted)
     if bound.accepted is not None:
         return bound.accepted
     present = [w for w in words.values() if w.view == view.number]
-    last = max([view.since - 1, *(w.applied for w in present)])
+    last = max([view.since - 1, *(w.applied for w in present if w.state)])
+    beyond = sum(w.applied > last for w in present)
+    if beyond and beyond + n_sys - len(words) >= majority(n_sys):
+        return None
     if not any(w.state and w.applied == last for w in present):
         return None
     number = view.number + 1
