@@ -84,9 +84,8 @@ class Agent:
         self._next_body = 0.0
         self._said = ""
         self._faulty = ""
-        self._missed = 0  # rounds in a row, when last judged
         self._counted: dict[str, int] = {}
-        self._known_restarts = 0
+        self._known_restarts = self._missed = 0
         self._init: Life | None = None
         self._resting_since = 0.0
         self._served = 0.0  # when the platform's `poll` last went well
@@ -206,12 +205,11 @@ class Agent:
         return wake
 
     def _judge_missed(self, rounds: Rounds) -> None:
-        """Say, and do, what is due after so many rounds without the shared state or the time for an event. Not when
-        their records are told, which wait for the others."""
-        safety, missed = self._settings.safety, rounds.counters.in_a_row
-        before, self._missed = self._missed, missed
-        if before < safety.missed_rounds <= missed:
-            self._log("warning", f"{missed} rounds in a row {rounds.reason}")
+        """What is due after so many rounds without shared state or time; their records may be told much later."""
+        safety, before = self._settings.safety, self._missed
+        self._missed = rounds.counters.in_a_row
+        if before < safety.missed_rounds <= self._missed:
+            self._log("warning", f"{self._missed} rounds in a row {rounds.reason}")
             if safety.missed_action == "rest":
                 self._rest("the shared memory is gone", SURROUNDINGS)
 

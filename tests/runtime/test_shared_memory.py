@@ -2,12 +2,33 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from koordgen.runtime.memory import WINDOW
 from koordgen.runtime.network import Conditions
-from tests.runtime.fleet import Fleet
+from koordgen.runtime.outbox import MOST_WAITING
+from koordgen.runtime.program import Event
+from koordgen.runtime.settings import Safety
+from tests.runtime.fleet import Fleet, Robot
+from tests.runtime.lineform import PROGRAM, State
 from tests.runtime.reference import check_visibility, stores
+
+
+def silent(s: State) -> None:
+    s.x.own = s.position
+    s.last.value = s.pid
+
+
+SILENT = replace(PROGRAM, events=(Event("Silent", 3, lambda s: True, silent),))  # nothing leaves the robot
+
+
+def members(robot: Robot) -> tuple[int, ...]:
+    """Who counts, by what this robot knows."""
+    replica = robot.agent._replica
+    assert replica is not None
+    return replica.views.view.members
 
 
 def lossy(loss: float) -> Conditions:
@@ -44,12 +65,33 @@ def test_replicas_are_equal_and_the_highest_pid_wins() -> None:
 
 
 def test_one_datagram_per_peer_and_round_when_nothing_is_lost() -> None:
+    """What is confirmed is confirmed by the next round's datagram, if nothing waits for it."""
+    fleet = Fleet(program=SILENT).boot_all()
+    fleet.run_rounds(10)
+    fleet.run(0.05)
+    before = fleet.network.sent
+    fleet.run(20 * fleet.delta)
+    assert all(r.records[-2].event == "Silent" for r in fleet.robots.values())
+    assert fleet.network.sent - before == 20 * 5 * 4
+
+
+def test_an_event_with_outputs_costs_one_more_datagram_from_each_other_robot() -> None:
+    """LineForm: three robots command theirs in each round, and all but them confirm it to them at once."""
     fleet = Fleet().boot_all()
     fleet.run_rounds(10)
     fleet.run(0.05)
     before = fleet.network.sent
     fleet.run(20 * fleet.delta)
-    assert fleet.network.sent - before == 20 * 5 * 4
+    assert fleet.network.sent - before == 20 * (5 * 4 + 3 * 4)
+
+
+def test_outputs_take_effect_in_their_own_round_when_nothing_is_lost() -> None:
+    fleet = Fleet().boot_all()
+    fleet.run_told(20)
+    bert = fleet.robots[1]
+    assert [r.event for r in bert.records[:20]] == ["TargetUpdate"] * 20
+    for (time, _), record in zip(bert.platform.commands, bert.records, strict=False):
+        assert 0 < time - record.time < 0.5 * fleet.delta
 
 
 def test_all_wait_for_the_last_init() -> None:
@@ -66,41 +108,105 @@ def test_all_wait_for_the_last_init() -> None:
     check_visibility(fleet)
 
 
-def test_a_robot_out_of_reach_makes_all_skip_and_hold_until_it_is_back() -> None:
-    fleet = Fleet().boot_all()
+def test_a_robot_out_of_reach_is_left_out_and_comes_back_by_itself() -> None:
+    fleet = Fleet(safety=Safety(peer_timeout=10)).boot_all()
     fleet.run_rounds(20)
+    left = fleet.robots[0].agent.round
     fleet.network.cut = lambda sender, receiver: 2 in (sender, receiver)
-    fleet.run(10 * fleet.delta)
+    fleet.run(8 * fleet.delta)
     for pid, robot in fleet.robots.items():
         assert robot.platform.held
-        assert all(r.frame is None for r in robot.records[-7:])
-        lacks = "alice, bert, dora, emil" if pid == 2 else "cleo"
-        assert robot.records[-1].skipped == f"not current: lacks {lacks}"
-        assert any("10 rounds in a row" in line for line in robot.lines) is False
+        assert all(r.frame is None for r in robot.records if r.round > left + 2)
+        rounds = robot.agent._rounds
+        assert rounds is not None and rounds.lacking == (["alice", "bert", "dora", "emil"] if pid == 2 else ["cleo"])
+    fleet.run(22 * fleet.delta)
+    cleo = fleet.robots[2]
+    for pid, robot in fleet.robots.items():
+        if pid != 2:
+            assert robot.records[-1].frame is not None and not robot.platform.held
+            assert members(robot) == (0, 0, -1, 0, 0)
+            assert len([x for x in robot.lines if "cleo does not count (view 1)" in x]) == 1
+    assert cleo.platform.held and cleo.records[-1].round <= left + 1
+    commanded = len(cleo.platform.commands)
     fleet.network.cut = lambda sender, receiver: False
     healed = fleet.robots[0].agent.round
-    fleet.run(5 * fleet.delta)
+    fleet.run(30 * fleet.delta)
     for robot in fleet.robots.values():
-        assert all(r.frame is not None for r in robot.records if r.round > healed + 1)
+        assert members(robot) == (0, 0, 2, 0, 0)
+        assert all(r.frame is not None for r in robot.records if r.round > healed + 15)
         assert not robot.platform.held
+        assert any("all robots count; cleo is back (view 2)" in x for x in robot.lines)
+    assert len(cleo.platform.commands) > commanded
     check_visibility(fleet)
 
 
-def test_a_long_partition_costs_no_memory_and_heals_in_two_rounds() -> None:
-    fleet = Fleet(conditions=lossy(0.1)).boot_all()
-    fleet.run_rounds(10)
-    fleet.network.cut = lambda sender, receiver: (sender < 2) != (receiver < 2)
-    fleet.run(400 * fleet.delta)
-    for robot in fleet.robots.values():
-        rounds = robot.agent._rounds
-        assert rounds is not None
-        assert sum(len(log.entries) + len(log.later) for log in rounds._memory._logs) < 60
-    assert any("10 rounds in a row not current" in line for line in fleet.robots[0].lines)
+def test_a_short_absence_leaves_nobody_out() -> None:
+    fleet = Fleet(safety=Safety(peer_timeout=10)).boot_all()
+    fleet.run_rounds(20)
+    fleet.network.cut = lambda sender, receiver: 2 in (sender, receiver)
+    fleet.run(8 * fleet.delta)
     fleet.network.cut = lambda sender, receiver: False
     healed = fleet.robots[0].agent.round
     fleet.run(10 * fleet.delta)
     for robot in fleet.robots.values():
-        assert all(r.frame is not None for r in robot.records if r.round > healed + 3)
+        assert members(robot) == (0, 0, 0, 0, 0)
+        assert all(r.frame is not None for r in robot.records if r.round > healed + 2)
+    check_visibility(fleet)
+
+
+def test_a_minority_holds_for_as_long_as_it_is_alone_and_costs_no_memory() -> None:
+    fleet = Fleet(conditions=lossy(0.1)).boot_all()
+    fleet.run_rounds(10)
+    left = fleet.robots[0].agent.round
+    fleet.network.cut = lambda sender, receiver: (sender < 2) != (receiver < 2)
+    fleet.run(400 * fleet.delta)
+    for pid, robot in fleet.robots.items():
+        memory = robot.agent._replica.memory if robot.agent._replica else None
+        assert memory is not None and sum(len(log.entries) + len(log.later) for log in memory._logs) < 60
+        rounds = robot.agent._rounds
+        assert rounds is not None and len(rounds._outbox._waiting) <= MOST_WAITING
+        ran = [r.round for r in robot.records if r.frame is not None]
+        if pid < 2:
+            assert max(ran) <= left + 4 and robot.platform.held
+            assert members(robot) == (0, 0, 0, 0, 0), "two of five decide nothing"
+        else:
+            assert max(ran) > left + 380 and not robot.platform.held
+            assert members(robot) == (-1, -1, 0, 0, 0)
+    assert any("10 rounds in a row not current" in line for line in fleet.robots[0].lines)
+    bert = fleet.robots[1]
+    assert fleet.time.time - bert.clock.true(bert.platform.commands[-1][0]) > 395 * fleet.delta
+    fleet.network.cut = lambda sender, receiver: False
+    healed = fleet.robots[0].agent.round
+    fleet.run(40 * fleet.delta)
+    for robot in fleet.robots.values():
+        assert len(set(members(robot)) - {-1}) == len(set(members(robot)))
+        assert robot.records[-1].frame is not None and robot.agent.round > healed + 30
+    check_visibility(fleet)
+
+
+def test_without_a_majority_anywhere_all_hold_and_go_on_together() -> None:
+    fleet = Fleet(n=4).boot_all()
+    fleet.run_rounds(10)
+    fleet.network.cut = lambda sender, receiver: (sender < 2) != (receiver < 2)
+    fleet.run(100 * fleet.delta)
+    assert all(r.platform.held and members(r) == (0, 0, 0, 0) for r in fleet.robots.values())
+    fleet.network.cut = lambda sender, receiver: False
+    fleet.run(30 * fleet.delta)
+    assert all(r.records[-1].frame is not None and not r.platform.held for r in fleet.robots.values())
+    check_visibility(fleet)
+
+
+def test_two_robots_need_each_other() -> None:
+    fleet = Fleet(n=2, program=SILENT).boot_all()
+    fleet.run_rounds(10)
+    left = fleet.robots[0].agent.round
+    fleet.network.cut = lambda sender, receiver: True
+    fleet.run(100 * fleet.delta)
+    for robot in fleet.robots.values():
+        assert robot.platform.held and members(robot) == (0, 0) and robot.records[-1].round <= left + 2
+    fleet.network.cut = lambda sender, receiver: False
+    fleet.run(10 * fleet.delta)
+    assert all(r.records[-1].frame is not None for r in fleet.robots.values())
     check_visibility(fleet)
 
 
@@ -112,38 +218,39 @@ def test_a_deaf_robot_bounds_what_the_others_write() -> None:
     bert = fleet.robots[1]
     assert bert.records[WINDOW // 2].event is not None
     assert bert.records[-1].skipped == "not current: emil lags behind"
-    rounds = bert.agent._rounds
-    assert rounds is not None
-    assert all(len(log.entries) <= WINDOW + 2 for log in rounds._memory._logs)
+    memory = bert.agent._replica.memory if bert.agent._replica else None
+    assert memory is not None and all(len(log.entries) <= WINDOW + 2 for log in memory._logs)
     fleet.network.cut = lambda sender, receiver: False
     fleet.run(60 * fleet.delta)
     assert all(r.records[-1].frame is not None for r in fleet.robots.values())
     check_visibility(fleet)
 
 
-def test_a_robot_that_misses_the_start_joins_the_present_round() -> None:
+def test_a_robot_that_misses_the_start_is_let_in_later() -> None:
     fleet = Fleet().boot_all()
     fleet.network.cut = lambda sender, receiver: receiver == 4 and fleet.robots[0].agent._joining.mission is not None
     fleet.run(1.0)
     assert fleet.robots[4].agent.phase == "joining"
     fleet.run(2.0)
     assert fleet.robots[4].agent.round == 0
-    assert all(r.records and r.records[-1].frame is None for p, r in fleet.robots.items() if p != 4)
+    fleet.run(3.0)
+    assert all(members(r) == (0, 0, 0, 0, -1) for p, r in fleet.robots.items() if p != 4)
     fleet.network.cut = lambda sender, receiver: False
-    fleet.run(2.0)
+    fleet.run(4.0)
     emil = fleet.robots[4]
     assert emil.records[0].round > 5
-    assert emil.agent.counters()["missed"] == emil.records[0].round - 1
+    assert emil.agent.counters()["missed"] > 0
     assert all(r.records[-1].frame is not None for r in fleet.robots.values())
+    assert len({members(r) for r in fleet.robots.values()}) == 1 and members(emil)[4] > 0
     check_visibility(fleet)
 
 
 def test_one_robot_alone_runs_and_keeps_nothing() -> None:
     fleet = Fleet(n=1).boot_all()
     fleet.run_rounds(300)
-    rounds = fleet.robots[0].agent._rounds
-    assert rounds is not None
-    assert len(rounds._memory._logs[0].entries) <= 2
+    replica = fleet.robots[0].agent._replica
+    assert replica is not None and replica.memory is not None
+    assert len(replica.memory._logs[0].entries) <= 2 and fleet.network.sent == 0
     check_visibility(fleet)
 
 
@@ -192,3 +299,28 @@ def test_the_same_seed_gives_the_same_traces() -> None:
         return [r.file.getvalue() for r in fleet.robots.values()]
 
     assert traces() == traces()
+
+
+def test_a_robot_that_waits_for_a_majority_says_so_and_rests_if_the_fleet_file_wants_that() -> None:
+    """Though the records of these rounds wait for the others: so must no action of safety."""
+    fleet = Fleet(safety=Safety(missed_rounds=12, missed_action="rest")).boot_all()
+    fleet.run_rounds(10)
+    fleet.network.cut = lambda sender, receiver: 1 in (sender, receiver)
+    fleet.run(15 * fleet.delta)
+    bert = fleet.robots[1]
+    assert len([line for line in bert.lines if "12 rounds in a row not current: lacks alice" in line]) == 1
+    assert bert.agent.phase in ("resting", "rested")
+
+
+def test_the_trace_of_a_robot_that_does_not_count_goes_on() -> None:
+    fleet = Fleet(safety=Safety(peer_timeout=5)).boot_all()
+    fleet.run_rounds(10)
+    fleet.network.cut = lambda sender, receiver: receiver == 0  # it does nothing, so nothing of it waits
+    fleet.run(20 * fleet.delta)
+    fleet.network.cut = lambda sender, receiver: sender == 0
+    fleet.run(20 * fleet.delta)
+    alice = fleet.robots[0]
+    assert alice.agent._replica is not None and alice.agent._replica.out
+    assert alice.records[-1].skipped == "not current: does not count in the fleet, asks to be let in"
+    assert [r.round for r in alice.records] == list(range(1, alice.records[-1].round + 1))
+    assert alice.records[-1].round >= alice.agent.round - 1
