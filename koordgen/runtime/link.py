@@ -83,7 +83,7 @@ class Link:
         report: Callable[[str], None],
         metrics: Metrics,
     ) -> None:
-        self._metrics = metrics
+        self.metrics = metrics
         self.pid = settings.pid
         self.boot = boot
         self.epoch = b""
@@ -212,7 +212,7 @@ class Link:
             ahead = message.round - session.round if session.round else 1
             session.round = message.round
             delay = None if fleet is None or not clock.known else clock.read(local) - (head.sent / 1e6 + fleet)
-            self._metrics.heard(head.pid, ahead, delay, local)
+            self.metrics.heard(head.pid, ahead, delay, local)
 
     def _head(self) -> Head:
         self._sequence += 1

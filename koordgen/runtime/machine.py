@@ -7,12 +7,13 @@ a clock of its own.
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 
 from koordgen.runtime.body import Body
 from koordgen.runtime.clock import Clock, FleetClock
 from koordgen.runtime.joining import Joining
+from koordgen.runtime.journal import Emit, Journal
 from koordgen.runtime.keeping import Keeping
 from koordgen.runtime.layout import Layout
 from koordgen.runtime.link import Link
@@ -35,8 +36,6 @@ from koordgen.runtime.wire import Closing, Hello, View
 OK, WRONG_PROGRAM, SURROUNDINGS, INTERNAL = 0, 1, 5, 70
 LOST_BODY = 10.0  # seconds that a body which is lost for good is still tried to be brought to rest
 MOST_FAILURES = 100  # of the platform in a row after an internal error, then it is given up
-
-Emit = Callable[[str, str], None]  # level (info, warning, error) and a line
 
 
 class Agent:
@@ -62,19 +61,19 @@ class Agent:
         self._platform = platform
         self._clock = clock
         self._transport = transport
-        self._trace = trace
-        self._emit = emit
-        self._monitors = list(monitors)
         self._names = tuple(p.name for p in settings.peers)
         self.metrics = Metrics(settings.pid, len(self._names))
         self._layout = Layout(program.shared, len(self._names))
         self._fleet_clock = FleetClock(settings.pid)
-        self._link = Link(program, settings, key, transport, clock, self._fleet_clock, boot, self._report, self.metrics)
+        self._journal = Journal(settings.robot, trace, emit, clock, self._fleet_clock, self.metrics, monitors)
+        self._link = Link(
+            program, settings, key, transport, clock, self._fleet_clock, boot, self._journal.error, self.metrics
+        )
         self._joining = Joining(self._link, self._layout, self._names)
         self._keeping = Keeping(store, program, len(self._names))
         if self._keeping.interrupted:
             self._joining.come_back(self._keeping.interrupted)
-        self._body = Body(program, platform, settings.geofence, settings.planner_budget, self._warn)
+        self._body = Body(program, platform, settings.geofence, settings.planner_budget, self._journal.warn)
         self._runner = Runner(program, settings.pid, len(self._names), clock, limit)
         self._guard = Guard(settings.safety, settings.geofence)
         self._verdict = Verdict("go")
@@ -82,9 +81,6 @@ class Agent:
         self._replica: Replica | None = None
         self._view = -1
         self._next_body = 0.0
-        self._said = ""
-        self._faulty = ""
-        self._counted: dict[str, int] = {}
         self._known_restarts = self._missed = 0
         self._init: Life | None = None
         self._resting_since = 0.0
@@ -124,7 +120,7 @@ class Agent:
         """An emergency: come to rest at once, and tell the others to."""
         if self._replica is not None:
             self._replica.alarm()
-        self._log("error", why)
+        self._journal.error(why)
         self.end(why)
 
     def poll(self, now: float) -> float:
@@ -135,13 +131,13 @@ class Agent:
         except Unready as lost:
             if not self._lost:
                 self._lost = True
-                self._log("error", lost.message + (f" ({lost.hint})" if lost.hint else ""))
+                self._journal.error(lost.message + (f" ({lost.hint})" if lost.hint else ""))
                 self._rest("the body cannot serve", SURROUNDINGS)
             self._give_up(now)
         except Exception:
             self._failures += 1
             if not self._broken:
-                self._log("error", "internal error, please report it:\n" + traceback.format_exc())
+                self._journal.error("internal error, please report it:\n" + traceback.format_exc())
                 self._broken = True
                 self._rest("internal error", INTERNAL)
             self.done = self.done or self._failures > MOST_FAILURES
@@ -153,6 +149,7 @@ class Agent:
             self._enter("starting", "")
             self._platform.start(now)
             self._started = True
+        self._journal.round = self.round
         wake = self._poll_body(now)
         if self._broken:
             self._transport.receive()
@@ -176,7 +173,7 @@ class Agent:
                 self._keeping.mission(self._link.epoch, self._init)
             wake = min(wake, self._joining.poll(now, fleet))
             if self._joining.lost and self.phase == "joining":
-                self._log("warning", "no robot is in the mission that this one comes back to: a new one begins")
+                self._journal.warn("no robot is in the mission that this one comes back to: a new one begins")
                 self._run_init(now)
             self._begin_rounds(now)
         return wake
@@ -187,20 +184,20 @@ class Agent:
         try:
             wake = rounds.poll(now, self._platform.sense, self._unready())
         except Lost as lost:
-            self._log("error", str(lost))
+            self._journal.error(str(lost))
             self._rest("cannot come back", SURROUNDINGS)
             self._rounds = None
             return now + self._platform.period
         self._judge_missed(rounds)
         if replica.emergency and self.phase == "running":
-            self._log("error", "emergency stop, heard from another robot")
+            self._journal.error("emergency stop, heard from another robot")
             self.end("emergency stop")
         self._joining.met = self._joining.met or not replica.out
         view = replica.views.view
         if view.number != self._view:
             self._view = view.number
             if view.number:
-                self._log("warning", described(view, self._names))
+                self._journal.warn(described(view, self._names))
             self._fleet_clock.follow(next(p for p, m in enumerate(view.members) if m >= 0), now)
         return wake
 
@@ -209,7 +206,7 @@ class Agent:
         safety, before = self._settings.safety, self._missed
         self._missed = rounds.counters.in_a_row
         if before < safety.missed_rounds <= self._missed:
-            self._log("warning", f"{self._missed} rounds in a row {rounds.reason}")
+            self._journal.warn(f"{self._missed} rounds in a row {rounds.reason}")
             if safety.missed_action == "rest":
                 self._rest("the shared memory is gone", SURROUNDINGS)
 
@@ -223,12 +220,12 @@ class Agent:
         self._served, self._failures = now, 0
         match self.phase:
             case "starting":
-                self._say(self._platform.progress)
+                self._journal.progress(self._platform.progress)
                 if self._platform.ready:
                     self._begin_joining(now)
             case "joining" | "running":
                 if self.phase == "joining":
-                    self._say(self._joining.waiting())
+                    self._journal.progress(self._joining.waiting())
                 self._judge(now)
             case "resting" if self._platform.rested:
                 self._enter("rested", "")
@@ -260,11 +257,11 @@ class Agent:
         done = self._runner.init(frame)
         self._body.calls()  # no round's
         if isinstance(done, Fault):
-            self._log("error", f"{done} (in init)")
+            self._journal.error(f"{done} (in init)")
             self._rest("init failed", WRONG_PROGRAM)
             return
         self._body.command(done.actuators, now)
-        self._stream(done.streams, now)
+        self._journal.streams(done.streams, 0, now)
         writes = self._layout.writes(done.shared)
         self._init = Life(0, done.locals, self._body.actuators, done.stopped)
         self._joining.ready(Closing(self._settings.pid, 0, 0, 0, done.stopped, writes=writes))
@@ -313,7 +310,7 @@ class Agent:
         if verdict.action == "rest":
             self._rest(verdict.reason, SURROUNDINGS)
         elif self._body.hold("position", verdict.action == "hold", now):
-            self._log("warning", verdict.reason if verdict.action == "hold" else "own position is fresh again")
+            self._journal.warn(verdict.reason if verdict.action == "hold" else "own position is fresh again")
         self._verdict = verdict
         if self.phase == "running" and self.round > 0:
             self._body.hold("joining", False, now)
@@ -330,6 +327,7 @@ class Agent:
             self._rounds.leave()
         self._body.retire()
         self._enter("resting", why)
+        self._journal.measure(self._link.rejected, self._resting_since, at_once=True)
 
     def _give_up(self, now: float) -> None:
         """A body that is lost for good is tried for a while, one that serves again for as long as it takes; one that
@@ -338,63 +336,24 @@ class Agent:
         if not self._started:
             self.done = True
         elif self.phase == "resting" and now - max(self._resting_since, self._served) > LOST_BODY:
-            self._log("error", f"the body did not come to rest within {LOST_BODY:.0f} s")
+            self._journal.error(f"the body did not come to rest within {LOST_BODY:.0f} s")
             self.done = True
 
     def _observe(self, record: Record) -> None:
-        counters = self.counters()
-        changed = {k: v for k, v in counters.items() if k != "rounds" and self._counted.get(k, 0) != v}
-        self._counted = counters
-        self._trace.round(record, self._fleet_clock.bound(record.time), changed)
-        if record.effects is not None:
-            self._stream(record.effects.streams, record.time)
-        fault = str(record.fault) if record.fault is not None else ""
-        if fault and fault != self._faulty:
-            self._log("error", f"{fault}; the event is discarded, the robot holds")
-        self._faulty = fault
-        self.metrics.round(record.round, record.late, record.event, record.skipped, record.frame is not None)
-        for monitor in tuple(self._monitors):
-            try:
-                monitor(record)
-            except Exception as error:
-                self._monitors.remove(monitor)
-                self._log("error", f"a monitor failed and is off: {type(error).__name__}: {error}")
-
-    def _stream(self, lines: Sequence[tuple[str, str]], time: float) -> None:
-        """What the program has to say; a stream is served by every agent."""
-        for port, text in lines:
-            self._trace.stream(time, self.round, port, text)
-            self._line("info", f"{port}: {text}")
+        self._journal.observe(record, self.counters())
+        self._journal.measure(self._link.rejected, record.time)
+        memory = self._replica.memory if self._replica is not None else None
+        for pid, held in enumerate(memory.held if memory is not None else ()):
+            self.metrics.closed(pid, held)
 
     def _watch_restarts(self) -> None:
         if len(self._joining.restarted) > self._known_restarts:
             self._known_restarts = len(self._joining.restarted)
             names = ", ".join(self._names[p] for p in sorted(self._joining.restarted))
-            self._log("error", f"{names} began anew during the mission and cannot come back: end all and start again")
+            self._journal.log(
+                "error", f"{names} began anew during the mission and cannot come back: end all and start again"
+            )
 
     def _enter(self, phase: str, detail: str) -> None:
         self.phase = phase
-        self._said = ""
-        self._trace.phase(self._clock.now(), phase, detail)
-        self._line("info", f"{phase}: {detail}" if detail else phase)
-
-    def _say(self, progress: str) -> None:
-        if progress and progress != self._said:
-            self._said = progress
-            self._trace.phase(self._clock.now(), self.phase, progress)
-            self._line("info", progress)
-
-    def _warn(self, text: str) -> None:
-        self._log("warning", text)
-
-    def _report(self, text: str) -> None:
-        self._log("error", text)
-
-    def _log(self, level: str, text: str) -> None:
-        self._trace.log(self._clock.now(), level, text)
-        self._line(level, text)
-
-    def _line(self, level: str, text: str) -> None:
-        now = self._clock.now()
-        time = f"{self._fleet_clock.read(now):.3f}" if self._fleet_clock.known else "?"
-        self._emit(level, f"{time} round {self.round} {self._settings.robot}: {level}: {text}")
+        self._journal.phase(phase, detail)

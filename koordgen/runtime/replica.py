@@ -158,6 +158,8 @@ class Replica:
         held = self._gatherings.items()
         partly = tuple([Partly(author, r, g.name, g.mask) for author, (_, r, g) in held][:MOST_PARTLY])
         view, _, applied, _, _, have = self.word(through)
+        for pid in peers:
+            self._link.metrics.repeated(pid)
         self._link.say(sorted(to), Need, view, through, applied, have, partly)
 
     def take(self, message: Talk, present: int) -> None:

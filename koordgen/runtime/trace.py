@@ -1,7 +1,7 @@
 """A robot's trace: JSON lines of format koord-trace/1, one a round, which the simulator and the replayer read.
 
 `time` is the agent's local monotonic clock in seconds. Points are [x, y, z], metres, local ENU. Kinds: header,
-phase, round, log, stream. A disk that is full or gone ends the trace with one warning, never the robot.
+phase, round, log, stream, metrics. A disk that is full or gone ends the trace with one warning, never the robot.
 """
 
 from __future__ import annotations
@@ -68,6 +68,10 @@ class Trace:
     def stream(self, time: float, round_: int, port: str, text: str) -> None:
         """A line that the program put out; round 0 is `init`."""
         self._write({"kind": "stream", "time": time, "round": round_, "port": port, "text": text})
+
+    def metrics(self, time: float, snapshot: Mapping[str, Any]) -> None:
+        """How well the robot hears and keeps its rounds (see `metrics`)."""
+        self._write({"kind": "metrics", "time": time, **snapshot})
 
     def round(self, record: Record, clock_bound: float, counters: Mapping[str, int]) -> None:
         """One round; `clock_bound` is how far fleet time may be off (s), `counters` those that changed."""

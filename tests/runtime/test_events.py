@@ -242,7 +242,7 @@ def test_a_monitor_that_fails_is_dropped() -> None:
     def monitor(record: object) -> None:
         raise RuntimeError("oops")
 
-    fleet.robots[0].agent._monitors.append(monitor)
+    fleet.robots[0].agent._journal._monitors.append(monitor)
     fleet.run_rounds(5)
     assert len([line for line in fleet.robots[0].lines if "a monitor failed" in line]) == 1
 

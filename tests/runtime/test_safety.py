@@ -200,7 +200,7 @@ def test_a_full_disk_ends_the_trace_with_one_warning_and_not_the_robot() -> None
     warnings: list[str] = []
     fleet = Fleet(n=1).boot_all()
     robot = fleet.robots[0]
-    robot.agent._trace = Trace(Full(), warnings.append)
+    robot.agent._journal._trace = Trace(Full(), warnings.append)
     fleet.run_rounds(60)
     assert robot.agent.phase == "running" and warnings == ["the trace ends here: No space left on device"]
 

@@ -1,0 +1,100 @@
+"""What a robot tells: lines for people, its trace, its metrics and its monitors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from koordgen.runtime.clock import Clock, FleetClock
+from koordgen.runtime.metrics import Metrics
+from koordgen.runtime.trace import Observe, Record, Trace
+
+METRICS_EVERY = 10.0  # seconds between two of them in the trace
+
+Emit = Callable[[str, str], None]  # level (info, warning, error) and a line
+
+
+class Journal:
+    """`round` is the present one, for the lines; `monitors` get each round's record, and are off once they fail."""
+
+    def __init__(
+        self,
+        robot: str,
+        trace: Trace,
+        emit: Emit,
+        clock: Clock,
+        fleet_clock: FleetClock,
+        metrics: Metrics,
+        monitors: Sequence[Observe],
+    ) -> None:
+        self._robot = robot
+        self._trace = trace
+        self._emit = emit
+        self._clock = clock
+        self._fleet_clock = fleet_clock
+        self._metrics = metrics
+        self._monitors = list(monitors)
+        self._counted: Mapping[str, int] = {}
+        self._faulty = ""
+        self._phase = ""
+        self._said = ""
+        self._measured = 0.0
+        self.round = 0
+
+    def phase(self, phase: str, detail: str) -> None:
+        """Another phase begins."""
+        self._phase, self._said = phase, ""
+        self._trace.phase(self._clock.now(), phase, detail)
+        self._line("info", f"{phase}: {detail}" if detail else phase)
+
+    def progress(self, text: str) -> None:
+        """What the robot waits for or does; the same is told once."""
+        if text and text != self._said:
+            self._said = text
+            self._trace.phase(self._clock.now(), self._phase, text)
+            self._line("info", text)
+
+    def log(self, level: str, text: str) -> None:
+        self._trace.log(self._clock.now(), level, text)
+        self._line(level, text)
+
+    def warn(self, text: str) -> None:
+        self.log("warning", text)
+
+    def error(self, text: str) -> None:
+        self.log("error", text)
+
+    def streams(self, lines: Sequence[tuple[str, str]], round_: int, time: float) -> None:
+        """What the program has to say in a round; 0 is `init`. A stream is served by every agent."""
+        for port, text in lines:
+            self._trace.stream(time, round_, port, text)
+            self._line("info", f"{port}: {text}")
+
+    def observe(self, record: Record, counters: Mapping[str, int]) -> None:
+        """A round's record, now that it is certain; `counters` is everything counted so far."""
+        changed = {k: v for k, v in counters.items() if k != "rounds" and self._counted.get(k, 0) != v}
+        self._counted = counters
+        self._trace.round(record, self._fleet_clock.bound(record.time), changed)
+        if record.effects is not None:
+            self.streams(record.effects.streams, record.round, record.time)
+        fault = str(record.fault) if record.fault is not None else ""
+        if fault and fault != self._faulty:
+            self.error(f"{fault}; the event is discarded, the robot holds")
+        self._faulty = fault
+        self._metrics.round(record.round, record.late, record.event, record.skipped, record.frame is not None)
+        for monitor in tuple(self._monitors):
+            try:
+                monitor(record)
+            except Exception as error:
+                self._monitors.remove(monitor)
+                self.error(f"a monitor failed and is off: {type(error).__name__}: {error}")
+
+    def measure(self, rejected: Mapping[str, int], now: float, at_once: bool = False) -> None:
+        """Put the metrics into the trace, if it is time."""
+        if at_once or now - self._measured >= METRICS_EVERY:
+            self._measured = now
+            self._trace.metrics(now, self._metrics.snapshot(now, rejected))
+
+    def _line(self, level: str, text: str) -> None:
+        now = self._clock.now()
+        time = f"{self._fleet_clock.read(now):.3f}" if self._fleet_clock.known else "?"
+        self._emit(level, f"{time} round {self.round} {self._robot}: {level}: {text}")
