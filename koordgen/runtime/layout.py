@@ -120,7 +120,7 @@ class Layout:
         this program."""
         if closing.author >= self.n_sys or closing.first > closing.round:
             return None
-        if (closing.writes or closing.acted) and closing.first != closing.round:
+        if (closing.writes or closing.acted or closing.lock >= 0) and closing.first != closing.round:
             return None
         values: list[tuple[int, Any]] = []
         before = -1

@@ -1,0 +1,381 @@
+"""The replicated store alone: in what order closings take effect, whose count, what may be forgotten."""
+
+from __future__ import annotations
+
+from random import Random
+from typing import Any
+
+import msgspec
+import pytest
+
+from koordgen.runtime.bounds import Fixed
+from koordgen.runtime.layout import Layout
+from koordgen.runtime.log import GAPS, Entry, Log
+from koordgen.runtime.memory import AHEAD, WINDOW, Memory, winner
+from koordgen.runtime.program import Variable
+from koordgen.runtime.wire import Closing, State, View, Write, encoder, state_of
+
+SHARED = (
+    Variable("x", "allread", int, Fixed(9), lambda: 0),
+    Variable("last", "allwrite", int, Fixed(9), lambda: -1),
+)
+
+
+def layout(n: int = 3) -> Layout:
+    return Layout(SHARED, n)
+
+
+def view(n: int = 3) -> View:
+    return View(0, 1, (0,) * n)
+
+
+def fleet(n: int = 3) -> list[Memory]:
+    inits = [Closing(pid, 0, 0, 0) for pid in range(n)]
+    return [Memory.begin(layout(n), pid, view(n), inits) for pid in range(n)]
+
+
+def write(index: int, value: Any) -> Write:
+    return Write(index, msgspec.Raw(msgspec.msgpack.encode(value)))
+
+
+def one(author: int, round_: int, *writes: Write, incarnation: int = 0, lock: int = -1, **more: Any) -> Closing:
+    return Closing(author, incarnation, round_, round_, acted=True, lock=lock, writes=writes, **more)
+
+
+def silence(author: int, first: int, round_: int, incarnation: int = 0, stopped: bool = False) -> Closing:
+    return Closing(author, incarnation, first, round_, stopped)
+
+
+def give(memory: Memory, *closings: Closing, present: int = 20) -> list[str | None]:
+    return [memory.take(c, present) for c in closings]
+
+
+def said(memory: Memory, pid: int, applied: int, number: int = 0, through: int = 0, asks: bool = False) -> str | None:
+    n = len(memory.view.members)
+    return memory.heard(pid, number, applied, (applied,) * n, through, 0, 50, asks)
+
+
+def everything(memory: Memory) -> Any:
+    return memory.applied, memory.shared, memory.stopped, memory.acted
+
+
+def test_plain_writes_by_ascending_pid_after_the_commits() -> None:
+    alice = fleet()[0]
+    alice.close(1, {"last": 100, "x": 7}, stopped=False, acted=True)
+    give(alice, one(2, 1, write(1, 5), lock=0), silence(1, 1, 1))
+    assert alice.advance(2) and alice.shared == {"x": (7, 0, 0), "last": 100}
+    alice.close(2, {}, stopped=False)
+    give(alice, one(2, 2, write(1, 22)), one(1, 2, write(1, 21)))
+    assert alice.advance(3) and alice.shared["last"] == 22
+
+
+def test_of_each_lock_one_commit_counts_whole_and_the_others_never_happened() -> None:
+    for round_ in range(1, 7):
+        alice = fleet()[0]
+        give(alice, *[silence(pid, 1, round_ - 1) for pid in (1, 2)] if round_ > 1 else [])
+        if round_ > 1:
+            alice.close(round_ - 1, {}, stopped=False)
+        alice.close(round_, {"last": 0, "x": 50}, stopped=False, acted=True, lock=3)
+        give(alice, *[one(pid, round_, write(0, 50 + pid), write(1, pid), lock=3, stopped=True) for pid in (1, 2)])
+        assert alice.advance(round_ + 1)
+        best = winner([0, 1, 2], 3, round_, 3)
+        assert alice.shared == {"x": tuple(50 + pid if pid == best else 0 for pid in range(3)), "last": best}
+        assert alice.acted == [round_ if pid == best else 0 for pid in range(3)]
+        assert alice.stopped == ({best: round_} if best else {})
+        assert alice.won == (round_ if best == 0 else 0)
+
+
+def test_nothing_is_applied_before_all_closings_of_a_round_are_here() -> None:
+    alice = fleet()[0]
+    alice.close(1, {"x": 1}, stopped=False, acted=True)
+    give(alice, one(2, 1, write(0, 3)))
+    assert not alice.advance(2) and alice.applied == 0 and alice.missing(1) == [1]
+    assert alice.shared["x"] == (0, 0, 0)
+    give(alice, one(1, 1, write(0, 2)))
+    assert alice.advance(2) and alice.shared["x"] == (1, 2, 3)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_order_and_number_in_which_closings_come_makes_no_difference(seed: int) -> None:
+    rng = Random(seed)
+    memories = fleet(4)
+    history: list[Closing] = []
+    for round_ in range(1, 31):
+        for pid, memory in enumerate(memories):
+            if rng.random() < 0.3:
+                continue  # sleeps
+            writes = {"x": round_ * 10 + pid, "last": pid} if rng.random() < 0.5 else {}
+            lock = 0 if writes and rng.random() < 0.5 else -1
+            memory.close(round_, writes, stopped=False, acted=bool(writes), lock=lock)
+    for pid, memory in enumerate(memories):
+        memory.close(31, {}, stopped=False)
+        history += memory.own(1)
+    results = []
+    for pid, memory in enumerate(memories):
+        left = [c for c in history if c.author != pid] * 2
+        rng.shuffle(left)
+        while left:
+            memory.take(left.pop(), 31)
+            if rng.random() < 0.2:
+                memory.advance(32)
+        assert memory.advance(32)
+        results.append(everything(memory))
+    assert all(r == results[0] for r in results)
+
+
+def test_a_long_silence_is_one_closing_and_is_applied_at_once() -> None:
+    alice = fleet()[0]
+    for round_ in range(1, 101):
+        alice.close(round_, {}, stopped=False)
+    assert alice.own(1) == [silence(0, 1, 100)]
+    give(alice, silence(1, 1, 100), silence(2, 1, 60), present=100)
+    assert not alice.advance(101) and alice.applied == 60
+    give(alice, silence(2, 41, 100, stopped=True), present=100)
+    assert alice.advance(101) and alice.stopped == {2: 61}
+
+
+@pytest.mark.parametrize(
+    ("bad", "why"),
+    [
+        (silence(3, 1, 1), "closing does not fit"),
+        (silence(1, 0, 0), None),  # known: no news
+        (silence(1, 0, 1), "closing does not fit"),
+        (silence(1, 3, 2), "closing does not fit"),
+        (silence(1, 1, 21 + AHEAD), "closing too far ahead"),
+        (silence(1, 1, 1, incarnation=1), "closing of another view"),
+        (silence(0, 1, 1), "closing of ours that we did not write"),
+        (one(1, 1, write(2, 3)), "closing does not fit"),
+        (one(1, 1, write(1, "text")), "closing does not fit"),
+        (one(1, 1, write(1, 2**63)), "closing does not fit"),
+        (one(1, 1, Write(1, msgspec.Raw(b"\xa2\xff\xfe"))), "closing does not fit"),
+        (Closing(1, 0, 1, 2, writes=(write(1, 3),)), "closing does not fit"),
+        (Closing(1, 0, 1, 2, acted=True), "closing does not fit"),
+        (Closing(1, 0, 1, 2, lock=0), "closing does not fit"),
+    ],
+)
+def test_closings_of_a_robot_gone_wrong_change_nothing(bad: Closing, why: str | None) -> None:
+    alice = fleet()[0]
+    assert give(alice, bad) == [why]
+    assert alice.held == (0, 0, 0) and not alice._logs[1].later
+    alice.close(1, {}, stopped=False)
+    assert give(alice, silence(1, 1, 1), silence(2, 1, 1)) == [None, None]
+    assert alice.advance(2)
+
+
+def test_a_patch_that_fits_no_value_is_dropped_by_everyone_alike() -> None:
+    memories = fleet()
+    bad = Closing(1, 0, 1, 1, acted=True, writes=(Write(1, msgspec.Raw(b"\x91\x93\x00\x00\x00"), True),))
+    for memory in memories[::2]:
+        memory.close(1, {}, stopped=False)
+    for memory in memories[::2]:
+        give(memory, bad, *[silence(pid, 1, 1) for pid in (0, 2)])
+        assert memory.advance(2) and memory.unfit == 1 and memory.shared["last"] == -1
+
+
+def test_closings_beyond_a_gap_are_kept_only_up_to_a_bound() -> None:
+    alice = fleet()[0]
+    refused = give(alice, *[one(1, r, write(0, r)) for r in range(2, 2 + 2 * GAPS)], present=1000)
+    assert refused.count(None) == GAPS and refused.count("no room for a closing") == GAPS
+    refused = give(alice, *[one(2, r, write(0, r)) for r in range(1, 3 * WINDOW)], present=1000)
+    assert refused.count(None) == 2 * WINDOW
+    give(alice, one(1, 1, write(0, 1)))
+    assert alice.held[1] == GAPS + 1, "what closes the gap finds room"
+
+
+def test_a_robot_whose_closings_nobody_takes_becomes_crowded() -> None:
+    alice = fleet()[0]
+    for round_ in range(1, WINDOW + 1):
+        assert not alice.crowded
+        alice.close(round_, {"x": round_}, stopped=False, acted=True)
+    assert alice.crowded
+
+
+def test_what_everyone_holds_is_forgotten_and_what_someone_lacks_is_not() -> None:
+    alice = fleet()[0]
+    for round_ in range(1, 11):
+        alice.close(round_, {"x": round_}, stopped=False, acted=True)
+        give(alice, one(1, round_, write(0, round_)), one(2, round_, write(0, round_)))
+    assert alice.advance(11)
+    said(alice, 1, 10)
+    said(alice, 2, 4)
+    alice.close(11, {}, stopped=False)
+    give(alice, silence(1, 11, 11), silence(2, 11, 11))
+    assert alice.advance(12) and alice.settled == 4
+    assert [c.round for c in alice.own(1)] == [5, 6, 7, 8, 9, 10, 11]
+    said(alice, 2, 4, through=10, asks=True)
+    assert {(c.author, c.round) for c in alice.repeat(2)} == {(p, r) for p in range(3) for r in range(5, 11)}
+    assert alice.repeat(2) == [], "once for each time it says so"
+
+
+def test_a_round_is_stable_once_a_majority_of_all_has_applied_it() -> None:
+    alice = fleet(5)[0]
+    for _ in range(3):
+        alice.close(alice.applied + 1, {}, stopped=False)
+        give(alice, *[silence(pid, alice.applied + 1, alice.applied + 1) for pid in range(1, 5)])
+        alice.advance(alice.applied + 2)
+    assert alice.applied == 3
+    said(alice, 1, 3)
+    said(alice, 2, 2)
+    assert not alice.stable(3) and alice.stable(2) and alice.unaware(3) == [2, 3, 4]
+    said(alice, 2, 1)
+    assert alice.stable(2), "an older word that comes late takes nothing back"
+    said(alice, 3, 3, number=1)
+    assert not alice.stable(3), "a word of another view does not count"
+    said(alice, 2, 3)
+    assert alice.stable(3) and not alice.stable(4)
+
+
+def test_words_that_cannot_be_are_refused() -> None:
+    alice = fleet()[0]
+    for held, through, settled, applied in [
+        ((0, 0), 0, 0, 0),
+        ((0, 0, 999), 0, 0, 0),
+        ((0, 0, 0), 999, 0, 0),
+        ((0, 0, 0), 0, 999, 0),
+        ((0, 0, 0), 0, 0, 999),
+    ]:
+        assert alice.heard(1, 0, applied, held, through, settled, 20, True) == "word does not fit"
+    assert alice.settled == 0 and alice.repeat(1) == []
+
+
+def advanced(n: int = 3) -> Memory:
+    """Alice's after five rounds in which everyone wrote."""
+    alice = fleet(n)[0]
+    for r in range(1, 6):
+        alice.close(r, {"x": r}, stopped=False, acted=True)
+        give(alice, *[one(pid, r, write(0, 10 * pid + r)) for pid in range(1, n)])
+    assert alice.advance(6)
+    return alice
+
+
+def test_in_the_next_view_closings_of_a_robot_that_is_out_do_not_count() -> None:
+    alice = advanced()
+    give(alice, one(2, 6, write(0, 99)))
+    alice.frozen = True
+    alice.close(6, {"x": 6}, stopped=False, acted=True)
+    give(alice, one(1, 6, write(0, 16)))
+    assert not alice.advance(7) or alice.applied == 6
+    alice = advanced()
+    give(alice, one(2, 6, write(0, 99)))
+    alice.adopt(View(1, 6, (0, 0, -1)))
+    assert alice.missing(6) == [0, 1] and alice.held[2] == 5
+    assert give(alice, one(2, 7, write(0, 99))) == ["closing of another view"]
+    alice.close(6, {"x": 6}, stopped=False, acted=True)
+    give(alice, one(1, 6, write(0, 16)))
+    assert alice.advance(7) and alice.shared["x"] == (6, 16, 25)
+
+
+def test_a_robot_that_is_in_again_counts_by_its_new_closings_only() -> None:
+    alice = advanced()
+    alice.adopt(View(1, 6, (0, 0, -1)))
+    for r in range(6, 11):
+        alice.close(r, {}, stopped=False)
+    give(alice, silence(1, 6, 10))
+    assert alice.advance(11)
+    alice.adopt(View(2, 11, (0, 0, 2)))
+    assert alice.missing(11) == [0, 1, 2]
+    old = [one(2, 6, write(0, 96)), silence(2, 6, 11), one(2, 11, write(0, 97))]
+    assert give(alice, *old)[2] == "closing of another view" and alice.held[2] == 10
+    give(alice, one(2, 11, write(0, 98), incarnation=2), silence(1, 11, 11))
+    alice.close(11, {}, stopped=False)
+    assert alice.advance(12) and alice.shared["x"] == (5, 15, 98)
+
+
+def test_who_stays_goes_to_the_end_of_the_view_before_and_only_then_on() -> None:
+    """Bert is behind: it adopts the view that begins at round 9, and still needs cleo's closings until 8."""
+    bert = fleet()[1]
+    give(bert, silence(0, 1, 12), *[one(2, r, write(0, r)) for r in range(1, 5)])
+    bert.close(12, {}, stopped=False)
+    bert.advance(13)
+    assert bert.applied == 4
+    bert.adopt(View(1, 9, (0, 0, -1)))
+    assert (not bert.advance(13) and bert.applied == 4 and bert.missing(12) == [2]) or bert.applied == 4
+    give(bert, *[one(2, r, write(0, r)) for r in range(5, 11)])
+    assert bert.advance(13) and bert.shared["x"] == (0, 0, 8)
+
+
+def test_a_frozen_robot_applies_nothing_more() -> None:
+    alice = advanced()
+    alice.close(6, {}, stopped=False)
+    give(alice, silence(1, 6, 6), silence(2, 6, 6))
+    alice.frozen = True
+    assert not alice.advance(7) and alice.applied == 5
+    alice.frozen = False
+    assert alice.advance(7)
+
+
+def test_who_comes_in_has_the_same_store_and_goes_on_alike() -> None:
+    alice = advanced()
+    alice.adopt(View(1, 6, (0, 0, 1)))
+    applied, state = alice.snapshot()
+    assert applied == 5
+    handed = state_of(encoder.encode(state))
+    assert handed is not None
+    cleo = Memory.resume(layout(), 2, handed)
+    assert cleo is not None and everything(cleo) == everything(alice)
+    for memory, pid in ((alice, 0), (cleo, 2)):
+        memory.close(6, {"x": 60 + pid, "last": pid}, stopped=False, acted=True)
+    others = {0: alice.own(6)[0], 1: one(1, 6, write(0, 61)), 2: cleo.own(6)[0]}
+    assert others[2].incarnation == 1 and others[0].incarnation == 0
+    for memory, pid in ((alice, 0), (cleo, 2)):
+        give(memory, *[c for p, c in others.items() if p != pid])
+        assert memory.advance(7)
+    assert everything(cleo) == everything(alice) and cleo.shared == {"x": (60, 61, 62), "last": 2}
+
+
+def test_a_snapshot_is_made_once_for_a_round() -> None:
+    alice = advanced()
+    assert alice.snapshot()[1] is alice.snapshot()[1]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"values": ()},
+        {"values": (msgspec.Raw(b"\x92\x01\x02"), msgspec.Raw(b"\x01"))},
+        {"values": (msgspec.Raw(b"\x93\x01\x02\xa1a"), msgspec.Raw(b"\x01"))},
+        {"values": (msgspec.Raw(b"\x93\x01\x02\x03"), msgspec.Raw(b"\xa2\xff\xfe"))},
+        {"values": (msgspec.Raw(b"\x93\x01\x02"), msgspec.Raw(b"\x01"))},
+        {"values": (msgspec.Raw(b"\x01"), msgspec.Raw(b"\x01"))},
+        {"stopped": (-1, -1)},
+        {"acted": (0, 0, 0, 0)},
+        {"view": View(0, 1, (0, 0))},
+    ],
+)
+def test_a_state_that_does_not_fit_is_none(change: dict[str, Any]) -> None:
+    state: State = advanced().snapshot()[1]
+    assert Memory.resume(layout(), 2, state) is not None
+    assert Memory.resume(layout(), 2, msgspec.structs.replace(state, **change)) is None
+
+
+def test_a_log_joins_silence_and_keeps_what_lies_beyond_a_gap() -> None:
+    log = Log()
+    log.take(Entry(silence(1, 1, 3), ()))
+    log.take(Entry(silence(1, 7, 9), ()))
+    log.take(Entry(silence(1, 7, 8), ()))
+    assert log.held == 3 and list(log.later) == [7]
+    log.take(Entry(silence(1, 3, 6), ()))
+    assert log.held == 9 and not log.later and [e.closing for e in log.entries] == [silence(1, 1, 9)]
+    assert log.between(4, 5) == [silence(1, 4, 9)]
+    log.cut(5)
+    assert log.held == 5 and log.entries[-1].closing == silence(1, 1, 5)
+    log.skip(20)
+    assert log.held == 20
+    log.forget(20)
+    assert log.entries == []
+
+
+def test_a_stopped_robot_tells_it_with_each_silence() -> None:
+    log = Log()
+    log.take(Entry(silence(1, 1, 3), ()))
+    log.take(Entry(silence(1, 4, 6, stopped=True), ()))
+    assert [e.closing.round for e in log.entries] == [3, 6]
+
+
+def test_all_have_stopped_counts_only_those_who_count() -> None:
+    alice = fleet()[0]
+    alice.close(1, {}, stopped=True)
+    give(alice, silence(1, 1, 1, stopped=True), silence(2, 1, 1))
+    assert alice.advance(2) and alice.all_stopped is None
+    alice.adopt(View(1, 2, (0, 0, -1)))
+    assert alice.all_stopped == 1
