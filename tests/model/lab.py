@@ -1,0 +1,275 @@
+"""The real shared memory of a few robots (Rounds, Replica, Views, Memory, Outbox) under a schedule that a test chooses.
+
+No clock, no network, no disk: time is what the test says, messages lie in flight until the test delivers, repeats or
+drops them, and what a robot keeps is a Kept. Every event of robot p sets its slot `mine[p]` to the number of its events
+so far; every atomic one adds 1 to `count` and to its slot `wins[p]`. So what must hold can be read off every store.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any, cast
+
+from koordgen.runtime.bounds import Fixed
+from koordgen.runtime.layout import Layout
+from koordgen.runtime.memory import Memory
+from koordgen.runtime.metrics import Metrics
+from koordgen.runtime.outbox import Life
+from koordgen.runtime.platform import Sensed
+from koordgen.runtime.program import Effects, Variable
+from koordgen.runtime.replica import Replica
+from koordgen.runtime.rounds import Lost, Rounds
+from koordgen.runtime.runner import Outcome
+from koordgen.runtime.store import KEPT
+from koordgen.runtime.trace import Record
+from koordgen.runtime.views import Vote
+from koordgen.runtime.wire import Closing, Decided, Head, Message, Round, View
+
+TOKEN = bytes(8)
+SENSED = Sensed({}, None)
+TIMEOUT = 2  # rounds without news of a member, then there is another view
+FIRST = {"events": 0, "wins": 0}  # locals
+VARIABLES = (
+    Variable("count", "allwrite", int, Fixed(9), lambda: 0),
+    Variable("mine", "allread", int, Fixed(9), lambda: 0),
+    Variable("wins", "allread", int, Fixed(9), lambda: 0),
+)
+
+
+class Violation(Exception):
+    """A property does not hold; the message says which and how."""
+
+
+@dataclass
+class Kept:
+    """What a robot finds again after a restart."""
+
+    view: View
+    applied: int = 0
+    vote: Vote = field(default_factory=Vote)
+    lives: dict[int, Life] = field(default_factory=dict)
+
+    def keep(self, life: Life) -> None:
+        self.lives[life.round] = life
+        for old in sorted(self.lives)[:-KEPT]:
+            del self.lives[old]
+
+
+@dataclass
+class Flight:
+    to: int
+    message: Message
+
+
+class Wire:
+    """Stands in for Link: every message is in flight until the test takes it."""
+
+    room = 1000
+
+    def __init__(self, pid: int, n: int, flights: list[Flight]) -> None:
+        self.pid = pid
+        self.metrics = Metrics(pid, n)
+        self._flights = flights
+        self._head = Head(0, TOKEN, TOKEN, pid, TOKEN, TOKEN, 0, 0, None, ())
+        self.rejected: list[str] = []
+
+    def say(self, to: Collection[int], kind: Callable[..., Message], *fields: Any) -> None:
+        self._flights.extend(Flight(p, kind(self._head, *fields)) for p in to)
+
+    def round(
+        self, to: Collection[int], word: Sequence[Any], closings: Sequence[Closing], partly: object = None
+    ) -> None:
+        self._flights.extend(Flight(p, Round(self._head, *word, tuple(closings))) for p in to)
+
+    def reject(self, reason: str) -> None:
+        self.rejected.append(reason)
+
+
+class Program:
+    """Stands in for Runner: `wish` says what the robot's next event is: "" (none), "plain", "quiet" (no output), "atomic"."""
+
+    def __init__(self, pid: int, wish: Callable[[], str]) -> None:
+        self.locals: Mapping[str, int] = FIRST
+        self._pid = pid
+        self._wish = wish
+
+    def frame(self, shared: Mapping[str, Any], *_: object) -> Any:
+        return SimpleNamespace(shared=shared, sensors={})
+
+    def step(self, frame: Any, deadline: float) -> Outcome:
+        wish = self._wish()
+        if not wish:
+            return Outcome()
+        number, wins, atomic = self.locals["events"] + 1, self.locals["wins"], wish == "atomic"
+        shared = {"mine": number}
+        if atomic:
+            wins += 1
+            shared |= {"wins": wins, "count": frame.shared["count"] + 1}
+        actuators = {} if wish == "quiet" else {"out": number}
+        effects = Effects({"events": number, "wins": wins}, shared, actuators, False)
+        return Outcome(wish, effects, lock=0 if atomic else -1)
+
+
+class Body:
+    """`command` is where the robot would move."""
+
+    def __init__(self, commanded: Callable[[int], None]) -> None:
+        self.actuators: dict[str, int] = {}
+        self._commanded = commanded
+
+    def command(self, written: Mapping[str, int], now: float) -> None:
+        self.actuators = {**self.actuators, **written}
+        if "out" in written:
+            self._commanded(written["out"])
+
+    def restore(self, actuators: Mapping[str, int], now: float) -> None:
+        self.actuators = dict(actuators)
+
+    def hold(self, reason: str, on: bool, now: float) -> bool:
+        return False
+
+    def sensors(self, sensed: object) -> dict[str, Any]:
+        return {}
+
+    def calls(self) -> tuple[Any, ...]:
+        return ()
+
+    def call(self, port: str, args: tuple[Any, ...]) -> Any:
+        raise AssertionError
+
+
+@dataclass
+class Robot:
+    replica: Replica
+    rounds: Rounds
+    program: Program
+    wire: Wire
+    kept: Kept
+
+    @property
+    def memory(self) -> Memory | None:
+        return self.replica.memory
+
+
+@dataclass
+class Final:
+    """An event of robot `pid` that has taken effect outside: the fleet must count it for ever."""
+
+    pid: int
+    number: int
+    round: int
+
+
+class Fleet:
+    """`wish(pid)` is what a robot's next event is. Each `poll` checks P1 to P5 (see tests/model/README or the docs)."""
+
+    def __init__(self, n: int = 3, wish: Callable[[int], str] = lambda pid: "") -> None:
+        self.n = n
+        self.flights: list[Flight] = []
+        self.layout = Layout(VARIABLES, n)
+        self.views: dict[int, View] = {0: View(0, 1, (0,) * n)}  # decided, as far as any robot knows
+        self.finals: list[Final] = []
+        self.stores: dict[tuple[int, int], Mapping[str, Any]] = {}  # view number, round -> the store after it
+        self._wish = wish
+        self._outputs: list[list[int]] = [[] for _ in range(n)]
+        kept = [Kept(self.views[0], lives={0: Life(0, FIRST, {}, False)}) for _ in range(n)]
+        inits = [Closing(p, 0, 0, 0) for p in range(n)]
+        self.robots = [self._start(p, kept[p], Memory.begin(self.layout, p, self.views[0], inits)) for p in range(n)]
+
+    def _start(self, pid: int, kept: Kept, memory: Memory | None) -> Robot:
+        wire = Wire(pid, self.n, self.flights)
+
+        def announce(view: View, applied: int, vote: Vote) -> None:
+            kept.view, kept.applied, kept.vote = view, applied, vote
+
+        replica = Replica(cast(Any, wire), self.layout, memory, kept.view, kept.vote, kept.applied, TIMEOUT, announce)
+        program = Program(pid, lambda: self._wish(pid))
+        lives = [kept.lives[r] for r in sorted(kept.lives)]
+        program.locals = cast(Mapping[str, int], lives[-1].locals)
+        body = Body(self._outputs[pid].append)
+        clock = SimpleNamespace(read=lambda t: t, local=lambda t: t)
+        rounds = Rounds(
+            cast(Any, program), cast(Any, body), replica, cast(Any, clock), tuple(f"r{p}" for p in range(self.n)), 0.0,
+            1.0, lives, lambda record: self._final(pid, record), lambda life, incarnation: kept.keep(life),
+        )  # fmt: skip
+        return Robot(replica, rounds, program, wire, kept)
+
+    def restart(self, pid: int) -> None:
+        """The robot's process dies and there is another."""
+        self.robots[pid] = self._start(pid, self.robots[pid].kept, None)
+
+    def poll(self, pid: int, now: float) -> None:
+        """What robot `pid` does at time `now`, in rounds from the beginning of round 1."""
+        try:
+            self.robots[pid].rounds.poll(now, lambda t: SENSED, None)
+        except Lost as lost:
+            raise Violation(f"P4: robot {pid}: {lost}") from None
+        self._check(pid)
+
+    def deliver(self, flight: Flight) -> None:
+        self.robots[flight.to].rounds.take(flight.message)
+        if isinstance(flight.message, Decided):
+            self._know(flight.message.value)
+
+    def take(self, wanted: Callable[[Flight], bool]) -> list[Flight]:
+        """Take from what is in flight."""
+        found = [f for f in self.flights if wanted(f)]
+        self.flights[:] = [f for f in self.flights if not wanted(f)]
+        return found
+
+    def official(self, view: int, round_: int) -> bool:
+        """Whether the store after a round, of a robot that went by this view, is what every later view goes on from."""
+        return all(v.since > round_ for v in self.views.values() if v.number > view)
+
+    def _know(self, view: View) -> None:
+        known = self.views.get(view.number)
+        if known is not None:
+            if known != view:
+                raise Violation(f"P5: two views {view.number}: {known} and {view}")
+            return
+        self.views[view.number] = view
+        for (number, round_), store in self.stores.items():
+            if self.official(number, round_):
+                self._covered(store, round_, f"the store after round {round_}")
+        for final in self.finals:
+            self._counted(final)
+
+    def _final(self, pid: int, record: Record) -> None:
+        if record.effects is not None:
+            final = Final(pid, cast(int, record.effects.locals["events"]), record.round)
+            twice = [f for f in self.finals if (f.pid, f.number) == (pid, final.number) and f.round != record.round]
+            if twice:
+                raise Violation(
+                    f"P4: event {final.number} of robot {pid} took effect in rounds {twice[0].round} and {record.round}"
+                )
+            self.finals.append(final)
+            self._counted(final)
+
+    def _counted(self, final: Final) -> None:
+        for (number, round_), store in self.stores.items():
+            if round_ >= final.round and self.official(number, round_) and store["mine"][final.pid] < final.number:
+                raise Violation(f"P3: {final} is not in the store after round {round_} (view {number})")
+
+    def _covered(self, store: Mapping[str, Any], round_: int, where: str) -> None:
+        for final in self.finals:
+            if round_ >= final.round and store["mine"][final.pid] < final.number:
+                raise Violation(f"P3: {final} is not in {where}")
+
+    def _check(self, pid: int) -> None:
+        memory = self.robots[pid].memory
+        self._know(self.robots[pid].replica.views.view)
+        if memory is None:
+            return
+        store, round_, number = memory.shared, memory.applied, memory.view.number
+        if store["count"] != sum(store["wins"]):
+            raise Violation(f"P1: {store['count']} commits counted of {store['wins']}, robot {pid}, round {round_}")
+        if not self.official(number, round_):
+            return
+        for (other, at), known in self.stores.items():
+            if at == round_ and self.official(other, at) and known != store:
+                raise Violation(f"P2: round {round_}: robot {pid} has {store}, view {other} had {known}")
+        if (number, round_) not in self.stores:
+            self.stores[number, round_] = store
+            self._covered(store, round_, f"robot {pid}'s store after round {round_}")
