@@ -147,9 +147,11 @@ def kills(seed: int, loss: float, times: int = 10, kills: int = 4) -> Ended:
     for _ in range(kills):
         fleet.run(chance.uniform(0.0, 1.0), until=lambda: finished(fleet))
         fleet.run(20.0, until=lambda: dying.away() < 2)
-        if finished(fleet):
+        # Nobody whom the others can finish without: they would be gone when it comes back.
+        busy = [p for p, r in fleet.robots.items() if r.agent._runner.locals["count"] < times - 2]
+        if not busy:
             break
-        pid = chance.randrange(N)
+        pid = chance.choice(busy)
         dying.kill(pid, chance.choice([None, chance.randrange(12)]))
         killed += 1
         fleet.run(chance.choice([0.0, 0.1, 0.5, 2.0]))
