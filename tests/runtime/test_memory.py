@@ -107,7 +107,7 @@ def test_the_order_and_number_in_which_closings_come_makes_no_difference(seed: i
             writes = {"x": round_ * 10 + pid, "last": pid} if rng.random() < 0.5 else {}
             lock = 0 if writes and rng.random() < 0.5 else -1
             memory.close(round_, writes, stopped=False, acted=bool(writes), lock=lock)
-    for pid, memory in enumerate(memories):
+    for memory in memories:
         memory.close(31, {}, stopped=False)
         history += memory.own(1)
     results = []
@@ -251,12 +251,6 @@ def advanced(n: int = 3) -> Memory:
 def test_in_the_next_view_closings_of_a_robot_that_is_out_do_not_count() -> None:
     alice = advanced()
     give(alice, one(2, 6, write(0, 99)))
-    alice.frozen = True
-    alice.close(6, {"x": 6}, stopped=False, acted=True)
-    give(alice, one(1, 6, write(0, 16)))
-    assert not alice.advance(7) or alice.applied == 6
-    alice = advanced()
-    give(alice, one(2, 6, write(0, 99)))
     alice.adopt(View(1, 6, (0, 0, -1)))
     assert alice.missing(6) == [0, 1] and alice.held[2] == 5
     assert give(alice, one(2, 7, write(0, 99))) == ["closing of another view"]
@@ -289,7 +283,7 @@ def test_who_stays_goes_to_the_end_of_the_view_before_and_only_then_on() -> None
     bert.advance(13)
     assert bert.applied == 4
     bert.adopt(View(1, 9, (0, 0, -1)))
-    assert (not bert.advance(13) and bert.applied == 4 and bert.missing(12) == [2]) or bert.applied == 4
+    assert not bert.advance(13) and bert.applied == 4
     give(bert, *[one(2, r, write(0, r)) for r in range(5, 11)])
     assert bert.advance(13) and bert.shared["x"] == (0, 0, 8)
 
