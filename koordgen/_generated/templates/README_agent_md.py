@@ -30,7 +30,7 @@ def root(context, missing=missing):
     yield str((undefined(name='target') if l_0_target is missing else l_0_target))
     yield '`: '
     yield str((undefined(name='summary') if l_0_summary is missing else l_0_summary))
-    yield '.\nThis folder is all the robot needs beside Python 3.10 or later.\n\n```\npython3 -m pip install -r requirements.txt      # once\npython3 . --check                               # looks at settings, packages and devices; moves nothing\npython3 .                                       # runs; Ctrl-C brings the robot to a safe rest\n```\n\n'
+    yield '.\nThis folder is all the robot needs beside Python 3.10 or later.\n\n```\npython3 -m pip install -r requirements.txt      # once\npython3 . --check                               # looks at settings, packages and devices; moves nothing\npython3 .                                       # runs; Ctrl-C brings the robot to a safe rest\npython3 . --status                              # while it runs: whom it hears how well, why it skips\n```\n\n'
     if (undefined(name='robot') if l_0_robot is missing else l_0_robot):
         pass
         yield '`settings.json` is robot '
@@ -51,11 +51,15 @@ def root(context, missing=missing):
     yield str((undefined(name='source') if l_0_source is missing else l_0_source))
     yield '` |\n| `koordgen/runtime/` | rounds, shared memory, safety: the same on every robot |\n| `targets/'
     yield str((undefined(name='target') if l_0_target is missing else l_0_target))
-    yield '/` | what drives this body |\n| `SHA256SUMS` | `sha256sum -c SHA256SUMS` tells whether the folder arrived whole |\n\nProgram '
+    yield '/` | what drives this body |\n| `SHA256SUMS` | `sha256sum -c SHA256SUMS` tells whether the folder arrived whole |\n\n`../state/` is made when it runs: what this robot must find again when its process was killed. Leave it there, and start the robot\nagain: it comes back to the mission, while the others go on. `koordgen estop FLEET` stops all robots, from any computer'
+    if (undefined(name='key') if l_0_key is missing else l_0_key):
+        pass
+        yield " that\nhas the fleet's key"
+    yield '; try it before each mission.\n\nProgram '
     yield str((undefined(name='program_hash') if l_0_program_hash is missing else l_0_program_hash))
     yield ', interface '
     yield str((undefined(name='interface_hash') if l_0_interface_hash is missing else l_0_interface_hash))
     yield ': robots whose hashes differ refuse one another.\nKeep clear of the robot from its start: one that flies takes off at once, whoever else is there, and hovers. All robots\nfollow the program as soon as the whole fleet is there.\n'
 
 blocks = {}
-debug_info = '1=22&3=26&12=34&13=37&14=44&23=51&25=53&28=55'
+debug_info = '1=22&3=26&13=34&14=37&15=44&24=51&26=53&30=55&33=59'

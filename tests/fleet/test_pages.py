@@ -1,0 +1,59 @@
+"""The pages about fleet files and shared memory say what is there: keys, messages, bounds."""
+
+from __future__ import annotations
+
+import re
+from importlib import import_module
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+from koordgen import fleet
+from koordgen.bundle.budget import most_init
+from koordgen.runtime import wire
+from koordgen.runtime.settings import Safety
+
+DOCS = Path(__file__).parents[2] / "docs"
+MEMORY = (DOCS / "shared-memory.md").read_text(encoding="utf-8")
+FLEET = (DOCS / "fleet.md").read_text(encoding="utf-8")
+BOUNDS = re.findall(r"^\| `(\w+)` in `(\w+)\.py` \| (\d+) \|", MEMORY, re.MULTILINE)
+MESSAGES = dict(re.findall(r"^\| ([A-Z]\w+) \| (`.*?`) \|", MEMORY, re.MULTILINE))
+
+
+@pytest.mark.parametrize(("name", "module", "value"), BOUNDS)
+def test_bounds_are_the_codes(name: str, module: str, value: str) -> None:
+    assert getattr(import_module(f"koordgen.runtime.{module}"), name) == int(value)
+
+
+def test_every_message_has_its_fields() -> None:
+    kinds = {kind.__name__: kind.__struct_fields__ for kind in get_args(wire.Message)}
+    assert {name: re.findall(r"`(\w+)`", fields) for name, fields in MESSAGES.items()} == {
+        name: [f for f in fields if f != "head"] for name, fields in kinds.items()
+    }
+    (head,) = re.findall(r"^Every message begins with a head: (.*)$", MEMORY, re.MULTILINE)
+    assert re.findall(r"`(\w+)`", head) == list(wire.Head.__struct_fields__)
+    (closing,) = re.findall(r"^A closing is (.*?)\. ", MEMORY, re.MULTILINE)
+    assert re.findall(r"`(\w+)`", closing) == list(wire.Closing.__struct_fields__)
+    assert f"one byte of format ({wire.WIRE_FORMAT})" in MEMORY
+
+
+def test_the_room_of_init_is_said() -> None:
+    assert f"{most_init(2)} bytes for two robots, {most_init(8)} for eight, {most_init(128)} for 128" in MEMORY
+
+
+def test_every_key_of_safety_is_documented_with_its_default() -> None:
+    rows = dict(re.findall(r"^\| `(\w+)` \| `?([\w.]+)[^|]*\|", FLEET.partition("\n## Safety\n")[2], re.MULTILINE))
+    assert {key: type(default)(rows[key]) for key, default in fleet.SAFETY.items()} == fleet.SAFETY
+    assert set(rows) == set(Safety.__struct_fields__)
+    assert f"at least {fleet.LEAST_TIMEOUT}" in FLEET and f"`peer_timeout` + {fleet.GOING_ON}" in FLEET
+
+
+@pytest.mark.parametrize("page", sorted(p.name for p in DOCS.glob("*.md")))
+def test_links_lead_somewhere(page: str) -> None:
+    for file, anchor in re.findall(r"\]\(([\w./-]*\.md)?(#[\w-]+)?\)", (DOCS / page).read_text(encoding="utf-8")):
+        target = DOCS / (file or page)
+        assert target.exists(), file
+        headings = re.findall(r"^#+ (.*)$", target.read_text(encoding="utf-8"), re.MULTILINE)
+        anchors = {"#" + re.sub(r"[^\w -]", "", h.lower()).replace(" ", "-") for h in headings}
+        assert not anchor or anchor in anchors, f"{page}: {file}{anchor}"
