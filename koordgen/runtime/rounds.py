@@ -205,6 +205,8 @@ class Rounds:
             self.stopped = self.stopped or outbox.life.stopped
         elif won is False:
             self.counters.gave_way += 1
+            # What was kept for the case that it wins must not, again and again, take the room of what has counted.
+            self._keep(outbox.life, memory.view.members[self._replica.pid])
         for record in outbox.ready(memory):
             effects = record.effects
             if effects is not None:

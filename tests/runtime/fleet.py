@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from random import Random
@@ -20,7 +21,7 @@ from koordgen.runtime.trace import Record, Trace
 from koordgen.runtime.values import Point, distance
 from tests.runtime.lineform import PROGRAM
 
-NAMES = ("alice", "bert", "cleo", "dora", "emil", "finn", "gina", "hugo")
+NAMES = ("alice", "bert", "cleo", "dora", "emil", "finn", "gina", "hugo", "ines", "jan", "kim", "lola")
 STARTS = (Point(-4, -1.5), Point(-3, 2.5), Point(1.5, -2.5), Point(0.5, 3.2), Point(4, 1.5))
 KEY = bytes(range(32))
 
@@ -39,11 +40,11 @@ def settings(pid: int, n: int, delta: float = 0.1, **changes: Any) -> Settings:
 
 
 class Kept:
-    """What a robot keeps, for the next process that is the same robot."""
+    """What a robot keeps, for the next process that is the same robot; no more than the file does."""
 
     def __init__(self) -> None:
         self.mission: Mission | None = None
-        self.locals: dict[int, Locals] = {}
+        self.locals: deque[Locals] = deque(maxlen=KEPT + 1)
         self.acceptor: Acceptor | None = None
 
     def write(self, record: Mission | Locals | Acceptor) -> bool:
@@ -53,13 +54,12 @@ class Kept:
             case Acceptor():
                 self.acceptor = record
             case Locals():
-                self.locals[record.round] = record
-                for old in sorted(self.locals)[:-KEPT]:
-                    del self.locals[old]
+                self.locals.append(record)
         return True
 
     def load(self) -> Loaded:
-        return Loaded(self.mission, tuple(self.locals[r] for r in sorted(self.locals)), self.acceptor)
+        newest = {record.round: record for record in self.locals}
+        return Loaded(self.mission, tuple(newest[r] for r in sorted(newest)[-KEPT:]), self.acceptor)
 
     def clear(self) -> None:
         self.__init__()  # type: ignore[misc]
