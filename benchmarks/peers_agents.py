@@ -151,7 +151,7 @@ def run_agent(
 ) -> dict[str, Any]:
     """Run one agent for `count` rounds, which must begin within `patience` seconds (else TimeoutError). By round:
     seconds from the tick to consistency, and to the departure of the own closing, infinite when that never came; and
-    the rounds in which no event ran, with the reason."""
+    the rounds in which no event ran, with the reason. `cpu`: seconds of CPU in a round."""
     clock, given = SystemClock(), settings(pid, ports, delta, transport)
     skipped: dict[int, str] = {}
 
@@ -165,16 +165,19 @@ def run_agent(
     agent = Agent(program_, given, KEY, Still(), clock, tapped, trace, _tell, os.urandom(8), store, [note])
     inside, last = Inside(agent), WARM_UP + count
     complete, times = 0, dict[int, float]()
-    limit = time.monotonic() + patience
+    limit, spent = time.monotonic() + patience, 0.0
     while agent.round < last + 10 and not agent.done:
         wake = agent.poll(clock.now())
         now, reached = time.monotonic(), inside.complete
         for round_ in range(complete + 1, reached + 1):
             times[round_] = now
         complete = reached
+        if agent.round <= WARM_UP:
+            spent = time.process_time()
         if agent.round == 0 and now > limit:
             raise TimeoutError(f"no round within {patience:.0f} s")
         tapped.wait(min(wake - clock.now(), 0.1))
+    spent = (time.process_time() - spent) / (agent.round - WARM_UP)
     tapped.close()
     store.close()
     start, never = inside.start, float("inf")
@@ -186,6 +189,7 @@ def run_agent(
         "consistent": [times.get(r, never) - ticks[r] for r in counted],
         "left": [left.get(r, never) - ticks[r] for r in counted],
         "deadline": PUBLISH * delta,
+        "cpu": spent,
         "skipped": {r: skipped[r] for r in counted if r in skipped},
         "bytes": sum(len(d) for _, d in tapped.sent[-200:]) / max(1, len(tapped.sent[-200:])),
     }

@@ -136,7 +136,10 @@ def peer_rounds(name: str, n: int, delta: float, count: int) -> list[float]:
 
 
 def our_rounds(name: str, n: int, delta: float, count: int) -> list[float]:
-    return [t for r in agents(OURS[name], n, delta, count) for t in r["consistent"]]
+    results = agents(OURS[name], n, delta, count)
+    cpu = statistics.median(r["cpu"] for r in results)
+    print(f"  {name}: {cpu * 1e6:.0f} us of CPU in a robot's round, {cpu * n * 1e3:.1f} ms in the fleet's")
+    return [t for r in results for t in r["consistent"]]
 
 
 def median_of(measure: Callable[[str, int, float, int], list[float]], *what: Any) -> float:
