@@ -139,7 +139,8 @@ class _Tally:
         own.rounds += 1
         slept = max(0, record.round - self._round - 1) if self._round else 0
         self._round = record.round
-        waited = (record.skipped or "").startswith("not current")  # decided at the deadline, as it should be
+        # Decided at the deadline, as it should be.
+        waited = (record.skipped or "").startswith(("not current", "not confirmed"))
         own.late_rounds += slept + (record.late > LATE * self._delta and not waited)
         if record.fault is not None:
             own.faults += 1

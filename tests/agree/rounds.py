@@ -132,9 +132,9 @@ class _Both:
         trying = self.trying(state)
         for pid, record in enumerate(records):
             if record.frame is None:
-                wanted = "stopped" if state.robots[pid].stopped else "runs"
-                gave_way = wanted == "runs" and pid in trying and (record.skipped or "").endswith(GAVE_WAY)
-                self.same(wanted if gave_way else record.skipped, wanted, f"{number}, {pid}")
+                may = "stopped" if state.robots[pid].stopped else "runs"
+                gave_way = may == "runs" and pid in trying and (record.skipped or "").endswith(GAVE_WAY)
+                self.same(may if gave_way else record.skipped, may, f"{number}, {pid}")
             else:
                 expected = self.keys(self.generated.frame(state, pid))
                 self.same(self.keys(record.frame), expected, f"what robot {pid} sees in round {number}")

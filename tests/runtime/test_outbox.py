@@ -63,7 +63,7 @@ def test_records_become_certain_in_order() -> None:
     assert outbox.first == 2
     store.sure = 3
     assert rounds(outbox.ready(store.as_memory())) == [2, 3]
-    assert outbox.first is None, "the event of round 4 has no outputs"
+    assert [outbox.first] == [None], "the event of round 4 has no outputs"
     store.sure = 4
     assert rounds(outbox.ready(store.as_memory())) == [4] and outbox.ready(store.as_memory()) == []
 
@@ -76,10 +76,10 @@ def test_without_a_store_only_what_came_before_the_first_event_is_certain() -> N
 def test_a_commit_that_won_is_an_event_once_it_is_stable() -> None:
     outbox, store = Outbox(life(0)), Store(applied=4)
     outbox.add(did(5, m=1), 0, life(5))
-    assert outbox.undecided and outbox.decide(store.as_memory()) is None and outbox.life == life(0)
+    assert [outbox.undecided, outbox.decide(store.as_memory()), outbox.life] == [True, None, life(0)]
     assert outbox.ready(store.as_memory()) == []
     store.applied = store.won = 5
-    assert outbox.decide(store.as_memory()) is True and outbox.life == life(5) and not outbox.undecided
+    assert [outbox.decide(store.as_memory()), outbox.life, outbox.undecided] == [True, life(5), False]
     assert outbox.decide(store.as_memory()) is None
     assert outbox.ready(store.as_memory()) == [] and outbox.first == 5
     store.sure = 5

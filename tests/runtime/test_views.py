@@ -273,14 +273,14 @@ def alone(view: View = FIRST) -> tuple[Views, list[Vote]]:
 
 def test_a_promise_is_kept_before_it_leaves_and_freezes() -> None:
     views, saved = alone()
-    assert not views.frozen
+    before = views.frozen
     assert take(views, 1, Prepare, 129, FIRST) == [((1,), Promise, (1, 129, 0, 9, True, 0, None))]
-    assert views.frozen and saved[-1] == Vote(1, 129)
+    assert (before, views.frozen) == (False, True) and saved[-1] == Vote(1, 129)
     assert take(views, 1, Prepare, 1, FIRST) == []
     assert take(views, 1, Accept, 129, NEXT) == [((1,), Accepted, (1, 129))]
     assert saved[-1] == Vote(1, 129, 129, NEXT)
     assert take(views, 2, Prepare, 130, FIRST) == [((2,), Promise, (1, 130, 0, 9, True, 129, NEXT))]
-    assert take(views, 1, Decided, NEXT) == [] and views.view == NEXT and not views.frozen
+    assert take(views, 1, Decided, NEXT) == [] and (views.view, views.frozen) == (NEXT, False)
 
 
 def test_who_is_behind_is_told_what_was_decided() -> None:
