@@ -57,3 +57,20 @@ def test_links_lead_somewhere(page: str) -> None:
         headings = re.findall(r"^#+ (.*)$", target.read_text(encoding="utf-8"), re.MULTILINE)
         anchors = {"#" + re.sub(r"[^\w -]", "", h.lower()).replace(" ", "-") for h in headings}
         assert not anchor or anchor in anchors, f"{page}: {file}{anchor}"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "rounds in a row",
+        "not count",
+        "coming back to the mission",
+        "does not count in the fleet, asks to be let in",
+        "began anew during the mission and cannot come back",
+    ],
+)
+def test_what_is_said_of_logs_is_what_robots_log(words: str) -> None:
+    page = (DOCS / "cli.md").read_text(encoding="utf-8").partition("### A robot is gone")[2]
+    runtime = DOCS.parent / "koordgen" / "runtime"
+    assert words in page
+    assert any(words in path.read_text(encoding="utf-8") for path in runtime.glob("*.py"))
