@@ -14,7 +14,6 @@ from koordgen.runtime.settings import Network
 from koordgen.runtime.transport import CannotOpen, Transport, open_transport
 from tests.runtime.transports import BROADCAST, MULTICAST, free_ports, opened, settings
 
-
 UNICAST = Network()
 
 
