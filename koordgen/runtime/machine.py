@@ -163,9 +163,10 @@ class Agent:
         if self._rounds is None and self._joining.inside:
             self._fleet_clock.follow(min(self._joining.inside), now)  # who keeps the time is not known before the view
         self._watch_restarts()
-        if self._rounds is not None:
-            wake = min(wake, self._poll_rounds(self._rounds, now), self._joining.poll(now, fleet))
-            if self._rounds.over and self.phase == "running":
+        rounds = self._rounds
+        if rounds is not None:
+            wake = min(wake, self._poll_rounds(rounds, now), self._joining.poll(now, fleet))
+            if rounds.over and self.phase == "running":
                 self._asked_to_end = True
                 self._rest("all robots have stopped", OK)
         elif self.phase in ("starting", "joining"):

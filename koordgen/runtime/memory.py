@@ -67,6 +67,7 @@ class Memory:
         self.acted = list(acted) or [0] * n  # the last round in which an event counted
         self.won = 0  # the last round in which a commit of ours counted
         self.unfit = 0  # patches that fitted no value: a fault of their author's, dropped by everyone alike
+        self._past: list[tuple[int, Mapping[str, Any], list[int]]] = []  # after rounds not settled: store, acted
         self._watched, self._reached = -1, 0  # a round, and how many others have said to have applied it
         self.prompt: tuple[int, ...] = ()  # who waits to hear that the last applied round was applied
         self._look()
@@ -123,6 +124,17 @@ class Memory:
     def member(self) -> bool:
         """Whether this robot counts."""
         return self.view.members[self._pid] >= 0
+
+    def rewound(self, view: View) -> Memory | None:
+        """The replica as it was when the rounds before `view` had been applied, for one that had gone further; None
+        when that is not known any more."""
+        last = view.since - 1
+        known = [entry for entry in self._past if entry[0] <= last]
+        if not known or self.applied < last:
+            return None
+        _, shared, acted = known[-1]
+        stopped = {p: r for p, r in self.stopped.items() if r <= last}
+        return Memory(self._layout, self._pid, view, shared, last, stopped, acted)
 
     def adopt(self, view: View) -> None:
         """Go by the next view. Closings of those who no longer count, or count anew, are dropped from its beginning
@@ -197,7 +209,8 @@ class Memory:
         return None
 
     def advance(self, round_: int) -> bool:
-        """Go through the boundaries before `round_` as far as closings are held; True iff current for it."""
+        """Go through the boundaries before `round_` as far as closings are held; True iff an event may run in it: all
+        before it is there, and it is not itself behind this robot, as for one that was let in within a round."""
         while not self._lacking and self.applied < round_ - 1:
             if self.frozen and self.applied >= self.view.since - 1:
                 break
@@ -208,7 +221,7 @@ class Memory:
                 end = min((v.since - 1 for v in self._views if v.since > through), default=round_ - 1)
                 through = min(round_ - 1, end, min(e.closing.round for e in entries))
             self._apply(entries, through)
-        return self.applied >= round_ - 1 and not self.frozen and self.member()
+        return self.applied == round_ - 1 and not self.frozen and self.member()
 
     def stable(self, round_: int) -> bool:
         """Whether no view can leave out what was done up to this round."""
@@ -285,6 +298,8 @@ class Memory:
         """Forget what everyone holds."""
         if through > self.settled:
             self.settled = through
+            while len(self._past) > 1 and self._past[1][0] <= through:
+                del self._past[0]
             for log in self._logs:
                 log.forget(through)
 
@@ -335,6 +350,7 @@ class Memory:
             self.shared = {**self.shared, **{names[i]: tuple(v) if slots[i] else v for i, v in changed.items()}}
         self.prompt = tuple([e.closing.author for e in entries if e.closing.prompt and e.closing.round == through])
         self.applied = through
+        self._past.append((through, self.shared, list(self.acted)))
         self._look()
         number, members = self.view.number, self.view.members
         words = [w.applied if w.view == number else 0 for p, w in self._words.items() if members[p] >= 0]

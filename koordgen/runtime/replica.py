@@ -83,6 +83,7 @@ class Replica:
         self.comeback = None if memory is not None else Comeback(self._pid, view.number)
         self.views = Views(self._pid, view, vote, self._own_word, self._follow, self._save)
         self.emergency = False  # heard of one
+        self.returns = 0  # times that the store became another one, or none, instead of going on
 
     @property
     def pid(self) -> int:
@@ -287,8 +288,8 @@ class Replica:
 
     def _state(self, piece: StatePiece) -> None:
         comeback, view = self.comeback, self.views.view
-        if comeback is None or comeback.incarnation(view) < 0:
-            return
+        if comeback is None or comeback.incarnation(view) < 0 or self.views.frozen:
+            return  # a promise holds for the store too: nothing beyond what was said in it
         found = comeback.take(piece, self._tick)
         if found is None:
             return
@@ -305,6 +306,7 @@ class Replica:
             memory.close(self._silent.round, {}, stopped=False)
         self._silent = self.comeback = None
         self.memory = memory
+        self.returns += 1
 
     def _ballot(self, sender: int, message: Prepare | Promise | Accept | Decided) -> None:
         value = getattr(message, "value", None) or getattr(message, "accepted", None)
@@ -322,7 +324,11 @@ class Replica:
             if goes_on:
                 memory.adopt(view)
             else:
-                self.memory, self.comeback = None, Comeback(self._pid, before.number, news=self._tick)
+                anew = view.number == before.number + 1 and view.members[self._pid] == view.number
+                self.memory = memory.rewound(view) if anew else None
+                self.returns += 1
+                if self.memory is None:
+                    self.comeback = Comeback(self._pid, before.number, news=self._tick)
         self._gatherings.clear()
         for pid, peer in self._peers.items():
             peer.asked = -ASKED

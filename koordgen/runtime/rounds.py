@@ -91,7 +91,7 @@ class Rounds:
         self._left = False
         self._outbox = Outbox(lives[0])
         self._outbox.lives = list(lives)
-        self._was_out = replica.out
+        self._returns = replica.returns
         self.stopped = self._outbox.life.stopped
         self.counters = Counters()
         self.reason: str | None = None  # why the last round that was closed had no event
@@ -138,7 +138,8 @@ class Rounds:
             present.slot = slot
             self._replica.poll((present.round - 1) * SLOTS + slot, present.round)
         memory = self._replica.memory
-        if not (fresh or present.open or memory is None or self._was_out) and self._calm(memory):
+        news = fresh or present.open or self._returns != self._replica.returns
+        if not news and memory is not None and self._calm(memory):
             return self._wake
         current = False
         if memory is not None:
@@ -148,7 +149,6 @@ class Rounds:
         else:
             for record in self._outbox.ready(None):
                 self._observe(record)
-        self._was_out = memory is None
         if present.open:
             self._decide(now, into, current, unready)
         if memory is not None and not present.open:
@@ -179,8 +179,9 @@ class Rounds:
     def _come_back(self, now: float) -> None:
         """Go on where the others say that this robot was, if it was out until now."""
         memory = self._replica.memory
-        if not self._was_out or memory is None:
+        if self._returns == self._replica.returns or memory is None:
             return
+        self._returns = self._replica.returns
         acted = memory.acted[self._replica.pid]
         life, records = self._outbox.settle(acted)
         if life is None:
@@ -194,6 +195,11 @@ class Rounds:
         for record in records:
             self._observe(record)
         self._published = memory.held[self._replica.pid]
+        round_ = self._present.round
+        if not self._present.open and self._published < round_:  # of this round the others have an older life's closing
+            memory.close(round_, {}, stopped=self.stopped)
+            self._replica.publish(self._published + 1, round_)
+            self._published = round_
 
     def _settle(self, now: float) -> None:
         """Do what has become certain."""

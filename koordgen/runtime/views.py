@@ -68,28 +68,31 @@ def choose(view: View, words: Mapping[int, Word]) -> View | None:
     """The successor of `view` that a proposer who goes by it may put to the vote, given the promises; None while they
     do not suffice.
 
-    Who stays cannot take back what it has applied, so the rounds of `view` end with the last that one of them has, and
-    not before the last that may be stable: that a majority may have said to have applied, those who lost their store
-    since and those who are silent included."""
+    The rounds of `view` end with the last that may be stable: that a majority may have said to have applied, those who
+    lost their store since and those who are silent included. So the others can go on whoever of them dies next. Who has
+    applied more than that comes in anew, with the store that it had then: its events since do not count."""
     n_sys = len(view.members)
+    absent = n_sys - len(words)
     if len(words) < majority(n_sys):
         return None
     bound = max(words.values(), key=lambda w: w.voted)
     if bound.accepted is not None:
         return bound.accepted
     present = [w for w in words.values() if w.view == view.number]
-    last = max([view.since - 1, *(w.applied for w in present if w.state)])
-    beyond = sum(w.applied > last for w in present)
-    if beyond and beyond + n_sys - len(words) >= majority(n_sys):
-        return None
-    if not any(w.state and w.applied == last for w in present):
+    said = sorted((w.applied for w in present), reverse=True)
+    needed = majority(n_sys) - absent  # of those here, for a majority
+    last = max(view.since - 1, said[needed - 1] if needed <= len(said) else 0)
+    if not any(w.state and w.applied >= last for w in present):
         return None
     number = view.number + 1
-    members = tuple(
-        -1 if word is None else old if old >= 0 and word.state and word.view == view.number else number
-        for old, word in ((old, words.get(pid)) for pid, old in enumerate(view.members))
-    )
-    return View(number, last + 1, members)
+
+    def incarnation(old: int, word: Word | None) -> int:
+        if word is None:
+            return -1
+        stays = old >= 0 and word.state and word.view == view.number and word.applied <= last
+        return old if stays else number
+
+    return View(number, last + 1, tuple([incarnation(old, words.get(p)) for p, old in enumerate(view.members)]))
 
 
 def fits(view: View, n_sys: int) -> bool:
