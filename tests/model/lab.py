@@ -88,7 +88,7 @@ class Wire:
 
 
 class Program:
-    """Stands in for Runner: `wish` says what the robot's next event is: "" (none), "plain", "quiet" (no output), "atomic"."""
+    """Stands in for Runner. `wish` is the next event: "" (none), "plain", "quiet" (without output) or "atomic"."""
 
     def __init__(self, pid: int, wish: Callable[[], str]) -> None:
         self.locals: Mapping[str, int] = FIRST

@@ -1,0 +1,527 @@
+"""The protocol of the shared memory as a model: what three robots can do next, from any state they can be in.
+
+The rules themselves are the runtime's (`promised`, `voted`, `choose`, `majority`, `Memory.stable`, `Memory._counting`
+with `winner`, `Comeback.incarnation`), called here. The model adds who knows what, and every course of the network:
+
+- What was ever said stays said, and is heard whenever its receiver makes use of it, once, twice or never. So a message
+  may be lost, doubled, late or overtaken, and a partition is that nobody makes use of the other side's.
+- A robot that is down does nothing; so a crash is the loss of what is not kept, and the restart follows at once. It may
+  take closings with it that nobody else has.
+- Time is left out: any member may be doubted, and a round may be closed, at any moment.
+- An empty closing is made up when somebody needs it and its author could have sent it; before, it is not stored.
+- An output leaves as soon as it may, and a round is announced when it is applied: to wait makes less possible.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations, product
+from types import SimpleNamespace
+from typing import Any, NamedTuple, cast
+
+from koordgen.runtime import views
+from koordgen.runtime.comeback import Comeback
+from koordgen.runtime.log import Entry
+from koordgen.runtime.memory import Memory
+from koordgen.runtime.views import Vote, Word
+from koordgen.runtime.wire import MAX_ROBOTS, Closing, View
+
+N = 3
+SKIP, PLAIN, COMMIT = 0, 1, 2
+KINDS = ("nothing", "a plain event with an output", "a commit with an output")
+FIRST = View(0, 1, (0,) * N)
+
+Event = tuple[int, int, int]  # author, incarnation, round
+
+
+class Violation(Exception):
+    """A property does not hold; the message says which and how."""
+
+
+class Robot(NamedTuple):
+    """`base`: the view it knew when it lost its store. `ballot`: of its own proposal, 0: none. `pending`: the round of
+    its event whose outputs wait, 0: none. `said`: the last round it keeps to have announced."""
+
+    store: bool = True
+    view: int = 0
+    applied: int = 0
+    base: int = 0
+    vote: Vote = Vote()
+    ballot: int = 0
+    pending: int = 0
+    said: int = 0
+    held: int = 0  # it has everyone's closings up to here, also of rounds that it may not apply
+
+
+class Life(NamedTuple):
+    """The closings of one incarnation from round `first` on; others can get those of the first `heard` rounds."""
+
+    incarnation: int
+    first: int
+    kinds: tuple[int, ...] = ()
+    heard: int = 1 << 20
+
+
+class State(NamedTuple):
+    """`words[p]`: for each view the last round that p announced in it. `histories[w]`: for each round, who counted, by
+    author and incarnation, for those who go by view w. `promises`: (number, ballot, pid, word); `puts`: (number,
+    ballot, value); `votes`: (number, ballot, pid). `final`: events whose outputs have left."""
+
+    robots: tuple[Robot, ...] = (Robot(),) * N
+    lives: tuple[tuple[Life, ...], ...] = ((Life(0, 1),),) * N
+    words: tuple[tuple[int, ...], ...] = ((0,),) * N
+    histories: tuple[tuple[tuple[tuple[int, int], ...], ...], ...] = ((),)
+    decided: tuple[View, ...] = (FIRST,)
+    promises: frozenset[tuple[int, int, int, Word]] = frozenset()
+    puts: frozenset[tuple[int, int, View]] = frozenset()
+    votes: frozenset[tuple[int, int, int]] = frozenset()
+    final: frozenset[Event] = frozenset()
+    crashes: int = 0
+
+
+@dataclass(frozen=True)
+class Bounds:
+    rounds: int = 2
+    views: int = 1
+    ballots: int = 1  # of one proposer for one view
+    crashes: int = 1
+    proposers: tuple[int, ...] = (0, 1, 2)
+    kinds: tuple[int, ...] = (PLAIN, COMMIT)
+    actors: tuple[int, ...] = (0, 1, 2)  # who runs events
+    rivals: bool = False  # ballots go on after a view is decided: matters to P5 alone
+
+
+@dataclass(frozen=True)
+class Rules:
+    """What the runtime does beyond the functions that are shared; each can be broken, to see that it is missed."""
+
+    freezes: bool = True  # who has promised applies no further round
+    refuses: bool = True  # ... and takes no store
+    waits: bool = True  # outputs wait until their round is stable
+    forgets_vote: bool = False  # at a restart
+    forgets_said: bool = False
+    again: bool = False  # an event in a round that is applied already
+    holders: bool = False  # who has a store votes only for a view whose earlier rounds it has or can gather first
+
+
+AS_THEY_ARE = Rules()
+Step = tuple[str, State]
+
+
+def changed(items: tuple[Any, ...], index: int, item: Any) -> tuple[Any, ...]:
+    return (*items[:index], item, *items[index + 1 :])
+
+
+class Protocol:
+    def __init__(self, bounds: Bounds, rules: Rules = AS_THEY_ARE) -> None:
+        self.bounds = bounds
+        self.rules = rules
+        self._stable: dict[tuple[Any, ...], bool] = {}
+        self._counted: dict[tuple[Any, ...], tuple[tuple[int, int], ...]] = {}
+        self._chosen: dict[tuple[Any, ...], View | None] = {}
+
+    def steps(self, state: State) -> Iterator[Step]:
+        """Everything that can happen next, in words, and where it leads. Raises Violation."""
+        for pid in range(N):
+            yield from self._own(state, pid)
+            yield from self._ballots(state, pid)
+            if state.crashes < self.bounds.crashes:
+                yield from self._crash(state, pid)
+
+    # What one robot does with rounds.
+
+    def _own(self, state: State, pid: int) -> Iterator[Step]:
+        robot = state.robots[pid]
+        if robot.store:
+            if robot.applied < self.bounds.rounds:
+                for after in self.apply(state, pid):
+                    yield f"robot {pid} applies round {robot.applied + 1}", after
+            view = state.decided[robot.view]
+            free = not robot.pending and not self._frozen(robot) and view.members[pid] >= 0
+            if free and pid in self.bounds.actors:
+                for round_ in self._open(state, pid):
+                    for kind in self.bounds.kinds:
+                        after = self._event(state, pid, round_, kind)
+                        yield f"robot {pid} closes round {round_} with {KINDS[kind]}", after
+        else:
+            for giver, after in self.stores(state, pid):
+                yield f"robot {pid} gets the store from robot {giver}", after
+        for number in range(robot.view + 1, len(state.decided)):
+            yield f"robot {pid} hears of view {number}", self.adopt(state, pid, number)
+
+    def _frozen(self, robot: Robot) -> bool:
+        return robot.vote.number > robot.view
+
+    def _open(self, state: State, pid: int) -> list[int]:
+        """The rounds in which it may run an event: the one it is current for and has not closed."""
+        robot, life = state.robots[pid], state.lives[pid][-1]
+        closed = life.first - 1 + len(life.kinds)
+        found = [robot.applied + 1] if closed <= robot.applied < self.bounds.rounds else []
+        if self.rules.again and robot.base >= 0 and robot.view and not any(life.kinds) and robot.applied:
+            found.append(robot.applied)
+        return found
+
+    def _event(self, state: State, pid: int, round_: int, kind: int) -> State:
+        robot, life = state.robots[pid], state.lives[pid][-1]
+        kinds = (*life.kinds, *(SKIP,) * (round_ - life.first - len(life.kinds)), kind)[: round_ - life.first + 1]
+        lives = changed(state.lives, pid, (*state.lives[pid][:-1], life._replace(kinds=kinds)))
+        robots = changed(state.robots, pid, robot._replace(pending=round_))
+        return self.settled(state._replace(lives=lives, robots=robots))
+
+    def apply(self, state: State, pid: int) -> Iterator[State]:
+        """The next round, where all closings can be had."""
+        robot = state.robots[pid]
+        round_ = robot.applied + 1
+        if self.rules.freezes and self._frozen(robot) and robot.applied >= state.decided[robot.view].since - 1:
+            return
+        counts = next(v for v in reversed(state.decided[: robot.view + 1]) if v.since <= round_)
+        choices, lives = [], state.lives
+        for author, incarnation in enumerate(counts.members):
+            if incarnation >= 0:
+                lives, kinds = self._closing(state, lives, author, incarnation, round_)
+                if not kinds:
+                    return
+                choices.append([(author, incarnation, kind) for kind in kinds])
+        for closings in product(*choices):
+            yield self._apply(state._replace(lives=lives), pid, round_, closings)
+
+    def _closing(
+        self, state: State, lives: tuple[tuple[Life, ...], ...], author: int, incarnation: int, round_: int
+    ) -> tuple[tuple[tuple[Life, ...], ...], list[int]]:
+        """What an author closed a round with, by what can be heard; made up, if it is silent and could have sent it."""
+        found = []
+        for life in lives[author]:
+            at = round_ - life.first
+            if life.incarnation == incarnation and 0 <= at < min(len(life.kinds), life.heard):
+                found.append(life.kinds[at])
+        if found or self.incarnation(state, author) != incarnation:
+            return lives, found
+        robot = state.robots[author]
+        if not robot.store and round_ < state.decided[robot.view].since:
+            return lives, []
+        known = lives[author]
+        if known[-1].incarnation != incarnation:
+            known = (*known, Life(incarnation, state.decided[robot.view].since))
+        life = known[-1]
+        if len(life.kinds) > round_ - life.first or round_ < life.first:
+            return lives, []
+        kinds = (*life.kinds, *(SKIP,) * (round_ - life.first + 1 - len(life.kinds)))
+        return changed(lives, author, (*known[:-1], life._replace(kinds=kinds))), [SKIP]
+
+    def incarnation(self, state: State, pid: int) -> int:
+        """Under which it closes rounds now; -1: it does not."""
+        robot = state.robots[pid]
+        view = state.decided[robot.view]
+        return view.members[pid] if robot.store else Comeback(pid, robot.base).incarnation(view)
+
+    def _apply(self, state: State, pid: int, round_: int, closings: tuple[tuple[int, int, int], ...]) -> State:
+        robot = state.robots[pid]
+        entry = self._entry(closings, round_)
+        history = state.histories[robot.view]
+        if len(history) >= round_:
+            if history[round_ - 1] != entry:
+                raise Violation(f"P2: round {round_}: robot {pid} counts {entry}, others {history[round_ - 1]}")
+            histories = state.histories
+        else:
+            histories = changed(state.histories, robot.view, (*history, entry))
+        pending = robot.pending
+        mine = (pid, state.decided[robot.view].members[pid])
+        if pending == round_ and mine not in entry:
+            pending = 0  # its commit gave way
+        held = robot.held if robot.held > round_ else 0
+        robot = robot._replace(applied=round_, pending=pending, said=round_, held=held)
+        words = self._say(state, pid, robot)
+        state = state._replace(robots=changed(state.robots, pid, robot), histories=histories, words=words)
+        return self.settled(state)
+
+    def _entry(self, closings: tuple[tuple[int, int, int], ...], round_: int) -> tuple[tuple[int, int], ...]:
+        """Whose event counts, by the rule that the runtime uses."""
+        key = closings, round_
+        found = self._counted.get(key)
+        if found is None:
+            entries = [
+                Entry(Closing(a, i, round_, round_, acted=kind != SKIP, lock=0 if kind == COMMIT else -1), ())
+                for a, i, kind in closings
+            ]
+            counting = Memory._counting(cast(Memory, SimpleNamespace(_n=N)), entries, round_)
+            if sum(e.closing.lock >= 0 for e in counting) > 1:
+                raise Violation(f"P1: round {round_}: more than one commit of {closings} counts")
+            found = tuple(sorted((e.closing.author, e.closing.incarnation) for e in counting if e.closing.acted))
+            self._counted[key] = found
+        return found
+
+    def _say(self, state: State, pid: int, robot: Robot) -> tuple[tuple[int, ...], ...]:
+        words = state.words[pid]
+        words = (*words, *(-1,) * (robot.view + 1 - len(words)))
+        return changed(state.words, pid, changed(words, robot.view, max(words[robot.view], robot.said)))
+
+    def settled(self, state: State) -> State:
+        """With all outputs gone that may go, and without messages that nobody can use any more."""
+        for pid, robot in enumerate(state.robots):
+            due = 0 < robot.pending <= robot.applied
+            if due and (not self.rules.waits or self._is_stable(state, pid)):
+                state = self._flush(state, pid)
+        return self._tidy(state)
+
+    def _tidy(self, state: State) -> State:
+        """Without what makes no difference any more: ballots for a view that is decided, histories and words of views
+        by which nobody goes."""
+        oldest = min(r.view for r in state.robots)
+        over = oldest if self.bounds.rivals else len(state.decided) - 1
+        robots = state.robots
+        for pid, robot in enumerate(robots):
+            if 0 < robot.vote.number <= over and (robot.vote.promised or robot.ballot):
+                vote = Vote(robot.vote.number) if robot.vote.number > robot.view else Vote()
+                robots = changed(robots, pid, robot._replace(vote=vote, ballot=0))
+        live = {(r.view + 1, r.ballot) for r in robots if r.ballot}
+        put = {(n, b) for n, b, _ in state.puts}
+        return state._replace(
+            robots=robots,
+            promises=frozenset([p for p in state.promises if p[:2] in live and p[:2] not in put]),
+            puts=frozenset([p for p in state.puts if p[0] > over]),
+            votes=frozenset([v for v in state.votes if v[0] > over]),
+            histories=((),) * oldest + state.histories[oldest:],
+            words=tuple([(-1,) * oldest + words[oldest:] for words in state.words]) if oldest else state.words,
+        )
+
+    def _is_stable(self, state: State, pid: int) -> bool:
+        robot = state.robots[pid]
+        heard = tuple(
+            (w, words[w]) for p, words in enumerate(state.words) if p != pid
+            for w in (min(robot.view, len(words) - 1),)
+        )  # fmt: skip
+        key = state.decided[robot.view], robot.applied, heard, robot.pending
+        found = self._stable.get(key)
+        if found is None:
+            memory = SimpleNamespace(
+                view=key[0], applied=robot.applied, _n=N, _watched=-1, _reached=0,
+                _words={i: SimpleNamespace(view=w, applied=a) for i, (w, a) in enumerate(heard)},
+            )  # fmt: skip
+            found = self._stable[key] = Memory.stable(cast(Memory, memory), robot.pending)
+        return found
+
+    def _flush(self, state: State, pid: int) -> State:
+        robot = state.robots[pid]
+        event = (pid, state.decided[robot.view].members[pid], robot.pending)
+        for view in state.decided[robot.view + 1 :]:
+            if view.since <= robot.pending:
+                raise Violation(f"P3: robot {pid} acts on its event of round {robot.pending}, which {view} leaves out")
+        robots = changed(state.robots, pid, robot._replace(pending=0))
+        state = state._replace(robots=robots, final=state.final | {event})
+        self._all_counted(state)
+        return state
+
+    def _all_counted(self, state: State) -> None:
+        """P3: what has left a robot is in the history that goes on."""
+        history = state.histories[-1]
+        for pid, incarnation, round_ in state.final:
+            if round_ <= len(history) and (pid, incarnation) not in history[round_ - 1]:
+                raise Violation(f"P3: robot {pid} acted on its event of round {round_}, which {history} leaves out")
+
+    # Crash, and coming back.
+
+    def _crash(self, state: State, pid: int) -> Iterator[Step]:
+        robot, lives = state.robots[pid], state.lives
+        vote = Vote() if self.rules.forgets_vote else robot.vote
+        said = 0 if self.rules.forgets_said else robot.said
+        down = Robot(False, robot.view, 0, robot.view, vote, 0, 0, said)
+        after = state._replace(robots=changed(state.robots, pid, down), crashes=state.crashes + 1)
+        words = f"robot {pid} dies and starts anew"
+        yield words, self.settled(after)
+        incarnation = self.incarnation(state, pid)
+        if incarnation >= 0 and lives[pid][-1].incarnation == incarnation:
+            life = lives[pid][-1]
+            for more in range(1, self.bounds.rounds - (life.first - 1 + len(life.kinds)) + 1):
+                longer = life._replace(kinds=(*life.kinds, *(SKIP,) * more))
+                yield (
+                    f"{words}, having closed {more} more rounds with nothing",
+                    self.settled(after._replace(lives=changed(lives, pid, (*lives[pid][:-1], longer)))),
+                )
+        cut = tuple(
+            tuple(self._cut(after, author, life, life is known[-1]) for life in known)
+            for author, known in enumerate(lives)
+        )
+        if cut != lives:
+            yield f"{words}; what nobody else had heard of it is lost", self.settled(after._replace(lives=cut))
+
+    def _cut(self, state: State, author: int, life: Life, last: bool) -> Life:
+        """What remains of a life's closings: those its author has, or else those that someone has applied."""
+        if last and self.incarnation(state, author) == life.incarnation:
+            return life
+        held = max((max(r.applied, r.held) for r in state.robots if r.store), default=0) - life.first + 1
+        return life if held >= min(len(life.kinds), life.heard) else life._replace(heard=max(0, held))
+
+    def stores(self, state: State, pid: int) -> Iterator[tuple[int, State]]:
+        robot = state.robots[pid]
+        view = state.decided[robot.view]
+        incarnation = self.incarnation(state, pid)
+        if robot.store or incarnation < 0 or (self.rules.refuses and self._frozen(robot)):
+            return
+        given = set()
+        for giver, other in enumerate(state.robots):
+            able = other.store and other.view == robot.view and other.applied >= view.since - 1
+            if able and other.applied not in given:
+                given.add(other.applied)
+                yield giver, self._resume(state, pid, incarnation, other.applied)
+
+    def _resume(self, state: State, pid: int, incarnation: int, applied: int) -> State:
+        robot, known = state.robots[pid], state.lives[pid]
+        self._same_life(state, pid, state.histories[robot.view][:applied])
+        if known[-1].incarnation != incarnation:
+            known = (*known, Life(incarnation, state.decided[robot.view].since))
+        life = known[-1]
+        kinds = (*life.kinds, *(SKIP,) * (applied - life.first + 1 - len(life.kinds)))
+        robot = robot._replace(store=True, applied=applied, said=applied)
+        lives = changed(state.lives, pid, (*known[:-1], life._replace(kinds=kinds)))
+        words = self._say(state, pid, robot)
+        return self.settled(state._replace(robots=changed(state.robots, pid, robot), lives=lives, words=words))
+
+    def _same_life(self, state: State, pid: int, history: tuple[tuple[tuple[int, int], ...], ...]) -> None:
+        """P4: the variables that it kept of its last counted round are those of the event that counted."""
+        counted = [(r, i) for r, entry in enumerate(history, 1) for p, i in entry if p == pid]
+        if counted:
+            round_, incarnation = counted[-1]
+            kept = [
+                life.incarnation for life in state.lives[pid]
+                if 0 <= round_ - life.first < len(life.kinds) and life.kinds[round_ - life.first]
+            ]  # fmt: skip
+            if not kept or kept[-1] != incarnation:
+                raise Violation(f"P4: robot {pid} comes back to round {round_} as {incarnation}, and it kept {kept}")
+
+    # Views.
+
+    def _ballots(self, state: State, pid: int) -> Iterator[Step]:
+        robot = state.robots[pid]
+        number = robot.view + 1
+        bound = robot.vote.promised // MAX_ROBOTS if robot.vote.number == number else 0
+        if number < len(state.decided) and not self.bounds.rivals:
+            return
+        if pid in self.bounds.proposers and number <= self.bounds.views and bound < self.bounds.ballots:
+            after = self.begin(state, pid)
+            if after is not None:
+                yield f"robot {pid} begins a ballot for view {number}", after
+        for other, proposer in enumerate(state.robots):
+            if proposer.ballot and other != pid and proposer.view == robot.view:
+                after = self.promise(state, pid, proposer.ballot)
+                if after is not None:
+                    yield f"robot {pid} promises robot {other} ({robot.applied} applied)", after
+        if robot.ballot:
+            for whose, after in self.put(state, pid):
+                yield f"robot {pid} puts a view to the vote, having the promises of {whose}", after
+        for put in state.puts:
+            after = self.vote(state, pid, *put)
+            if after is not None:
+                yield f"robot {pid} votes for {put[2]}", after
+
+    def begin(self, state: State, pid: int) -> State | None:
+        robot = state.robots[pid]
+        number = robot.view + 1
+        if not robot.store or robot.vote.number > number:
+            return None
+        bound = robot.vote.promised if robot.vote.number == number else 0
+        ballot = (bound // MAX_ROBOTS + 1) * MAX_ROBOTS + pid
+        vote = views.promised(robot.vote, number, ballot)
+        assert vote is not None
+        return self.settled(state._replace(robots=changed(state.robots, pid, robot._replace(vote=vote, ballot=ballot))))
+
+    def _word(self, robot: Robot) -> Word:
+        return Word(robot.view, robot.said, robot.store, robot.vote.voted, robot.vote.value)
+
+    def promise(self, state: State, pid: int, ballot: int) -> State | None:
+        robot = state.robots[pid]
+        vote = views.promised(robot.vote, robot.view + 1, ballot)
+        if vote is None or (robot.view + 1, ballot) in {p[:2] for p in state.puts}:
+            return None
+        robot = robot._replace(vote=vote)
+        promise = (robot.view + 1, ballot, pid, self._word(robot))
+        if promise in state.promises:
+            return None
+        robots = changed(state.robots, pid, robot)
+        return self.settled(state._replace(robots=robots, promises=state.promises | {promise}))
+
+    def put(self, state: State, pid: int) -> Iterator[tuple[list[int], State]]:
+        robot = state.robots[pid]
+        number, ballot = robot.view + 1, robot.ballot
+        if any(put[:2] == (number, ballot) for put in state.puts):
+            return
+        found = [(p[2], p[3]) for p in state.promises if p[:2] == (number, ballot)]
+        done = set()
+        for count in range(1, N):
+            for some in combinations(found, count):
+                words = {pid: self._word(robot), **dict(some)}
+                if len(words) != count + 1:
+                    continue
+                value = self._choose(state.decided[robot.view], words)
+                if value is None or value in done:
+                    continue
+                done.add(value)
+                vote, held = views.voted(robot.vote, ballot, value), self._gather(state, pid, value)
+                if vote is not None and held is not None:
+                    robots = changed(state.robots, pid, robot._replace(vote=vote, held=held))
+                    after = state._replace(
+                        robots=robots,
+                        puts=state.puts | {(number, ballot, value)},
+                        votes=state.votes | {(number, ballot, pid)},
+                    )
+                    yield sorted(words), self._counted_votes(after, number, ballot, value)
+
+    def _choose(self, view: View, words: dict[int, Word]) -> View | None:
+        key = view, tuple(sorted(words.items(), key=lambda item: item[0]))
+        if key not in self._chosen:
+            self._chosen[key] = views.choose(view, words)
+        return self._chosen[key]
+
+    def vote(self, state: State, pid: int, number: int, ballot: int, value: View) -> State | None:
+        robot = state.robots[pid]
+        if number <= robot.view or (number, ballot, pid) in state.votes:
+            return None
+        vote, held = views.voted(robot.vote, ballot, value), self._gather(state, pid, value)
+        if vote is None or held is None:
+            return None
+        robots = changed(state.robots, pid, robot._replace(vote=vote, held=held))
+        after = state._replace(robots=robots, votes=state.votes | {(number, ballot, pid)})
+        return self._counted_votes(after, number, ballot, value)
+
+    def _counted_votes(self, state: State, number: int, ballot: int, value: View) -> State:
+        if sum(v[:2] == (number, ballot) for v in state.votes) < views.majority(N):
+            return self.settled(state)
+        if number < len(state.decided):
+            if state.decided[number] != value:
+                raise Violation(f"P5: two views {number} are decided: {state.decided[number]} and {value}")
+            return self.settled(state)
+        before = state.histories[number - 1]
+        if len(before) < value.since - 1:
+            raise Violation(f"P2: {value} begins after a round that nobody has applied")
+        state = state._replace(decided=(*state.decided, value), histories=(*state.histories, before[: value.since - 1]))
+        for pid, _, round_ in state.final:
+            if round_ >= value.since:
+                raise Violation(f"P3: robot {pid} acted on its event of round {round_}, which {value} leaves out")
+        return self.settled(state)
+
+    def _gather(self, state: State, pid: int, value: View) -> int | None:
+        """Up to which round a robot has the closings when it votes for a view; None: it must not vote yet."""
+        robot = state.robots[pid]
+        if not self.rules.holders or not robot.store:
+            return robot.held
+        if value.number != robot.view + 1 or value.members[pid] != state.decided[robot.view].members[pid]:
+            return None  # it would lose its store by it
+        for round_ in range(max(robot.applied, robot.held) + 1, value.since):
+            counts = next(v for v in reversed(state.decided[: robot.view + 1]) if v.since <= round_)
+            for author, incarnation in enumerate(counts.members):
+                if incarnation >= 0 and not self._closing(state, state.lives, author, incarnation, round_)[1]:
+                    return None
+        return max(robot.held, value.since - 1) if value.since - 1 > robot.applied else 0
+
+    def adopt(self, state: State, pid: int, number: int) -> State:
+        """Go by a decided view: on with the store where it stays what it was, else without."""
+        robot = state.robots[pid]
+        before, view = state.decided[robot.view], state.decided[number]
+        goes_on = number == robot.view + 1 and view.members[pid] == before.members[pid]
+        if robot.store and goes_on:
+            robot = robot._replace(view=number, ballot=0)
+        else:
+            base = robot.view if robot.store else robot.base
+            robot = Robot(False, number, 0, base, robot.vote, 0, 0, min(robot.said, view.since - 1))
+        state = state._replace(robots=changed(state.robots, pid, robot))
+        return self.settled(state._replace(words=self._say(state, pid, robot)))

@@ -1,0 +1,185 @@
+"""The protocol explored: every state of three robots within bounds keeps what is promised, and each of the rules is
+missed when it is broken."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import pytest
+
+from koordgen.runtime import memory, views
+from koordgen.runtime.comeback import Comeback
+from koordgen.runtime.views import Word, majority
+from koordgen.runtime.wire import View
+from tests.model.explore import BEGIN, Found, explore
+from tests.model.heal import Healing
+from tests.model.protocol import COMMIT, FIRST, PLAIN, Bounds, Protocol, Robot, Rules, State
+
+ROUNDS = Bounds(rounds=2, views=0, crashes=1)
+CHANGE = Bounds(rounds=2, views=1, crashes=1, proposers=(0,), kinds=(PLAIN,), actors=(1,))
+
+RIVALS = Bounds(rounds=1, views=1, crashes=1, proposers=(0, 1), kinds=(), rivals=True)
+SMALL = Bounds(rounds=1, views=1, crashes=1, proposers=(0, 1), kinds=(PLAIN,), actors=(0,))
+LATER = replace(SMALL, views=2)
+# Robot 2 has died, and view 1 has let it in again; it has no store yet.
+LET_IN = State(
+    robots=(Robot(view=1), Robot(view=1), Robot(store=False, view=1)),
+    words=((-1, 0),) * 3,
+    histories=((), ()),
+    decided=(FIRST, View(1, 1, (0, 0, 1))),
+)
+# View 1 goes on without robot 2, which has not heard of it.
+LEFT_OUT = LET_IN._replace(
+    robots=(Robot(view=1), Robot(view=1), Robot()),
+    words=((0, 0), (0, 0), (0,)),
+    decided=(FIRST, View(1, 1, (0, 0, -1))),
+)
+
+
+def holds(found: Found) -> None:
+    print(found)
+    assert not found.violation, str(found)
+    assert found.complete
+
+
+@pytest.mark.parametrize(
+    ("bounds", "start"),
+    [(ROUNDS, BEGIN), (CHANGE, BEGIN), (RIVALS, BEGIN), (SMALL, BEGIN), (LATER, LET_IN), (LATER, LEFT_OUT)],
+    ids=["rounds", "change", "rivals", "small", "let in", "left out"],
+)
+def test_every_state_keeps_what_is_promised(bounds: Bounds, start: State) -> None:
+    holds(explore(Protocol(bounds), start=start))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "bounds",
+    [
+        Bounds(rounds=3, views=0, crashes=1),
+        Bounds(rounds=2, views=1, crashes=1, proposers=(0, 1), kinds=(PLAIN, COMMIT), actors=(0,)),
+        Bounds(rounds=2, views=2, crashes=1, proposers=(0,), kinds=(PLAIN,), actors=(1,)),
+        Bounds(rounds=1, views=1, ballots=2, crashes=1, proposers=(0, 1), kinds=(), rivals=True),
+        Bounds(rounds=1, views=1, crashes=2, proposers=(0, 1), kinds=(PLAIN,), actors=(0, 1)),
+    ],
+    ids=["rounds", "commits", "two changes", "ballots", "two crashes"],
+)
+def test_more_states_keep_what_is_promised(bounds: Bounds) -> None:
+    found = explore(Protocol(bounds), most=2_000_000)
+    print(found)
+    assert not found.violation, str(found)
+
+
+def one(n_sys: int) -> int:
+    return 1
+
+
+def least(view: View, words: Mapping[int, Word]) -> View | None:
+    """`choose`, but the view ends with the least round that one of them has applied."""
+    value = CHOOSE(view, words)
+    if value is None or any(w.accepted for w in words.values()):
+        return value
+    return replace_since(value, min(w.applied for w in words.values()) + 1)
+
+
+def replace_since(value: View, since: int) -> View:
+    return View(value.number, since, value.members)
+
+
+def whoever(view: View, words: Mapping[int, Word]) -> View | None:
+    """`choose`, but who lost its store goes on as if it had not."""
+    value = CHOOSE(view, words)
+    if value is None or any(w.accepted for w in words.values()):
+        return value
+    members = tuple(old if pid in words else -1 for pid, old in enumerate(view.members))
+    return View(value.number, value.since, members)
+
+
+def deaf(view: View, words: Mapping[int, Word]) -> View | None:
+    """`choose`, but without heed to what was voted for."""
+    return CHOOSE(view, {p: Word(w.view, w.applied, w.state) for p, w in words.items()})
+
+
+def everywhere(self: memory.Memory, round_: int) -> bool:
+    """`stable`, but whatever view was meant."""
+    said = sum(w.applied >= round_ for w in self._words.values())
+    return self.applied >= round_ and 1 + said >= majority(self._n)
+
+
+def alone(self: memory.Memory, round_: int) -> bool:
+    return self.applied >= round_
+
+
+def unbound(vote: views.Vote, number: int, ballot: int) -> views.Vote:
+    return views.Vote(number, ballot)
+
+
+CHOOSE = views.choose
+
+
+SHARED: list[tuple[str, object, str, object, Bounds, State]] = [
+    ("one vote decides", views, "majority", one, RIVALS, BEGIN),
+    ("one word makes stable", memory, "majority", one, SMALL, BEGIN),
+    ("a view ends with the least applied round", views, "choose", least, SMALL, BEGIN),
+    ("votes are not heeded", views, "choose", deaf, RIVALS, BEGIN),
+    ("a promise binds to nothing", views, "promised", unbound, RIVALS, BEGIN),
+    ("stable without others", memory.Memory, "stable", alone, SMALL, BEGIN),
+    ("stable by words of another view", memory.Memory, "stable", everywhere, LATER, LEFT_OUT),
+]
+OWN: list[tuple[str, Rules, Bounds, State]] = [
+    ("who has promised goes on", Rules(freezes=False), SMALL, BEGIN),
+    ("outputs do not wait", Rules(waits=False), SMALL, BEGIN),
+    ("a restart forgets the vote", Rules(forgets_vote=True), RIVALS, BEGIN),
+    ("a restart forgets what was announced", Rules(forgets_said=True), SMALL, BEGIN),
+    ("a store is taken in spite of a promise", Rules(refuses=False), LATER, LET_IN),
+    ("an event in a round that is applied", Rules(again=True), replace(LATER, actors=(2,)), LET_IN),
+]
+
+
+@pytest.mark.parametrize(
+    ("where", "name", "broken", "bounds", "start"), [row[1:] for row in SHARED], ids=[row[0] for row in SHARED]
+)
+def test_a_rule_of_the_runtime_that_is_broken_is_missed(
+    monkeypatch: pytest.MonkeyPatch, where: object, name: str, broken: object, bounds: Bounds, start: State
+) -> None:
+    monkeypatch.setattr(where, name, broken)
+    found = explore(Protocol(bounds), most=300_000, start=start)
+    print(found)
+    assert found.violation and found.course
+
+
+@pytest.mark.parametrize(("rules", "bounds", "start"), [row[1:] for row in OWN], ids=[row[0] for row in OWN])
+def test_a_rule_of_the_model_that_is_broken_is_missed(rules: Rules, bounds: Bounds, start: State) -> None:
+    found = explore(Protocol(bounds, rules), most=300_000, start=start)
+    print(found)
+    assert found.violation and found.course
+
+
+def test_who_keeps_its_incarnation_without_its_store_is_missed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(views, "choose", whoever)
+    monkeypatch.setattr(Comeback, "incarnation", lambda self, view: view.members[self.pid])
+    found = explore(Protocol(CHANGE), most=300_000)
+    print(found)
+    assert found.violation
+
+
+def test_two_commits_that_count_are_missed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory.Memory, "_counting", lambda self, entries, round_: list(entries))
+    found = explore(Protocol(ROUNDS))
+    assert found.violation.startswith("P1")
+
+
+@pytest.mark.xfail(reason="a view may begin after a round that one robot alone has applied", strict=True)
+@pytest.mark.parametrize("bounds", [CHANGE, SMALL], ids=["change", "small"])
+def test_from_every_state_they_come_together_and_go_on(bounds: Bounds) -> None:
+    healing = Healing(stride=5)
+    holds(explore(Protocol(bounds), judge=healing.judge))
+
+
+@pytest.mark.parametrize("stores", [2, 1])
+def test_so_they_do_when_nobody_votes_for_a_view_whose_earlier_rounds_it_lacks(stores: int) -> None:
+    rules = Rules(holders=True)
+    healing = Healing(rules, stride=5, stores=stores)
+    holds(explore(Protocol(SMALL, rules), judge=healing.judge))
+    print(f"{healing.healed} healed, {healing.poor} too poor, at most {healing.changes} view changes")
+    assert healing.healed > 1000
