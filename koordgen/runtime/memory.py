@@ -67,7 +67,8 @@ class Memory:
         self.acted = list(acted) or [0] * n  # the last round in which an event counted
         self.won = 0  # the last round in which a commit of ours counted
         self.unfit = 0  # patches that fitted no value: a fault of their author's, dropped by everyone alike
-        self._past: list[tuple[int, Mapping[str, Any], list[int]]] = []  # after rounds not settled: store, acted
+        # Store and `acted` after a round and the silent ones behind it; the first is of a stable round.
+        self._past: list[tuple[int, Mapping[str, Any], list[int]]] = [(applied, shared, list(self.acted))]
         self._watched, self._reached = -1, 0  # a round, and how many others have said to have applied it
         self.prompt: tuple[int, ...] = ()  # who waits to hear that the last applied round was applied
         self._look()
@@ -298,8 +299,6 @@ class Memory:
         """Forget what everyone holds."""
         if through > self.settled:
             self.settled = through
-            while len(self._past) > 1 and self._past[1][0] <= through:
-                del self._past[0]
             for log in self._logs:
                 log.forget(through)
 
@@ -350,7 +349,12 @@ class Memory:
             self.shared = {**self.shared, **{names[i]: tuple(v) if slots[i] else v for i, v in changed.items()}}
         self.prompt = tuple([e.closing.author for e in entries if e.closing.prompt and e.closing.round == through])
         self.applied = through
-        self._past.append((through, self.shared, list(self.acted)))
+        _, shared, acted = self._past[-1]
+        if shared is not self.shared or acted != self.acted:
+            # Without stable rounds no event runs for long, so this is short.
+            while len(self._past) > 1 and self.stable(self._past[1][0]):
+                del self._past[0]
+            self._past.append((through, self.shared, list(self.acted)))
         self._look()
         number, members = self.view.number, self.view.members
         words = [w.applied if w.view == number else 0 for p, w in self._words.items() if members[p] >= 0]
