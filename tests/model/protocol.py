@@ -515,13 +515,18 @@ class Protocol:
 
     def adopt(self, state: State, pid: int, number: int) -> State:
         """Go by a decided view: on with the store where it stays what it was, else without."""
-        robot = state.robots[pid]
+        robot, lives = state.robots[pid], state.lives
         before, view = state.decided[robot.view], state.decided[number]
-        goes_on = number == robot.view + 1 and view.members[pid] == before.members[pid]
-        if robot.store and goes_on:
+        next_ = robot.store and number == robot.view + 1
+        if next_ and view.members[pid] == before.members[pid]:
             robot = robot._replace(view=number, ballot=0)
+        elif next_ and view.members[pid] == number and robot.applied >= view.since - 1:
+            # It had gone further, and comes in anew with the store that it had then.
+            self._same_life(state, pid, state.histories[number][: view.since - 1])
+            robot = Robot(True, number, view.since - 1, robot.view, robot.vote, said=min(robot.said, view.since - 1))
+            lives = changed(lives, pid, (*lives[pid], Life(number, view.since)))
         else:
             base = robot.view if robot.store else robot.base
             robot = Robot(False, number, 0, base, robot.vote, 0, 0, min(robot.said, view.since - 1))
-        state = state._replace(robots=changed(state.robots, pid, robot))
+        state = state._replace(robots=changed(state.robots, pid, robot), lives=lives)
         return self.settled(state._replace(words=self._say(state, pid, robot)))
