@@ -5,8 +5,11 @@ A course that still goes wrong is marked as such, strictly: who mends it takes t
 
 from __future__ import annotations
 
+import pytest
+
+from koordgen.runtime.memory import Memory
 from koordgen.runtime.views import Word, choose
-from koordgen.runtime.wire import Prepare, Promise, StatePiece, View, Want
+from koordgen.runtime.wire import Closing, Decided, Prepare, Promise, Round, StatePiece, View, Want
 from tests.model.lab import Fleet
 
 BEGIN = View(0, 1, (0, 0, 0))
@@ -152,5 +155,67 @@ def test_the_death_of_the_only_one_that_applied_a_view_s_last_round_does_not_end
     fleet.restart(0)
     fleet.flights.clear()
     for tick in range(100):
+        everyone(fleet, 3.2 + tick / 5)
+    assert all(r.memory is not None and r.memory.applied > 15 for r in fleet.robots)
+
+
+def test_a_store_that_was_handed_over_can_be_gone_back_to() -> None:
+    """Robot 2 gets the store after round 3 and applies round 4 alone; view 2 begins with round 4 all the same."""
+    fleet = Fleet(3)
+    rounds_of_all(fleet, 3)
+    giver = fleet.robots[0].memory
+    assert giver is not None
+    state = giver.snapshot()[1]
+    memory = Memory.resume(fleet.layout, 2, state)
+    assert memory is not None and memory.applied == state.applied
+    for pid in range(3):
+        if pid != 2:
+            assert memory.take(Closing(pid, 0, state.applied + 1, state.applied + 1), 5) is None
+    memory.close(state.applied + 1, {}, stopped=False)
+    memory.advance(state.applied + 2)
+    assert memory.applied == state.applied + 1
+    assert memory.rewound(View(2, state.applied + 1, (0, 0, 2))) is not None
+
+
+@pytest.mark.xfail(reason="Replica keeps what it had said in the view before", strict=True)
+def test_who_takes_back_its_store_takes_back_what_it_keeps_to_have_said() -> None:
+    """Else it would say after a restart that it has applied in the new view what it has not."""
+    fleet = Fleet(3)
+    rounds_of_all(fleet, 4)
+    robot = fleet.robots[0]
+    assert robot.replica.word(4)[2] == 4
+    robot.replica.views.adopt(View(1, 4, (1, 0, 0)))
+    assert robot.memory is not None and robot.memory.applied == 3
+    assert (robot.kept.view.number, robot.kept.applied) == (1, 3)
+
+
+@pytest.mark.xfail(reason="a vote is given without the rounds before the view", strict=True)
+def test_a_view_is_not_decided_before_a_majority_has_the_rounds_before_it() -> None:
+    """Robot 0 alone has applied round 4 and promises so to robot 1; robot 2 is not heard, so round 4 may be stable.
+    View 1 begins with round 5. Robot 0 dies, and its closing of round 4 with it; then all three talk."""
+    fleet = Fleet(3)
+    rounds_of_all(fleet, 3)
+    for pid in range(3):
+        fleet.poll(pid, 3.0)
+    fleet.take(lambda f: f.message.head.pid == 0)
+    for flight in fleet.take(lambda f: f.to == 0):
+        fleet.deliver(flight)
+    fleet.poll(0, 3.1)
+    fleet.robots[0].replica.word(4)
+    fleet.flights.clear()
+    prepare = Prepare(fleet.robots[1].wire._head, 129, BEGIN)
+    proposer = fleet.robots[1].replica.views
+    proposer._tick = 100
+    proposal = proposer._begin(fleet.robots[1].replica._own_word(), {0, 1})
+    assert proposal.ballot == prepare.ballot
+    for _ in range(10):  # robots 0 and 1 hear each other; robot 0 hears no decision
+        fleet.robots[0].replica.take(prepare, 4)
+        for flight in fleet.take(lambda f: f.to == 1 and f.message.head.pid == 0):
+            fleet.deliver(flight)
+        for flight in fleet.take(lambda f: f.to == 0 and not isinstance(f.message, (Decided, Round))):
+            fleet.deliver(flight)
+    fleet.restart(0)
+    fleet.flights.clear()
+    for tick in range(150):
         everyone(fleet, 3.2 + tick / 5)
     assert all(r.memory is not None and r.memory.applied > 15 for r in fleet.robots)

@@ -1,0 +1,54 @@
+"""The real objects under thousands of random schedules: what the model promises, the code keeps."""
+
+from __future__ import annotations
+
+import pytest
+
+from koordgen.runtime import memory, views
+from koordgen.runtime.outbox import Outbox
+from koordgen.runtime.replica import Replica
+from tests.model.lab import Violation
+from tests.model.schedules import Schedule
+
+
+def run(seeds: range, n: int = 3) -> tuple[int, int]:
+    """The number of outputs and of view changes in all of them."""
+    outputs = changes = 0
+    for seed in seeds:
+        try:
+            fleet = Schedule(seed, n=n).run()
+        except Violation as violation:
+            raise Violation(f"seed {seed}: {violation}") from None
+        outputs += len(fleet.finals)
+        changes += max(fleet.views)
+    return outputs, changes
+
+
+def test_schedules_keep_what_is_promised() -> None:
+    outputs, changes = run(range(100))
+    assert outputs > 4000
+    assert changes > 50
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("n", "seeds"), [(2, range(1000)), (3, range(1000, 5000)), (5, range(1000))])
+def test_many_schedules_keep_what_is_promised(n: int, seeds: range) -> None:
+    print(run(seeds, n))
+
+
+BROKEN = {
+    "promises freeze nobody": (Replica, "_freeze", lambda self: None),
+    "one's own word is enough": (memory.Memory, "stable", lambda self, round_: self.applied >= round_),
+    "every commit counts": (memory.Memory, "_counting", lambda self, entries, round_: list(entries)),
+    "one vote decides": (views, "majority", lambda n_sys: 1),
+    "who comes back goes on where it was": (
+        Outbox, "settle", lambda self, acted: (self.life, [w.record for w in self._waiting]),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_what_is_broken_is_missed(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(*BROKEN[name])
+    with pytest.raises(Violation):
+        run(range(300))
