@@ -38,6 +38,9 @@ VARIABLES = (
 )
 
 
+_round: Callable[..., Message] = Round
+
+
 class Violation(Exception):
     """A property does not hold; the message says which and how."""
 
@@ -81,7 +84,7 @@ class Wire:
     def round(
         self, to: Collection[int], word: Sequence[Any], closings: Sequence[Closing], partly: object = None
     ) -> None:
-        self._flights.extend(Flight(p, Round(self._head, *word, tuple(closings))) for p in to)
+        self._flights.extend(Flight(p, _round(self._head, *word, tuple(closings))) for p in to)
 
     def reject(self, reason: str) -> None:
         self.rejected.append(reason)
@@ -218,6 +221,10 @@ class Fleet:
         found = [f for f in self.flights if wanted(f)]
         self.flights[:] = [f for f in self.flights if not wanted(f)]
         return found
+
+    def to(self, pid: int, but: Collection[int] = ()) -> list[Flight]:
+        """Take what is on its way to a robot, from all but these."""
+        return self.take(lambda f: f.to == pid and f.message.head.pid not in but)
 
     def official(self, view: int, round_: int) -> bool:
         """Whether the store after a round, of a robot that went by this view, is what every later view goes on from."""
