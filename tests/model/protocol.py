@@ -102,7 +102,8 @@ class Rules:
     forgets_vote: bool = False  # at a restart
     forgets_said: bool = False
     again: bool = False  # an event in a round that is applied already
-    holders: bool = False  # who has a store votes only for a view whose earlier rounds it has or can gather first
+    holders: bool = True  # who has a store votes only for a view whose earlier rounds it has or can gather first
+    stays: bool = False  # ... and in which it keeps that store
 
 
 AS_THEY_ARE = Rules()
@@ -504,8 +505,11 @@ class Protocol:
         robot = state.robots[pid]
         if not self.rules.holders or not robot.store:
             return robot.held
-        if value.number != robot.view + 1 or value.members[pid] != state.decided[robot.view].members[pid]:
-            return None  # it would lose its store by it
+        if value.number != robot.view + 1 or value.members[pid] < 0:
+            if self.rules.stays:
+                return None  # it would lose its store by it
+            if value.number != robot.view + 1:
+                return robot.held
         for round_ in range(max(robot.applied, robot.held) + 1, value.since):
             counts = next(v for v in reversed(state.decided[: robot.view + 1]) if v.since <= round_)
             for author, incarnation in enumerate(counts.members):

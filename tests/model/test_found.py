@@ -5,8 +5,6 @@ A course that still goes wrong is marked as such, strictly: who mends it takes t
 
 from __future__ import annotations
 
-import pytest
-
 from koordgen.runtime.memory import Memory
 from koordgen.runtime.views import Word, choose
 from koordgen.runtime.wire import Closing, Decided, Prepare, Promise, Round, StatePiece, View, Want

@@ -16,7 +16,7 @@ from tests.model.explore import BEGIN, Found, explore
 from tests.model.heal import Healing
 from tests.model.protocol import COMMIT, FIRST, PLAIN, Bounds, Protocol, Robot, Rules, State
 
-ROUNDS = Bounds(rounds=2, views=0, crashes=1)
+ROUNDS = Bounds(rounds=2, views=0, crashes=1, actors=(0, 1))
 CHANGE = Bounds(rounds=2, views=1, crashes=1, proposers=(0,), kinds=(PLAIN,), actors=(1,))
 
 RIVALS = Bounds(rounds=1, views=1, crashes=1, proposers=(0, 1), kinds=(), rivals=True)
@@ -45,8 +45,8 @@ def holds(found: Found) -> None:
 
 @pytest.mark.parametrize(
     ("bounds", "start"),
-    [(ROUNDS, BEGIN), (CHANGE, BEGIN), (RIVALS, BEGIN), (SMALL, BEGIN), (LATER, LET_IN), (LATER, LEFT_OUT)],
-    ids=["rounds", "change", "rivals", "small", "let in", "left out"],
+    [(ROUNDS, BEGIN), (RIVALS, BEGIN), (SMALL, BEGIN), (LATER, LET_IN), (LATER, LEFT_OUT)],
+    ids=["rounds", "rivals", "small", "let in", "left out"],
 )
 def test_every_state_keeps_what_is_promised(bounds: Bounds, start: State) -> None:
     holds(explore(Protocol(bounds), start=start))
@@ -56,16 +56,17 @@ def test_every_state_keeps_what_is_promised(bounds: Bounds, start: State) -> Non
 @pytest.mark.parametrize(
     "bounds",
     [
-        Bounds(rounds=3, views=0, crashes=1),
+        CHANGE,
+        Bounds(rounds=2, views=0, crashes=1),
         Bounds(rounds=2, views=1, crashes=1, proposers=(0, 1), kinds=(PLAIN, COMMIT), actors=(0,)),
         Bounds(rounds=2, views=2, crashes=1, proposers=(0,), kinds=(PLAIN,), actors=(1,)),
         Bounds(rounds=1, views=1, ballots=2, crashes=1, proposers=(0, 1), kinds=(), rivals=True),
         Bounds(rounds=1, views=1, crashes=2, proposers=(0, 1), kinds=(PLAIN,), actors=(0, 1)),
     ],
-    ids=["rounds", "commits", "two changes", "ballots", "two crashes"],
+    ids=["change", "rounds", "commits", "two changes", "ballots", "two crashes"],
 )
 def test_more_states_keep_what_is_promised(bounds: Bounds) -> None:
-    found = explore(Protocol(bounds), most=2_000_000)
+    found = explore(Protocol(bounds), most=1_000_000)
     print(found)
     assert not found.violation, str(found)
 
@@ -169,17 +170,24 @@ def test_two_commits_that_count_are_missed(monkeypatch: pytest.MonkeyPatch) -> N
     assert found.violation.startswith("P1")
 
 
-@pytest.mark.xfail(reason="a view may begin after a round that one robot alone has applied", strict=True)
-@pytest.mark.parametrize("bounds", [CHANGE, SMALL], ids=["change", "small"])
-def test_from_every_state_they_come_together_and_go_on(bounds: Bounds) -> None:
-    healing = Healing(stride=5)
-    holds(explore(Protocol(bounds), judge=healing.judge))
-
-
-@pytest.mark.parametrize("stores", [2, 1])
-def test_so_they_do_when_nobody_votes_for_a_view_whose_earlier_rounds_it_lacks(stores: int) -> None:
-    rules = Rules(holders=True)
-    healing = Healing(rules, stride=5, stores=stores)
-    holds(explore(Protocol(SMALL, rules), judge=healing.judge))
+@pytest.mark.parametrize(
+    ("bounds", "rules", "stores"),
+    [(SMALL, Rules(), 2), (replace(CHANGE, rounds=1), Rules(), 2), (SMALL, Rules(stays=True), 1)],
+    ids=["small", "change", "nobody gives up its store by its own vote"],
+)
+def test_from_every_state_they_come_together_and_go_on(bounds: Bounds, rules: Rules, stores: int) -> None:
+    healing = Healing(rules, stride=6, stores=stores)
+    holds(explore(Protocol(bounds, rules), judge=healing.judge))
     print(f"{healing.healed} healed, {healing.poor} too poor, at most {healing.changes} view changes")
-    assert healing.healed > 1000
+    assert healing.healed > 500
+
+
+@pytest.mark.parametrize("rules", [Rules(holders=False), Rules(freezes=False)], ids=["holders", "freezes"])
+def test_who_does_not_come_together_is_missed(rules: Rules) -> None:
+    healing = Healing(rules)
+    assert explore(Protocol(SMALL, rules), judge=healing.judge).violation
+
+
+@pytest.mark.xfail(reason="one that a view leaves out votes for it, and gives up its store", strict=True)
+def test_so_they_do_with_one_store_left() -> None:
+    holds(explore(Protocol(SMALL), judge=Healing(stores=1).judge))
