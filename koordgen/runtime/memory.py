@@ -135,21 +135,29 @@ class Memory:
             return None
         _, shared, acted = known[-1]
         stopped = {p: r for p, r in self.stopped.items() if r <= last}
-        return Memory(self._layout, self._pid, view, shared, last, stopped, acted)
+        memory = Memory(self._layout, self._pid, view, shared, last, stopped, acted)
+        memory.settled = self.settled
+        memory._logs, memory._words = self._logs, self._words
+        memory._forget(self.view, view)
+        memory._look()
+        return memory
 
     def adopt(self, view: View) -> None:
         """Go by the next view. Closings of those who no longer count, or count anew, are dropped from its beginning
         on."""
-        before = self.view
+        self._forget(self.view, view)
         self._views.append(view)
+        self.frozen = False
+        self._watched = -1
+        self._look()
+
+    def _forget(self, before: View, view: View) -> None:
+        """Drop what was heard of those who no longer count, or count anew, beyond the beginning of a view."""
         for pid, (old, new) in enumerate(zip(before.members, view.members, strict=True)):
             if old != new:
                 self._logs[pid].cut(view.since - 1)
                 if pid != self._pid:
                     self._words[pid] = _Word((0,) * self._n)
-        self.frozen = False
-        self._watched = -1
-        self._look()
 
     def close(self, round_: int, shared: Mapping[str, Any], *, stopped: bool, acted: bool = False, prompt: bool = False,
               lock: int = -1) -> None:  # fmt: skip
@@ -188,6 +196,10 @@ class Memory:
         if log.held > self.applied:
             self._lacking.discard(closing.author)
         return None
+
+    def holds(self, through: int) -> bool:
+        """Whether the closings of all members are here up to a round."""
+        return self.applied >= through or not self.missing(through)
 
     def wants(self, author: int, round_: int, present: int) -> bool:
         """Whether a closing of that author and round would be news."""

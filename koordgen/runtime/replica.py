@@ -81,7 +81,7 @@ class Replica:
         self._silent: Closing | None = None  # the rounds closed while there is no store
         self.memory = memory
         self.comeback = None if memory is not None else Comeback(self._pid, view.number)
-        self.views = Views(self._pid, view, vote, self._own_word, self._follow, self._save)
+        self.views = Views(self._pid, view, vote, self._own_word, self._holds, self._follow, self._save)
         self.emergency = False  # heard of one
         self.returns = 0  # times that the store became another one, or none, instead of going on
 
@@ -215,6 +215,10 @@ class Replica:
         self.keep()
         return Word(self.views.view.number, self._said, self.memory is not None)
 
+    def _holds(self, value: View) -> bool:
+        memory = self.memory
+        return memory is None or value.number != memory.view.number + 1 or memory.holds(value.since - 1)
+
     def _save(self) -> None:
         self._announce(self.views.view, self._said, self.views.vote)
 
@@ -327,7 +331,9 @@ class Replica:
                 anew = view.number == before.number + 1 and view.members[self._pid] == view.number
                 self.memory = memory.rewound(view) if anew else None
                 self.returns += 1
-                if self.memory is None:
+                if self.memory is not None:
+                    self._said = self.memory.applied
+                else:
                     self.comeback = Comeback(self._pid, before.number, news=self._tick)
         self._gatherings.clear()
         for pid, peer in self._peers.items():

@@ -8,6 +8,7 @@ without clock, network and disk; `save` is called before any word leaves that mu
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -64,6 +65,14 @@ def voted(vote: Vote, ballot: int, value: View) -> Vote | None:
     return Vote(value.number, ballot, ballot, value)
 
 
+def decidable(words: Mapping[int, Word], absent: int, n_sys: int) -> View | None:
+    """What may have been decided already, as far as those tell who have promised; of several such, only that of the
+    highest ballot can have been. A value that too few can have voted for binds nobody."""
+    votes = Counter(w.accepted for w in words.values() if w.accepted is not None)
+    possible = [w for w in words.values() if w.accepted is not None and votes[w.accepted] + absent >= majority(n_sys)]
+    return max(possible, key=lambda w: w.voted).accepted if possible else None
+
+
 def choose(view: View, words: Mapping[int, Word]) -> View | None:
     """The successor of `view` that a proposer who goes by it may put to the vote, given the promises; None while they
     do not suffice.
@@ -75,9 +84,9 @@ def choose(view: View, words: Mapping[int, Word]) -> View | None:
     absent = n_sys - len(words)
     if len(words) < majority(n_sys):
         return None
-    bound = max(words.values(), key=lambda w: w.voted)
-    if bound.accepted is not None:
-        return bound.accepted
+    bound = decidable(words, absent, n_sys)
+    if bound is not None:
+        return bound
     present = [w for w in words.values() if w.view == view.number]
     said = sorted((w.applied for w in present), reverse=True)
     needed = majority(n_sys) - absent  # of those here, for a majority
@@ -129,15 +138,17 @@ class _Proposal:
 
 class Views:
     """One robot's part in it. `view` is the latest it knows to be decided. `word` is what this robot can say of itself
-    now; `follow` is told the view before, when there is another."""
+    now; `holds` tells whether it has all closings of the rounds before a view, as all who vote for it must that have a
+    store: so it outlives whoever had them alone; `follow` is told the view before, when there is another."""
 
     def __init__(
-        self, pid: int, view: View, vote: Vote, word: Callable[[], Word], follow: Callable[[View], None],
-        save: Callable[[], None],
+        self, pid: int, view: View, vote: Vote, word: Callable[[], Word], holds: Callable[[View], bool],
+        follow: Callable[[View], None], save: Callable[[], None],
     ) -> None:  # fmt: skip
         self._pid = pid
         self._n = len(view.members)
         self._word = word
+        self._holds = holds
         self._follow = follow
         self._save = save
         self._proposal: _Proposal | None = None
@@ -179,7 +190,7 @@ class Views:
         elif tick - proposal.begun > 2 * PATIENCE + wait:
             proposal = self._begin(word, {*trusted, *asking})
         proposal.words[self._pid] = self._own(word)
-        return [*self._put(proposal), *self._ask(proposal)]
+        return [*self._put(proposal), *self._agree(proposal), *self._ask(proposal)]
 
     def take(self, sender: int, message: Ballots) -> list[Out]:
         """Answer a message of another robot."""
@@ -202,7 +213,7 @@ class Views:
                 if value.number <= self.view.number:
                     return [((sender,), Decided, (self.view,))]
                 vote = voted(self.vote, ballot, value)
-                if vote is None:
+                if vote is None or not self._holds(value):  # it will be asked again
                     return []
                 self._bind(vote)
                 return [((sender,), Accepted, (value.number, ballot))]
@@ -252,13 +263,18 @@ class Views:
             proposal.enough = self._tick
         if any(p not in proposal.words for p in proposal.expected) and self._tick - proposal.enough < GRACE:
             return []
-        value = choose(self.view, proposal.words)
-        vote = None if value is None else voted(self.vote, proposal.ballot, value)
-        if value is None or vote is None:
+        proposal.value = choose(self.view, proposal.words)
+        return self._agree(proposal)
+
+    def _agree(self, proposal: _Proposal) -> list[Out]:
+        """Vote for the own proposal, once that may be."""
+        if proposal.value is None or self._pid in proposal.votes or not self._holds(proposal.value):
+            return []
+        vote = voted(self.vote, proposal.ballot, proposal.value)
+        if vote is None:
             return []
         self._bind(vote)
-        proposal.value = value
-        proposal.votes = {self._pid}
+        proposal.votes.add(self._pid)
         return self._decide(proposal)
 
     def _promise(self, sender: int, message: Promise) -> list[Out]:

@@ -67,7 +67,7 @@ class Node:
 
     def boot(self) -> None:
         view, vote, self.applied = self.kept
-        self.views = Views(self.pid, view, vote, self.word, self.follow, self.save)
+        self.views = Views(self.pid, view, vote, self.word, lambda value: True, self.follow, self.save)
 
     def die(self) -> None:
         """The process dies and comes back, without a store."""
@@ -87,6 +87,9 @@ class Node:
         goes_on = view.number == before.number + 1 and view.members[self.pid] == before.members[self.pid]
         if self.state and goes_on:
             assert self.applied < view.since, "went beyond the end of a view that it has left"
+        elif self.state and view.number == before.number + 1 and view.members[self.pid] == view.number:
+            self.state = self.applied >= view.since - 1  # it takes back its own store
+            self.applied = min(self.applied, view.since - 1)
         else:
             self.state, self.applied = False, min(self.applied, view.since - 1)
 
@@ -237,7 +240,15 @@ def take(views: Views, sender: int, message: type[Any], *fields: Any) -> list[Ou
 
 def alone(view: View = FIRST) -> tuple[Views, list[Vote]]:
     saved: list[Vote] = []
-    views = Views(0, view, Vote(), lambda: Word(view.number, 9, True), lambda v: None, lambda: saved.append(views.vote))
+    views = Views(
+        0,
+        view,
+        Vote(),
+        lambda: Word(view.number, 9, True),
+        lambda v: True,
+        lambda v: None,
+        lambda: saved.append(views.vote),
+    )
     return views, saved
 
 
@@ -261,14 +272,14 @@ def test_who_is_behind_is_told_what_was_decided() -> None:
 
 
 def test_a_robot_without_a_store_proposes_nothing() -> None:
-    views = Views(0, FIRST, Vote(), lambda: Word(0, 9, False), lambda v: None, lambda: None)
+    views = Views(0, FIRST, Vote(), lambda: Word(0, 9, False), lambda v: True, lambda v: None, lambda: None)
     assert [views.poll(tick, [1], []) for tick in range(99)] == [[]] * 99
 
 
 def test_robots_take_turns_at_proposing() -> None:
     first: dict[int, int] = {}
     for pid in (0, 1):
-        views = Views(pid, FIRST, Vote(), lambda: Word(0, 9, True), lambda v: None, lambda: None)
+        views = Views(pid, FIRST, Vote(), lambda: Word(0, 9, True), lambda v: True, lambda v: None, lambda: None)
         first[pid] = next(t for t in range(99) if views.poll(t, [2], []))
     assert first == {0: 0, 1: 10}
 
