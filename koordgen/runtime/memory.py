@@ -139,6 +139,8 @@ class Memory:
         memory.settled = self.settled
         memory._logs, memory._words = self._logs, self._words
         memory._forget(self.view, view)
+        for log in memory._logs:
+            log.skip(last)  # also of those who did not count
         memory._look()
         return memory
 

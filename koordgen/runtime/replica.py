@@ -216,8 +216,12 @@ class Replica:
         return Word(self.views.view.number, self._said, self.memory is not None)
 
     def _holds(self, value: View) -> bool:
+        """Whether this robot's vote helps the view to last: who would lose its store by it gives none."""
         memory = self.memory
-        return memory is None or value.number != memory.view.number + 1 or memory.holds(value.since - 1)
+        if memory is None:
+            return True
+        stays = value.number == memory.view.number + 1 and value.members[self._pid] >= 0
+        return stays and memory.holds(value.since - 1)
 
     def _save(self) -> None:
         self._announce(self.views.view, self._said, self.views.vote)

@@ -103,7 +103,7 @@ class Rules:
     forgets_said: bool = False
     again: bool = False  # an event in a round that is applied already
     holders: bool = True  # who has a store votes only for a view whose earlier rounds it has or can gather first
-    stays: bool = False  # ... and in which it keeps that store
+    stays: bool = True  # ... and in which it keeps that store
 
 
 AS_THEY_ARE = Rules()
