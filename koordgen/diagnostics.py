@@ -77,7 +77,7 @@ CATALOGUE: dict[str, str] = {
     "B001": "the target offers no such module",
     "B002": "the target offers no such port",
     "B003": "the target's port has another type",
-    "B004": "a round's writes are more than a robot can send",
+    "B004": "what robots share is more than can be sent",
     "B005": "a driver cannot serve the module",
     "B006": "the Python beside the program lacks something",
     "B007": "calls of ports may take too long for a round",
