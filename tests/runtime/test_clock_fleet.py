@@ -231,7 +231,8 @@ def test_a_robot_that_joins_late_steps_to_the_time_of_the_others(pid: int) -> No
     world.run(10)
     late = world.start(pid)  # the machine was restarted: its local clock has another origin
     late.fleet.follow(1, late.local.now())
-    assert not late.fleet.known and late.fleet.offset(late.local.now()) is None
+    known = late.fleet.known
+    assert not known and late.fleet.offset(late.local.now()) is None
     assert late.fleet.bound(late.local.now()) == inf
     world.run(5)
     late.lock()
