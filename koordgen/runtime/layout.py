@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
@@ -29,8 +28,7 @@ class TooLarge(Exception):
     robots or variables."""
 
 
-@dataclass(frozen=True, slots=True)
-class Unpatched:
+class Unpatched(msgspec.Struct, frozen=True):
     """A written value of which only the difference to the round's first value came: see `resolve`."""
 
     patch: bytes

@@ -6,6 +6,7 @@ interface and program, fresh, and of this mission; what is not is dropped and co
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -36,8 +37,10 @@ from koordgen.runtime.wire import (
 
 REPLAY_WINDOW = 1024  # datagrams that may arrive out of order
 REFERENCE_EVERY, OTHERS_EVERY = 0.05, 1.0  # seconds between exchanges that the clock learns from
+ECHOES_A_LESSON = 2  # so many echoes are sent for each of them: some are lost
 MOST_DATAGRAMS = 4  # to one peer for one catch-up
 MOST_PIECES_AT_ONCE = 16
+_WINDOW_MASK = (1 << REPLAY_WINDOW) - 1
 NOTHING: Mapping[int, Partly] = MappingProxyType({})
 
 Fields = tuple[int, int, int, int, bool, tuple[int, ...]]  # of Round, between its head and its closings
@@ -59,7 +62,7 @@ class Session:
         """Take a sequence number; False when it was taken before or is older than the window."""
         ahead = sequence - self.newest
         if ahead > 0:
-            self.seen = 1 if ahead >= REPLAY_WINDOW else (self.seen << ahead | 1) & ((1 << REPLAY_WINDOW) - 1)
+            self.seen = 1 if ahead >= REPLAY_WINDOW else (self.seen << ahead | 1) & _WINDOW_MASK
             self.newest = sequence
             return True
         if -ahead >= REPLAY_WINDOW or self.seen >> -ahead & 1:
@@ -102,17 +105,17 @@ class Link:
         self._report = report
         self._reported: set[tuple[int, str]] = set()
         self._sequence = 0
-        self._next_echo = 0
+        self._echoed: dict[int, float] = {}  # when each peer was last sent an echo
         self.room = LIMIT - overhead(len(settings.peers))  # bytes for closings or a piece in one datagram
 
     def hello(self, to: int, challenge: bytes, answer: bytes, holds: tuple[int, ...], init: Closing | None,
               start: int | None) -> None:  # fmt: skip
-        self._send([to], Hello(self._head(), to, challenge, answer, holds, init, start))
+        self._send([to], Hello(self._head([to], 0.0), to, challenge, answer, holds, init, start))
 
     def say(self, to: Collection[int], kind: type[Message], *fields: Any) -> None:
         """One message of this kind, with its fields behind the head."""
         if to:
-            self._send(to, kind(self._head(), *fields))
+            self._send(to, kind(self._head(to), *fields))
 
     def round(self, to: Collection[int], word: Fields, closings: Sequence[Closing],
               partly: Mapping[int, Partly] = NOTHING) -> None:  # fmt: skip
@@ -127,24 +130,29 @@ class Link:
             else:
                 small.append(closing)
         for batch in self._batches(small):
-            self._send(to, Round(self._head(), *word, batch))
+            self._send(to, Round(self._head(to), *word, batch))
 
     def receive(self) -> list[Message]:
         """What arrived and may be listened to. A Hello of a boot that was not adopted is among it: `joining` judges."""
-        accepted = []
-        for datagram in self._transport.receive():
-            message = decode(datagram, self._key)
+        datagrams = self._transport.receive()
+        if not datagrams:
+            return []
+        local = self._clock.now()  # all of them have arrived by now
+        fleet = self._fleet_clock.read(local) if self._fleet_clock.known else None
+        key, accepted = self._key, []
+        for datagram in datagrams:
+            message = decode(datagram, key)
             if isinstance(message, str):
                 self.reject(message)
-            elif self._admit(message):
+            elif self._admit(message, local, fleet):
                 accepted.append(message)
         return accepted
 
     def adopt(self, hello: Hello) -> None:
         """From now on this boot of the peer is the one that counts."""
         head, now = hello.head, _microseconds(self._clock.now())
-        all_seen = (1 << REPLAY_WINDOW) - 1  # what it sent before is old news, perhaps recorded
-        self.sessions[head.pid] = Session(head.boot, head.sequence, all_seen, (head.sent, now))
+        # What it sent before is old news, perhaps recorded.
+        self.sessions[head.pid] = Session(head.boot, head.sequence, _WINDOW_MASK, (head.sent, now))
 
     def is_adopted(self, hello: Hello) -> bool:
         session = self.sessions.get(hello.head.pid)
@@ -153,7 +161,7 @@ class Link:
     def reject(self, reason: str) -> None:
         self.rejected[reason] = self.rejected.get(reason, 0) + 1
 
-    def _admit(self, message: Message) -> bool:
+    def _admit(self, message: Message, local: float, fleet: float | None) -> bool:
         head = message.head
         reason = self._foreign(head)
         if reason is None:
@@ -169,7 +177,7 @@ class Link:
                 self.strangers.add(head.pid)
             if reason is None and adopted and session is not None:
                 if session.fresh(head.sequence):
-                    self._stamps(session, message)
+                    self._stamps(session, message, local, fleet)
                 else:
                     reason = "replayed"
         if reason is not None:
@@ -196,34 +204,34 @@ class Link:
             )
         return what
 
-    def _stamps(self, session: Session, message: Message) -> None:
-        head, clock = message.head, self._fleet_clock
-        local = self._clock.now()
-        now = _microseconds(local)
-        if session.heard is None or head.sent > session.heard[0]:
-            session.heard = (head.sent, now)
-        fleet = None if head.fleet is None else head.fleet / 1e6
-        if local - session.timed >= (REFERENCE_EVERY if head.pid == clock.reference else OTHERS_EVERY):
-            for echo in head.echoes:
-                if echo.pid == self.pid:
-                    session.timed = local
-                    clock.take(head.pid, echo.sent / 1e6, echo.received / 1e6, head.sent / 1e6, now / 1e6, fleet)
+    def _stamps(self, session: Session, message: Message, local: float, fleet: float | None) -> None:
+        """Learn from a datagram that was here at `local`, or at `fleet` by the fleet's clock."""
+        head = message.head
+        heard = session.heard
+        if heard is None or head.sent > heard[0]:
+            session.heard = (head.sent, _microseconds(local))
+        if head.echoes:
+            self._learn(session, head, local)
         if isinstance(message, Round) and message.round > session.round:
             ahead = message.round - session.round if session.round else 1
             session.round = message.round
-            delay = None if fleet is None or not clock.known else clock.read(local) - (head.sent / 1e6 + fleet)
+            delay = None if fleet is None or head.fleet is None else fleet - (head.sent + head.fleet) / 1e6
             self.metrics.heard(head.pid, ahead, delay, local)
 
-    def _head(self) -> Head:
+    def _learn(self, session: Session, head: Head, local: float) -> None:
+        clock = self._fleet_clock
+        if local - session.timed < (REFERENCE_EVERY if head.pid == clock.reference else OTHERS_EVERY):
+            return
+        now, fleet = _microseconds(local) / 1e6, None if head.fleet is None else head.fleet / 1e6
+        for echo in head.echoes:
+            if echo.pid == self.pid:
+                session.timed = local
+                clock.take(head.pid, echo.sent / 1e6, echo.received / 1e6, head.sent / 1e6, now, fleet)
+
+    def _head(self, to: Collection[int], every: float | None = None) -> Head:
         self._sequence += 1
         now = self._clock.now()
         offset = self._fleet_clock.offset(now)
-        peers = sorted(p for p, s in self.sessions.items() if s.heard is not None)
-        if len(peers) > MAX_ECHOES:  # all in turn
-            at = self._next_echo % len(peers)
-            peers = (peers[at:] + peers[:at])[:MAX_ECHOES]
-            self._next_echo += MAX_ECHOES
-        echoes = tuple(Echo(p, *heard) for p in peers if (heard := self.sessions[p].heard) is not None)
         return Head(
             self._application,
             self._interface,
@@ -234,8 +242,20 @@ class Link:
             self._sequence,
             _microseconds(now),
             None if offset is None else round(offset * 1e6),
-            echoes,
+            self._echoes(to, now, every),
         )
+
+    def _echoes(self, to: Collection[int], now: float, every: float | None = None) -> tuple[Echo, ...]:
+        """Of those whose turn it is: as often as they learn from it, which from the reference they do most."""
+        if every is None:
+            reference = self._fleet_clock.reference == self.pid
+            every = (REFERENCE_EVERY if reference else OTHERS_EVERY) / ECHOES_A_LESSON
+        sessions, echoed = self.sessions, self._echoed
+        due = [p for p in to if now - echoed.get(p, -math.inf) >= every and p in sessions]
+        if len(due) > MAX_ECHOES:
+            due = sorted(due, key=lambda p: (echoed.get(p, -math.inf), p))[:MAX_ECHOES]
+        echoed.update(dict.fromkeys(due, now))
+        return tuple([Echo(p, *heard) for p in due if (heard := sessions[p].heard) is not None])
 
     def _pieces(self, to: Collection[int], closing: Closing, blob: bytes, known: Partly | None) -> None:
         pieces = cut(blob, self.room)
@@ -243,7 +263,7 @@ class Link:
         for index in lacking(len(pieces), mask)[:MOST_PIECES_AT_ONCE]:
             place = closing.author, closing.incarnation, closing.round
             digest, _, count, data = pieces[index]
-            self._send(to, Piece(self._head(), *place, digest, index, count, data))
+            self._send(to, Piece(self._head(to), *place, digest, index, count, data))
 
     def _batches(self, closings: Sequence[Closing]) -> list[tuple[Closing, ...]]:
         if len(closings) < 2:

@@ -14,8 +14,7 @@ from koordgen.runtime.wire import Closing, Write
 GAPS = 64  # closings kept while one before them is missing
 
 
-@dataclass(frozen=True, slots=True)
-class Entry:
+class Entry(msgspec.Struct, frozen=True):
     """A closing and the values in it by index."""
 
     closing: Closing
@@ -75,6 +74,9 @@ class Log:
 
     def at(self, round_: int) -> Entry:
         """The entry that covers a round which is held and not forgotten."""
+        last = self.entries[-1]
+        if last.closing.first <= round_ <= last.closing.round:
+            return last
         return self.entries[bisect_left(self.entries, round_, key=lambda e: e.closing.round)]
 
     def between(self, low: int, high: int) -> list[Closing]:

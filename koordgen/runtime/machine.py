@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import fields
 
 from koordgen.runtime.body import Body
 from koordgen.runtime.clock import Clock, FleetClock
@@ -23,7 +23,7 @@ from koordgen.runtime.outbox import Life
 from koordgen.runtime.platform import Platform, Unready
 from koordgen.runtime.program import Fault, Program
 from koordgen.runtime.replica import Replica
-from koordgen.runtime.rounds import Lost, Rounds
+from koordgen.runtime.rounds import Counters, Lost, Rounds
 from koordgen.runtime.runner import Limit, Runner, unlimited
 from koordgen.runtime.safety import Guard, Verdict
 from koordgen.runtime.settings import Settings
@@ -35,6 +35,7 @@ from koordgen.runtime.wire import Closing, Hello, View
 
 OK, WRONG_PROGRAM, SURROUNDINGS, INTERNAL = 0, 1, 5, 70
 LOST_BODY = 10.0  # seconds that a body which is lost for good is still tried to be brought to rest
+_COUNTED = tuple(f.name for f in fields(Counters))
 MOST_FAILURES = 100  # of the platform in a row after an internal error, then it is given up
 
 
@@ -107,7 +108,8 @@ class Agent:
         if self._body.slow_calls:
             counted["slow calls"] = self._body.slow_calls
         if self._rounds is not None:
-            counted |= asdict(self._rounds.counters)
+            counters = self._rounds.counters
+            counted |= {name: getattr(counters, name) for name in _COUNTED}
         return counted
 
     def end(self, why: str) -> None:

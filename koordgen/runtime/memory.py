@@ -18,6 +18,7 @@ from koordgen.runtime.views import majority
 from koordgen.runtime.wire import Closing, State, View
 
 AHEAD = 8  # rounds that a peer's clock may be ahead of ours
+RECENT = 8  # so many closings of one author may keep the datagrams that they came in: most are soon forgotten
 WINDOW = 256  # closings of one author that not everyone holds; its author writes no more then
 
 
@@ -194,7 +195,8 @@ class Memory:
             return "closing does not fit"
         if len(log.entries) >= 2 * WINDOW or (fitting.first > log.held + 1 and len(log.later) >= GAPS):
             return "no room for a closing"
-        log.take(Entry(detached(fitting), values))
+        few = len(log.entries) < RECENT and fitting.first <= log.held + 1
+        log.take(Entry(fitting if few else detached(fitting), values))
         if log.held > self.applied:
             self._lacking.discard(closing.author)
         return None
@@ -209,8 +211,9 @@ class Memory:
 
     def heard(self, pid: int, view: int, applied: int, held: Sequence[int], through: int, settled: int, present: int,
               asks: bool) -> str | None:  # fmt: skip
-        """Note a peer's word; `asks`: it wants what it lacks at once. None, or why the word cannot be."""
-        if len(held) != self._n or max(through, settled, applied, max(held)) > present + AHEAD:
+        """Note a peer's word (an empty `held`: everyone's up to `applied`); `asks`: it wants what it lacks at once.
+        None, or why the word cannot be."""
+        if (held and len(held) != self._n) or max(through, settled, applied, *held) > present + AHEAD:
             return "word does not fit"
         word = self._words[pid]
         if view >= word.view and applied >= word.applied:
@@ -218,7 +221,9 @@ class Memory:
             word.view, word.applied = view, applied
             self._reached += view == self.view.number and before < self._watched <= applied
         if through > word.through or (asks and through == word.through):
-            word.held, word.through, word.answered = held, through, min(held) >= through
+            word.through, word.answered = through, (min(held) if held else applied) >= through
+            if not word.answered:
+                word.held = held or (applied,) * self._n
         if view == self.view.number and settled > self.settled:
             self._settle(min(settled, self.applied))
         return None
@@ -318,7 +323,7 @@ class Memory:
 
     def _look(self) -> None:
         """After a round was applied or the view has changed: what is lacking now, and who is in from when."""
-        for pid, log in enumerate(self._logs):
+        for pid, log in enumerate(self._logs if len(self._views) > 1 else ()):
             for begins, ends in self._absences(pid):
                 if begins <= log.held + 1 <= ends:
                     log.skip(ends)
@@ -333,8 +338,10 @@ class Memory:
             if view.members[pid] < 0:
                 yield view.since if i else 0, following.since - 1
 
-    def _counting(self, entries: Sequence[Entry], round_: int) -> list[Entry]:
+    def _counting(self, entries: Sequence[Entry], round_: int) -> Sequence[Entry]:
         """Those whose event counts, in the order in which they take effect."""
+        if all(e.closing.lock < 0 for e in entries):
+            return entries
         contenders: dict[int, list[int]] = {}
         for entry in entries:
             if entry.closing.lock >= 0:

@@ -92,14 +92,14 @@ class Outbox:
         first, commit = self._waiting[0], self._commit
         if commit is not None and memory.applied >= commit.record.round:
             return True
-        return first.lock < 0 and (first.record.effects is None or memory.stable(first.record.round))
+        return first.lock < 0 and _is_certain(first.record, memory)
 
     def ready(self, memory: Memory | None) -> list[Record]:
         """The records that are certain now, in order; without a store those before the first that did something."""
         found = []
         while self._waiting and self._waiting[0].lock < 0:
             waiting = self._waiting[0]
-            if waiting.record.effects is not None and (memory is None or not memory.stable(waiting.record.round)):
+            if not _is_certain(waiting.record, memory):
                 break
             self._waiting.popleft()
             found.append(waiting.record)
@@ -115,7 +115,7 @@ class Outbox:
         found = []
         for waiting in self._waiting:
             record = waiting.record
-            if record.effects is not None and record.round > acted:
+            if (record.effects is not None or record.frame is not None) and record.round > acted:
                 record = replace(
                     record, event=None, effects=None, frame=None, skipped="not counted: the others went on"
                 )
@@ -125,6 +125,14 @@ class Outbox:
         if life is not None:
             self.lives = [life]
         return life, found
+
+
+def _is_certain(record: Record, memory: Memory | None) -> bool:
+    """Whether no view can leave out what was done in a round, or what was seen in it by one who did nothing."""
+    if record.effects is None and record.frame is None:
+        return True
+    last = record.round if record.effects is not None else record.round - 1
+    return memory is not None and memory.stable(last)
 
 
 def has_outputs(effects: Effects | None) -> bool:

@@ -80,6 +80,7 @@ class Replica:
         self._turn = self._pid
         self._silent: Closing | None = None  # the rounds closed while there is no store
         self.memory = memory
+        self._spare: Memory | None = None  # at the beginning of a view that left this robot out: all others may lose it
         self.comeback = None if memory is not None else Comeback(self._pid, view.number)
         self.views = Views(self._pid, view, vote, self._own_word, self._holds, self._follow, self._save)
         self.emergency = False  # heard of one
@@ -117,7 +118,8 @@ class Replica:
         if memory is None:
             return self.views.view.number, 0, self._said, 0, self.emergency, (0,) * self._n
         self.keep()
-        return memory.view.number, round_, memory.applied, memory.settled, self.emergency, memory.held
+        held = memory.held if memory.applied < round_ - 1 else ()  # else it would tell nothing more
+        return memory.view.number, round_, memory.applied, memory.settled, self.emergency, held
 
     def publish(self, first: int, round_: int) -> None:
         """The own closings from `first` on go to everyone, and to each what it lacked when it last spoke."""
@@ -158,10 +160,10 @@ class Replica:
         to = {*peers, *helper, *unaware}
         held = self._gatherings.items()
         partly = tuple([Partly(author, r, g.name, g.mask) for author, (_, r, g) in held][:MOST_PARTLY])
-        view, _, applied, _, _, have = self.word(through)
+        view, _, applied, _, _, _ = self.word(through)
         for pid in peers:
             self._link.metrics.repeated(pid)
-        self._link.say(sorted(to), Need, view, through, applied, have, partly)
+        self._link.say(sorted(to), Need, view, through, applied, memory.held, partly)
 
     def take(self, message: Talk, present: int) -> None:
         """A message of this mission, heard in round `present`."""
@@ -213,13 +215,13 @@ class Replica:
 
     def _own_word(self) -> Word:
         self.keep()
-        return Word(self.views.view.number, self._said, self.memory is not None)
+        return Word(self.views.view.number, self._said, self.memory is not None or self._spare is not None)
 
     def _holds(self, value: View) -> bool:
         """Whether this robot's vote helps the view to last: who would lose its store by it gives none."""
         memory = self.memory
         if memory is None:
-            return True
+            return self._spare is None or value.members[self._pid] >= 0
         stays = value.number == memory.view.number + 1 and value.members[self._pid] >= 0
         return stays and memory.holds(value.since - 1)
 
@@ -312,7 +314,7 @@ class Replica:
             return
         if self._silent is not None and self._silent.round > memory.applied:
             memory.close(self._silent.round, {}, stopped=False)
-        self._silent = self.comeback = None
+        self._silent = self._spare = self.comeback = None
         self.memory = memory
         self.returns += 1
 
@@ -326,19 +328,12 @@ class Replica:
 
     def _follow(self, before: View) -> None:
         """There is another view."""
-        view, memory = self.views.view, self.memory
-        if memory is not None:
-            goes_on = view.number == before.number + 1 and view.members[self._pid] == before.members[self._pid]
-            if goes_on:
-                memory.adopt(view)
-            else:
-                anew = view.number == before.number + 1 and view.members[self._pid] == view.number
-                self.memory = memory.rewound(view) if anew else None
-                self.returns += 1
-                if self.memory is not None:
-                    self._said = self.memory.applied
-                else:
-                    self.comeback = Comeback(self._pid, before.number, news=self._tick)
+        view, memory, own = self.views.view, self.memory, self.views.view.members[self._pid]
+        following = view.number == before.number + 1
+        if memory is not None and following and own == before.members[self._pid]:
+            memory.adopt(view)
+        else:
+            self._change(view, before, following)
         self._gatherings.clear()
         for pid, peer in self._peers.items():
             peer.asked = -ASKED
@@ -347,6 +342,18 @@ class Replica:
         if self.memory is None:
             self._said = min(self._said, view.since - 1)
             self._silent = None
+
+    def _change(self, view: View, before: View, following: bool) -> None:
+        """The store does not go on: it is taken back to where the view begins, or kept aside, or gone."""
+        last = self.memory or self._spare
+        kept = last.rewound(view) if last is not None and following else None
+        if self.memory is not None:
+            self.comeback = Comeback(self._pid, before.number, news=self._tick)
+        anew = kept is not None and view.members[self._pid] == view.number
+        self.returns += anew or self.memory is not None
+        self.memory, self._spare = (kept, None) if anew else (None, kept)
+        if self.memory is not None:
+            self._said, self.comeback = self.memory.applied, None
 
     def _freeze(self) -> None:
         if self.memory is not None:

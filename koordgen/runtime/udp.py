@@ -16,6 +16,7 @@ from koordgen.runtime.transport import MOST_AT_ONCE, CannotOpen
 from koordgen.runtime.wire import LIMIT
 
 RECEIVE_BUFFER = 1 << 20
+IN_TURN = 64  # datagrams taken from one socket before another is looked at
 MOST_ECHOES = 16  # own datagrams under way back from the group; more than one round sends
 
 
@@ -39,18 +40,24 @@ class UnicastTransport:
 
     def receive(self) -> Sequence[bytes]:
         arrived: list[bytes] = []
-        for _ in range(MOST_AT_ONCE):
-            ready = self._poll.poll(0)  # a third of what an exception costs that says the same
+        while len(arrived) < MOST_AT_ONCE:
+            ready = self._poll.poll(0)
             if not ready:
                 break
             for number, _ in ready:
-                try:
-                    arrived.append(self._sockets[number].recv(LIMIT + 1))
-                except BlockingIOError:  # its checksum was wrong
-                    pass
-                except OSError as error:  # an earlier send's echo, nothing about what waits
-                    self._count("receive", error)
+                self._drain(self._sockets[number], arrived)
         return arrived
+
+    def _drain(self, source: socket.socket, arrived: list[bytes]) -> None:
+        """What waits there, until it is the turn of others."""
+        receive, take = source.recv, arrived.append
+        try:
+            for _ in range(IN_TURN):
+                take(receive(LIMIT + 1))
+        except BlockingIOError:
+            pass
+        except OSError as error:  # an earlier send's echo, nothing about what waits
+            self._count("receive", error)
 
     def wait(self, seconds: float) -> None:
         end = time.monotonic() + seconds
@@ -130,7 +137,8 @@ class GroupTransport(UnicastTransport):
             super().send(to, datagram)
 
     def receive(self) -> Sequence[bytes]:
-        return [datagram for datagram in super().receive() if not self._is_echo(datagram)]
+        arrived = super().receive()
+        return [datagram for datagram in arrived if not self._is_echo(datagram)] if self._echoes else arrived
 
     def _is_echo(self, datagram: bytes) -> bool:
         """Whether it is our own: each comes back once, and its sequence number makes it unlike all others."""

@@ -28,6 +28,7 @@ MaybeNatural = Annotated[int, msgspec.Meta(ge=-1, le=_TOP)]  # -1: none
 Shift = Annotated[int, msgspec.Meta(ge=-_TOP, le=_TOP)]
 Pid = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
 Short = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]  # a round: enough for a year of rounds of 10 ms
+MaybePerRobot = Annotated[tuple[Short, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
 PerRobot = Annotated[tuple[Short, ...], msgspec.Meta(min_length=1, max_length=MAX_ROBOTS)]
 Incarnations = Annotated[tuple[MaybeNatural, ...], msgspec.Meta(min_length=1, max_length=MAX_ROBOTS)]
 Mask = Annotated[bytes, msgspec.Meta(max_length=MOST_PIECES // 8)]  # bit i of byte i // 8: piece i is there
@@ -49,7 +50,8 @@ class Echo(Wired, frozen=True):
 class Head(Wired, frozen=True):
     """What every datagram begins with. `boot` is drawn anew at each start of the sender's process; `sequence` only
     grows within a boot; `epoch` names the mission and is empty until the sender holds everyone's init result; `fleet`
-    is to be added to the sender's clock for fleet time, as far as it knows."""
+    is to be added to the sender's clock for fleet time, as far as it knows. `echoes` are there as often as clocks learn
+    from them."""
 
     application: Natural
     interface: Token
@@ -115,8 +117,9 @@ class Hello(Wired, frozen=True, tag=0):
 
 class Round(Wired, frozen=True, tag=1):
     """The sender's word: it is in `round`, goes by view number `view`, has applied all rounds up to `applied`, and
-    holds robot p's closings up to `held[p]`. All members hold everything up to `settled`. Any robot may carry any
-    other's closings. `emergency`: someone with the fleet's key has stopped the fleet."""
+    holds robot p's closings up to `held[p]`; empty: everyone's up to `applied`, as in most rounds. All members hold
+    everything up to `settled`. Any robot may carry any other's closings. `emergency`: someone with the fleet's key has
+    stopped the fleet."""
 
     head: Head
     view: Natural
@@ -124,7 +127,7 @@ class Round(Wired, frozen=True, tag=1):
     applied: Natural
     settled: Natural
     emergency: bool
-    held: PerRobot
+    held: MaybePerRobot
     closings: tuple[Closing, ...]
 
 
