@@ -54,7 +54,7 @@ class Text:
 
     def flaw(self, value: str) -> str:
         try:
-            length = len(value.encode())
+            length = len(value) if value.isascii() else len(value.encode())
         except UnicodeEncodeError:
             return "a text that is not Unicode"
         return _excess(f"a text of {length} bytes", length, self.capacity)

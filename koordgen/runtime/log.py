@@ -52,7 +52,8 @@ class Log:
         """Keep a closing that reaches beyond `held`."""
         if entry.closing.first <= self.held + 1:
             self.append(entry)
-            self._absorb()
+            if self.later:
+                self._absorb()
             return
         known = self.later.get(entry.closing.first)
         if known is None or known.closing.round < entry.closing.round:
@@ -63,13 +64,13 @@ class Log:
         closing = entry.closing
         if closing.first <= self.held:
             closing = msgspec.structs.replace(closing, first=self.held + 1)
-        if self.entries and not entry.single:
+        if not entry.single and self.entries:
             last = self.entries[-1]
             same = last.closing.stopped == closing.stopped and last.closing.incarnation == closing.incarnation
             if same and not last.single and last.closing.round == closing.first - 1:
                 closing = msgspec.structs.replace(closing, first=last.closing.first)
                 self.entries.pop()
-        self.entries.append(Entry(closing, entry.values))
+        self.entries.append(entry if closing is entry.closing else Entry(closing, entry.values))
         self.held = closing.round
 
     def at(self, round_: int) -> Entry:

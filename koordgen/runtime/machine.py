@@ -31,7 +31,7 @@ from koordgen.runtime.store import Keeper
 from koordgen.runtime.trace import Observe, Record, Trace
 from koordgen.runtime.transport import Transport
 from koordgen.runtime.views import Vote, described
-from koordgen.runtime.wire import Closing, Hello, View
+from koordgen.runtime.wire import Closing, Hello, View, encoder
 
 OK, WRONG_PROGRAM, SURROUNDINGS, INTERNAL = 0, 1, 5, 70
 LOST_BODY = 10.0  # seconds that a body which is lost for good is still tried to be brought to rest
@@ -263,11 +263,17 @@ class Agent:
             self._journal.error(f"{done} (in init)")
             self._rest("init failed", WRONG_PROGRAM)
             return
+        result = Closing(self._settings.pid, 0, 0, 0, done.stopped, writes=self._layout.writes(done.shared))
+        length = len(encoder.encode(result))
+        if length > self._link.room:  # a Hello is one datagram
+            most = self._link.room
+            self._journal.error(f"init writes {length} bytes of shared variables; at most {most} can be sent")
+            self._rest("init failed", WRONG_PROGRAM)
+            return
         self._body.command(done.actuators, now)
         self._journal.streams(done.streams, 0, now)
-        writes = self._layout.writes(done.shared)
         self._init = Life(0, done.locals, self._body.actuators, done.stopped)
-        self._joining.ready(Closing(self._settings.pid, 0, 0, 0, done.stopped, writes=writes))
+        self._joining.ready(result)
 
     def _begin_rounds(self, now: float) -> None:
         if self.phase != "joining":

@@ -270,28 +270,30 @@ class Memory:
         log = self._logs[self._pid]
         return log.between(first, log.held)
 
-    def repeat(self, pid: int) -> list[Closing]:
-        """What a peer lacked when it last spoke, and we hold: once for each time it says so. Its turn begins with our
+    def repeat(self, pid: int, helps: bool = True) -> list[Closing]:
+        """What a peer lacked when it last spoke, and we hold: once for each time it says so; unless this robot `helps`,
+        only what it wrote itself. Its turn begins with our
         own closings, so that several robots that answer at once begin with different ones."""
         word = self._words[pid]
         if word.answered or self.view.members[pid] < 0:
             return []
         word.answered = True
         found: list[Closing] = []
-        for author in (*range(self._pid, self._n), *range(self._pid)):
+        for author in (*range(self._pid, self._n), *range(self._pid)) if helps else (self._pid,):
             low = max(word.held[author], self.settled) + 1
             if low <= word.through:
                 found += self._logs[author].between(low, word.through)
         return found
 
     def snapshot(self) -> tuple[int, State]:
-        """The round and the store for one who comes in; made once for each round."""
-        if self._snapshot is None or self._snapshot[0] != self.applied:
+        """The round and the store for one who comes in; made once for each round and view."""
+        view = self._at(self.applied + 1)
+        made = self._snapshot
+        if made is None or (made[0], made[1].view) != (self.applied, view):
             stopped = tuple([self.stopped.get(p, -1) for p in range(self._n)])
             values = self._layout.pack(self.shared)
-            view = self._at(self.applied + 1)
-            self._snapshot = self.applied, State(view, self.applied, values, stopped, tuple(self.acted))
-        return self._snapshot
+            made = self._snapshot = self.applied, State(view, self.applied, values, stopped, tuple(self.acted))
+        return made
 
     def _at(self, round_: int) -> View:
         """The view of a round not before the next one to be applied."""

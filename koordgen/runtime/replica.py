@@ -34,6 +34,7 @@ from koordgen.runtime.wire import (
 
 SLOTS = 5  # moments in a round at which what is missing is asked for
 MOST_PARTLY = 8
+HELPERS = 5  # robots that at once repeat what others wrote
 ASKED = 3 * SLOTS  # ticks for which a request to be let in counts
 HEARD = 2 * SLOTS  # ticks for which a robot counts as one that can be heard
 
@@ -131,7 +132,7 @@ class Replica:
         own = memory.own(first)
         plain: list[int] = []
         for pid, peer in self._peers.items():
-            repeats = memory.repeat(pid)
+            repeats = memory.repeat(pid, self._helps(pid, round_))
             if repeats:
                 known = {c.round for c in own}
                 rest = [c for c in repeats if c.author != self._pid or c.round not in known]
@@ -139,6 +140,10 @@ class Replica:
             else:
                 plain.append(pid)
         self._link.round(plain, word, own)
+
+    def tell(self, round_: int) -> None:
+        """This robot's word, to everyone."""
+        self._link.round(self._peers, self.word(round_), ())
 
     def confirm(self, round_: int) -> None:
         """Tell those who wait for it that this robot has applied a round."""
@@ -163,7 +168,9 @@ class Replica:
         view, _, applied, _, _, _ = self.word(through)
         for pid in peers:
             self._link.metrics.repeated(pid)
-        self._link.say(sorted(to), Need, view, through, applied, memory.held, partly)
+        # Who merely hears a question answers it too, so one to few goes to each of them alone.
+        for each in [sorted(to)] if 2 * len(to) > self._n else [[p] for p in sorted(to)]:
+            self._link.say(each, Need, view, through, applied, memory.held, partly)
 
     def take(self, message: Talk, present: int) -> None:
         """A message of this mission, heard in round `present`."""
@@ -194,6 +201,11 @@ class Replica:
             self._freeze()
         if self.comeback is not None:
             self._send(self.comeback.poll(tick, self.views.view))
+
+    def _helps(self, pid: int, round_: int) -> bool:
+        """Whether it is this robot's turn to repeat to another what third ones wrote: if all did so at once, a large
+        fleet in which one is late would have no time for anything else."""
+        return (self._pid - pid - round_) % self._n < HELPERS
 
     def _doubted(self, present: int) -> list[int]:
         """The members of whom nothing new has come for too long."""
@@ -252,7 +264,8 @@ class Replica:
         elif isinstance(message, Need):
             peer = self._peers[sender]
             peer.partly = {p.author: p for p in message.partly}
-            self._link.round([sender], self.word(present), memory.repeat(sender), peer.partly)
+            helps = message.held[self._pid] >= message.through or self._helps(sender, present)
+            self._link.round([sender], self.word(present), memory.repeat(sender, helps), peer.partly)
 
     def _closing(self, closing: Closing, present: int) -> None:
         if self.memory is not None:

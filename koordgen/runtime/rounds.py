@@ -92,6 +92,7 @@ class Rounds:
         self._outbox = Outbox(lives[0])
         self._outbox.lives = list(lives)
         self._returns = replica.returns
+        self._view = replica.views.view.number  # the latest in which this robot has given its word
         self.stopped = self._outbox.life.stopped
         self.counters = Counters()
         self.reason: str | None = None  # why the last round that was closed had no event
@@ -145,6 +146,9 @@ class Rounds:
         if memory is not None:
             self._come_back(now)
             current = memory.advance(present.round)
+            if memory.view.number != self._view:  # words in the new view are wanted before events can go on
+                self._view = memory.view.number
+                self._replica.tell(present.round)
             self._settle(now)
         else:
             for record in self._outbox.ready(None):

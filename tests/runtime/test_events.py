@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from koordgen.runtime.clock import SystemClock
+from koordgen.runtime.machine import WRONG_PROGRAM
 from koordgen.runtime.platform import Sensed
 from koordgen.runtime.program import Event, Program, Stopped, no_ports
 from koordgen.runtime.runner import Overrun, Runner, interrupting
@@ -257,3 +258,13 @@ def test_a_local_int_that_leaves_64_bits_is_a_fault() -> None:
     cleo = fleet.robots[2]
     assert cleo.agent._runner.locals == {"count": 3**32}
     assert "count would become an int beyond 64 bits" in str(cleo.records[-1].fault)
+
+
+def test_an_init_that_writes_more_than_can_be_sent_ends_the_robot_with_a_reason() -> None:
+    """A bundle that was built without a fleet file knows the robots, and so the room, only now."""
+    fleet = Fleet(n=2).boot_all()
+    fleet.robots[0].agent._link.room = 20
+    fleet.run(3.0, until=fleet.robots[0].done)
+    alice = fleet.robots[0]
+    assert alice.agent.status == WRONG_PROGRAM and alice.platform.resting is not None
+    assert any("init writes" in line and "at most 20 can be sent" in line for line in alice.lines)
