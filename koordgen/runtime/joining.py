@@ -1,6 +1,6 @@
 """From process start to round 1: who is alive, whose `init` has run, and when the rounds begin.
 
-Each robot tells each other one, every PERIOD, its boot, its `init` result and whose results it holds. A boot is
+Each robot tells each other one, every period, its boot, its `init` result and whose results it holds. A boot is
 adopted only when its Hello answers a challenge that opened after the last adoption, so a recorded Hello of an earlier
 boot never passes for the present one. Who holds all results announces the epoch, a digest of all boots. Once all
 announce the same one, the robot with the lowest pid proposes the start of round 1, and everyone passes it on.
@@ -21,7 +21,8 @@ from koordgen.runtime.link import Link
 from koordgen.runtime.wire import Closing, Hello, epoch_of
 
 PERIOD = 0.2  # seconds between two Hellos to the same robot
-LEAD = 1.0  # seconds from the proposal to round 1: five Hellos from every robot that has heard it
+FEW = 32  # robots; in a larger fleet the period is longer, or Hellos would leave no time for anything else
+LEAD = 5  # periods from the proposal to round 1: so many Hellos from every robot that has heard it
 # Why a robot that does send may not be heard, by the reason its datagrams are dropped for.
 _UNHEARD = {
     "not authentic": "datagrams come that were sealed with another key than ours",
@@ -68,6 +69,7 @@ class Joining:
         self._init: Closing | None = None
         self._start: float | None = None
         self._next = 0.0
+        self._period = PERIOD * max(1.0, len(names) / FEW)
         self._returning = False
         self._announced: deque[bytes] = deque(maxlen=8)  # missions that others may have begun with this boot
         self.met = True  # no robot need be told of this one any more
@@ -116,17 +118,17 @@ class Joining:
             return self._meet(now)
         agreed = self._link.epoch and all(o.epoch == self._link.epoch for o in self._others.values())
         if agreed and self._pid == 0 and fleet is not None:
-            self._start = round((fleet + LEAD) * 1e6) / 1e6
+            self._start = round((fleet + LEAD * self._period) * 1e6) / 1e6
             self._next = now
         if now >= self._next:
-            self._next = now + PERIOD
+            self._next = now + self._period
             self.tell()
         return self._next
 
     def _meet(self, now: float) -> float:
         """During the mission: Hellos to those whose present boot is not known, or who may not know ours."""
         if now >= self._next:
-            self._next = now + PERIOD
+            self._next = now + self._period
             for pid in self._link.strangers if self.met else self._others:
                 self._hello(pid, self._others[pid].challenge)
             self._link.strangers.clear()
