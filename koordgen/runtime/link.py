@@ -163,10 +163,10 @@ class Link:
 
     def _admit(self, message: Message, local: float, fleet: float | None) -> bool:
         head = message.head
+        session = self.sessions.get(head.pid)
+        adopted = session is not None and session.boot == head.boot
         reason = self._foreign(head)
         if reason is None:
-            session = self.sessions.get(head.pid)
-            adopted = session is not None and session.boot == head.boot
             if isinstance(message, Hello):
                 if message.to != self.pid:
                     reason = "for another robot"
@@ -180,9 +180,10 @@ class Link:
                     self._stamps(session, message, local, fleet)
                 else:
                     reason = "replayed"
-        if reason is not None:
-            self.reject(reason)
-        return reason is None
+        if reason is None:
+            return True
+        self.reject(reason)
+        return False
 
     def _foreign(self, head: Head) -> str | None:
         if head.application != self._application:
@@ -207,9 +208,9 @@ class Link:
     def _stamps(self, session: Session, message: Message, local: float, fleet: float | None) -> None:
         """Learn from a datagram that was here at `local`, or at `fleet` by the fleet's clock."""
         head = message.head
-        heard = session.heard
-        if heard is None or head.sent > heard[0]:
-            session.heard = (head.sent, _microseconds(local))
+        heard, sent = session.heard, head.sent
+        if heard is None or sent > heard[0]:
+            session.heard = (sent, _microseconds(local))
         if head.echoes:
             self._learn(session, head, local)
         if isinstance(message, Round) and message.round > session.round:

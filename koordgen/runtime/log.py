@@ -64,7 +64,7 @@ class Log:
         closing = entry.closing
         if closing.first <= self.held:
             closing = msgspec.structs.replace(closing, first=self.held + 1)
-        if not entry.single and self.entries:
+        if self.entries and not entry.single:
             last = self.entries[-1]
             same = last.closing.stopped == closing.stopped and last.closing.incarnation == closing.incarnation
             if same and not last.single and last.closing.round == closing.first - 1:

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from koordgen.runtime.layout import Layout
+from koordgen.runtime.layout import Layout, Unpatched
 from koordgen.runtime.log import GAPS, Entry, Log, detached, shortened
 from koordgen.runtime.views import majority
 from koordgen.runtime.wire import Closing, State, View
@@ -185,7 +185,9 @@ class Memory:
             return "closing does not fit"
         if closing.round > present + AHEAD:
             return "closing too far ahead"
-        fitting = self._of_this_life(closing)
+        views = self._views
+        simple = len(views) == 1 and views[0].members[closing.author] == closing.incarnation
+        fitting = closing if simple else self._of_this_life(closing)
         if fitting is None:
             return "closing of another view"
         if closing.author == self._pid:
@@ -193,9 +195,10 @@ class Memory:
         values = self._layout.read(fitting)
         if values is None:
             return "closing does not fit"
-        if len(log.entries) >= 2 * WINDOW or (fitting.first > log.held + 1 and len(log.later) >= GAPS):
+        count, next_ = len(log.entries), fitting.first <= log.held + 1
+        if count >= 2 * WINDOW or (not next_ and len(log.later) >= GAPS):
             return "no room for a closing"
-        few = len(log.entries) < RECENT and fitting.first <= log.held + 1
+        few = count < RECENT and next_
         log.take(Entry(fitting if few else detached(fitting), values))
         if log.held > self.applied:
             self._lacking.discard(closing.author)
@@ -213,7 +216,8 @@ class Memory:
               asks: bool) -> str | None:  # fmt: skip
         """Note a peer's word (an empty `held`: everyone's up to `applied`); `asks`: it wants what it lacks at once.
         None, or why the word cannot be."""
-        if (held and len(held) != self._n) or max(through, settled, applied, *held) > present + AHEAD:
+        last = present + AHEAD
+        if through > last or settled > last or applied > last or (held and (len(held) != self._n or max(held) > last)):
             return "word does not fit"
         word = self._words[pid]
         if view >= word.view and applied >= word.applied:
@@ -384,7 +388,7 @@ class Memory:
         self._settle(min(through, *words) if words else through)
 
     def _write(self, changed: dict[int, Any], index: int, author: int, item: Any) -> None:
-        value = self._layout.resolve(index, item, self._base(index, author))
+        value = self._layout.resolve(index, item, self._base(index, author)) if isinstance(item, Unpatched) else item
         if value is None:
             self.unfit += 1
         elif not self._layout.is_slots[index]:

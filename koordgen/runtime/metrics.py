@@ -22,12 +22,13 @@ class Histogram:
         self._buckets = array("L", bytes(array("L").itemsize * _BUCKETS))
 
     def add(self, seconds: float) -> None:
-        if not math.isfinite(seconds):
+        if not -math.inf < seconds < math.inf:
             return
-        index = int(_PER_OCTAVE * math.log2(max(seconds, _SHORTEST) / _SHORTEST))
-        self._buckets[min(index, _BUCKETS - 1)] += 1
+        index = int(_PER_OCTAVE * math.log2(seconds / _SHORTEST)) if seconds > _SHORTEST else 0
+        self._buckets[index if index < _BUCKETS else -1] += 1
         self.count += 1
-        self.most = max(self.most, seconds)
+        if seconds > self.most:
+            self.most = seconds
 
     def quantile(self, share: float) -> float:
         """What at least this share of all durations does not exceed; 0 when there is none."""
@@ -76,20 +77,22 @@ class Metrics:
         known."""
         peer = self._peers[pid]
         peer.received += 1
-        peer.expected += max(0, ahead)
+        if ahead > 0:
+            peer.expected += ahead
         if peer.expected > _RECENT:
             peer.expected //= 2
             peer.received //= 2
         if delay is not None:
             peer.delay.add(delay)
-        if peer.heard is not None:
-            peer.longest = max(peer.longest, now - peer.heard)
+        if peer.heard is not None and now - peer.heard > peer.longest:
+            peer.longest = now - peer.heard
         peer.heard = now
 
     def closed(self, pid: int, round_: int) -> None:
         """All closings of a peer up to this round are here."""
-        if pid in self._peers:
-            self._peers[pid].closed = max(self._peers[pid].closed, round_)
+        peer = self._peers.get(pid)
+        if peer is not None and round_ > peer.closed:
+            peer.closed = round_
 
     def repeated(self, pid: int) -> None:
         """A peer was asked for something again."""

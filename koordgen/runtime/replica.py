@@ -178,8 +178,10 @@ class Replica:
         peer = self._peers[sender]
         peer.heard = self._tick
         match message:
-            case Round() | Need():
-                self._words(sender, message, present)
+            case Round():
+                self._round(sender, message, present)
+            case Need():
+                self._need(sender, message, present)
             case Piece():
                 self._piece(message, present)
             case Want():
@@ -244,28 +246,38 @@ class Replica:
         for to, kind, fields in outs:
             self._link.say(to, kind, *fields)
 
-    def _words(self, sender: int, message: Round | Need, present: int) -> None:
-        asks = isinstance(message, Need)
-        self._tell(sender, message.view)
-        if isinstance(message, Round):
-            self.emergency = self.emergency or message.emergency
-            for closing in message.closings:
-                self._closing(closing, present)
+    def _round(self, sender: int, message: Round, present: int) -> None:
+        if message.view < self.views.view.number:
+            self._tell(sender, message.view)
+        if message.emergency:
+            self.emergency = True
         memory = self.memory
         if memory is None:
             return
-        through = message.through if isinstance(message, Need) else message.round - 1
-        settled = 0 if isinstance(message, Need) else message.settled
+        for closing in message.closings:
+            refused = memory.take(closing, present)
+            if refused is not None:
+                self._link.reject(refused)
+        through = message.round - 1 if message.round else 0
         refused = memory.heard(
-            sender, message.view, message.applied, message.held, max(0, through), settled, present, asks
+            sender, message.view, message.applied, message.held, through, message.settled, present, asks=False
         )
         if refused is not None:
             self._link.reject(refused)
-        elif isinstance(message, Need):
-            peer = self._peers[sender]
-            peer.partly = {p.author: p for p in message.partly}
-            helps = message.held[self._pid] >= message.through or self._helps(sender, present)
-            self._link.round([sender], self.word(present), memory.repeat(sender, helps), peer.partly)
+
+    def _need(self, sender: int, message: Need, present: int) -> None:
+        self._tell(sender, message.view)
+        memory, through = self.memory, message.through
+        if memory is None:
+            return
+        refused = memory.heard(sender, message.view, message.applied, message.held, through, 0, present, asks=True)
+        if refused is not None:
+            self._link.reject(refused)
+            return
+        peer = self._peers[sender]
+        peer.partly = {p.author: p for p in message.partly}
+        helps = message.held[self._pid] >= through or self._helps(sender, present)
+        self._link.round([sender], self.word(present), memory.repeat(sender, helps), peer.partly)
 
     def _closing(self, closing: Closing, present: int) -> None:
         if self.memory is not None:
