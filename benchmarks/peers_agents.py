@@ -20,13 +20,14 @@ from koordgen.runtime.link import Link, Session
 from koordgen.runtime.machine import Agent
 from koordgen.runtime.memory import Memory
 from koordgen.runtime.metrics import Metrics
+from koordgen.runtime.opening import open_transport
 from koordgen.runtime.platform import Sensed
 from koordgen.runtime.program import Cell, Event, Frame, Program, Slots, Transaction, Variable
 from koordgen.runtime.rounds import PUBLISH
 from koordgen.runtime.settings import Box, Network, Origin, Peer, Settings
 from koordgen.runtime.store import Store
 from koordgen.runtime.trace import Record, Trace
-from koordgen.runtime.transport import Transport, open_transport
+from koordgen.runtime.transport import Transport
 from koordgen.runtime.values import Point
 from koordgen.runtime.wire import Closing, Round, View, decode
 

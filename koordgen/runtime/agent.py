@@ -26,6 +26,7 @@ from koordgen.runtime.drivers import Drivers, with_drivers
 from koordgen.runtime.extern import BadExtern
 from koordgen.runtime.layout import Layout, TooLarge
 from koordgen.runtime.machine import INTERNAL, OK, SURROUNDINGS, WRONG_PROGRAM, Agent
+from koordgen.runtime.opening import open_transport
 from koordgen.runtime.platform import Platform, Unready
 from koordgen.runtime.program import Program
 from koordgen.runtime.runner import EndedAtOnce, interrupting
@@ -34,7 +35,7 @@ from koordgen.runtime.settings import BadSettings, Settings, load
 from koordgen.runtime.status import ask, show
 from koordgen.runtime.store import Store
 from koordgen.runtime.trace import Trace
-from koordgen.runtime.transport import CannotOpen, open_transport
+from koordgen.runtime.transport import CannotOpen
 
 __all__ = ["Agent", "main"]
 

@@ -1,14 +1,11 @@
-"""How datagrams get from robot to robot: the interface, and which of its kinds the settings ask for."""
+"""How datagrams get from robot to robot: the interface."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Protocol
 
-from koordgen.runtime.settings import Settings
-
 MOST_AT_ONCE = 1024  # datagrams taken in one go: a flood must not keep the robot from its control loop
-INSTALL_ZENOH = "pip install 'eclipse-zenoh>=1.10'"
 
 
 class Transport(Protocol):
@@ -38,21 +35,3 @@ class Transport(Protocol):
 
 class CannotOpen(Exception):
     """A socket that cannot be opened or a peer that has no address; the message names the robot and the address."""
-
-
-def open_transport(settings: Settings) -> Transport:
-    """The transport that the settings name; only its own modules are imported. Raises CannotOpen."""
-    network = settings.network
-    if network.transport == "zenoh":
-        try:
-            from koordgen.runtime.zenoh_transport import ZenohTransport
-        except ImportError as error:
-            raise CannotOpen(
-                f"robot {settings.robot}: transport zenoh needs a package that does not load ({error}): {INSTALL_ZENOH}"
-            ) from None
-        return ZenohTransport(settings)
-    from koordgen.runtime.udp import GroupTransport, UnicastTransport
-
-    if network.transport == "unicast":
-        return UnicastTransport(settings.peers, settings.pid, settings.bind)
-    return GroupTransport(settings.peers, settings.pid, settings.bind, network)

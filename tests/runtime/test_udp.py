@@ -10,8 +10,9 @@ from typing import Any
 import pytest
 
 from koordgen.runtime import udp
+from koordgen.runtime.opening import open_transport
 from koordgen.runtime.settings import Network
-from koordgen.runtime.transport import CannotOpen, Transport, open_transport
+from koordgen.runtime.transport import CannotOpen, Transport
 from tests.runtime.transports import BROADCAST, MULTICAST, free_ports, opened, settings
 
 UNICAST = Network()

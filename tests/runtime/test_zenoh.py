@@ -8,8 +8,9 @@ from contextlib import ExitStack
 
 import pytest
 
+from koordgen.runtime.opening import open_transport
 from koordgen.runtime.settings import Network
-from koordgen.runtime.transport import CannotOpen, open_transport
+from koordgen.runtime.transport import CannotOpen
 from tests.runtime.transports import Opened, free_ports, meet, needs_zenoh, opened, settings
 
 

@@ -13,8 +13,9 @@ import pytest
 
 from koordgen.runtime.clock import SimulatedClock
 from koordgen.runtime.network import Conditions, MemoryNetwork
+from koordgen.runtime.opening import open_transport
 from koordgen.runtime.settings import Box, Network, Origin, Peer, Settings
-from koordgen.runtime.transport import Transport, open_transport
+from koordgen.runtime.transport import Transport
 
 NO_ZENOH = importlib.util.find_spec("zenoh") is None
 needs_zenoh = pytest.mark.skipif(NO_ZENOH, reason="the package eclipse-zenoh is not installed")
