@@ -149,7 +149,7 @@ class Swarm:
 
     def round(self) -> int:
         """The newest round that any robot told of."""
-        return max((t["round"] for r in self.robots.values() for t in r.read()[-3:] if t["kind"] == "round"), default=0)
+        return max((t["round"] for r in self.robots.values() for t in r.read()[-8:] if t["kind"] == "round"), default=0)
 
     @property
     def lines(self) -> dict[int, list[Line]]:
