@@ -21,6 +21,7 @@ lint: $(STAMP)
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy koordgen targets tests benchmarks examples
 
+# An hour or more on two cores. The chaos tests lay cables between network namespaces: they need root, ip and nft.
 slow: $(STAMP)
 	$(PY) -m pytest -m slow
 
