@@ -235,7 +235,7 @@ class Memory:
     def advance(self, round_: int) -> bool:
         """Go through the boundaries before `round_` as far as closings are held; True iff an event may run in it: all
         before it is there, and it is not itself behind this robot, as for one that was let in within a round."""
-        while not self._lacking and self.applied < round_ - 1:
+        while self.applied < round_ - 1 and not self._lacking:
             if self.frozen and self.applied >= self.view.since - 1:
                 break
             members = [p for p, m in enumerate(self._at(self.applied + 1).members) if m >= 0]
@@ -266,6 +266,8 @@ class Memory:
 
     def missing(self, through: int) -> list[int]:
         """The members whose closings up to `through` are not all held."""
+        if through <= self.applied and len(self._views) == 1:
+            return []
         members = self.view.members
         return [p for p, log in enumerate(self._logs) if members[p] >= 0 and log.held < through]
 

@@ -196,9 +196,11 @@ class Replica:
         self._tick = tick
         if self.emergency:
             self._link.round(self._peers, self.word(present), ())
-        heard = 1 + sum(tick - p.heard < HEARD for p in self._peers.values())
+        since = tick - HEARD
+        heard = 1 + len([p for p in self._peers.values() if p.heard > since])
         if heard >= majority(self._n):
-            asking = [p for p, peer in self._peers.items() if tick - peer.asked < ASKED]
+            since = tick - ASKED
+            asking = [pid for pid, peer in self._peers.items() if peer.asked > since]
             self._send(self.views.poll(tick, self._doubted(present), asking))
             self._freeze()
         if self.comeback is not None:
@@ -214,9 +216,10 @@ class Replica:
         memory = self.memory
         if memory is None:
             return []
-        for pid, held in enumerate(memory.held):
-            if pid != self._pid and (peer := self._peers[pid]).held != held:
-                peer.held, peer.news = held, present
+        held = memory.held
+        for pid, peer in self._peers.items():
+            if peer.held != held[pid]:
+                peer.held, peer.news = held[pid], present
         late = memory.missing(present - 1 - self._peer_timeout)
         return [p for p in late if p != self._pid and present - self._peers[p].news > self._peer_timeout]
 

@@ -139,9 +139,12 @@ class Rounds:
             present.slot = slot
             self._replica.poll((present.round - 1) * SLOTS + slot, present.round)
         memory = self._replica.memory
-        news = fresh or present.open or self._returns != self._replica.returns
-        if not news and memory is not None and self._calm(memory):
-            return self._wake
+        if memory is not None and self._calm(memory):
+            if not fresh:
+                return self._wake
+            if memory.view.number == self._view:
+                self._wake = self._ask(slot, fresh)
+                return self._wake
         current = False
         if memory is not None:
             self._come_back(now)
@@ -164,8 +167,10 @@ class Rounds:
 
     def _calm(self, memory: Memory) -> bool:
         """Whether nothing that has come since the last poll of this round makes a difference to it."""
-        applied = self._present.round
-        return (memory.applied >= applied or memory.lacking) and not self._outbox.can_settle(memory)
+        if self._present.open or self._returns != self._replica.returns:
+            return False
+        stays = memory.applied >= self._present.round or memory.lacking
+        return stays and not self._outbox.can_settle(memory)
 
     def _tick(self, part: float) -> float:
         return self._clock.local(self._start + (self._present.round - 1 + part) * self._delta)
