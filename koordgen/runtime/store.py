@@ -118,6 +118,9 @@ class Store:
         self._warn = warn
         self._sequence = 0
         self._next = [0] * len(_KINDS)  # the slot of each kind to be written next
+        self._lengths = [_length(room) for room in identity.rooms]
+        lengths = [n * length for n, length in zip(_SLOTS, self._lengths, strict=True)]
+        self._begins = [_HEADER + sum(lengths[:kind]) for kind in range(len(_KINDS) + 1)]
 
     @classmethod
     def open(cls, path: Path | None, program: Program, robot: str, pid: int, n_sys: int,
@@ -256,9 +259,7 @@ class Store:
 
     def _offset(self, kind: int, slot: int) -> int:
         """Where a slot begins; that of the kind after the last is the file's end."""
-        lengths = [_length(room) for room in self._identity.rooms]
-        before = sum(n * length for n, length in zip(_SLOTS[:kind], lengths[:kind], strict=True))
-        return _HEADER + before + (slot * lengths[kind] if slot else 0)
+        return self._begins[kind] + (slot * self._lengths[kind] if slot else 0)
 
     def _digest(self, body: bytes) -> bytes:
         return blake2s(body, digest_size=_DIGEST, key=self._identity.token).digest()
