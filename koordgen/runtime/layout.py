@@ -118,7 +118,7 @@ class Layout:
         this program."""
         if closing.author >= self.n_sys or closing.first > closing.round:
             return None
-        if (closing.writes or closing.acted or closing.lock >= 0) and closing.first != closing.round:
+        if closing.first != closing.round and (closing.writes or closing.acted or closing.lock >= 0):
             return None
         values: list[tuple[int, Any]] = []
         before = -1

@@ -92,10 +92,13 @@ class Log:
 
     def forget(self, through: int) -> None:
         """Drop what ends by a round."""
-        count = 0
-        while count < len(self.entries) and self.entries[count].closing.round <= through:
+        entries, count = self.entries, 0
+        for entry in entries:
+            if entry.closing.round > through:
+                break
             count += 1
-        del self.entries[:count]
+        if count:
+            del entries[:count]
 
     def cut(self, last: int) -> None:
         """Drop everything beyond a round: it does not count."""
