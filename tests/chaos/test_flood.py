@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from koordgen.runtime.network import Conditions
+from koordgen.runtime.outbox import AHEAD
 from koordgen.runtime.values import Point
 from tests.chaos.flood import Attacker
 from tests.chaos.runs import Say, scaled
@@ -63,9 +64,10 @@ def test_flood(say: Say) -> None:
     rounds = min(r.agent.round for r in attacked.robots.values())
     say(f"{attacker.made} in {rounds} rounds, {spent / batches / BATCH * 1e6:.1f} us each, {grown >> 10} KiB more")
     quiet.run_rounds(rounds)
+    told = rounds - AHEAD  # what later rounds came to is not told before it is certain
     for robot in attacked.robots.values():
         assert robot.agent.phase == "running"
         assert not [line for line in robot.lines if "error" in line]
-        assert [r.round for r in robot.records if r.round < rounds] == list(range(1, rounds))
-    assert history(attacked, rounds - 1) == history(quiet, rounds - 1)
+        assert [r.round for r in robot.records if r.round < told] == list(range(1, told))
+    assert history(attacked, told - 1) == history(quiet, told - 1)
     assert grown < GROWTH
