@@ -206,6 +206,15 @@ class Replica:
         if self.comeback is not None:
             self._send(self.comeback.poll(tick, self.views.view))
 
+    def note(self, present: int) -> None:
+        """Note in round `present` of whom there is news."""
+        memory = self.memory
+        if memory is not None:
+            held = memory.held
+            for pid, peer in self._peers.items():
+                if peer.held != held[pid]:
+                    peer.held, peer.news = held[pid], present
+
     def _helps(self, pid: int, round_: int) -> bool:
         """Whether it is this robot's turn to repeat to another what third ones wrote: if all did so at once, a large
         fleet in which one is late would have no time for anything else."""
@@ -216,10 +225,7 @@ class Replica:
         memory = self.memory
         if memory is None:
             return []
-        held = memory.held
-        for pid, peer in self._peers.items():
-            if peer.held != held[pid]:
-                peer.held, peer.news = held[pid], present
+        self.note(present)
         late = memory.missing(present - 1 - self._peer_timeout)
         return [p for p in late if p != self._pid and present - self._peers[p].news > self._peer_timeout]
 

@@ -350,4 +350,9 @@ class Rounds:
             return min(self._tick(PUBLISH), following)
         if missing or waited is not None or self._replica.busy:
             return following
-        return self._tick(FIRST_SLOT / SLOTS if slot < FIRST_SLOT else 1.0)
+        if slot >= FIRST_SLOT:
+            return self._tick(1.0)
+        if memory.applied < present.round or self._replica.emergency:
+            return self._tick(FIRST_SLOT / SLOTS)
+        self._replica.note(present.round)
+        return self._tick(1.0)
