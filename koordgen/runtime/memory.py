@@ -1,10 +1,8 @@
-"""The replicated shared store of one robot: a pure state machine over closings, without I/O and without a clock.
+"""One robot's replica of the shared store: a pure state machine over closings, without I/O and without a clock.
 
-S_r, the store in round r, is S_1 (initial values and everyone's `init`) with the closings of rounds 1 to r-1 applied
-round by round, of those robots that count in each (`View`): within a round first the commits, one for each lock, then
-the plain writes by ascending pid. A robot is current for r when it has applied r-1; then its `shared` is S_r, the same
-on every robot. A round is stable once a majority has said to have applied it: no later view leaves it out.
-"""
+S_r is S_1 (initial values and everyone's `init`) with the closings of rounds 1 to r-1 applied, of those who count in
+each (`View`): first one commit for each lock, then the plain writes by ascending pid. Who has applied r-1 has S_r, the same
+on every robot. A round is stable once a majority has said to have applied it: no later view leaves it out."""
 
 from __future__ import annotations
 

@@ -10,11 +10,11 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Any
 
+from koordgen.runtime.assembly import Assembly
 from koordgen.runtime.comeback import Comeback, Store
 from koordgen.runtime.layout import Layout
 from koordgen.runtime.link import Fields, Link
 from koordgen.runtime.memory import Memory
-from koordgen.runtime.pieces import Gathering
 from koordgen.runtime.views import Out, Views, Vote, Word, fits, majority
 from koordgen.runtime.wire import (
     Accept,
@@ -29,11 +29,9 @@ from koordgen.runtime.wire import (
     StatePiece,
     View,
     Want,
-    closing_of,
 )
 
 SLOTS = 5  # moments in a round at which what is missing is asked for
-MOST_PARTLY = 8
 HELPERS = 5  # robots that at once repeat what others wrote
 ASKED = 3 * SLOTS  # ticks for which a request to be let in counts
 HEARD = 2 * SLOTS  # ticks for which a robot counts as one that can be heard
@@ -75,7 +73,7 @@ class Replica:
         self._announce = announce
         self._said = applied
         self._peers = {p: _Peer() for p in range(self._n) if p != self._pid}
-        self._gatherings: dict[int, tuple[int, int, Gathering]] = {}  # author -> incarnation, round, pieces
+        self._assembly = Assembly()
         self._stores = Store()
         self._tick = 0
         self._turn = self._pid
@@ -163,8 +161,7 @@ class Replica:
         self._turn += 1
         helper = [others[self._turn % len(others)]] if others and peers else []
         to = {*peers, *helper, *unaware}
-        held = self._gatherings.items()
-        partly = tuple([Partly(author, r, g.name, g.mask) for author, (_, r, g) in held][:MOST_PARTLY])
+        partly = self._assembly.partly()
         view, _, applied, _, _, _ = self.word(through)
         for pid in peers:
             self._link.metrics.repeated(pid)
@@ -296,30 +293,13 @@ class Replica:
 
     def _piece(self, piece: Piece, present: int) -> None:
         memory = self.memory
-        if memory is None or piece.author >= self._n or not memory.wants(piece.author, piece.round, present):
+        if memory is None or piece.author >= self._n:
             return
-        known = self._gatherings.get(piece.author)
-        if known is None or (known[1] != piece.round and not memory.wants(piece.author, known[1], present)):
-            known = self._gatherings[piece.author] = (
-                piece.incarnation,
-                piece.round,
-                Gathering(piece.digest, piece.count),
-            )
-        if known[:2] != (piece.incarnation, piece.round):
-            return  # one at a time; it will be asked for again
-        refused = known[2].take((piece.digest, piece.index, piece.count, piece.data))
-        if refused is not None:
-            self._link.reject(refused)
-            return
-        blob = known[2].blob()
-        if blob is None:
-            return
-        del self._gatherings[piece.author]
-        closing = closing_of(blob)
-        if closing is None or closing.author != piece.author:
-            self._link.reject("closing does not fit")
-        else:
-            self._closing(closing, present)
+        found = self._assembly.take(piece, lambda author, round_: memory.wants(author, round_, present))
+        if isinstance(found, str):
+            self._link.reject(found)
+        elif found is not None:
+            self._closing(found, present)
 
     def _want(self, sender: int, want: Want) -> None:
         view, memory = self.views.view, self.memory
@@ -368,7 +348,7 @@ class Replica:
             memory.adopt(view)
         else:
             self._change(view, before, following)
-        self._gatherings.clear()
+        self._assembly.clear()
         for pid, peer in self._peers.items():
             peer.asked = -ASKED
             if view.members[pid] != before.members[pid]:

@@ -67,7 +67,7 @@ def snapshot(robot: Robot) -> Any:
         str(agent._joining._others),
         (replica.views.view, replica.views.vote, str(replica.views._proposal)),
         str({p: (peer.asked, peer.told, peer.partly) for p, peer in replica._peers.items()}),
-        str(replica._gatherings),
+        str(replica._assembly._begun),
         replica.emergency,
     )
 
