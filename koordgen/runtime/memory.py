@@ -1,8 +1,8 @@
 """One robot's replica of the shared store: a pure state machine over closings, without I/O and without a clock.
 
 S_r is S_1 (initial values and everyone's `init`) with the closings of rounds 1 to r-1 applied, of those who count in
-each (`View`): first one commit for each lock, then the plain writes by ascending pid. Who has applied r-1 has S_r, the same
-on every robot. A round is stable once a majority has said to have applied it: no later view leaves it out."""
+each (`View`): first one commit for each lock, then the plain writes by ascending pid. Who has applied r-1 has S_r, as
+all have. A round is stable once a majority has said to have applied it: no later view leaves it out."""
 
 from __future__ import annotations
 
