@@ -170,8 +170,9 @@ class Views:
 
     def poll(self, tick: int, doubted: Collection[int], asking: Collection[int]) -> list[Out]:
         """What is to be sent at this tick, given members that are missed and others that want to be let in."""
-        self._tick, word = tick, self._word()
-        if not word.state or not (doubted or asking or self.frozen):
+        self._tick = tick
+        word = self._word() if doubted or asking or self.frozen else None
+        if word is None or not word.state:
             self._reason = self._proposal = None
             return []
         if self.vote.number > self.view.number + 1:  # others are further on and will say so
