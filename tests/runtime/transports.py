@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import socket
 import time
 from collections.abc import Callable, Sequence
@@ -35,6 +36,7 @@ def free_ports(n: int) -> list[int]:
 def settings(pid: int, ports: Sequence[int], network: Network, **changes: Any) -> Settings:
     peers = tuple(Peer(f"r{i}", "127.0.0.1", port) for i, port in enumerate(ports))
     box = Box((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))  # type: ignore[arg-type]
+    changes.setdefault("application_id", os.getpid())  # another run of these tests on this host is another fleet
     return Settings("app", f"r{pid}", pid, 0.1, peers, Origin(0.0, 0.0, 0.0), box, network=network, **changes)
 
 
@@ -107,7 +109,7 @@ def zenoh(stack: ExitStack, n: int) -> Opened:
     session = stack.enter_context(package.open(config))
 
     def inject(pid: int, data: bytes, several: bool) -> None:
-        session.put(f"koordgen/0/{'all' if several else pid}", data)
+        session.put(f"koordgen/{os.getpid()}/{'all' if several else pid}", data)
 
     found.inject = inject
     for pid in range(n):
