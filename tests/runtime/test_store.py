@@ -20,6 +20,7 @@ from koordgen.runtime.program import Program, Variable
 from koordgen.runtime.store import KEPT, Acceptor, Loaded, Locals, LocalsCodec, Mission, Store
 from koordgen.runtime.transport import CannotOpen
 from koordgen.runtime.values import Opaque, Point
+from tests.disk import small_disk
 from tests.runtime.lineform import PROGRAM
 
 MISSION = Mission(b"epoch---", 123_456_789, b"closing of round 0")
@@ -222,14 +223,8 @@ def test_kill_9_loses_nothing_that_was_written(kept: Kept) -> None:
 
 @pytest.fixture
 def full_disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system of 16 KiB, when this machine lets us mount one."""
-    folder = tmp_path / "small"
-    folder.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=16k", "none", str(folder)], capture_output=True)
-    if mounted.returncode:
-        pytest.skip("mounting takes root")
-    yield folder
-    subprocess.run(["umount", str(folder)], check=True)
+    with small_disk(tmp_path / "small", "16k") as disk:
+        yield disk
 
 
 BIG = replace(PROGRAM, locals=(Variable("data", "local", Opaque, Blob(10_000, "Data"), Opaque),))
