@@ -366,8 +366,10 @@ class Replica:
         anew = kept is not None and view.members[self._pid] == view.number
         self.returns += anew or self.memory is not None
         self.memory, self._spare = (kept, None) if anew else (None, kept)
+        if kept is not None:
+            self._said = kept.applied
         if self.memory is not None:
-            self._said, self.comeback = self.memory.applied, None
+            self.comeback = None
 
     def _freeze(self) -> None:
         if self.memory is not None:

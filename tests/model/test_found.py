@@ -239,18 +239,18 @@ def test_who_lags_behind_the_beginning_of_a_view_catches_up_when_all_others_came
 
 
 def test_who_is_left_out_keeps_its_store_aside_for_the_case_that_all_others_lose_theirs() -> None:
-    """View 1 goes on without robot 1; robot 0 dies, and robot 2 had not yet gathered a store. Robot 1 has the one of the
-    round before view 1, and the next view can begin with it."""
+    """View 1 goes on without robot 1; robot 0 dies, and robot 2 had not yet gathered a store. Robot 1 has the one of
+    the round before view 1, and the next view can begin with it."""
     fleet = Fleet(3)
     rounds_of_all(fleet, 3)
     replica = fleet.robots[1].replica
     replica.views.adopt(View(1, 4, (0, -1, 1)))
     word = replica._own_word()
-    assert replica.memory is None and (word.view, word.applied, word.state) == (1, 3, True)
+    assert (replica.out, word.view, word.applied, word.state) == (True, 1, 3, True)
     words = {0: Word(1, 4, False), 1: word, 2: Word(1, 3, False)}
     following = choose(replica.views.view, words)
     assert following == View(2, 4, (2, 2, 2))
     replica.views.adopt(following)
     assert replica.memory is not None and replica.memory.applied == 3
     replica.views.adopt(View(4, 9, (2, -1, 2)))  # what it then has is of a view that it does not know
-    assert replica.memory is None and not replica._own_word().state
+    assert replica.out and not replica._own_word().state
