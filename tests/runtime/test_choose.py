@@ -60,3 +60,11 @@ def test_what_had_a_vote_is_put_to_the_vote_again() -> None:
     earlier = View(1, 6, (0, 0, 0, -1, -1))
     words = {0: word(7), 1: Word(0, 7, True, 129, earlier), 2: Word(0, 7, True, 128, View(1, 5, (0, 0, 0, 0, -1)))}
     assert choose(ALL, words) == earlier
+
+
+def test_a_value_that_too_few_can_have_voted_for_binds_nobody() -> None:
+    earlier = View(1, 6, (0, 0, 0, -1, -1))
+    words = {p: word(7) for p in range(1, 5)} | {0: Word(0, 7, True, 129, earlier)}
+    assert choose(ALL, words) == View(1, 8, (0, 0, 0, 0, 0))
+    del words[4], words[3]  # the two that are silent may have voted for it as well
+    assert choose(ALL, words) == earlier

@@ -163,3 +163,10 @@ def test_streams_are_told_and_traced() -> None:
     ]
     assert len([line for line in bert.lines if line.endswith("Log.stdout: round of 1")]) == 3
     assert not fleet.robots[0].trace("stream")
+
+
+def test_the_first_place_goes_round_from_robot_to_robot() -> None:
+    """As docs/shared-memory.md says: the least (pid - round - lock) mod N_SYS."""
+    assert [winner((0, 1, 2, 3), 0, round_, 4) for round_ in range(1, 6)] == [1, 2, 3, 0, 1]
+    assert [winner((0, 1), 0, round_, 4) for round_ in range(1, 6)] == [1, 0, 0, 0, 1]
+    assert winner((0, 1, 2, 3), 2, 1, 4) == 3
