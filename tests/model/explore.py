@@ -6,7 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from time import perf_counter
 
-from tests.model.protocol import Protocol, State, Violation
+from tests.model.protocol import Protocol
+from tests.model.state import State, Violation
 
 BEGIN = State()
 

@@ -6,7 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from koordgen.runtime.views import majority
-from tests.model.protocol import AS_THEY_ARE, Bounds, N, Protocol, Rules, State, Violation
+from tests.model.protocol import Protocol
+from tests.model.state import AS_THEY_ARE, Bounds, N, Rules, State, Violation
 
 CHANGES = 4  # view changes after a heal
 BEYOND = 2  # rounds that all must have applied beyond those of which anything is known

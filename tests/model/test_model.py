@@ -14,7 +14,8 @@ from koordgen.runtime.views import Word, majority
 from koordgen.runtime.wire import View
 from tests.model.explore import BEGIN, Found, explore
 from tests.model.heal import Healing
-from tests.model.protocol import COMMIT, FIRST, PLAIN, Bounds, Protocol, Robot, Rules, State
+from tests.model.protocol import Protocol
+from tests.model.state import COMMIT, FIRST, PLAIN, Bounds, Robot, Rules, State
 
 ROUNDS = Bounds(rounds=2, views=0, crashes=1, actors=(0, 1))
 CHANGE = Bounds(rounds=2, views=1, crashes=1, proposers=(0,), kinds=(PLAIN,), actors=(1,))
