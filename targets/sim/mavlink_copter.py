@@ -78,7 +78,7 @@ class Copter:
             self.say(mavlink.MAV_SEVERITY_CRITICAL, f"Arm: {fault}")
             return FAILED
         self.armed, self._armed_at, self.home = True, now, position
-        self.guidance.go(Aim.HOLD, now, position)
+        self.guidance.stop(now, position)
         self.guidance.yaw = yaw
         self.say(mavlink.MAV_SEVERITY_INFO, "Arming motors")
         return ACCEPTED
