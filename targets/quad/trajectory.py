@@ -96,6 +96,7 @@ class Trajectory:
         self._waypoints = waypoints
         self._ends = tuple(accumulate(p.seconds for p in self.pieces))
         self.seconds = self._ends[-1] if self._ends else 0.0
+        self.peak = max(norm(s.velocity) for s in (end, *(p.start for p in self.pieces)))  # m/s, its greatest speed
 
     def at(self, t: float) -> State:
         """The state t seconds after the beginning, t not negative."""
