@@ -11,9 +11,10 @@ import math
 from koordgen.runtime.values import Point, Pose, distance
 
 MEMORY = 0.06  # seconds; at 50 samples a second, noise of 5 mm becomes 0.024 m/s, and an acceleration lags by 0.11 s
-# A sample is a jump when it is farther from the last good one than SLACK and what the vehicle can fly meanwhile: of a
-# silence no more than WHILE counts, or each jump would be believed in the end.
-SLACK, WHILE = 0.25, 0.5  # metres, seconds
+# A sample is a jump when it is farther than SLACK, and what a vehicle is blown or falls in the time since the sample
+# before (a jump itself, perhaps), from where the motion so far leads. Of a silence no more than WHILE counts, nor does
+# the time that nothing but jumps has come: or each of them would be believed in the end.
+SLACK, WHILE, GUSTS = 0.25, 0.5, 2.0  # metres, seconds, m/s
 YAW_SLACK, YAW_RATE = 0.5, 6.0  # radians, rad/s
 
 
@@ -22,7 +23,8 @@ class Track:
     are of the last sample that was believed."""
 
     def __init__(self, max_speed: float) -> None:
-        self._speed = 2.0 * max_speed + 3.0  # gusts, falls, overshoots
+        self._speed = max_speed + GUSTS
+        self._last = -math.inf  # when the last sample was, believed or not
         self._refusing: float | None = None  # since when nothing but jumps has come
         self._filtered = Point()
         self.pose: Pose | None = None
@@ -32,20 +34,21 @@ class Track:
 
     def take(self, pose: Pose, time: float) -> bool:
         """Whether the sample is believed. One that is not newer than the last is neither believed nor a jump."""
-        seconds = time - self.time
-        if seconds <= 0.0:
+        if time <= self._last:
             return False
-        if self.pose is not None and self._jumps(self.pose, pose, min(seconds, WHILE)):
+        since, self._last = time - self._last, time
+        if self.pose is not None and self._jumps(self.pose, pose, time, min(since, WHILE)):
             self.jumps += 1
             self._refusing = time if self._refusing is None else self._refusing
             return False
-        self._filter(pose.position, seconds)
+        self._filter(pose.position, time - self.time)
         self.pose, self.time, self._refusing = pose, time, None
         return True
 
-    def _jumps(self, last: Pose, pose: Pose, seconds: float) -> bool:
+    def _jumps(self, last: Pose, pose: Pose, time: float, seconds: float) -> bool:
+        expected = last.position + self.velocity * min(time - self.time, WHILE)
         turned = abs(math.remainder(pose.yaw - last.yaw, math.tau))
-        far = distance(pose.position, last.position)
+        far = distance(pose.position, expected)
         return far > SLACK + self._speed * seconds or turned > YAW_SLACK + YAW_RATE * seconds
 
     def _filter(self, measured: Point, seconds: float) -> None:
