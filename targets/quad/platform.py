@@ -13,13 +13,14 @@ from typing import Annotated, Any
 import msgspec
 
 from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.platform import Sensed, Unready
+from koordgen.runtime.platform import Finding, Sensed, Unready
 from koordgen.runtime.safety import clamp, inside
 from koordgen.runtime.scans import ScanPort
 from koordgen.runtime.settings import BadSettings, Settings
 from koordgen.runtime.values import Point
 from targets.planning.planner import Planner
-from targets.quad.check import checked
+from targets.quad.check import listen
+from targets.quad.diagnosis import findings
 from targets.quad.flight import Flight, Phase
 from targets.quad.link import Link
 from targets.quad.motion import Motion
@@ -43,7 +44,8 @@ class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 class Quad:
     """Implements koordgen.runtime.platform.Platform. The fleet's key serves scans alone: the autopilot's link is a wire
-    or loopback. `connect`, `clock` and `sleep` are what the surroundings give; the last two serve `check` alone."""
+    or loopback. `connect`, `clock`, `sleep` and `wall` are what the surroundings give; the last three serve `diagnose`
+    alone."""
 
     period = 0.05
 
@@ -55,6 +57,7 @@ class Quad:
         connect: Callable[[str], Transport] = opened,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
+        wall: Callable[[], float] = time.time,
     ) -> None:
         try:
             body = msgspec.convert(settings.body, Body)
@@ -71,24 +74,25 @@ class Quad:
         self._motion = Motion(
             self._frame, fence, body.flight_height, body.max_speed, body.reached_radius, body.reached_dwell
         )
-        self._connect, self._clock, self._sleep = connect, clock, sleep
+        self._connect, self._clock, self._sleep, self._wall = connect, clock, sleep, wall
         self._lidar = ScanPort(body.scans, settings.robot, key)
         self._link: Link | None = None
         self._flight: Flight | None = None
         self._planner: Planner | None = None  # made by `start`: its imports take longer than an event may
         self._now = 0.0
 
-    def check(self) -> list[str]:
-        """See Platform: hears the autopilot, its firmware and its position estimate; moves nothing."""
-        link = Link(self._connect(self._body.autopilot))
+    def diagnose(self) -> list[Finding]:
+        """See Platform: hears the autopilot, and a lidar if there is one."""
+        url, height = self._body.autopilot, self._body.flight_height
         try:
-            self._lidar.open()  # what arrives meanwhile waits in its socket
-            found = checked(
-                self._body.autopilot, link, self._frame, self._fence, self._body.flight_height, self._clock, self._sleep
-            )
-            return found + self._lidar.check(self._sleep)
+            link = Link(self._connect(url))
+        except Unready as error:
+            return [Finding.of("link", error), *self._lidar.diagnose(self._sleep)]
+        try:
+            heard = listen(link, self._frame, self._clock, self._sleep, self._wall)
         finally:
             link.close()
+        return [*findings(url, heard, self._frame, self._fence, height), *self._lidar.diagnose(self._sleep)]
 
     def start(self, now: float) -> None:
         """See Platform: opens the links; `poll` then takes off."""
