@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 
+from koordgen.runtime.datagrams import waiting
 from koordgen.runtime.feed import Feed
 from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.safety import inside
@@ -15,25 +16,13 @@ from targets.car.settings import CarSettings
 STALE = 0.3  # seconds without a sample of the position feed: brake
 _STEP, _STEPS = 0.05, 60  # seconds; the look ends earlier when all is there
 _WATCHED = 1.0  # seconds for which a feed is watched
-_DATAGRAMS = 512  # that are looked at in a step, or a flood would keep us
 LEAST_RATE = 10.0  # Hz
-
-
-def rejections(feed: Feed) -> str:
-    """In words, what arrived and was dropped; empty when nothing was."""
-    return f"; dropped: {', '.join(f'{n} {why}' for why, n in feed.rejected.items())}" if feed.rejected else ""
 
 
 def silent_drive(setting: str, seconds: float) -> Unready:
     """No answer of the motor controller."""
     hint = "switch its supply on; check that `drive` names the VESC and that its USB or UART app is enabled"
     return Unready(f"the motor controller on {setting} has not answered for {seconds:.0f} s", hint)
-
-
-def silent_feed(setting: str, seconds: float, feed: Feed) -> Unready:
-    """No sample of the position feed."""
-    hint = "start the base station; check that it knows this robot's name, address and the fleet's key"
-    return Unready(f"no position has arrived on {setting} for {seconds:.0f} s{rejections(feed)}", hint)
 
 
 def drive_findings(settings: CarSettings, links: Links) -> list[Finding]:
@@ -75,10 +64,7 @@ def feed_findings(settings: CarSettings, fence: Box, feed: Feed, links: Links) -
         for i in range(_STEPS):
             links.wait(_STEP)
             now = i * _STEP
-            for _ in range(_DATAGRAMS):
-                datagram = datagrams.receive()
-                if datagram is None:
-                    break
+            for datagram in waiting(datagrams):
                 if feed.take(datagram, now) and feed.time is not None:
                     came.append(now)
                     oldest = max(oldest, now - feed.time)
@@ -87,7 +73,7 @@ def feed_findings(settings: CarSettings, fence: Box, feed: Feed, links: Links) -
     finally:
         datagrams.close()
     if feed.pose is None:
-        return [Finding.of("position", silent_feed(settings.position, _STEPS * _STEP, feed))]
+        return [Finding.of("position", Unready(*feed.silent(settings.position, _STEPS * _STEP)))]
     p = feed.pose.position
     where = f"({p.x:.2f}, {p.y:.2f}) m"
     if not inside(fence, p):

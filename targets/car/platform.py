@@ -12,16 +12,17 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
+from koordgen.runtime.datagrams import DatagramLink, waiting
 from koordgen.runtime.feed import Feed
 from koordgen.runtime.platform import Finding, Sensed, Unready
 from koordgen.runtime.safety import inside
 from koordgen.runtime.scans import ScanPort
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.values import Point, Pose
-from targets.car.diagnosis import STALE, drive_findings, feed_findings, rejections, silent_drive, silent_feed
+from targets.car.diagnosis import STALE, drive_findings, feed_findings, silent_drive
 from targets.car.drive import Drive
 from targets.car.estimator import Estimator
-from targets.car.links import DatagramLink, Links, RealLinks
+from targets.car.links import Links, RealLinks
 from targets.car.mpc import STEP
 from targets.car.navigator import STANDING, Navigator
 from targets.car.settings import decode
@@ -32,9 +33,6 @@ MODULES = ("Motion", "MotionWithScan")  # one body under two names; the second h
 WAIT_FOR_DRIVE, WAIT_FOR_FEED = 5.0, 60.0  # seconds until Unready; a base station may be started after the robots
 BLIND_BRAKING = 1.5  # seconds of braking after which a car whose speed nobody measures counts as standing
 STILL = 0.3  # seconds at standstill that make a rest
-# All that a socket buffers, or a position that waits behind a flood would be taken for new; and no more than is done in
-# a few milliseconds.
-DATAGRAMS_A_POLL = 512
 PASSED = 0.4  # metres from a point on the way at which the car makes for the next: the last alone is met exactly
 SLACK = 0.005  # seconds: polls that come at the period's pace, but for jitter, each run the controller
 
@@ -122,10 +120,7 @@ class Car:
             self._estimator.wheels(speed, now)
         steering = self._navigator.steering if self._navigator else 0.0
         self._estimator.predict(now, steering)
-        for _ in range(DATAGRAMS_A_POLL):
-            datagram = datagrams.receive()
-            if datagram is None:
-                break
+        for datagram in waiting(datagrams):
             if self._feed.take(datagram, now) and self._feed.pose is not None and self._feed.time is not None:
                 self._estimator.correct(self._feed.pose, self._feed.time, now)
         self._wait_for_links(drive, now)
@@ -146,7 +141,7 @@ class Car:
         if not drive.heard and waited > WAIT_FOR_DRIVE:
             raise silent_drive(self._settings.drive, waited)
         if self._feed.time is None and waited > WAIT_FOR_FEED and self._resting_since is None:
-            raise silent_feed(self._settings.position, waited, self._feed)
+            raise Unready(*self._feed.silent(self._settings.position, waited))
 
     def _control(self, drive: Drive, now: float) -> None:
         navigator = self._navigator
@@ -181,7 +176,7 @@ class Car:
         if not drive.heard:
             return f"waiting for the motor controller on {self._settings.drive}"
         if self._feed.time is None:
-            return f"waiting for the position feed on {self._settings.position}{rejections(self._feed)}"
+            return f"waiting for the position feed on {self._settings.position}{self._feed.dropped}"
         if not self._fresh(now):
             return f"braking: the position is {now - self._feed.time:.1f} s old"
         if drive.fault:

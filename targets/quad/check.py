@@ -9,12 +9,16 @@ from dataclasses import dataclass, field
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.geodesy import LocalFrame
+from koordgen.runtime.platform import Unready
 from koordgen.runtime.safety import clamp
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point
+from targets.quad.firmware import Firmware
 from targets.quad.framing import Message
 from targets.quad.link import Link
-from targets.quad.telemetry import Streams, Telemetry, firmware
+from targets.quad.parameters import Parameters, Wanted
+from targets.quad.telemetry import Streams, Telemetry
+from targets.quad.vehicles import identified
 
 DEADLINE = 9.5  # seconds for a position estimate to come
 WATCHED = 3.0  # seconds for which the streams are watched when it is there: rates can be told
@@ -23,7 +27,6 @@ GROUND_SLACK = 0.5  # metres by which the ground may seem to lie outside the fen
 
 # What is asked for once a second until it has come.
 ONCE = (
-    mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS,
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
     mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
@@ -33,7 +36,8 @@ ONCE = (
 @dataclass
 class Heard:
     """What an autopilot has told: of each message the first time, the last time (seconds) and how often since the
-    first, and the last of it; `wall` is our own wall clock (seconds since 1970) at the last SYSTEM_TIME."""
+    first, and the last of it; `wall` is our own wall clock (seconds since 1970) at the last SYSTEM_TIME; `seconds`
+    says for how long it was listened to."""
 
     link: Link
     telemetry: Telemetry
@@ -41,15 +45,26 @@ class Heard:
     last: dict[int, float] = field(default_factory=dict)
     count: dict[int, int] = field(default_factory=dict)
     newest: dict[int, Message] = field(default_factory=dict)
+    parameters: Parameters | None = None
     wall: float = 0.0
+    seconds: float = 0.0
+
+    def ask(self) -> None:
+        """Ask for what does not come by itself, and has not come yet."""
+        for number in ONCE:
+            if number not in self.newest:
+                self.link.tell(mavlink.MAV_CMD_REQUEST_MESSAGE, number)
 
     def take(self, message: Message, now: float) -> None:
+        """One of the vehicle's messages."""
         number = message.get_msgId()
         self.first.setdefault(number, now)
         self.count[number] = self.count.get(number, -1) + 1
         self.last[number] = now
         self.newest[number] = message
         self.telemetry.take(message, now)
+        if self.parameters is not None:
+            self.parameters.take(message)
 
     def rate(self, message: int) -> float:
         """Hz; 0 when less than two have come."""
@@ -58,15 +73,14 @@ class Heard:
 
 
 def listen(
-    link: Link, frame: LocalFrame,
+    link: Link, frame: LocalFrame, wanted: Callable[[Firmware], tuple[Wanted, ...]],
     clock: Callable[[], float], sleep: Callable[[float], None], wall: Callable[[], float],
 ) -> Heard:  # fmt: skip
     """Within DEADLINE + WATCHED seconds; sooner when nothing more is to be expected."""
     heard, streams = Heard(link, Telemetry(frame)), Streams()
-    asked, watching = -math.inf, False
-    now = clock()
-    end = now + DEADLINE
-    while now < end:
+    asked, known = -math.inf, math.inf
+    begun = now = clock()
+    while now - begun < DEADLINE + WATCHED:
         for message in link.receive(now):
             streams.note(message.get_msgId(), now)
             heard.take(message, now)
@@ -74,18 +88,23 @@ def listen(
                 heard.wall = wall()
         link.greet(now)
         if link.vehicle is not None:
-            if not firmware(link)[1]:
+            firmware = identified(link)[1]
+            if firmware is None:
                 break
-            streams.poll(link, now)
+            heard.telemetry.firmware = firmware
+            heard.parameters = heard.parameters or Parameters(wanted(firmware), firmware.bytewise)
+            heard.parameters.poll(link, now)
+            streams.poll(link, firmware, now)
             if now - asked >= 1.0:
                 asked = now
-                for number in ONCE:
-                    if number not in heard.newest:
-                        link.tell(mavlink.MAV_CMD_REQUEST_MESSAGE, number)
-        if not watching and heard.telemetry.fresh(now):
-            watching, end = True, now + WATCHED
+                heard.ask()
+        known = min(known, now) if heard.telemetry.fresh(now) else known
+        enough = now - known >= WATCHED or (math.isinf(known) and now - begun >= DEADLINE)
+        if enough and (heard.parameters is None or heard.parameters.done(now)):
+            break
         sleep(_PAUSE)
         now = clock()
+    heard.seconds = now - begun
     return heard
 
 
@@ -106,3 +125,23 @@ def misplaced(fence: Box, height: float, p: Point) -> str:
     if p.z > height - 0.2:
         return f"the ground here is at z = {p.z:.2f} m, not below flight_height {height:g}"
     return ""
+
+
+def unheard(url: str, link: Link, seconds: float) -> Unready:
+    """What to say of a vehicle that is silent."""
+    if link.heard is not None:
+        heard = "the autopilot has fallen silent"
+    else:
+        heard = f"no autopilot{f' of system {link.system}' if link.system else ''} answers"
+    others = ", ".join(map(str, sorted(link.others)))
+    hint = "is it powered, and does it send MAVLink to this address or at this baud rate?"
+    if others:
+        hint = f"system {others} does: is the setting `system` right?"
+    elif link.garbled:
+        hint = f"{link.garbled} bytes came that are no MAVLink: is the baud rate right, and is it a MAVLink port?"
+    return Unready(f"{heard} on {url} ({seconds:.0f} s)", hint)
+
+
+def stranger(url: str, what: str) -> Unready:
+    """What to say of a vehicle that is no copter of ours."""
+    return Unready(f"{url} is {what}, not an ArduPilot or PX4 copter", "check the robot's `autopilot` setting")

@@ -9,18 +9,15 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.platform import Finding, State
 from koordgen.runtime.settings import Box
-from targets.quad.check import DEADLINE, Heard, coordinates, misplaced
-from targets.quad.telemetry import RATES, firmware
+from targets.quad.check import DEADLINE, Heard, coordinates, misplaced, stranger, unheard
+from targets.quad.framing import Message
+from targets.quad.vehicles import identified
 
 CHARGE, LEAST_CHARGE = 50, 20  # percent
 FAR_ORIGIN = 1000.0  # metres
 CLOCKS = 1.0  # seconds between the autopilot's wall clock and ours
-VARIANCE = 0.8  # at which ArduPilot's EKF failsafe acts (FS_EKF_THRESH); half of it is suspicious
+VARIANCE = 0.8  # at which ArduPilot's EKF failsafe acts (FS_EKF_THRESH)
 SLOW = 0.7  # of the rate that was asked for
-_POSITION = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
-_RATED = (
-    _POSITION, mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
-)  # fmt: skip
 _FLAGS = {
     mavlink.EKF_ATTITUDE: "attitude",
     mavlink.EKF_VELOCITY_HORIZ: "horizontal velocity",
@@ -32,18 +29,16 @@ _FLAGS = {
 def findings(url: str, heard: Heard, frame: LocalFrame, fence: Box, height: float) -> list[Finding]:
     """What there is to say, what is to be repaired first coming first."""
     link = heard.link
-    what, flyable = firmware(link)
     if link.vehicle is None:
-        hint = "is it powered, and does it send MAVLink to this address or at this baud rate?"
-        noise = "".join(f"; dropped: {n} {why}" for why, n in link.rejected.items())
-        return [Finding("link", "fail", f"no autopilot answers on {url}{noise}", "a heartbeat every second", hint)]
+        return [Finding.of("link", unheard(url, link, heard.seconds))]
     found = [Finding("link", "ok", f"autopilot on {url}, system {link.vehicle.system}")]
-    if not flyable:
-        hint = "check the robot's `autopilot` setting"
-        return [*found, Finding("firmware", "fail", f"{url} is {what}, not an ArduPilot copter", why=hint)]
+    what, firmware = identified(link)
+    if firmware is None:
+        return [*found, Finding.of("firmware", stranger(url, what))]
     return [
         *found,
         _version(what, heard),
+        *_parameters(heard),
         *_armed(heard),
         _estimate(heard),
         *_place(heard, fence, height),
@@ -65,6 +60,22 @@ def _version(what: str, heard: Heard) -> Finding:
     return Finding("firmware", "ok", f"{what} {version}, in {heard.telemetry.mode_name}")
 
 
+def _parameters(heard: Heard) -> list[Finding]:
+    """Each that differs on a line of its own."""
+    if heard.parameters is None:
+        return []
+    wrong = heard.parameters.differences
+    if not wrong:
+        return [Finding("parameters", "ok", f"all {len(heard.parameters.readings)} that matter are right")]
+    return [
+        Finding(
+            r.name, "fail" if r.wanted.vital else "warn", "does not answer" if r.found is None else f"{r.found:g}",
+            r.expected, f"{r.wanted.why}; set it by a ground station",
+        )
+        for r in wrong
+    ]  # fmt: skip
+
+
 def _armed(heard: Heard) -> list[Finding]:
     if not heard.telemetry.armed:
         return []
@@ -73,27 +84,36 @@ def _armed(heard: Heard) -> list[Finding]:
 
 
 def _estimate(heard: Heard) -> Finding:
-    """The EKF's flags and variances."""
+    """The estimator's flags (of equal bits in both reports) and how much its sensors disagree."""
     report = heard.newest.get(mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT)
+    report = report or heard.newest.get(mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS)
     if heard.telemetry.position is None:
         hint = "it takes about 45 s from power-up, and a positioning source that works"
         flags = "no report of the EKF" if report is None else f"EKF flags {report.flags:#x}"
         return Finding("estimate", "fail", f"no position estimate yet: {flags}", f"one within {DEADLINE:g} s", hint)
-    if report is None:
+    if report is None:  # there is no position without one
         return Finding("estimate", "warn", "no report of the EKF", "one, 5 times a second", "is the link lossy?")
     lacking = [name for flag, name in _FLAGS.items() if not report.flags & flag]
     if lacking:
         return Finding("estimate", "fail", f"the EKF lacks {', '.join(lacking)}", why="calibrate, wait, or reboot it")
-    worst, name = max(
-        (report.velocity_variance, "velocity"), (report.pos_horiz_variance, "horizontal position"),
-        (report.pos_vert_variance, "height"), (report.compass_variance, "compass"),
-    )  # fmt: skip
-    told = f"EKF flags {report.flags:#x}, largest variance {worst:.2f} ({name})"
-    if not worst < VARIANCE / 2:  # NaN among them
-        hint = f"its sensors disagree about {name}; at {VARIANCE:g} the autopilot's own failsafe lands it"
-        state: State = "warn" if worst < VARIANCE else "fail"
-        return Finding("estimate", state, told, f"less than {VARIANCE / 2:g}", hint)
+    worst, name = max(_disagreements(report))
+    told = f"EKF flags {report.flags:#x}, largest disagreement {worst:.2f} of {name}"
+    if not worst < 0.5:  # NaN among them
+        hint = f"its sensors disagree about {name}; at 1 the autopilot refuses or lands by itself"
+        return Finding("estimate", "warn" if worst < 1.0 else "fail", told, "less than 0.5", hint)
     return Finding("estimate", "ok", told)
+
+
+def _disagreements(report: Message) -> list[tuple[float, str]]:
+    """By kind, as a part of what the firmware bears."""
+    if report.get_msgId() == mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS:
+        ratios = report.vel_ratio, report.pos_horiz_ratio, report.pos_vert_ratio, report.mag_ratio
+    else:
+        variances = (
+            report.velocity_variance, report.pos_horiz_variance, report.pos_vert_variance, report.compass_variance,
+        )  # fmt: skip
+        ratios = tuple(v / VARIANCE for v in variances)
+    return list(zip(ratios, ("velocity", "horizontal position", "height", "compass"), strict=True))
 
 
 def _place(heard: Heard, fence: Box, height: float) -> list[Finding]:
@@ -121,12 +141,17 @@ def _origin(heard: Heard, frame: LocalFrame) -> list[Finding]:
 
 
 def _streams(heard: Heard) -> Finding:
-    rates = {number: heard.rate(number) for number in _RATED}
-    told = ", ".join(f"{mavlink.mavlink_map[n].msgname} {rate:.0f} of {RATES[n]:.0f}" for n, rate in rates.items())
+    firmware = heard.telemetry.firmware
+    asked = {number: rate for number, rate in firmware.rates.items() if number not in firmware.occasional}
+    told = ", ".join(f"{_name(n)} {heard.rate(n):.0f} of {rate:.0f}" for n, rate in asked.items())
     hint = "raise the link's baud rate, or end other programs that ask this autopilot for streams"
-    if any(rate < SLOW * RATES[number] for number, rate in rates.items()):
+    if any(heard.rate(number) < SLOW * rate for number, rate in asked.items()):
         return Finding("streams", "warn", f"{told} Hz", "what was asked for", hint)
     return Finding("streams", "ok", f"{told} Hz")
+
+
+def _name(message: int) -> str:
+    return str(mavlink.mavlink_map[message].msgname)
 
 
 def _battery(heard: Heard) -> list[Finding]:
