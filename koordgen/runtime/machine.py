@@ -149,6 +149,7 @@ class Agent:
     def _poll(self, now: float) -> float:
         if not self.phase:
             self._enter("starting", "")
+            self._body.hold("alone", bool(self._joining.alone), now)
             self._platform.start(now)
             self._started = True
         self._journal.round = self.round
@@ -223,11 +224,13 @@ class Agent:
         self._served, self._failures = now, 0
         match self.phase:
             case "starting":
-                self._journal.progress(self._platform.progress)
+                self._body.hold("alone", bool(self._joining.alone), now)
+                self._journal.progress("; ".join(filter(None, (self._platform.progress, self._joining.alone))))
                 if self._platform.ready:
                     self._begin_joining(now)
             case "joining" | "running":
                 if self.phase == "joining":
+                    self._body.hold("alone", bool(self._joining.alone), now)
                     self._journal.progress(self._joining.waiting())
                 self._judge(now)
             case "resting" if self._platform.rested:

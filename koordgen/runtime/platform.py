@@ -73,7 +73,9 @@ class Platform(Protocol):
         ...
 
     def hold(self, on: bool, now: float) -> None:
-        """Pause at the present position, or resume what was commanded last. Idempotent."""
+        """Pause at the present position, or resume what was commanded last. Idempotent. What does not move
+        yet does not begin to: a quad that is held before it took off stays on the ground for as long. Called from
+        before `start` on."""
         ...
 
     def rest(self, now: float) -> None:
