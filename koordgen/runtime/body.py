@@ -19,8 +19,8 @@ _GOALS = ("target", "path")
 
 class Body:
     """Stands between program and platform. `actuators` are the actuator variables: the values last written, before
-    the geofence; the platform gets what lies inside it. A call may take `budget` seconds; more is counted and told. `avoid` names
-    the allread variable in which robots publish their paths, or is empty; `pid` is this robot's."""
+    the geofence; the platform gets what lies inside it. A call may take `budget` seconds; more is counted and told.
+    `avoid` names the allread variable in which robots publish their paths, or is empty; `pid` is this robot's."""
 
     def __init__(
         self,

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
+from koordgen.runtime.datagrams import DatagramLink, waiting
 from koordgen.runtime.feed import Feed
 from koordgen.runtime.platform import Sensed, Unready
 from koordgen.runtime.safety import inside
@@ -20,7 +21,7 @@ from koordgen.runtime.settings import Settings
 from koordgen.runtime.values import Point, Pose
 from targets.car.drive import Drive
 from targets.car.estimator import Estimator
-from targets.car.links import DatagramLink, Links, RealLinks
+from targets.car.links import Links, RealLinks
 from targets.car.mpc import STEP
 from targets.car.navigator import STANDING, Navigator
 from targets.car.settings import decode
@@ -32,9 +33,6 @@ STALE = 0.3  # seconds without a sample of the position feed: brake
 WAIT_FOR_DRIVE, WAIT_FOR_FEED = 5.0, 60.0  # seconds until Unready; a base station may be started after the robots
 BLIND_BRAKING = 1.5  # seconds of braking after which a car whose speed nobody measures counts as standing
 STILL = 0.3  # seconds at standstill that make a rest
-# All that a socket buffers, or a position that waits behind a flood would be taken for new; and no more than is done in
-# a few milliseconds.
-DATAGRAMS_A_POLL = 512
 PASSED = 0.4  # metres from a point on the way at which the car makes for the next: the last alone is met exactly
 SLACK = 0.005  # seconds: polls that come at the period's pace, but for jitter, each run the controller
 _CHECK_STEP, _CHECK_STEPS = 0.05, 60
@@ -74,8 +72,8 @@ class Car:
             drive.ask(now)
             self._links.wait(_CHECK_STEP)
             speed = drive.read(now) if speed is None else speed
-            while not fed and (datagram := datagrams.receive()) is not None:
-                fed = self._feed.take(datagram, now)
+            for datagram in waiting(datagrams):
+                fed |= self._feed.take(datagram, now)
             if fed and speed is not None:
                 break
         if speed is None:
@@ -136,10 +134,7 @@ class Car:
             self._estimator.wheels(speed, now)
         steering = self._navigator.steering if self._navigator else 0.0
         self._estimator.predict(now, steering)
-        for _ in range(DATAGRAMS_A_POLL):
-            datagram = datagrams.receive()
-            if datagram is None:
-                break
+        for datagram in waiting(datagrams):
             if self._feed.take(datagram, now) and self._feed.pose is not None and self._feed.time is not None:
                 self._estimator.correct(self._feed.pose, self._feed.time, now)
         self._wait_for_links(drive, now)
@@ -195,7 +190,7 @@ class Car:
         if not drive.heard:
             return f"waiting for the motor controller on {self._settings.drive}"
         if self._feed.time is None:
-            return f"waiting for the position feed on {self._settings.position}{self._rejections()}"
+            return f"waiting for the position feed on {self._settings.position}{self._feed.dropped}"
         if not self._fresh(now):
             return f"braking: the position is {now - self._feed.time:.1f} s old"
         if drive.fault:
@@ -205,18 +200,12 @@ class Car:
     def _fresh(self, now: float) -> bool:
         return self._feed.time is not None and now - self._feed.time <= STALE
 
-    def _rejections(self) -> str:
-        rejected = self._feed.rejected
-        return f"; dropped: {', '.join(f'{n} {why}' for why, n in rejected.items())}" if rejected else ""
-
     def _silent_drive(self, seconds: float) -> Unready:
         hint = "switch its supply on; check that `drive` names the VESC and that its USB or UART app is enabled"
         return Unready(f"the motor controller on {self._settings.drive} has not answered for {seconds:.0f} s", hint)
 
     def _silent_feed(self, seconds: float) -> Unready:
-        hint = "start the base station; check that it knows this robot's name, address and the fleet's key"
-        message = f"no position has arrived on {self._settings.position} for {seconds:.0f} s"
-        return Unready(message + self._rejections(), hint)
+        return Unready(*self._feed.silent(self._settings.position, seconds))
 
     @property
     def ready(self) -> bool:

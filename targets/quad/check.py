@@ -12,8 +12,11 @@ from koordgen.runtime.platform import Unready
 from koordgen.runtime.safety import clamp
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point
+from targets.quad.firmware import Firmware
 from targets.quad.link import Link
-from targets.quad.telemetry import Streams, Telemetry, firmware
+from targets.quad.parameters import Parameters, Wanted
+from targets.quad.telemetry import Streams, Telemetry
+from targets.quad.vehicles import identified
 
 DEADLINE = 9.5  # seconds
 _PAUSE = 0.05
@@ -39,40 +42,68 @@ def misplaced(fence: Box, height: float, p: Point) -> str:
     return ""
 
 
+def unheard(url: str, link: Link, seconds: float) -> Unready:
+    """What to say of a vehicle that is silent."""
+    if link.heard is not None:
+        heard = "the autopilot has fallen silent"
+    else:
+        heard = f"no autopilot{f' of system {link.system}' if link.system else ''} answers"
+    others = ", ".join(map(str, sorted(link.others)))
+    hint = "is it powered, and does it send MAVLink to this address or at this baud rate?"
+    if others:
+        hint = f"system {others} does: is the setting `system` right?"
+    elif link.garbled:
+        hint = f"{link.garbled} bytes came that are no MAVLink: is the baud rate right, and is it a MAVLink port?"
+    return Unready(f"{heard} on {url} ({seconds:.0f} s)", hint)
+
+
+def stranger(url: str, what: str) -> Unready:
+    """What to say of a vehicle that is no copter of ours."""
+    return Unready(f"{url} is {what}, not an ArduPilot or PX4 copter", "check the robot's `autopilot` setting")
+
+
 def checked(
     url: str, link: Link, frame: LocalFrame, fence: Box, height: float,
-    clock: Callable[[], float], sleep: Callable[[float], None],
+    wanted: Callable[[Firmware], tuple[Wanted, ...]], clock: Callable[[], float], sleep: Callable[[float], None],
 ) -> list[str]:  # fmt: skip
-    """A line for each thing found right, within DEADLINE. Raises Unready for the first that is wrong."""
+    """A line for each thing found right, or of which to be warned, within DEADLINE. Raises Unready for the first that
+    is wrong."""
     telemetry, streams, version = Telemetry(frame), Streams(), None
+    parameters: Parameters | None = None
     begun = now = clock()
-    while now - begun < DEADLINE and not (telemetry.fresh(now) and version):
+    while now - begun < DEADLINE:
         for message in link.receive(now):
             streams.note(message.get_msgId(), now)
             telemetry.take(message, now)
+            if parameters is not None:
+                parameters.take(message)
             if message.get_msgId() == mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
                 version = ".".join(str(message.flight_sw_version >> shift & 0xFF) for shift in (24, 16, 8))
         link.greet(now)
         if link.vehicle is not None:
-            if not firmware(link)[1]:
+            firmware = identified(link)[1]
+            if firmware is None:
                 break
-            streams.poll(link, now)
-            if version is None:
-                link.ask(now, mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+            telemetry.firmware = firmware
+            parameters = parameters or Parameters(wanted(firmware), firmware.bytewise)
+            streams.poll(link, firmware, now)
+            parameters.poll(link, now)
+            if telemetry.fresh(now) and version and parameters.done(now):
+                break
         sleep(_PAUSE)
         now = clock()
-    return _verdict(url, link, telemetry, version or "of unknown version", fence, height)
+    placed = _verdict(url, link, telemetry, version or "of unknown version", fence, height, now - begun)
+    return placed + ([] if parameters is None else _compared(parameters))
 
 
-def _verdict(url: str, link: Link, telemetry: Telemetry, version: str, fence: Box, height: float) -> list[str]:
-    what, flyable = firmware(link)
+def _verdict(
+    url: str, link: Link, telemetry: Telemetry, version: str, fence: Box, height: float, took: float
+) -> list[str]:
+    what, firmware = identified(link)
     if link.vehicle is None:
-        raise Unready(
-            f"no autopilot answers on {url}",
-            "is it powered, and does it send MAVLink to this address or at this baud rate?",
-        )
-    if not flyable:
-        raise Unready(f"{url} is {what}, not an ArduPilot copter", "check the robot's `autopilot` setting")
+        raise unheard(url, link, took)
+    if firmware is None:
+        raise stranger(url, what)
     p = telemetry.position
     if p is None:
         raise Unready(
@@ -86,3 +117,10 @@ def _verdict(url: str, link: Link, telemetry: Telemetry, version: str, fence: Bo
         f"autopilot on {url}: {what} {version}, system {link.vehicle.system}",
         f"position estimate: {coordinates(p)} m; in {telemetry.mode_name}",
     ]
+
+
+def _compared(parameters: Parameters) -> list[str]:
+    differences = parameters.differences
+    if differences and differences[0].wanted.vital:
+        raise Unready(f"it would not take off: {differences[0]}", "set it on the autopilot, by a ground station")
+    return [f"warning: {reading}" for reading in differences] or ["the parameters that matter are right"]

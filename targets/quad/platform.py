@@ -1,4 +1,4 @@
-"""A multicopter behind an ArduPilot autopilot: the ports of Motion and MotionWithScan, served over MAVLink 2.
+"""A multicopter behind an ArduPilot or PX4 autopilot: the ports of Motion and MotionWithScan, served over MAVLink 2.
 
 `position` and `velocity` are the autopilot's estimate; `target` is approached in a straight line at `max_speed`
 and at `flight_height` or above, the points of a `path` one after the other; `reached` means arrived and standing still.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Annotated, Any
 
 import msgspec
@@ -20,9 +21,12 @@ from koordgen.runtime.settings import BadSettings, Settings
 from koordgen.runtime.values import Point
 from targets.planning.planner import Planner
 from targets.quad.check import checked
+from targets.quad.firmware import Firmware
 from targets.quad.flight import Flight, Phase
 from targets.quad.link import Link
 from targets.quad.motion import Motion
+from targets.quad.parameters import Wanted
+from targets.quad.setpoint import setpoint
 from targets.quad.telemetry import Telemetry
 from targets.quad.transport import Transport, opened
 
@@ -39,6 +43,8 @@ class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     reached_dwell: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 0.3
     scans: str = ""
     clearance: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.5
+    system: Annotated[int, msgspec.Meta(ge=0, le=255)] = 0
+    allow_no_failsafe: bool = False
 
 
 class Quad:
@@ -78,16 +84,18 @@ class Quad:
         self._planner: Planner | None = None  # made by `start`: its imports take longer than an event may
         self._others: Mapping[int, tuple[Point, ...]] = {}
         self._news: list[str] = []  # what `news` will tell
+        self._held = False
         self._now = 0.0
 
     def check(self) -> list[str]:
         """See Platform: hears the autopilot, its firmware and its position estimate; moves nothing."""
-        link = Link(self._connect(self._body.autopilot))
+        link = Link(self._connect(self._body.autopilot), self._body.system)
         try:
             self._lidar.open()  # what arrives meanwhile waits in its socket
             found = checked(
-                self._body.autopilot, link, self._frame, self._fence, self._body.flight_height, self._clock, self._sleep
-            )
+                self._body.autopilot, link, self._frame, self._fence, self._body.flight_height, self._wanted,
+                self._clock, self._sleep,
+            )  # fmt: skip
             return found + self._lidar.check(self._sleep)
         finally:
             link.close()
@@ -98,8 +106,21 @@ class Quad:
         self._now = now
         self._planner = Planner(self._fence, self._body.clearance)
         self._lidar.open()
-        self._link = Link(self._connect(url))
-        self._flight = Flight(url, self._link, self._telemetry, self._fence, self._body.flight_height, now)
+        self._link = Link(self._connect(url), self._body.system)
+        self._flight = Flight(
+            url, self._link, self._telemetry, self._fence, self._body.flight_height, self._go_to, self._wanted, now
+        )
+        self._flight.grounded = self._held
+
+    def _go_to(self, p: Point) -> None:
+        if self._link is not None and self._link.vehicle is not None:
+            self._link.send(setpoint(self._link.vehicle, self._frame, self._fence, p))
+
+    def _wanted(self, firmware: Firmware) -> tuple[Wanted, ...]:
+        """The parameters that matter on this firmware, with these settings."""
+        if self._body.allow_no_failsafe:
+            return tuple(replace(w, vital=False) for w in firmware.parameters)
+        return firmware.parameters
 
     def poll(self, now: float) -> None:
         """See Platform."""
@@ -171,7 +192,10 @@ class Quad:
 
     def hold(self, on: bool, now: float) -> None:
         """See Platform."""
+        self._held = on
         self._motion.hold(on)
+        if self._flight is not None:
+            self._flight.grounded = on
 
     def rest(self, now: float) -> None:
         """See Platform: lands. A vehicle that a pilot or a failsafe has taken is left to them."""

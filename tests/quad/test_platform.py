@@ -48,7 +48,7 @@ def test_a_whole_life() -> None:
     assert rig.wire.closed
 
 
-@pytest.mark.parametrize(("speed", "overshoot"), [(1.0, 0.55), (2.0, 1.1)])
+@pytest.mark.parametrize(("speed", "overshoot"), [(1.0, 0.65), (2.0, 1.6)])
 def test_a_hold_brakes_at_once(speed: float, overshoot: float) -> None:
     """Where the vehicle is, not where the setpoint that ran ahead of it can be walked back from."""
     rig = Rig(max_speed=speed)

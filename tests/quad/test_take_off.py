@@ -71,8 +71,8 @@ def test_a_mode_that_falls_back_before_take_off_is_set_again() -> None:
     assert any("fell back to STABILIZE" in said for said in rig.progress)
 
 
-@pytest.mark.parametrize(("autopilot", "kind", "name"), [(3, 10, "MAV_TYPE 10"), (12, 2, "PX4"), (3, 1, "MAV_TYPE 1")])
-def test_what_is_not_an_ardupilot_copter_is_refused_and_left_alone(autopilot: int, kind: int, name: str) -> None:
+@pytest.mark.parametrize(("autopilot", "kind", "name"), [(3, 10, "MAV_TYPE 10"), (4, 2, "autopilot 4"), (12, 1, "PX4")])
+def test_what_is_no_copter_of_a_known_firmware_is_refused_and_left_alone(autopilot: int, kind: int, name: str) -> None:
     rig = Rig(autopilot=False)
     rig.quad.start(rig.now)
     rig.wire.inject(heartbeat(autopilot=autopilot, kind=kind))
