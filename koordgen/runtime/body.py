@@ -34,7 +34,7 @@ class Body:
     ) -> None:
         self._platform = platform
         self._avoid, self._pid = avoid, pid
-        self._published: Any = None  # what `others` has handed on
+        self._published: dict[int, tuple[Point, ...]] = {}  # what `others` has handed on
         self._fence = fence
         self._budget = budget
         self._warn = warn
@@ -79,12 +79,12 @@ class Body:
     def others(self, shared: Mapping[str, Any]) -> None:
         """Before an event: hand the other robots' published paths, as they stand in the shared store, to the platform,
         if they have changed."""
-        slots: Any = shared.get(self._avoid)
-        if slots is self._published:
-            return
-        self._published = slots
-        paths = ((pid, (slot,) if isinstance(slot, Point) else slot) for pid, slot in enumerate(slots))
-        self._platform.others({pid: path for pid, path in paths if pid != self._pid and path})
+        slots = enumerate(shared.get(self._avoid, ()))
+        paths = ((pid, (slot,) if isinstance(slot, Point) else slot) for pid, slot in slots if pid != self._pid)
+        published = {pid: path for pid, path in paths if path}
+        if published != self._published:
+            self._published = published
+            self._platform.others(published)
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
         """Ask a callable port, within an event. Raises what the platform raises; ValueError for what is no answer."""
