@@ -12,6 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from koordgen.runtime.values import Point
+
 
 class Unready(Exception):
     """The body cannot serve: a link, a device or a setting is wrong. `hint` says what to do about it."""
@@ -70,6 +72,15 @@ class Platform(Protocol):
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
         """Answer a callable port ("Motion.planner"), within the event that asks: a planner's answer is a tuple of
         Points, empty when there is no way. May raise; then the event is discarded."""
+        ...
+
+    def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
+        """The other robots' published paths by pid, each from where that robot is or was (a single point: it stays
+        there; none: it has published nothing). They come before an event whose calls are to keep clear of them."""
+        ...
+
+    def news(self) -> list[str]:
+        """What went wrong since this was asked last and does not end the mission, a line each for the log."""
         ...
 
     def hold(self, on: bool, now: float) -> None:
