@@ -16,7 +16,7 @@ import msgspec
 from koordgen.runtime.extern import ESCAPES
 from koordgen.runtime.platform import Finding, Platform, Sensed, Unready
 from koordgen.runtime.program import Program
-from koordgen.runtime.values import transmissible
+from koordgen.runtime.values import Point, transmissible
 
 Drivers = Mapping[str, Callable[[], Any]]
 
@@ -96,6 +96,12 @@ class Driven:
         if module in self._drivers:
             return self._drivers[module].call(name, args)
         return self._platform.call(port, args)
+
+    def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
+        self._platform.others(paths)
+
+    def news(self) -> list[str]:
+        return self._platform.news()
 
     def hold(self, on: bool, now: float) -> None:
         self._platform.hold(on, now)

@@ -12,6 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
+from koordgen.runtime.values import Point
+
 
 class Unready(Exception):
     """The body cannot serve: a link, a device or a setting is wrong. `hint` says what to do about it."""
@@ -93,8 +95,19 @@ class Platform(Protocol):
         Points, empty when there is no way. May raise; then the event is discarded."""
         ...
 
+    def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
+        """The other robots' published paths by pid, each from where that robot is or was (a single point: it stays
+        there; none: it has published nothing). They come before an event whose calls are to keep clear of them."""
+        ...
+
+    def news(self) -> list[str]:
+        """What went wrong since this was asked last and does not end the mission, a line each for the log."""
+        ...
+
     def hold(self, on: bool, now: float) -> None:
-        """Pause at the present position, or resume what was commanded last. Idempotent."""
+        """Pause at the present position, or resume what was commanded last. Idempotent. What does not move
+        yet does not begin to: a quad that is held before it took off stays on the ground for as long. Called from
+        before `start` on."""
         ...
 
     def rest(self, now: float) -> None:

@@ -236,6 +236,13 @@ class Car:
         state = self._estimator.state
         return self._planner.plan(Point(state.x, state.y, 0.0), goal, obstacles)
 
+    def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
+        """See Platform: not looked at yet."""
+
+    def news(self) -> list[str]:
+        """See Platform."""
+        return []
+
     def hold(self, on: bool, now: float) -> None:
         self._holding = on
 

@@ -85,6 +85,8 @@ class Quad:
         self._link: Link | None = None
         self._flight: Flight | None = None
         self._planner: Planner | None = None  # made by `start`: its imports take longer than an event may
+        self._others: Mapping[int, tuple[Point, ...]] = {}
+        self._news: list[str] = []  # what `news` will tell
         self._held = False
         self._now = 0.0
 
@@ -181,6 +183,15 @@ class Quad:
         if self._planner is None or position is None or goal.z <= 0.0 or not inside(self._fence, goal):
             return ()
         return self._planner.plan(position, goal, obstacles)
+
+    def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
+        """See Platform."""
+        self._others = paths
+
+    def news(self) -> list[str]:
+        """See Platform."""
+        told, self._news = self._news, []
+        return told
 
     def hold(self, on: bool, now: float) -> None:
         """See Platform."""

@@ -85,6 +85,8 @@ class FakePlatform:
         self.closed = False
         self.now = 0.0
         self.goal_reached = True
+        self.seen_paths: list[dict[int, tuple[Point, ...]]] = []
+        self.told: list[str] = []
 
     def diagnose(self) -> list[Finding]:
         return [Finding("fake", "ok", "a fake body")]
@@ -121,6 +123,13 @@ class FakePlatform:
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
         return args[:1]
+
+    def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
+        self.seen_paths.append(dict(paths))
+
+    def news(self) -> list[str]:
+        told, self.told = self.told, []
+        return told
 
     def hold(self, on: bool, now: float) -> None:
         self.held = on
