@@ -16,13 +16,14 @@ import msgspec
 from koordgen.runtime.datagrams import DatagramLink
 from koordgen.runtime.feed import listen_for_poses
 from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.platform import Sensed, Unready
+from koordgen.runtime.platform import Finding, Sensed, Unready
 from koordgen.runtime.safety import clamp, inside
 from koordgen.runtime.scans import ScanPort
 from koordgen.runtime.settings import BadSettings, Settings
 from koordgen.runtime.values import Point
 from targets.planning.planner import Planner
-from targets.quad.check import checked
+from targets.quad.check import listen
+from targets.quad.diagnosis import findings
 from targets.quad.firmware import Firmware
 from targets.quad.flight import Flight, Phase
 from targets.quad.link import Link
@@ -52,13 +53,13 @@ class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     allow_no_failsafe: bool = False
 
 
-def _listen(setting: str) -> DatagramLink:
+def _bind(setting: str) -> DatagramLink:
     return listen_for_poses("feed", setting)
 
 
 class Quad:
     """Implements koordgen.runtime.platform.Platform. The fleet's key serves feeds alone: the autopilot's link is a wire
-    or loopback. `connect`, `listen` and `wall` (the time of day) are what the surroundings give, and for `check` alone
+    or loopback. `connect`, `bind` and `wall` (the time of day) are what the surroundings give, and for `diagnose` alone
     `clock` and `sleep`."""
 
     period = 0.05
@@ -69,10 +70,10 @@ class Quad:
         key: bytes | None,
         *,
         connect: Callable[[str], Transport] = opened,
-        listen: Callable[[str], DatagramLink] = _listen,
-        wall: Callable[[], float] = time.time,
+        bind: Callable[[str], DatagramLink] = _bind,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
+        wall: Callable[[], float] = time.time,
     ) -> None:
         try:
             body = msgspec.convert(settings.body, Body)
@@ -89,39 +90,46 @@ class Quad:
         self._motion = Motion(
             self._frame, fence, body.flight_height, body.max_speed, body.reached_radius, body.reached_dwell
         )
-        self._connect, self._clock, self._sleep = connect, clock, sleep
+        self._connect, self._clock, self._sleep, self._wall = connect, clock, sleep, wall
         self._lidar = ScanPort(body.scans, settings.robot, key)
         self._positioning: Positioning | None = None  # None: the vehicle's own
         if body.positioning != "own":
             self._positioning = Positioning(
-                body.positioning, body.feed, settings, key, self._frame, body.max_speed, listen, wall
+                body.positioning, body.feed, settings, key, self._frame, body.max_speed, bind, wall
             )
         self._link: Link | None = None
         self._flight: Flight | None = None
         self._planner: Planner | None = None  # made by `start`: its imports take longer than an event may
+        self._others: Mapping[int, tuple[Point, ...]] = {}
+        self._news: list[str] = []  # what `news` will tell
         self._held = False
         self._now = 0.0
 
-    def check(self) -> list[str]:
-        """See Platform: hears the autopilot, its firmware and its position estimate; moves nothing."""
-        link = Link(self._connect(self._body.autopilot), self._body.system)
+    def diagnose(self) -> list[Finding]:
+        """See Platform: hears the autopilot, and the feeds that there are; a position feed is passed on meanwhile."""
+        url, height, positioning = self._body.autopilot, self._body.flight_height, self._positioning
+        try:
+            link = Link(self._connect(url), self._body.system)
+        except Unready as error:
+            return [Finding.of("link", error), *self._lidar.diagnose(self._sleep)]
 
         def sleep(seconds: float) -> None:
             self._sleep(seconds)
-            if self._positioning is not None:
-                self._positioning.receive(self._clock())
-                self._positioning.send(link, self._clock())
+            if positioning is not None:
+                positioning.pass_on(link, self._clock())
 
         try:
-            self._lidar.open()  # what arrives meanwhile waits in its socket
-            fed = self._positioning.check(self._sleep, self._clock) if self._positioning is not None else []
-            found = checked(
-                self._body.autopilot, link, self._frame, self._fence, self._body.flight_height, self._wanted,
-                self._clock, sleep,
-            )  # fmt: skip
-            return found + fed + self._lidar.check(self._sleep)
+            if positioning is not None:
+                positioning.open(self._clock())
+            heard = listen(link, self._frame, self._wanted, self._clock, sleep, self._wall)
+        except Unready as error:
+            return [Finding.of("positioning", error), *self._lidar.diagnose(self._sleep)]
         finally:
             link.close()
+            if positioning is not None:
+                positioning.close()
+        fed = positioning.findings(self._clock()) if positioning is not None else []
+        return [*fed, *findings(url, heard, self._frame, self._fence, height), *self._lidar.diagnose(self._sleep)]
 
     def start(self, now: float) -> None:
         """See Platform: opens the links; `poll` then takes off."""
@@ -219,6 +227,15 @@ class Quad:
         if self._planner is None or position is None or goal.z <= 0.0 or not inside(self._fence, goal):
             return ()
         return self._planner.plan(position, goal, obstacles)
+
+    def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
+        """See Platform."""
+        self._others = paths
+
+    def news(self) -> list[str]:
+        """See Platform."""
+        told, self._news = self._news, []
+        return told
 
     def hold(self, on: bool, now: float) -> None:
         """See Platform."""

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from koordgen.runtime.datagrams import DatagramLink, waiting
 from koordgen.runtime.feed import Feed
 from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.platform import Unready
+from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.values import Pose, distance
 from targets.quad.check import coordinates
@@ -34,7 +34,7 @@ JUMPED = 1.0  # seconds of nothing but jumps after which the source is no longer
 APART, LAG = 0.5, 0.2  # metres and seconds: the estimate may be off by APART and by what is flown in LAG
 PATIENCE = 60.0  # seconds for the first sample: a base station may be started after the robots
 _JITTER = 0.005  # seconds by which a poll may come early
-_CHECK = 3.0  # seconds
+LEAST_RATE = 15.0  # Hz
 _IN_FLIGHT = (Phase.SWITCHING, Phase.ARMING, Phase.CLIMBING, Phase.FLYING)
 
 
@@ -44,10 +44,10 @@ class Positioning:
 
     def __init__(
         self, mode: str, setting: str, settings: Settings, key: bytes | None, frame: LocalFrame, max_speed: float,
-        listen: Callable[[str], DatagramLink], wall: Callable[[], float],
+        bind: Callable[[str], DatagramLink], wall: Callable[[], float],
     ) -> None:  # fmt: skip
-        """`listen` opens the port that `setting` names; `wall` is the time of day, seconds since 1970."""
-        self._mode, self._setting, self._frame, self._listen, self._wall = mode, setting, frame, listen, wall
+        """`bind` opens the port that `setting` names; `wall` is the time of day, seconds since 1970."""
+        self._mode, self._setting, self._frame, self._bind, self._wall = mode, setting, frame, bind, wall
         self._lost = settings.safety.position_lost
         self._feed = Feed(settings.robot, key)
         self._track = Track(max_speed)
@@ -57,6 +57,7 @@ class Positioning:
         self._began = 0.0
         self._unix = 0.0  # time of day minus the agent's clock: read once, so that fixes follow one another evenly
         self._next = self._sent = -math.inf
+        self._taken = 0  # samples
         self._carried = 0  # how often the vehicle was carried elsewhere, on the ground
         self.vouched: float | None = None
         self.doubt = self._waiting()
@@ -65,7 +66,7 @@ class Positioning:
     def open(self, now: float) -> None:
         """Bind the feed's port, if it is not bound. Raises Unready."""
         if self._datagrams is None:
-            self._datagrams = self._listen(self._setting)
+            self._datagrams = self._bind(self._setting)
         self._began, self._unix = now, self._wall() - now
 
     def close(self) -> None:
@@ -81,14 +82,12 @@ class Positioning:
             raise Unready(f"{firmware.name} takes no positioning {self._mode!r}", f"it takes: own, {there_are}")
         return firmware.positioning[self._mode]
 
-    def receive(self, now: float) -> None:
-        """Take the samples that have arrived."""
+    def pass_on(self, link: Link, now: float) -> None:
+        """Take the samples that have arrived, and send the newest to the autopilot when that is due."""
         for datagram in waiting(self._datagrams) if self._datagrams is not None else ():
             if self._feed.take(datagram, now) and self._feed.pose is not None and self._feed.time is not None:
+                self._taken += 1
                 self._track.take(self._feed.pose, self._feed.time)
-
-    def send(self, link: Link, now: float) -> None:
-        """Pass on the newest sample when one is due."""
         track = self._track
         if self._mode != "gps_input":
             self._origin.poll(link, now)
@@ -112,10 +111,9 @@ class Positioning:
 
     def poll(self, link: Link, flight: Flight, state: Telemetry, now: float) -> None:
         """Pass the source on, and watch it. Raises Unready when it cannot be flown by any more."""
-        self.receive(now)
         for message in flight.heard:
             self._origin.take(message)
-        self.send(link, now)
+        self.pass_on(link, now)
         grounded = flight.phase in (Phase.CONNECTING, Phase.ESTIMATING)
         if grounded and self._track.refused(now) > JUMPED:
             self._track.forget()
@@ -155,12 +153,17 @@ class Positioning:
     def _waiting(self) -> str:
         return f"waiting for the position feed on {self._setting}{self._feed.dropped}"
 
-    def check(self, wait: Callable[[float], None], clock: Callable[[], float]) -> list[str]:
-        """For a platform's `check`: a line when poses arrive. `wait` lets some seconds pass. Raises Unready."""
-        self.open(clock())
-        while self._track.pose is None:
-            if clock() - self._began > _CHECK:
-                raise Unready(*self._feed.silent(self._setting, _CHECK))
-            wait(0.05)
-            self.receive(clock())
-        return [f"position feed arrives on {self._setting}: {coordinates(self._track.pose.position)} m"]
+    def findings(self, now: float) -> list[Finding]:
+        """For a platform's `diagnose`, after samples were passed on since `open`: whether they come as they should."""
+        feed, seconds = self._feed, max(now - self._began, 0.1)
+        if feed.pose is None:
+            return [Finding.of("feed", Unready(*feed.silent(self._setting, seconds)))]
+        rate = self._taken / seconds
+        found = f"{rate:.0f} Hz on {self._setting}: {coordinates(feed.pose.position)} m{feed.dropped}"
+        if self._track.jumps:
+            why = "it would land the robot: look at the markers and at the base station's network"
+            return [Finding("feed", "fail", f"{found}; {self._track.jumps} samples jumped", "none that jumps", why)]
+        if rate < LEAST_RATE:
+            why = "the autopilot flies less exactly: raise the base station's rate"
+            return [Finding("feed", "warn", found, f"{LEAST_RATE:g} Hz or more", why)]
+        return [Finding("feed", "ok", found)]

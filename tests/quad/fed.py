@@ -60,7 +60,7 @@ class FedRig(Rig):
     def agent(self, **body: Any) -> Quad:
         return Quad(
             settings(**body), KEY, connect=lambda url: self.wire, clock=lambda: self.now, sleep=self.pass_time,
-            listen=lambda setting: self.cable, wall=lambda: WALL + self.now,
+            bind=lambda setting: self.cable, wall=lambda: WALL + self.now,
         )  # fmt: skip
 
     def pass_time(self, seconds: float) -> None:

@@ -230,7 +230,7 @@ def test_an_estimate_that_leaves_the_source_holds_and_lands(mode: str) -> None:
     def watch() -> None:
         drift[0] += 0.02
 
-    frame.enu = drifting  # type: ignore[method-assign]
+    frame.enu = drifting  # type: ignore[method-assign, assignment]
     rig.watch = watch
     with pytest.raises(Unready, match=r"the autopilot's estimate is \d\.\d\d m from the position source"):
         rig.run(20.0)
@@ -283,15 +283,16 @@ def test_landing_goes_on_with_the_feed_and_without() -> None:
     assert rig.run(20.0, lambda: rig.quad.rested)
 
 
-def test_check_tells_of_the_feed_and_passes_it_on() -> None:
+def test_the_doctor_tells_of_the_feed_and_passes_it_on() -> None:
     rig = FedRig("vision")
-    lines = rig.quad.check()
-    assert any("position feed arrives on udp:0.0.0.0:47300: (1.0" in line for line in lines)
-    assert sent(rig, NUMBERS["vision"])
-    rig = FedRig("vision")
+    found = {f.name: f for f in rig.quad.diagnose()}
+    assert found["feed"].state == "ok" and "50 Hz on udp:0.0.0.0:47300: (1.0" in found["feed"].found
+    assert sent(rig, NUMBERS["vision"]) and rig.cable.closed
+    rig = FedRig("gps_input")
     rig.station = None
-    with pytest.raises(Unready, match="no position has arrived"):
-        rig.quad.check()
+    found = {f.name: f for f in rig.quad.diagnose()}
+    assert found["feed"].state == "fail" and found["feed"].why
+    assert len(found) > 5, "and goes on"
 
 
 def test_the_port_is_given_back() -> None:
