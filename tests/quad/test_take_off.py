@@ -127,6 +127,22 @@ def test_a_climb_without_a_position_ends_in_a_landing() -> None:
     assert rig.run(20.0, lambda: rig.quad.rested) and at(rig).z == 0.0
 
 
+def test_no_take_off_while_held() -> None:
+    """The agent holds its body until the whole fleet was heard."""
+    rig = Rig()
+    assert rig.autopilot is not None
+    rig.quad.hold(True, rig.now)
+    rig.quad.start(rig.now)
+    rig.run(10.0)
+    assert rig.quad.progress == "ready to take off, waiting for the fleet"
+    assert not commands(rig, mavlink.MAV_CMD_COMPONENT_ARM_DISARM) and rig.autopilot.copter.mode == 0
+    rig.quad.hold(False, rig.now)
+    assert rig.run(15.0, lambda: rig.quad.ready)
+    rig.quad.hold(True, rig.now)  # in the air it is a pause
+    rig.run(2.0)
+    assert rig.quad.ready
+
+
 def test_rest_before_take_off_disarms() -> None:
     rig = Rig()
     rig.quad.start(rig.now)
