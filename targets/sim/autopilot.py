@@ -18,6 +18,7 @@ from targets.sim.mavlink_reports import Reports
 from targets.sim.mavlink_setpoints import take_setpoint
 from targets.sim.mavlink_telemetry import Message, Telemetry
 from targets.sim.ports import Port, UdpPort
+from targets.sim.scenario import BadScenario
 
 REAL_BOOT = 42.0  # seconds of a cold start, as observed
 _SETPOINTS = (
@@ -42,7 +43,7 @@ class SimulatedAutopilot:
         self._dead = False  # its process has aborted: silence, and no thrust
         self.dropped = 0  # datagrams and messages that were damaged or not for us
         harness = context.harness
-        boot = REAL_BOOT if harness.get("boot") == "real" else float(harness.get("boot", 3.0))
+        boot = _seconds(harness.get("boot", 3.0))
         positioning = str(context.settings.get("positioning", ""))
         params = Parameters(str(harness.get("version", VERSION)), positioning=positioning)
         self.copter = Copter(boot, params)
@@ -182,3 +183,16 @@ class SimulatedAutopilot:
                 return ACCEPTED
         result = self.copter.command(message, now)
         return UNSUPPORTED if result is None else result
+
+
+def _seconds(boot: Any) -> float:
+    """What the setting `boot` says. Raises BadScenario."""
+    if boot == "real":
+        return REAL_BOOT
+    try:
+        seconds = float(boot)
+    except ValueError:
+        seconds = -1.0
+    if not 0.0 <= seconds <= 600.0:
+        raise BadScenario(f"boot is {boot!r}", "give seconds, 0 to 600, or `real`")
+    return seconds

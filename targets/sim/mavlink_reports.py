@@ -170,8 +170,10 @@ class Reports:
         if target is None or not self.copter.shows_target:
             return None
         match guidance.aim:
-            case Aim.POSITION | Aim.TAKEOFF:
+            case Aim.POSITION:
                 mask, (vx, vy, vz) = POSITION_ONLY, STILL
+            case Aim.TAKEOFF:  # it tells the target of GUIDED, which a take-off does not have
+                mask, (vx, vy, vz), target = POSITION_ONLY, STILL, STILL
             case Aim.POSITION_VELOCITY:
                 mask, (vx, vy, vz) = NO_YAW, guidance.velocity
             case _:
