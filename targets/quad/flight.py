@@ -18,6 +18,7 @@ from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point
 from targets.quad.check import misplaced, stranger, unheard
 from targets.quad.firmware import Firmware
+from targets.quad.framing import Message
 from targets.quad.link import RESULTS, Link
 from targets.quad.parameters import Parameters, Wanted
 from targets.quad.telemetry import Streams, Telemetry
@@ -65,6 +66,8 @@ class Flight:
         self._reread = now
         self._setpoint: Point | None = None  # the last one of a climb that is flown by setpoints
         self.grounded = False  # not to take off, as long as this is set
+        self.withheld = ""  # what speaks against a take-off beside what is known here, in words
+        self.heard: list[Message] = []  # the vehicle's messages that the last poll took
         self._streams = Streams()
         self._since = now  # when the present phase began
         self._begun = self._now = self._polled = now
@@ -90,7 +93,8 @@ class Flight:
     def poll(self, now: float) -> None:
         """Take what has arrived, look, and ask for what comes next. Raises Unready."""
         self._polled, self._now = self._now, now
-        for message in self._link.receive(now):
+        self.heard = self._link.receive(now)
+        for message in self.heard:
             self._streams.note(message.get_msgId(), now)
             self._telemetry.take(message, now)
             self._parameters.take(message)
@@ -163,7 +167,7 @@ class Flight:
             )
         elif state.flying:
             self._take_over(now)
-        elif fault := misplaced(self._fence, self._height, state.position) or self._unfit(now):
+        elif fault := self.withheld or misplaced(self._fence, self._height, state.position) or self._unfit(now):
             self._doing = f"not taking off: {fault}"
         elif self._parameters.done(now):
             self._prepare(now)

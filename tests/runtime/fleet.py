@@ -13,7 +13,7 @@ from typing import Any
 from koordgen.runtime.clock import SimulatedClock
 from koordgen.runtime.machine import Agent
 from koordgen.runtime.network import Conditions, MemoryNetwork
-from koordgen.runtime.platform import Sensed
+from koordgen.runtime.platform import Finding, Sensed
 from koordgen.runtime.program import Program
 from koordgen.runtime.settings import Box, Origin, Peer, Safety, Settings
 from koordgen.runtime.store import KEPT, Acceptor, Loaded, Locals, Mission
@@ -88,8 +88,8 @@ class FakePlatform:
         self.seen_paths: list[dict[int, tuple[Point, ...]]] = []
         self.told: list[str] = []
 
-    def check(self) -> list[str]:
-        return ["a fake body"]
+    def diagnose(self) -> list[Finding]:
+        return [Finding("fake", "ok", "a fake body")]
 
     def start(self, now: float) -> None:
         self.started = self.last = now
