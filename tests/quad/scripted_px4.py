@@ -14,6 +14,7 @@ from targets.quad.framing import Framer, Message
 from tests.quad.rig import ORIGIN, PointMass
 
 POSITION, OFFBOARD, LAND = 3 << 16, 6 << 16, 4 << 16 | 6 << 24
+ESTIMATING = 0x33F  # attitude, velocity, position: relative, absolute and predicted
 ACCEPTED, REJECTED = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_TEMPORARILY_REJECTED
 
 
@@ -153,7 +154,7 @@ class ScriptedPx4:
         return mavlink.MAVLink_extended_sys_state_message(0, landed)
 
     def _estimator(self, clock: int) -> Message:
-        return mavlink.MAVLink_estimator_status_message(clock, mavlink.ESTIMATOR_POS_HORIZ_ABS | 1, *[0.0] * 8)
+        return mavlink.MAVLink_estimator_status_message(clock, ESTIMATING, *[0.0] * 8)
 
     def _target(self, clock: int) -> Message:
         own = self._own(self.target or self._body.state().position)

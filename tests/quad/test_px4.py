@@ -99,11 +99,12 @@ def test_no_take_off_with_one_that_would_not_land_when_the_agent_dies() -> None:
     assert rig.run(20.0, lambda: rig.quad.ready)
 
 
-def test_check_of_a_px4() -> None:
+def test_what_is_found_of_a_px4() -> None:
     rig, autopilot = px4()
-    lines = rig.quad.check()
-    assert "PX4 quadrotor of unknown version" in lines[0] and "(1.00, -2.00, 0.00) m; in POSITION" in lines[1]
-    assert lines[2] == "the parameters that matter are right"
+    found = {f.name: f for f in rig.quad.diagnose()}
+    assert not [f for f in found.values() if f.state == "fail"]
+    assert found["firmware"].found == "PX4 quadrotor of unknown version" and found["parameters"].state == "ok"
+    assert "(1.00, -2.00, 0.00) m" in found["place"].found
     assert not sent(rig, SETPOINT) and not autopilot.modes
 
 
