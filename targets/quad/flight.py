@@ -212,7 +212,7 @@ class Flight:
         return self._telemetry.mode == self._firmware.lands or self._telemetry.mode in self._firmware.returns
 
     def _switch(self, now: float) -> None:
-        self._rise_by_setpoint(now, 0.0)
+        self._call()
         if self._telemetry.mode == self._firmware.follows and self._telemetry.mode_time > self._since:
             self._enter(Phase.ARMING, now, "arming")
         elif not self._firmware.rises or now - self._since >= CALLING:
@@ -221,19 +221,22 @@ class Flight:
                 doing = f"switching to {self._firmware.mode(self._firmware.follows)}"
                 self._doing = self._explained(doing, mavlink.MAV_CMD_DO_SET_MODE, now)
 
-    def _rise_by_setpoint(self, now: float, climb: float) -> None:
-        """Where the firmware takes off so: send a setpoint, higher by `climb` (m) than the last; the first is below
-        the ground, so that no error of the estimate looks like a wish to take off."""
-        if not self._firmware.rises or self._telemetry.position is None:
-            return
-        if self._setpoint is None:
+    def _call(self) -> None:
+        """On the ground, where the firmware takes off by setpoints: they flow already, to a place below, so that no
+        error of the estimate looks like a wish to take off."""
+        if self._firmware.rises and self._telemetry.position is not None:
             self._setpoint = self._telemetry.position + Point(0.0, 0.0, -0.2)
-        x, y, z = self._setpoint.x, self._setpoint.y, self._setpoint.z
-        self._setpoint = Point(x, y, max(z, min(z + climb, self._height)))
-        self._go_to(self._setpoint)
+            self._go_to(self._setpoint)
+
+    def _lift(self, seconds: float) -> None:
+        """... and rise, as far as the position is known."""
+        if self._setpoint is not None and self._telemetry.fresh(self._now):
+            p = self._setpoint
+            self._setpoint = Point(p.x, p.y, max(p.z, min(p.z + CLIMB * seconds, self._height)))
+            self._go_to(self._setpoint)
 
     def _arm(self, now: float) -> None:
-        self._rise_by_setpoint(now, 0.0)
+        self._call()
         if self._telemetry.mode != self._firmware.follows:
             self._enter(Phase.SWITCHING, now, f"the autopilot fell back to {self._telemetry.mode_name}; asking again")
         elif self._telemetry.armed:
@@ -244,8 +247,7 @@ class Flight:
 
     def _climb(self, now: float) -> None:
         state = self._telemetry
-        if state.fresh(now):  # else it stays where it is
-            self._rise_by_setpoint(now, CLIMB * (now - self._polled))
+        self._lift(now - self._polled)
         if not state.armed and not self._airborne:
             said = self._link.reasons(self._since)
             words = f"disarmed before take-off{': ' if said else ''}{said}"
