@@ -1,13 +1,13 @@
 """How closely a quad follows its targets: `python benchmarks/quad_tracking.py [--connect URL] [--quick] [--json FILE]`.
 
-Without --connect: against the simulated autopilot, in this process and in simulated time. With it: against the autopilot
-at that URL (as the quad's setting `autopilot`), in real time. It connects, arms, takes off to 2 m above where the vehicle
-stands, flies within 8 m of there, and lands; Ctrl-C lands at once.
+Without --connect: against the simulated autopilot, in this process and in simulated time. With it: against the
+autopilot at that URL (as the quad's setting `autopilot`), in real time. It connects, arms, takes off to 2 m above where
+the vehicle stands, flies within 8 m of there, and lands; Ctrl-C lands at once.
 
 First the autopilot itself: what plain setpoints make of it, beside what was observed on ArduPilot 4.7. Then our layer
 over the same autopilot. An error is the distance between where the target is and where the newest telemetry puts the
-vehicle, 20 times a second. The last row is the CPU time of this process within the agent's polls (MAVLink parsing at the
-streams that it asks for, telemetry, trajectory, setpoints) over the seconds flown. Ends with 1 when a row is off.
+vehicle, 20 times a second. The last row is the CPU time of this process within the agent's polls (MAVLink parsing at
+the streams that it asks for, telemetry, trajectory, setpoints) over the seconds flown. Ends with 1 when a row is off.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.platform import Unready
 from koordgen.runtime.settings import Box
-from koordgen.runtime.values import Point, distance
+from koordgen.runtime.values import Point
 from targets.quad.flight import Flight, Phase
 from targets.quad.link import Link
 from targets.quad.motion import Motion
-from targets.quad.setpoint import Aim, Shaping, setpoint
+from targets.quad.setpoint import ARDUPILOT, Aim, Shaping, setpoint
 from targets.quad.telemetry import Telemetry
 from targets.quad.transport import opened
 
@@ -118,7 +118,7 @@ class Pilot:
         )  # fmt: skip
         self.cpu = self.flown = 0.0
 
-    def motion(self, shaping: Shaping = Shaping(), speed: float = 1.0) -> Motion:
+    def motion(self, shaping: Shaping = ARDUPILOT, speed: float = 1.0) -> Motion:
         return Motion(self.frame, self.fence, HEIGHT, speed, 1.0, 0.7, 0.15, 0.3, shaping=shaping)
 
     def send(self, aim: Aim) -> None:
@@ -195,7 +195,7 @@ class Pilot:
         self.send(Aim(self.at))
         return found
 
-    def ours(self, way: Way, seconds: float, shaping: Shaping = Shaping(), every: int = 1) -> list[float]:
+    def ours(self, way: Way, seconds: float, shaping: Shaping = ARDUPILOT, every: int = 1) -> list[float]:
         """Our layer, which is commanded a target in each of so many ticks, as a program does it."""
         motion = self.motion(shaping)
         self.go(way(0.0)[0], motion)
@@ -213,13 +213,13 @@ class Pilot:
         self.go(circle(0.0)[0], motion)
         points = tuple(circle(i / 48 * math.tau * RADIUS / SPEED)[0] for i in range(1, 49))
         self.command(motion, *points)
-        found = []
+        found: list[float] = []
         while not motion.reached and len(found) < 40 / TICK:
             self.tick(motion)
             found.append(abs(math.hypot(self.at.x + RADIUS, self.at.y) - RADIUS))
         return found
 
-    def step(self, shaping: Shaping = Shaping()) -> tuple[float, float]:
+    def step(self, shaping: Shaping = ARDUPILOT) -> tuple[float, float]:
         """A target 1 m away: by how much it is passed, and after how many seconds it is `reached`."""
         motion = self.motion(shaping)
         self.go(Point(0.0, 0.0, HEIGHT), motion)
@@ -278,7 +278,8 @@ def measured(pilot: Pilot, quick: bool) -> list[Row]:
     rows = [
         told(Row("plain position 20 Hz, 0.5 m/s: lag", mean(pilot.plain(carrot, straight, False)[late:]), "m", lag,
                  lag * (1 - near), lag * (1 + near))),
-        told(Row("plain position 1 Hz, 0.5 m/s: lag", mean(pilot.plain(carrot, straight, False, 20)[late:]), "m", 0.82)),
+        told(Row("plain position 1 Hz, 0.5 m/s: lag", mean(pilot.plain(carrot, straight, False, 20)[late:]),
+                 observed=0.82)),
         told(Row("plain position and velocity, circle 2 m, 0.8 m/s: mean error", mean(pilot.plain(circle, turns, True)),
                  "m", turn, turn * (1 - near), turn * (1 + near))),
         told(Row("ours, target 20 Hz, 0.5 m/s: lag", mean(pilot.ours(carrot, straight)[late:]), most=0.15)),
@@ -291,7 +292,7 @@ def measured(pilot: Pilot, quick: bool) -> list[Row]:
     rows.append(told(Row("ours, step of 1 m: reached after", reached, "s")))
     rows.append(told(Row("ours, target stops dead at 0.5 m/s: overshoot", pilot.stopped())))
     for share in () if quick else (0.7, 1.3):
-        off = scaled(Shaping(), share)
+        off = scaled(ARDUPILOT, share)
         words = f"lead {share - 1:+.0%}"
         rows.append(told(Row(f"{words}, target 0.5 m/s: lag", mean(pilot.ours(carrot, straight, off)[late:]))))
         rows.append(told(Row(f"{words}, circle: mean error", mean(pilot.ours(circle, turns, off)))))
@@ -308,8 +309,11 @@ def scaled(shaping: Shaping, share: float) -> Shaping:
 
 def line(row: Row) -> str:
     observed = "" if row.observed is None else f"{row.observed:.2f}"
-    within = "" if row.most is None else f"<= {row.most:.2f}" if row.least is None else f"{row.least:.2f} to {row.most:.2f}"
-    return f"{row.name:<62} {row.value:7.3f} {row.unit:<2} {observed:>9} {within:>13} {'' if row.good else 'OFF'}".rstrip()
+    within = "" if row.most is None else f"<= {row.most:.2f}"
+    if row.least is not None:
+        within = f"{row.least:.2f} to {row.most:.2f}"
+    off = "" if row.good else "OFF"
+    return f"{row.name:<62} {row.value:7.3f} {row.unit:<2} {observed:>9} {within:>13} {off}".rstrip()
 
 
 def main() -> int:
@@ -320,8 +324,11 @@ def main() -> int:
     options = parser.parse_args()
     try:
         if options.connect:
-            print(f"This arms the vehicle on {options.connect}, takes off to {HEIGHT:g} m, flies within 8 m, and lands. Ctrl-C "
-                  "lands at once.", file=sys.stderr)  # fmt: skip
+            print(
+                f"This arms the vehicle on {options.connect}, takes off to {HEIGHT:g} m, flies within 8 m of there, "
+                "and lands. Ctrl-C lands at once.",
+                file=sys.stderr,
+            )
         pilot = Pilot(Connected(options.connect) if options.connect else Simulated(), options.connect or "simulation")
         print(f"{'':<62} {'measured':>10} {'ArduPilot':>9} {'wanted':>13}")
         try:

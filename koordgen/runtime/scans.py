@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 import msgspec
 
 from koordgen.runtime.datagrams import DatagramLink, listen, waiting
-from koordgen.runtime.platform import Unready
+from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.seal import SCAN, seal, unseal
 from koordgen.runtime.values import Point, Scan
 
@@ -146,18 +146,23 @@ class ScanPort:
         rejected = ", ".join(f"{n} {why}" for why, n in self.scans.rejected.items())
         return f"waiting for scans on {self._setting}" + (f"; dropped: {rejected}" if rejected else "")
 
-    def check(self, wait: Callable[[float], None]) -> list[str]:
-        """For a platform's `check`: a line when scans arrive, none without a lidar. `wait` lets some seconds pass.
-        Raises Unready when none has come within WINDOW: a slower lidar would often show nothing."""
-        self.open()
+    def diagnose(self, wait: Callable[[float], None]) -> list[Finding]:
+        """For a platform's `diagnose`: whether scans arrive; nothing without a lidar. `wait` lets some seconds pass.
+        A lidar slower than WINDOW would often show nothing."""
         if not self._setting:
             return []
-        for _ in range(10):
-            self.poll(0.0)
-            if self.scans.heard:
-                return [f"scans arrive on {self._setting}"]
-            wait(WINDOW / 10)
-        raise Unready(f"{self.waiting}, but none has come within {WINDOW:g} s", _HINT)
+        try:
+            self.open()
+            for _ in range(10):
+                self.poll(0.0)
+                if self.scans.heard:
+                    return [Finding("scans", "ok", f"arrive on {self._setting}")]
+                wait(WINDOW / 10)
+        except Unready as error:
+            return [Finding.of("scans", error)]
+        finally:
+            self.close()
+        return [Finding("scans", "fail", f"{self.waiting}, but none has come", f"one within {WINDOW:g} s", _HINT)]
 
     def close(self) -> None:
         """Give the port back. Idempotent."""

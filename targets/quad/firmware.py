@@ -23,6 +23,7 @@ class Firmware:
     rates: Mapping[int, float]  # message -> how often it is wanted, Hz
     occasional: tuple[int, ...]  # of these, those whose absence proves nothing
     parameters: tuple[Wanted, ...]
+    positioning: Mapping[str, tuple[Wanted, ...]]  # what it takes in place of a GPS of its own, and parameters for that
     bytewise: bool  # how it sends integer parameters, where it does not say
 
     def mode(self, number: int | None) -> str:

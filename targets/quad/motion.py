@@ -11,9 +11,9 @@ from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point, distance, transmissible
 from targets.quad.link import Link
 from targets.quad.reference import STANDING, Reference
-from targets.quad.setpoint import Aim, Shaping, aimed, setpoint
+from targets.quad.setpoint import ARDUPILOT, Aim, Shaping, aimed, setpoint
 from targets.quad.telemetry import Telemetry
-from targets.quad.trajectory import CORNER, Limits
+from targets.quad.trajectory import Limits
 
 UNFOLLOWED = 5.0  # seconds for which the autopilot may show no sign of following the setpoints
 SPACING = 0.04  # seconds between two setpoints at least
@@ -33,8 +33,8 @@ def heading(text: str) -> str | float:
 
 
 def room(fence: Box, height: float) -> Box:
-    """What may be made for: the fence without MARGIN at its sides and above, from the flight height upwards. A fence too
-    narrow for the margin keeps the middle half."""
+    """What may be made for: the fence without MARGIN at its sides and above, from the flight height upwards. A fence
+    too narrow for the margin keeps the middle half."""
     lo, hi = clamp(fence, Point(-math.inf, -math.inf, -math.inf)), clamp(fence, Point(math.inf, math.inf, math.inf))
     x, y = (min(MARGIN, side / 4) for side in (hi.x - lo.x, hi.y - lo.y))
     return Box(Point(lo.x + x, lo.y + y, height), Point(hi.x - x, hi.y - y, max(height, hi.z - MARGIN)))
@@ -46,7 +46,7 @@ class Motion:
 
     def __init__(
         self, frame: LocalFrame, fence: Box, height: float, max_speed: float, acceleration: float, climb: float,
-        radius: float, dwell: float, yaw: str | float = "keep", shaping: Shaping = Shaping(),
+        radius: float, dwell: float, yaw: str | float = "keep", shaping: Shaping = ARDUPILOT,
     ) -> None:  # fmt: skip
         self._frame, self._fence, self._height = frame, fence, height
         self._radius, self._dwell, self._speed = radius, dwell, max_speed
@@ -92,8 +92,7 @@ class Motion:
             self._reference.start(position, state.velocity, now)
         self._reference.advance(position, now)
         aim = aimed(self._reference, self._shaping)
-        link.send(setpoint(link.vehicle, self._frame, self._fence, Aim(aim.position, aim.velocity, self._heading(state))))
-        self._sent = now
+        self._say(link, Aim(aim.position, aim.velocity, self._heading(state)), now)
         self._watch(link, state, aim, now)
         self._judge(position, state.velocity, now)
 
@@ -112,7 +111,11 @@ class Motion:
         if self._halt is None or now > self._halt[1] or link.vehicle is None:
             self.coast(now)
         elif self._sent is None or now - self._sent >= SPACING:
-            link.send(setpoint(link.vehicle, self._frame, self._fence, Aim(clamp(self._room, self._halt[0]), yaw=self._yaw)))
+            self._say(link, Aim(clamp(self._room, self._halt[0]), yaw=self._yaw), now)
+
+    def _say(self, link: Link, aim: Aim, now: float) -> None:
+        if link.vehicle is not None:
+            link.send(setpoint(link.vehicle, self._frame, self._fence, aim))
             self._sent = now
 
     def _heading(self, state: Telemetry) -> float | None:
@@ -129,7 +132,8 @@ class Motion:
         # The autopilot tells its target at 5 Hz; of a second's worth, all but one may be lost. ArduPilot tells it only
         # while it is a position alone; of one in motion, the vehicle shows by itself whether it is followed.
         near = 0.2 + 1.2 * self._speed
-        if state.followed is not None and now - state.followed_time < 1.0 and distance(state.followed, aim.position) < near:
+        told = state.followed if now - state.followed_time < 1.0 else None
+        if told is not None and distance(told, aim.position) < near:
             self._doubted, self.followed = None, True
             return
         if aim.velocity is not None:

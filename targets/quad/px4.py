@@ -27,6 +27,15 @@ PARAMETERS = (
     Wanted("COM_OF_LOSS_T", (), (1, 0.5), "seconds from the agent's last setpoint to the landing"),
     Wanted("COM_RCL_EXCEPT", (), (4, 5, 6, 7), "else it does not fly OFFBOARD without a remote control"),
 )
+_NO_OWN = (
+    Wanted("EKF2_HGT_REF", (), (3,), "else its height is not the feed's"),
+    Wanted("EKF2_GPS_CTRL", (), (0,), "else it believes a GPS as well"),
+    Wanted("EKF2_MAG_TYPE", (), (5,), "else the compass is believed, which iron indoors misleads"),
+)
+POSITIONING = {
+    "vision": (Wanted("EKF2_EV_CTRL", (), (11,), "else position and heading are not the feed's"), *_NO_OWN),
+    "odometry": (Wanted("EKF2_EV_CTRL", (), (15, 11), "else position and heading are not the feed's"), *_NO_OWN),
+}
 PX4 = Firmware(
     name="PX4",
     modes=MODES,
@@ -45,5 +54,6 @@ PX4 = Firmware(
     },
     occasional=(mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED, mavlink.MAVLINK_MSG_ID_HEARTBEAT),
     parameters=PARAMETERS,
+    positioning=POSITIONING,
     bytewise=True,
 )

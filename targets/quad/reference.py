@@ -1,4 +1,5 @@
-"""The reference: the state that the vehicle is to have now and shortly, as targets, pauses and the vehicle itself change.
+"""The reference: the state that the vehicle is to have now and shortly, as targets, pauses and the vehicle itself
+change.
 
 It runs along a trajectory by the clock, slower when the vehicle falls behind, and stands when that is a leash away. A
 target that is commanded anew again and again is taken to go on as it went, and is accompanied instead of being stopped
@@ -24,7 +25,8 @@ RHYTHM = 0.6  # s between two targets at most for the second to be the first one
 
 
 class Pursuit:
-    """Where a target is going, from its last places: the parabola through the first, the middle and the last of them."""
+    """Where a target is going, from its last places: the parabola through the first, the middle and the last of
+    them."""
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
@@ -112,7 +114,8 @@ class Reference:
         self._replan(state)
 
     def drop(self, now: float) -> Point | None:
-        """The vehicle goes its own ways; `start` begins anew. Where it would have stood if it had been paused instead."""
+        """The vehicle goes its own ways; `start` begins anew. Where it would have stood if it had been paused
+        instead."""
         state = self._run(now)
         self._passed, self._trajectory = self._behind(), None
         self._pursuit.forget()

@@ -1,14 +1,14 @@
 """Setpoints: what is sent to the autopilot so that the vehicle has the reference's state when the reference has it.
 
-An autopilot does not take a setpoint as it comes: ArduPilot shapes it (AC_PosControl, AP_Math's shape_pos_vel_accel) with
-the gains KPv = PSC_JERK_NE / 2 WP_ACC = 1/s and KPa = PSC_JERK_NE / WP_ACC = 2/s, vertically 2.5/s and 5/s:
+An autopilot does not take a setpoint as it comes: ArduPilot shapes it (AC_PosControl, AP_Math's shape_pos_vel_accel)
+with the gains KPv = PSC_JERK_NE / 2 WP_ACC = 1/s and KPa = PSC_JERK_NE / WP_ACC = 2/s, vertically 2.5/s and 5/s:
 
-    x'' = KPa (KPv (p - x) + v - x')          p, v: the setpoint's position and velocity; x: what the vehicle is steered to
+    x'' = KPa (KPv (p - x) + v - x')      p, v: the setpoint's position and velocity; x: what the vehicle is steered to
 
 A position alone is so followed 1/KPv = 1 s late. With the velocity, x misses what x'' takes: p'' / KPa KPv, 0.16 m on a
-circle of 2 m at 0.8 m/s. The velocity v + p''/KPa gives it back: x = p. What is steered to is reached a lean later (0.1 s),
-and a setpoint takes the link's time. So velocity is sent for 1/KPa and the lean ahead, by the mean of p'' over the next
-third of a second, because p'' jumps; and position and velocity both for the link ahead.
+circle of 2 m at 0.8 m/s. The velocity v + p''/KPa gives it back: x = p. What is steered to is reached a lean later (0.1
+s), and a setpoint takes the link's time. So velocity is sent for 1/KPa and the lean ahead, by the mean of p'' over the
+next third of a second, because p'' jumps; and position and velocity both for the link ahead.
 
 KPv p + v is all that counts. So near the fence, velocity is exchanged for position: 1/KPv metres for each m/s. PX4's
 gains come to much the same (MPC_XY_P 0.95/s, MPC_XY_VEL_P_ACC 1.8/s).
@@ -45,14 +45,17 @@ class NotSendable(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Shaping:
-    """What an autopilot makes of setpoints, in seconds, horizontally and vertically: `late` is 1/KPv, `lead` 1/KPa and the
-    time to lean or to change thrust; `delay` is the link's and half of the setpoints' spacing; `ahead` is over how long
-    the reference's acceleration is averaged."""
+    """What an autopilot makes of setpoints, in seconds, horizontally and vertically: `late` is 1/KPv, `lead` 1/KPa and
+    the time to lean or to change thrust; `delay` is the link's and half of the setpoints' spacing; `ahead` is over how
+    long the reference's acceleration is averaged."""
 
     late: tuple[float, float] = (1.0, 0.4)
     lead: tuple[float, float] = (0.6, 0.25)
     delay: float = 0.05
     ahead: float = 0.35
+
+
+ARDUPILOT = Shaping()
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,9 +68,9 @@ class Aim:
 
 
 def aimed(reference: Reference, shaping: Shaping) -> Aim:
-    """What to send now, within the limits and in their box for as long as it may be obeyed. A position alone on hold, at
-    rest and for ways so short that they are none: ArduPilot's controller starts anew when the kind of setpoint changes, so
-    that is done while the vehicle stands."""
+    """What to send now, within the limits and in their box for as long as it may be obeyed. A position alone on hold,
+    at rest and for ways so short that they are none: ArduPilot's controller starts anew when the kind of setpoint
+    changes, so that is done while the vehicle stands."""
     limits, state = reference.limits, reference.at(shaping.delay)
     if reference.paused or reference.waits or reference.stood >= SETTLED or reference.peak < SLOW:
         return Aim(clamp(limits.box, state.position))
@@ -94,7 +97,8 @@ def _exchanged(position: Point, velocity: Point, shaping: Shaping, box: Box) -> 
 
 
 def _axis(p: float, v: float, lo: float, hi: float, late: float) -> tuple[float, float]:
-    """One axis: position and velocity with p' + RUN_ON v' within lo to hi, and p' + late v' as it was if that is there."""
+    """One axis: position and velocity with p' + RUN_ON v' within lo to hi, and p' + late v' as it was if that is
+    there."""
     p = max(lo, min(p, hi))
     face = hi if v > 0 else lo
     if (face - p - RUN_ON * v) * (1 if v > 0 else -1) >= 0:
@@ -106,8 +110,8 @@ def _axis(p: float, v: float, lo: float, hi: float, late: float) -> tuple[float,
 
 
 def setpoint(vehicle: Vehicle, frame: LocalFrame, fence: Box, aim: Aim) -> Message:
-    """The message for an aim: the position clamped to the fence, the velocity shortened until it leads to no face of it in
-    RUN_ON. Raises NotSendable unless all is finite.
+    """The message for an aim: the position clamped to the fence, the velocity shortened until it leads to no face of it
+    in RUN_ON. Raises NotSendable unless all is finite.
 
     GLOBAL_INT, because robots share no local frame; AMSL (frame 5), because a height above home would be a height
     above where this vehicle happened to arm. Unused fields are zero, never NaN.

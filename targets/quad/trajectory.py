@@ -1,10 +1,11 @@
 """The reference trajectory: straight from waypoint to waypoint, within limits of speed, climb and acceleration.
 
-A trajectory is a chain of pieces of constant acceleration; so its velocity is continuous, its acceleration and speed are
-those of the pieces' ends, and it can be told for any moment ahead. A corner is passed on a parabola: speeds in and out are
-equal, the velocity turns at the acceleration limit. The parabola begins as far before the corner as it ends behind it,
-d = v^2 |du| / 2a, and passes the corner at v^2 |du|^2 / 8a, where du is the difference of the unit vectors of the two
-legs (L. Biagiotti, C. Melchiorri, "Trajectory Planning for Automatic Machines and Robots", section 3.2.2 and chapter 8).
+A trajectory is a chain of pieces of constant acceleration; so its velocity is continuous, its acceleration and speed
+are those of the pieces' ends, and it can be told for any moment ahead. A corner is passed on a parabola: speeds in and
+out are equal, the velocity turns at the acceleration limit. The parabola begins as far before the corner as it ends
+behind it, d = v^2 |du| / 2a, and passes the corner at v^2 |du|^2 / 8a, where du is the difference of the unit vectors
+of the two legs (L. Biagiotti, C. Melchiorri, "Trajectory Planning for Automatic Machines and Robots", section 3.2.2 and
+chapter 8).
 
 Metres and seconds; any Cartesian frame whose z is up.
 """
@@ -30,8 +31,8 @@ ZERO = Point()
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Speed (m/s, in space), vertical speed (m/s, up or down), acceleration (m/s^2, in space), and the box that is never
-    left, whatever the trajectory is changed to: neither by a position nor by braking from there."""
+    """Speed (m/s, in space), vertical speed (m/s, up or down), acceleration (m/s^2, in space), and the box that is
+    never left, whatever the trajectory is changed to: neither by a position nor by braking from there."""
 
     speed: float
     climb: float
@@ -120,9 +121,8 @@ def plan(start: State, waypoints: Sequence[Point], limits: Limits, drift: Point 
     """From a state, by the waypoints (at least one), to rest at the last. `start`'s velocity must be within the limits.
 
     With a drift (m/s, within the limits) the last waypoint, which must be the only one, goes on with that velocity from
-    the trajectory's beginning on, and is met and accompanied: the plan is made in its frame, where limits of acceleration
-    are the same and those of speed are `Limits.top`'s. Waypoints and start must be finite.
-    """
+    the trajectory's beginning on, and is met and accompanied: the plan is made in its frame, where limits of
+    acceleration are the same and those of speed are `Limits.top`'s. Waypoints and start must be finite."""
     ahead = [i for i, p in enumerate(waypoints) if i + 1 == len(waypoints) or distance(p, waypoints[i + 1]) > CLOSE]
     pieces = _entered(State(start.position, start.velocity - drift), waypoints[ahead[0]], limits, drift, ahead[0])
     entry = pieces[-1].at(pieces[-1].seconds) if pieces else State(start.position)
@@ -143,8 +143,8 @@ def plan(start: State, waypoints: Sequence[Point], limits: Limits, drift: Point 
 
 
 def _entered(start: State, goal: Point, limits: Limits, drift: Point, ahead: int) -> list[Piece]:
-    """The first piece: from the velocity that there is to one towards the goal, as fast as allows to stop there; braking
-    when nothing better stays within the limits. No piece when nothing moves yet."""
+    """The first piece: from the velocity that there is to one towards the goal, as fast as allows to stop there;
+    braking when nothing better stays within the limits. No piece when nothing moves yet."""
     speed = norm(start.velocity)
     if speed < _STILL:
         return []

@@ -20,6 +20,7 @@ from targets.sim.bodies import Car, DeviceContext
 
 TIMEOUT = 0.5  # seconds without a command after which the VESC brakes by itself; asking for values is none
 SUPPLY = 11.1  # volts
+FIRMWARE = 6, 5
 
 
 class Controller:
@@ -48,7 +49,9 @@ class Controller:
                     self._steering = max(-self._settings.max_steering, min(self._settings.max_steering, angle))
                 case vesc.AskValues():
                     answers += vesc.encode(vesc.Values(self._wheel_speed() * self._settings.speed_to_erpm_gain, SUPPLY))
-                case vesc.Values():
+                case vesc.AskVersion():
+                    answers += vesc.encode(vesc.Version(*FIRMWARE))
+                case vesc.Values() | vesc.Version():
                     pass  # an answer is no question
         if now - self._commanded > TIMEOUT:
             self._speed = 0.0

@@ -7,7 +7,6 @@ import struct
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from koordgen.runtime.platform import Unready
 from targets.quad.framing import Framer
 from targets.quad.link import Link
 from targets.quad.parameters import Parameters, Wanted
@@ -120,8 +119,8 @@ def test_no_take_off_with_an_autopilot_that_would_not_land_when_the_agent_dies()
         "not taking off: FS_GCS_ENABLE is 0, wanted 5: else it does not land when the agent dies"
     )
     assert not commands(rig, mavlink.MAV_CMD_COMPONENT_ARM_DISARM) and not sent(rig, SET)
-    with pytest.raises(Unready, match="would not take off: FS_GCS_ENABLE is 0, wanted 5"):
-        Rig.agent(rig).check()
+    (found,) = (f for f in rig.agent().diagnose() if f.name == "FS_GCS_ENABLE")
+    assert (found.state, found.found, found.wanted) == ("fail", "0", "5") and "it does not land" in found.why
     params["FS_GCS_ENABLE"] = 5.0  # somebody mends it
     assert rig.run(20.0, lambda: rig.quad.ready)
 
@@ -142,9 +141,24 @@ def test_what_does_not_forbid_a_take_off_is_told_once() -> None:
     assert rig.autopilot is not None
     rig.autopilot.copter.params |= {"FS_GCS_ENABLE": 1.0, "LAND_REPOSITION": 1.0}
     rig.fly()
-    told = [said for said in rig.progress if "parameters" in said]
-    assert told == [
+    (told,) = (said for said in rig.progress if "parameters" in said)
+    assert told.endswith(
         "parameters of the autopilot differ: FS_GCS_ENABLE is 1, wanted 5: else it does not land when the agent dies; "
         "LAND_REPOSITION is 1, wanted 0: else it waits for a pilot after landing, and does not disarm"
-    ]
+    )
     assert not sent(rig, SET)
+
+
+def test_what_differs_is_told_while_there_is_no_estimate_yet() -> None:
+    """It may be why there is none."""
+    rig = Rig(boot=30.0)
+    assert rig.autopilot is not None
+    rig.autopilot.copter.params["FS_THR_ENABLE"] = 1.0
+    rig.quad.start(rig.now)
+    rig.run(3.0)
+    assert rig.quad.progress == (
+        "waiting for its position estimate; parameters of the autopilot differ: FS_THR_ENABLE is 1, wanted 0: else it "
+        "does not fly without a remote control"
+    )
+    rig.autopilot.copter.params["FS_THR_ENABLE"] = 0.0
+    assert rig.run(50.0, lambda: rig.quad.ready)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from koordgen.runtime.platform import Platform, Unready
+from koordgen.runtime.platform import Platform
 from koordgen.runtime.values import Point, distance
 from targets.quad.motion import MARGIN
 from tests.quad.rig import FENCE, SETPOINT, Rig, at, commands, sent
@@ -78,7 +79,7 @@ def test_what_is_sent_on_the_way() -> None:
     assert 180 <= len(setpoints) <= 201
     assert {(m.type_mask, m.coordinate_frame) for m in setpoints} == {(0x9F8, 5), (0x9C0, 5)}
     masks = [m.type_mask for m in setpoints]
-    changes = sum(a != b for a, b in zip(masks, masks[1:], strict=False))
+    changes = sum(a != b for a, b in itertools.pairwise(masks))
     assert changes <= 2 and masks[-1] == 0x9F8 and masks.count(0x9C0) > 60
     assert {round(m.yaw, 3) for m in setpoints} == {round(math.pi / 2, 3)}
     assert 9 <= len(sent(rig, mavlink.MAVLINK_MSG_ID_HEARTBEAT)) <= 11
@@ -153,25 +154,6 @@ def test_a_landing_that_never_disarms_is_ended_on_the_ground() -> None:
     rig.quad.rest(rig.now)
     assert rig.run(25.0, lambda: rig.quad.rested)
     assert disarmed_at[0] == 0.0 and any("still armed" in said for said in rig.progress)
-
-
-def test_check_reports_and_moves_nothing() -> None:
-    rig = Rig()
-    began = rig.now
-    lines = rig.quad.check()
-    assert rig.now - began < 10.0 and rig.wire.closed
-    assert "ArduPilot quadrotor 4.7.0" in lines[0] and "(1.00, -2.00, 0.00)" in lines[1]
-    asked = {m.command for m in sent(rig, mavlink.MAVLINK_MSG_ID_COMMAND_LONG)}
-    assert asked <= {mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAV_CMD_REQUEST_MESSAGE}
-
-
-def test_check_of_a_silent_link_and_of_one_without_estimate() -> None:
-    silent = Rig(autopilot=False)
-    with pytest.raises(Unready, match="no autopilot answers"):
-        silent.quad.check()
-    assert silent.now - 1000.0 <= 10.0
-    with pytest.raises(Unready, match="no position estimate yet"):
-        Rig(boot=42.0).quad.check()
 
 
 def test_the_same_seed_gives_the_same_flight() -> None:

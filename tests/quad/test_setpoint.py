@@ -1,5 +1,5 @@
-"""Setpoints: the type masks as ArduPilot reads them, never a number that is not finite, never outside the fence, neither
-now nor when the autopilot runs on with the last of them."""
+"""Setpoints: the type masks as ArduPilot reads them, never a number that is not finite, never outside the fence,
+neither now nor when the autopilot runs on with the last of them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.safety import inside
+from koordgen.runtime.safety import clamp, inside
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point, distance
 from targets.quad import setpoint as setpoints
@@ -65,7 +65,7 @@ def test_masks() -> None:
     assert setpoints.POSITION_VELOCITY == 0xDC0 == acceleration | yaw | yaw_rate
     assert setpoints.POSITION & ~setpoints.YAW == 0x9F8 and position == 0x7
     names = mavlink.POSITION_TARGET_TYPEMASK_VX_IGNORE, mavlink.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
-    assert names == (0x008, 0x800) and mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE == yaw
+    assert names == (0x008, 0x800) and yaw == mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE
 
 
 def test_a_setpoint_byte_for_byte() -> None:
@@ -126,7 +126,7 @@ def test_an_aim_keeps_to_the_room_and_is_worth_the_same(ways: list[tuple[Point, 
     reference.start(ways[0][0], Point(), 0.0)
     now = 0.0
     for target, vehicle in ways:
-        reference.follow((setpoints.clamp(ROOM, target),), now)
+        reference.follow((clamp(ROOM, target),), now)
         for i in range(ticks):
             now += 0.05
             reference.advance(vehicle if i % 7 == 6 else reference.at(0.0).position, now)
@@ -190,7 +190,7 @@ def test_whatever_the_program_writes_and_wherever_the_vehicle_is(doings: list[Ac
 
 def test_the_room_is_the_fence_with_a_margin_above_the_flight_height() -> None:
     m = MARGIN
-    assert ROOM == Box(Point(-6 + m, -5 + m, HEIGHT), Point(6 - m, 5 - m, 4 - m))
+    assert Box(Point(-6 + m, -5 + m, HEIGHT), Point(6 - m, 5 - m, 4 - m)) == ROOM
     assert room(Box(Point(6, 5, 4), Point(-6, -5, 0)), HEIGHT) == ROOM  # corners in any order
     narrow = room(Box(Point(0, 0, 0), Point(0.2, 5, 1.6)), HEIGHT)
     assert narrow == Box(Point(0.05, m, HEIGHT), Point(0.2 - 0.05, 5 - m, HEIGHT))

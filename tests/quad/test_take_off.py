@@ -16,7 +16,7 @@ def test_a_refused_arming_shows_the_autopilots_words() -> None:
     assert rig.autopilot is not None
     rig.autopilot.copter.failing_check = "Compass not calibrated"
     rig.quad.start(rig.now)
-    assert rig.run(10.0, lambda: "failed: Arm: Compass not calibrated" in rig.quad.progress)
+    assert rig.run(10.0, lambda: "failed: PreArm: Compass not calibrated" in rig.quad.progress)
     assert not rig.run(30.0, lambda: rig.quad.ready)
     assert "Compass not calibrated" in rig.quad.progress
     rig.autopilot.copter.failing_check = ""
@@ -108,7 +108,7 @@ def test_a_pilot_who_takes_over_before_take_off_is_left_alone() -> None:
     rig.quad.start(rig.now)
     assert rig.run(10.0, lambda: copter.armed)
     rig.run(1.0)
-    copter._enter(0, rig.body.state().position, rig.now)  # STABILIZE, at the remote control
+    copter.enter(0, rig.now)  # STABILIZE, at the remote control
     rig.wire.meddle = lambda data, down: data
     with pytest.raises(Unready, match="STABILIZE: a pilot or a failsafe"):
         rig.run(2.0)
@@ -125,6 +125,22 @@ def test_a_climb_without_a_position_ends_in_a_landing() -> None:
         rig.run(6.0)
     rig.quad.rest(rig.now)
     assert rig.run(20.0, lambda: rig.quad.rested) and at(rig).z == 0.0
+
+
+def test_no_take_off_while_held() -> None:
+    """The agent holds its body until the whole fleet was heard."""
+    rig = Rig()
+    assert rig.autopilot is not None
+    rig.quad.hold(True, rig.now)
+    rig.quad.start(rig.now)
+    rig.run(10.0)
+    assert rig.quad.progress == "ready to take off, waiting for the fleet"
+    assert not commands(rig, mavlink.MAV_CMD_COMPONENT_ARM_DISARM) and rig.autopilot.copter.mode == 0
+    rig.quad.hold(False, rig.now)
+    assert rig.run(15.0, lambda: rig.quad.ready)
+    rig.quad.hold(True, rig.now)  # in the air it is a pause
+    rig.run(2.0)
+    assert rig.quad.ready
 
 
 def test_rest_before_take_off_disarms() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
@@ -34,7 +35,7 @@ def to_segment(p: Point, a: Point, b: Point) -> float:
 
 
 def off_path(p: Point, path: list[Point]) -> float:
-    return min((to_segment(p, a, b) for a, b in zip(path, path[1:], strict=False)), default=distance(p, path[0]))
+    return min((to_segment(p, a, b) for a, b in itertools.pairwise(path)), default=distance(p, path[0]))
 
 
 def assert_kept(trajectory: Trajectory, limit: Limits) -> None:
