@@ -38,8 +38,10 @@ FLOORS = {
     "bundle": BASE | {"ir", "emit", "manifest", "fleet"},
     "estop": BASE | {"fleet", "runtime"},  # what people and agents say to one another
     "basestation": BASE | {"fleet", "manifest", "mocap", "runtime"},
+    "doctor": BASE,
     "pipeline": BASE | {"syntax", "ir", "check", "emit", "manifest", "fleet", "bundle"},
-    "cli": BASE | {"pipeline", "bundle", "check", "manifest", "explain", "sarif", "format", "estop", "basestation"},
+    "cli": BASE
+    | {"pipeline", "bundle", "check", "manifest", "explain", "sarif", "format", "estop", "basestation", "doctor"},
     "__main__": {"cli"},
     "__init__": set(),
     "runtime": set(),

@@ -203,6 +203,15 @@ def _basestation(options: Namespace) -> int:
     return HOLDS
 
 
+def _doctor(options: Namespace) -> int:
+    from koordgen.doctor import CannotExamine, examine
+
+    try:
+        return examine(options.bundle, options.settings, options.format)
+    except CannotExamine as error:
+        raise Failure(SURROUNDINGS, str(error), error.help) from None
+
+
 def _key(options: Namespace) -> int:
     import os
     import secrets
@@ -229,7 +238,7 @@ def _key(options: Namespace) -> int:
 
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "check": _check, "dump": _dump, "build": _build, "fmt": _fmt, "explain": _explain, "estop": _estop,
-    "basestation": _basestation, "key": _key,
+    "basestation": _basestation, "doctor": _doctor, "key": _key,
 }  # fmt: skip
 
 

@@ -322,10 +322,11 @@ class Agent:
 
     def _judge(self, now: float) -> None:
         verdict = self._guard.judge(self._platform.sense(now), now)
+        told = "" if verdict.action == "go" else f"{verdict.reason} ({self._platform.progress})"
         if verdict.action == "rest":
-            self._rest(verdict.reason, SURROUNDINGS)
+            self._rest(told, SURROUNDINGS)
         elif self._body.hold("position", verdict.action == "hold", now):
-            self._journal.warn(verdict.reason if verdict.action == "hold" else "own position is fresh again")
+            self._journal.warn(told if verdict.action == "hold" else "own position is fresh again")
         self._verdict = verdict
         if self.phase == "running" and self.round > 0:
             self._body.hold("joining", False, now)

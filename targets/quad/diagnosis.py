@@ -133,7 +133,7 @@ def _origin(heard: Heard, frame: LocalFrame) -> list[Finding]:
         return []
     x, y, z = frame.enu(message.latitude * 1e-7, message.longitude * 1e-7, message.altitude * 1e-3)
     away = math.hypot(x, y)
-    told = f"the autopilot's is {away:.1f} m from the fleet's, {z:+.1f} m in altitude"
+    told = f"the autopilot's is {away:.1f} m from the fleet's, {round(z, 1) + 0.0:+.1f} m in altitude"
     if max(away, abs(z)) > FAR_ORIGIN:
         hint = "is the fleet's origin this place? Else land, move the vehicle here, and restart the autopilot"
         return [Finding("origin", "warn", told, f"less than {FAR_ORIGIN:g} m", hint)]
