@@ -383,7 +383,9 @@ def _settings(reader: Reader, node: YamlNode | None, what: str, known: Mapping[s
     values: dict[str, Any] = {key: setting.default for key, setting in known.items()}
     for key, value in given.items():
         setting, kind = known[key], SETTING_TYPES[known[key].type]
-        if kind in (int, float):
+        if isinstance(value, yaml.ScalarNode) and value.value in setting.words:
+            found = value.value
+        elif kind in (int, float):
             found = reader.number(value, key, setting.least, setting.most, kind)
         else:
             found = reader.scalar(value, key, kind)

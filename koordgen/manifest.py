@@ -25,6 +25,7 @@ class Setting(Node):
     least: float | None
     most: float | None
     doc: str
+    words: tuple[str, ...] = ()  # that may stand for a number
 
 
 class Feed(Node):
@@ -115,4 +116,4 @@ def _setting(key: str, raw: dict[str, Any]) -> Setting:
     if raw["type"] not in SETTING_TYPES:
         raise ValueError(f"settings.{key}: type {raw['type']!r} is none of {', '.join(SETTING_TYPES)}")
     default = SETTING_TYPES[raw["type"]](raw["default"])
-    return Setting(raw["type"], default, raw.get("min"), raw.get("max"), raw["doc"])
+    return Setting(raw["type"], default, raw.get("min"), raw.get("max"), raw["doc"], tuple(raw.get("words", ())))

@@ -86,6 +86,11 @@ def test_the_compiler_needs_no_robot_package(path: Path) -> None:
     assert {m.split(".")[0] for m in imports(path)} & HEAVY <= allowed
 
 
+def test_what_is_found_can_be_told_without_any_package() -> None:
+    code = "import sys; sys.modules['msgspec'] = None; import koordgen.runtime.findings"
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
+
+
 def test_the_runtime_is_an_island() -> None:
     for path in (PACKAGE / "runtime").rglob("*.py"):
         for module in imports(path):
