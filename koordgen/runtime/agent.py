@@ -29,7 +29,7 @@ from koordgen.runtime.machine import INTERNAL, OK, SURROUNDINGS, WRONG_PROGRAM, 
 from koordgen.runtime.opening import open_transport
 from koordgen.runtime.platform import Platform, Unready
 from koordgen.runtime.program import Program
-from koordgen.runtime.runner import EndedAtOnce, interrupting
+from koordgen.runtime.runner import EndedAtOnce, Interrupting
 from koordgen.runtime.seal import BadKey, load_key
 from koordgen.runtime.settings import BadSettings, Settings, load
 from koordgen.runtime.status import ask, show
@@ -171,7 +171,7 @@ def _run(
         trace = _open_trace(settings.trace)
         opened.callback(trace.close)
         agent = Agent(
-            program, settings, key, platform, clock, transport, trace, emit, os.urandom(8), store, limit=interrupting
+            program, settings, key, platform, clock, transport, trace, emit, os.urandom(8), store, limit=Interrupting()
         )
 
         def report() -> dict[str, Any]:

@@ -17,6 +17,7 @@ from koordgen.runtime.wire import Closing, State, View
 
 AHEAD = 8  # rounds that a peer's clock may be ahead of ours
 RECENT = 8  # so many closings of one author may keep the datagrams that they came in: most are soon forgotten
+FORGET_EVERY = 4  # rounds: to go through all logs costs more than to keep some closings a little longer
 WINDOW = 256  # closings of one author that not everyone holds; its author writes no more then
 
 
@@ -53,18 +54,22 @@ class Memory:
         self._layout = layout
         self._pid = pid
         self._views = [view]  # the one of round applied + 1, and those after it
+        self.view = view  # the latest of them
         n = self._n = layout.n_sys
+        self._most = majority(n)
         self._logs = [Log(applied) for _ in range(n)]
         self._words = {p: _Word((0,) * n) for p in range(n) if p != pid}
         self._lacking: set[int] = set()  # members whose closing of round applied + 1 is not here
         self._snapshot: tuple[int, State] | None = None
         self.frozen = False
         self.settled = 0  # all members hold everything up to here
+        self._forgotten = 0  # ... and it was dropped up to here
         self.applied = applied  # `shared` is S_{applied + 1}
         self.shared = shared
         self.stopped = dict(stopped or {})  # pid -> the round it stopped in
         self.acted = list(acted) or [0] * n  # the last round in which an event counted
         self.won = 0  # the last round in which a commit of ours counted
+        self.unanswered: set[int] = set()  # peers that by their last word lack something, and were not sent it yet
         self.unfit = 0  # patches that fitted no value: a fault of their author's, dropped by everyone alike
         # Store and `acted` after a round and the silent ones behind it; the first is of a stable round.
         self._past: list[tuple[int, Mapping[str, Any], list[int]]] = [(applied, shared, list(self.acted))]
@@ -88,11 +93,6 @@ class Memory:
             return None
         stopped = {p: r for p, r in enumerate(state.stopped) if r >= 0}
         return cls(layout, pid, state.view, shared, state.applied, stopped, state.acted)
-
-    @property
-    def view(self) -> View:
-        """The latest view."""
-        return self._views[-1]
 
     @property
     def held(self) -> tuple[int, ...]:
@@ -136,7 +136,7 @@ class Memory:
         stopped = {p: r for p, r in self.stopped.items() if r <= last}
         memory = Memory(self._layout, self._pid, view, shared, last, stopped, acted)
         memory.settled = self.settled
-        memory._logs, memory._words = self._logs, self._words
+        memory._logs, memory._words, memory.unanswered = self._logs, self._words, self.unanswered
         memory._forget(self.view, view)
         for log in memory._logs:
             log.skip(last)  # also of those who did not count
@@ -148,6 +148,7 @@ class Memory:
         on."""
         self._forget(self.view, view)
         self._views.append(view)
+        self.view = view
         self.frozen = False
         self._watched = -1
         self._look()
@@ -158,6 +159,7 @@ class Memory:
             if old != new:
                 self._logs[pid].cut(view.since - 1)
                 if pid != self._pid:
+                    self.unanswered.discard(pid)
                     self._words[pid] = _Word((0,) * self._n)
 
     def close(self, round_: int, shared: Mapping[str, Any], *, stopped: bool, acted: bool = False, prompt: bool = False,
@@ -224,6 +226,7 @@ class Memory:
             self._reached += view == self.view.number and before < self._watched <= applied
         if through > word.through or (asks and through == word.through):
             word.through, word.answered = through, (min(held) if held else applied) >= through
+            (self.unanswered.discard if word.answered else self.unanswered.add)(pid)
             if not word.answered:
                 word.held = held or (applied,) * self._n
         if view == self.view.number and settled > self.settled:
@@ -255,7 +258,7 @@ class Memory:
             number = self.view.number
             self._watched = round_
             self._reached = sum(w.view == number and w.applied >= round_ for w in self._words.values())
-        return 1 + self._reached >= majority(self._n)
+        return 1 + self._reached >= self._most
 
     def unaware(self, round_: int) -> list[int]:
         """The members that have not said to have applied a round."""
@@ -282,6 +285,7 @@ class Memory:
         if word.answered or self.view.members[pid] < 0:
             return []
         word.answered = True
+        self.unanswered.discard(pid)
         found: list[Closing] = []
         for author in (*range(self._pid, self._n), *range(self._pid)) if helps else (self._pid,):
             low = max(word.held[author], self.settled) + 1
@@ -324,8 +328,10 @@ class Memory:
         """Forget what everyone holds."""
         if through > self.settled:
             self.settled = through
-            for log in self._logs:
-                log.forget(through)
+            if through >= self._forgotten + FORGET_EVERY:
+                self._forgotten = through
+                for log in self._logs:
+                    log.forget(through)
 
     def _look(self) -> None:
         """After a round was applied or the view has changed: what is lacking now, and who is in from when."""
@@ -346,7 +352,7 @@ class Memory:
 
     def _counting(self, entries: Sequence[Entry], round_: int) -> Sequence[Entry]:
         """Those whose event counts, in the order in which they take effect."""
-        if all(e.closing.lock < 0 for e in entries):
+        if max([e.closing.lock for e in entries], default=-1) < 0:
             return entries
         contenders: dict[int, list[int]] = {}
         for entry in entries:
@@ -363,8 +369,8 @@ class Memory:
         for entry in self._counting(entries, through):
             closing = entry.closing
             author = closing.author
-            for index, item in entry.values:
-                self._write(changed, index, author, item)
+            if entry.values:
+                self._write(changed, entry)
             if closing.stopped:
                 self.stopped.setdefault(author, max(closing.first, self.applied + 1) if through else 0)
             if closing.acted:
@@ -387,14 +393,20 @@ class Memory:
         words = [w.applied if w.view == number else 0 for p, w in self._words.items() if members[p] >= 0]
         self._settle(min(through, *words) if words else through)
 
-    def _write(self, changed: dict[int, Any], index: int, author: int, item: Any) -> None:
-        value = self._layout.resolve(index, item, self._base(index, author)) if isinstance(item, Unpatched) else item
-        if value is None:
-            self.unfit += 1
-        elif not self._layout.is_slots[index]:
-            changed[index] = value
-        else:
+    def _write(self, changed: dict[int, Any], entry: Entry) -> None:
+        """One robot's writes of a round."""
+        layout, author = self._layout, entry.closing.author
+        for index, item in entry.values:
+            value = item
+            if isinstance(item, Unpatched):
+                value = layout.resolve(index, item, self._base(index, author))
+                if value is None:
+                    self.unfit += 1
+                    continue
+            if not layout.is_slots[index]:
+                changed[index] = value
+                continue
             slots = changed.get(index)
             if slots is None:
-                slots = changed[index] = list(self.shared[self._layout.names[index]])
+                slots = changed[index] = list(self.shared[layout.names[index]])
             slots[author] = value

@@ -115,6 +115,19 @@ class Rounds:
         since = None if memory is None or not (self.stopped or self._left) else memory.all_stopped
         return since is not None and self._present.round > since + LINGER
 
+    def ripe(self, now: float) -> bool:
+        """Whether another round has begun for which everything is there: its event may run before anything else."""
+        memory, present = self._replica.memory, self._present
+        if memory is None or present.open or memory.applied != present.round or not present.round:
+            return False
+        return self._clock.read(now) >= self._start + present.round * self._delta
+
+    @property
+    def calm(self) -> bool:
+        """Whether nothing more is expected in this round: there is time for what can wait."""
+        memory, present = self._replica.memory, self._present
+        return not present.open and (memory is None or memory.applied >= present.round or present.slot >= FIRST_SLOT)
+
     def leave(self) -> None:
         self._left = True
 
@@ -135,10 +148,13 @@ class Rounds:
         into = elapsed - (present.round - 1) * self._delta
         slot = min(SLOTS - 1, math.floor(into / self._delta * SLOTS + 1e-6))
         fresh = slot > present.slot
+        memory = self._replica.memory
+        ripe = fresh and present.open and memory is not None and memory.applied == present.round - 1
         if fresh:
             present.slot = slot
-            self._replica.poll((present.round - 1) * SLOTS + slot, present.round)
-        memory = self._replica.memory
+            if not ripe:
+                self._replica.poll((present.round - 1) * SLOTS + slot, present.round)
+                memory = self._replica.memory
         if memory is not None and self._calm(memory):
             if not fresh:
                 return self._wake
@@ -162,6 +178,8 @@ class Rounds:
             memory.advance(present.round + 1)
             self._settle(now)
             self._confirm(memory.applied)
+        if ripe:  # only now: all others wait for the closing
+            self._replica.poll((present.round - 1) * SLOTS + slot, present.round)
         self._wake = self._ask(slot, fresh)
         return self._wake
 
