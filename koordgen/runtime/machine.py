@@ -103,6 +103,11 @@ class Agent:
         """The present round; 0 before the first."""
         return self._rounds.round if self._rounds is not None else 0
 
+    @property
+    def gather(self) -> float:
+        """See Rounds."""
+        return self._rounds.gather if self._rounds is not None else 0.0
+
     def counters(self) -> dict[str, int]:
         """Everything counted so far, by its name; datagrams by the reason they were dropped for."""
         counted = {f"dropped: {k}": v for k, v in self._link.rejected.items()}

@@ -117,9 +117,9 @@ class Memory:
         return None if None in rounds else max(r for r in rounds if r is not None)
 
     @property
-    def lacking(self) -> bool:
-        """Whether a closing is missing that the next round to be applied needs."""
-        return bool(self._lacking)
+    def lacking(self) -> int:
+        """How many closings are missing that the next round to be applied needs."""
+        return len(self._lacking)
 
     def member(self) -> bool:
         """Whether this robot counts."""

@@ -23,6 +23,8 @@ from koordgen.runtime.trace import Observe, Record
 
 PUBLISH = 0.5  # of delta: when a round's closing leaves at the latest
 FIRST_SLOT = 3  # the first of a round's SLOTS in which its own closings are asked for, before it the last round's
+GATHER = 20e-6  # seconds that the closing of one more robot may take to come after another's
+MOST_GATHER = 0.03  # of a round, for all of them
 LINGER = 20  # rounds after all have stopped
 WOKE_LATE = "woke after the publish deadline"
 
@@ -128,6 +130,15 @@ class Rounds:
         memory, present = self._replica.memory, self._present
         return not present.open and (memory is None or memory.applied >= present.round or present.slot >= FIRST_SLOT)
 
+    @property
+    def gather(self) -> float:
+        """Seconds for which it pays to let more arrive before what has come is looked at: to wake for each of many
+        closings alone costs more than all else."""
+        memory, present = self._replica.memory, self._present
+        if memory is None or present.open or memory.applied >= present.round:
+            return 0.0
+        return min(GATHER * memory.lacking, MOST_GATHER * self._delta)
+
     def leave(self) -> None:
         self._left = True
 
@@ -187,7 +198,7 @@ class Rounds:
         """Whether nothing that has come since the last poll of this round makes a difference to it."""
         if self._present.open or self._returns != self._replica.returns:
             return False
-        stays = memory.applied >= self._present.round or memory.lacking
+        stays = memory.applied >= self._present.round or memory.lacking > 0
         return stays and not self._outbox.can_settle(memory)
 
     def _tick(self, part: float) -> float:
