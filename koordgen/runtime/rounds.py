@@ -23,6 +23,7 @@ from koordgen.runtime.trace import Observe, Record
 
 PUBLISH = 0.5  # of delta: when a round's closing leaves at the latest
 FIRST_SLOT = 3  # the first of a round's SLOTS in which its own closings are asked for, before it the last round's
+PUNCTUAL = 0.5  # of a slot: who wakes later is late
 GATHER = 20e-6  # seconds that the closing of one more robot may take to come after another's
 MOST_GATHER = 0.03  # of a round, for all of them
 LINGER = 20  # rounds after all have stopped
@@ -159,6 +160,7 @@ class Rounds:
         into = elapsed - (present.round - 1) * self._delta
         slot = min(SLOTS - 1, math.floor(into / self._delta * SLOTS + 1e-6))
         fresh = slot > present.slot
+        timely = fresh and into * SLOTS < (slot + PUNCTUAL) * self._delta
         memory = self._replica.memory
         ripe = fresh and present.open and memory is not None and memory.applied == present.round - 1
         if fresh:
@@ -170,7 +172,7 @@ class Rounds:
             if not fresh:
                 return self._wake
             if memory.view.number == self._view:
-                self._wake = self._ask(slot, fresh)
+                self._wake = self._ask(slot, timely)
                 return self._wake
         current = False
         if memory is not None:
@@ -191,7 +193,7 @@ class Rounds:
             self._confirm(memory.applied)
         if ripe:  # only now: all others wait for the closing
             self._replica.poll((present.round - 1) * SLOTS + slot, present.round)
-        self._wake = self._ask(slot, fresh)
+        self._wake = self._ask(slot, timely)
         return self._wake
 
     def _calm(self, memory: Memory) -> bool:
@@ -362,8 +364,9 @@ class Rounds:
             present.confirmed = True
             self._replica.confirm(present.round)
 
-    def _ask(self, slot: int, fresh: bool) -> float:
-        """Ask for what should have come by now; returns the next moment at which there may be something to do."""
+    def _ask(self, slot: int, timely: bool) -> float:
+        """Ask for what should have come by now; returns the next moment at which there may be something to do. Who
+        woke late asks nothing: the others may be as late, and would have the more to do."""
         present, memory = self._present, self._replica.memory
         following = self._tick((slot + 1) / SLOTS)
         if memory is None:
@@ -372,7 +375,7 @@ class Rounds:
         missing = [p for p in memory.missing(through) if p != self._replica.pid]
         waited = self._outbox.first
         unaware = memory.unaware(waited) if waited is not None and (waited < through or slot >= 1) else []
-        if fresh and (missing or unaware):
+        if timely and (missing or unaware):
             self._replica.ask(missing, unaware, through)
             self.counters.asked += 1
         if present.open:
