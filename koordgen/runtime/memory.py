@@ -6,12 +6,13 @@ all have. A round is stable once a majority has said to have applied it: no late
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from koordgen.runtime.course import Course
 from koordgen.runtime.layout import Layout, Unpatched
-from koordgen.runtime.log import GAPS, Entry, Log, detached, shortened
+from koordgen.runtime.log import GAPS, Entry, Log, detached
 from koordgen.runtime.views import majority
 from koordgen.runtime.wire import Closing, State, View
 
@@ -53,8 +54,8 @@ class Memory:
     ) -> None:
         self._layout = layout
         self._pid = pid
-        self._views = [view]  # the one of round applied + 1, and those after it
-        self.view = view  # the latest of them
+        self._course = Course(view)
+        self.view = view  # the latest
         n = self._n = layout.n_sys
         self._most = majority(n)
         self._logs = [Log(applied) for _ in range(n)]
@@ -147,7 +148,7 @@ class Memory:
         """Go by the next view. Closings of those who no longer count, or count anew, are dropped from its beginning
         on."""
         self._forget(self.view, view)
-        self._views.append(view)
+        self._course.append(view)
         self.view = view
         self.frozen = False
         self._watched = -1
@@ -185,9 +186,9 @@ class Memory:
             return "closing does not fit"
         if closing.round > present + AHEAD:
             return "closing too far ahead"
-        views = self._views
-        simple = len(views) == 1 and views[0].members[closing.author] == closing.incarnation
-        fitting = closing if simple else self._of_this_life(closing)
+        course = self._course
+        simple = course.single and self.view.members[closing.author] == closing.incarnation
+        fitting = closing if simple else course.of_this_life(closing)
         if fitting is None:
             return "closing of another view"
         if closing.author == self._pid:
@@ -239,12 +240,11 @@ class Memory:
         while self.applied < round_ - 1 and not self._lacking:
             if self.frozen and self.applied >= self.view.since - 1:
                 break
-            members = [p for p, m in enumerate(self._at(self.applied + 1).members) if m >= 0]
+            members = [p for p, m in enumerate(self._course.first.members) if m >= 0]
             entries = [self._logs[p].at(self.applied + 1) for p in members]
             through = self.applied + 1
             if all(not e.closing.writes and not e.closing.acted and e.closing.lock < 0 for e in entries):
-                end = min((v.since - 1 for v in self._views if v.since > through), default=round_ - 1)
-                through = min(round_ - 1, end, min(e.closing.round for e in entries))
+                through = min(round_ - 1, self._course.end(through), min(e.closing.round for e in entries))
             self._apply(entries, through)
         return self.applied == round_ - 1 and not self.frozen and self.member()
 
@@ -267,7 +267,7 @@ class Memory:
 
     def missing(self, through: int) -> list[int]:
         """The members whose closings up to `through` are not all held."""
-        if through <= self.applied and len(self._views) == 1:
+        if through <= self.applied and self._course.single:
             return []
         members = self.view.members
         return [p for p, log in enumerate(self._logs) if members[p] >= 0 and log.held < through]
@@ -295,29 +295,13 @@ class Memory:
 
     def snapshot(self) -> tuple[int, State]:
         """The round and the store for one who comes in; made once for each round and view."""
-        view = self._at(self.applied + 1)
+        view = self._course.first
         made = self._snapshot
         if made is None or (made[0], made[1].view) != (self.applied, view):
             stopped = tuple([self.stopped.get(p, -1) for p in range(self._n)])
             values = self._layout.pack(self.shared)
             made = self._snapshot = self.applied, State(view, self.applied, values, stopped, tuple(self.acted))
         return made
-
-    def _at(self, round_: int) -> View:
-        """The view of a round not before the next one to be applied."""
-        return next(v for v in reversed(self._views) if v.since <= round_ or v is self._views[0])
-
-    def _of_this_life(self, closing: Closing) -> Closing | None:
-        """The closing as far as its author counted in that incarnation, or None."""
-        view = self._views[0] if len(self._views) == 1 else self._at(closing.round)
-        if view.members[closing.author] == closing.incarnation:
-            return closing
-        for view in self._views:
-            if view.since > closing.first and view.members[closing.author] != closing.incarnation:
-                single = closing.writes or closing.acted or closing.lock >= 0
-                began = self._at(closing.first).members[closing.author] == closing.incarnation
-                return shortened(closing, view.since - 1) if began and not single else None
-        return None
 
     def _base(self, index: int, author: int) -> Any:
         """A variable's value (of an allread variable, the author's slot) in the round after the last applied one."""
@@ -335,20 +319,14 @@ class Memory:
 
     def _look(self) -> None:
         """After a round was applied or the view has changed: what is lacking now, and who is in from when."""
-        for pid, log in enumerate(self._logs if len(self._views) > 1 else ()):
-            for begins, ends in self._absences(pid):
-                if begins <= log.held + 1 <= ends:
-                    log.skip(ends)
-        while len(self._views) > 1 and self._views[1].since <= self.applied + 1:
-            del self._views[0]
-        members = self._at(self.applied + 1).members
+        if not self._course.single:
+            for pid, log in enumerate(self._logs):
+                for begins, ends in self._course.absences(pid):
+                    if begins <= log.held + 1 <= ends:
+                        log.skip(ends)
+            self._course.drop(self.applied)
+        members = self._course.first.members
         self._lacking = {p for p, log in enumerate(self._logs) if members[p] >= 0 and log.held <= self.applied}
-
-    def _absences(self, pid: int) -> Iterator[tuple[int, int]]:
-        """The rounds, first and last, in which a robot does not count, before the latest view."""
-        for i, (view, following) in enumerate(zip(self._views, self._views[1:], strict=False)):
-            if view.members[pid] < 0:
-                yield view.since if i else 0, following.since - 1
 
     def _counting(self, entries: Sequence[Entry], round_: int) -> Sequence[Entry]:
         """Those whose event counts, in the order in which they take effect."""

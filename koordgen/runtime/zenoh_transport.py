@@ -4,8 +4,8 @@ package eclipse-zenoh."""
 from __future__ import annotations
 
 import json
-import time
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Sequence
 
