@@ -103,6 +103,11 @@ class Still:
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
         raise LookupError(port)
 
+    def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None: ...
+
+    def news(self) -> list[str]:
+        return []
+
     def hold(self, on: bool, now: float) -> None: ...
 
     def rest(self, now: float) -> None: ...

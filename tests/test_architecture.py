@@ -36,8 +36,9 @@ FLOORS = {
     "fleet": BASE | {"located", "manifest"},
     "bundle": BASE | {"ir", "emit", "manifest", "fleet"},
     "estop": BASE | {"fleet", "runtime"},  # what people and agents say to one another
+    "doctor": BASE,
     "pipeline": BASE | {"syntax", "ir", "check", "emit", "manifest", "fleet", "bundle"},
-    "cli": BASE | {"pipeline", "bundle", "check", "manifest", "explain", "sarif", "format", "estop"},
+    "cli": BASE | {"pipeline", "bundle", "check", "manifest", "explain", "sarif", "format", "estop", "doctor"},
     "__main__": {"cli"},
     "__init__": set(),
     "runtime": set(),

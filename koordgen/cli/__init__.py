@@ -178,6 +178,15 @@ def _estop(options: Namespace) -> int:
     return HOLDS
 
 
+def _doctor(options: Namespace) -> int:
+    from koordgen.doctor import CannotExamine, examine
+
+    try:
+        return examine(options.bundle, options.settings, options.format)
+    except CannotExamine as error:
+        raise Failure(SURROUNDINGS, str(error), error.help) from None
+
+
 def _key(options: Namespace) -> int:
     import os
     import secrets
@@ -203,7 +212,8 @@ def _key(options: Namespace) -> int:
 
 
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {
-    "check": _check, "dump": _dump, "build": _build, "fmt": _fmt, "explain": _explain, "estop": _estop, "key": _key,
+    "check": _check, "dump": _dump, "build": _build, "fmt": _fmt, "explain": _explain, "estop": _estop,
+    "doctor": _doctor, "key": _key,
 }  # fmt: skip
 
 

@@ -79,6 +79,12 @@ def _estop(command: argparse.ArgumentParser) -> None:
     command.add_argument("--format", choices=("text", "json"), default="text", help="of what is told (default: text)")
 
 
+def _doctor(command: argparse.ArgumentParser) -> None:
+    command.add_argument("bundle", metavar="BUNDLE", help="a robot's folder, as build wrote it")
+    command.add_argument("--settings", metavar="FILE", help="JSON laid over the bundle's settings.json")
+    command.add_argument("--format", choices=("text", "json"), default="text", help="of what is told (default: text)")
+
+
 def _key(command: argparse.ArgumentParser) -> None:
     command.add_argument("action", choices=("new",))
     command.add_argument("file", metavar="FILE")
@@ -116,6 +122,7 @@ _COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "fmt": ("format programs in place", _fmt),
     "explain": ("tell more of a code, with a wrong and a right example", _explain),
     "estop": ("emergency stop: bring all robots of a fleet to rest at once", _estop),
+    "doctor": ("look whether a robot is ready for a mission, on its own computer; nothing moves", _doctor),
     "key": ("make a fleet's key", _key),
 }
 

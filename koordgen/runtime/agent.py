@@ -14,24 +14,32 @@ import signal
 import sys
 import time
 import traceback
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Sequence
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from types import FrameType
 from typing import Any, TextIO
 
 from koordgen.runtime.clock import SystemClock
 from koordgen.runtime.control import Control
+from koordgen.runtime.doctor import PlatformType, examine
 from koordgen.runtime.drivers import Drivers, with_drivers
 from koordgen.runtime.extern import BadExtern
+from koordgen.runtime.findings import tell, tell_shortly
 from koordgen.runtime.layout import Layout, TooLarge
 from koordgen.runtime.machine import INTERNAL, OK, SURROUNDINGS, WRONG_PROGRAM, Agent
-from koordgen.runtime.opening import open_transport
+from koordgen.runtime.opening import open_key, open_settings, open_transport
 from koordgen.runtime.platform import Platform, Unready
 from koordgen.runtime.program import Program
+<<<<<<< HEAD
 from koordgen.runtime.runner import EndedAtOnce, Interrupting
 from koordgen.runtime.seal import BadKey, load_key
 from koordgen.runtime.settings import BadSettings, Settings, load
+=======
+from koordgen.runtime.runner import EndedAtOnce, interrupting
+from koordgen.runtime.seal import BadKey
+from koordgen.runtime.settings import BadSettings, Settings
+>>>>>>> main
 from koordgen.runtime.status import ask, show
 from koordgen.runtime.store import Store
 from koordgen.runtime.trace import Trace
@@ -44,7 +52,6 @@ LONGEST_WAIT = 0.1  # seconds: how soon a signal is seen
 PIECE = 200  # characters that a pipe or terminal takes whole when it says that it takes any
 
 NO_DRIVERS: Drivers = {}
-PlatformType = Callable[[Settings, bytes | None], Platform]
 
 
 def main(
@@ -57,7 +64,14 @@ def main(
         return arguments
     platform: Platform | None = None
     try:
-        settings, key = _settings(root, arguments.settings, arguments.pid)
+        if arguments.check or arguments.doctor:
+            examined = examine(program, root, arguments.settings, arguments.pid, platform_type, drivers)
+            with closing(examined):
+                return tell(program.name, examined, arguments.format) if arguments.doctor else tell_shortly(examined)
+        settings = open_settings(root, arguments.settings, arguments.pid)
+        key = open_key(settings)
+        if key is None:
+            _say("warning", "INSECURE: no key, so anyone on this network can drive this robot")
         if arguments.status:
             return _status(settings, key, arguments.format)
         Layout(program.shared, len(settings.peers))
@@ -65,8 +79,6 @@ def main(
             program.library.load()  # importing may take longer than a round
         platform = platform_type(settings, key)
         platform = with_drivers(platform, program, drivers)
-        if arguments.check:
-            return _check(program, settings, key, platform)
         return _run(program, settings, key, platform, root, quiet=arguments.quiet)
     except (BadSettings, BadKey, TooLarge, BadExtern) as error:
         return _fail(str(error), "", WRONG_PROGRAM)
@@ -87,9 +99,14 @@ def _arguments(program: Program, argv: Sequence[str]) -> argparse.Namespace | in
     parser = argparse.ArgumentParser(
         prog=f"python3 <bundle of {program.name}>", description=f"Runs one robot of {program.name}."
     )
-    parser.add_argument("--check", action="store_true", help="look at settings, ports and devices; move nothing")
+    parser.add_argument(
+        "--check", action="store_true", help="look whether all is well, up to the first that is not; move nothing"
+    )
+    parser.add_argument("--doctor", action="store_true", help="tell of all that there is to look at; move nothing")
     parser.add_argument("--status", action="store_true", help="tell how the agent does that runs on this host")
-    parser.add_argument("--format", choices=("text", "json"), default="text", help="of --status (default: text)")
+    parser.add_argument(
+        "--format", choices=("text", "json"), default="text", help="of --status and --doctor (default: text)"
+    )
     parser.add_argument("--settings", type=Path, metavar="FILE", help="JSON laid over the bundle's settings.json")
     parser.add_argument("--pid", type=int, metavar="N", help="take the place of robot N of the fleet")
     parser.add_argument("--quiet", action="store_true", help="tell only warnings and errors")
@@ -99,25 +116,6 @@ def _arguments(program: Program, argv: Sequence[str]) -> argparse.Namespace | in
         return done.code if isinstance(done.code, int) else 2
 
 
-def _settings(root: Path, overrides: Path | None, pid: int | None) -> tuple[Settings, bytes | None]:
-    path = root / "settings.json"
-    if path.exists():
-        settings = load(path, overrides, pid)
-    elif overrides is not None:
-        settings = load(overrides, None, pid)
-    else:
-        raise BadSettings(
-            f"{path}: not there: this bundle was built without a fleet file; build it with "
-            "`koordgen build ... --fleet FILE`, or say `--settings FILE`"
-        )
-    if settings.key_file is not None:
-        return settings, load_key(Path(settings.key_file))
-    if not settings.insecure:
-        raise BadSettings(f"{path}: no key_file; a fleet without a key must say so: `insecure: true`")
-    _say("warning", "INSECURE: no key, so anyone on this network can drive this robot")
-    return settings, None
-
-
 def _status(settings: Settings, key: bytes | None, form: str) -> int:
     report = ask(settings, key)
     if report is None:
@@ -125,26 +123,6 @@ def _status(settings: Settings, key: bytes | None, form: str) -> int:
         hint = "is its agent running, on this host, with this key and application_id?"
         return _fail(f"robot {settings.robot} does not answer at {place}", hint, SURROUNDINGS)
     print(json.dumps(report, indent=2) if form == "json" else show(report))
-    return OK
-
-
-def _check(program: Program, settings: Settings, key: bytes | None, platform: Platform) -> int:
-    n, name = len(settings.peers), settings.robot
-    print(f"program    {program.name} {program.program_hash}, interface {program.interface_hash}")
-    print(f"settings   robot {name}, pid {settings.pid} of {n}, delta {settings.delta} s")
-    print(f"key        {settings.key_file or 'none (insecure)'}")
-    open_transport(settings).close()
-    Control.open(settings, key).close()
-    own = settings.peers[settings.pid]
-    place = settings.bind or own.host
-    if settings.network.transport == "zenoh":
-        print(f"network    zenoh opens as {settings.network.mode}")
-    else:
-        print(f"port       {place}:{own.port} is free, all {n} peers have addresses")
-        print(f"network    {settings.network.transport} {settings.network.group}".rstrip())
-    print(f"control    {place}:{settings.control_port} is free: emergency stop and --status")
-    for line in platform.check():
-        print(f"body       {line}")
     return OK
 
 

@@ -19,12 +19,22 @@ _GOALS = ("target", "path")
 
 class Body:
     """Stands between program and platform. `actuators` are the actuator variables: the values last written, before
-    the geofence; the platform gets what lies inside it. A call may take `budget` seconds; more is counted and told."""
+    the geofence; the platform gets what lies inside it. A call may take `budget` seconds; more is counted and told.
+    `avoid` names the allread variable in which robots publish their paths, or is empty; `pid` is this robot's."""
 
     def __init__(
-        self, program: Program, platform: Platform, fence: Box, budget: float, warn: Callable[[str], None]
+        self,
+        program: Program,
+        platform: Platform,
+        fence: Box,
+        budget: float,
+        warn: Callable[[str], None],
+        avoid: str = "",
+        pid: int = 0,
     ) -> None:
         self._platform = platform
+        self._avoid, self._pid = avoid, pid
+        self._published: dict[int, tuple[Point, ...]] = {}  # what `others` has handed on
         self._fence = fence
         self._budget = budget
         self._warn = warn
@@ -65,6 +75,16 @@ class Body:
                 elif sensed.time is None or sensed.time <= since:
                     values[name] = False
         return values
+
+    def others(self, shared: Mapping[str, Any]) -> None:
+        """Before an event: hand the other robots' published paths, as they stand in the shared store, to the platform,
+        if they have changed."""
+        slots = enumerate(shared.get(self._avoid, ()))
+        paths = ((pid, (slot,) if isinstance(slot, Point) else slot) for pid, slot in slots if pid != self._pid)
+        published = {pid: path for pid, path in paths if path}
+        if published != self._published:
+            self._published = published
+            self._platform.others(published)
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
         """Ask a callable port, within an event. Raises what the platform raises; ValueError for what is no answer."""

@@ -14,9 +14,9 @@ from typing import Any
 import msgspec
 
 from koordgen.runtime.extern import ESCAPES
-from koordgen.runtime.platform import Platform, Sensed, Unready
+from koordgen.runtime.platform import Finding, Platform, Sensed, Unready
 from koordgen.runtime.program import Program
-from koordgen.runtime.values import transmissible
+from koordgen.runtime.values import Point, transmissible
 
 Drivers = Mapping[str, Callable[[], Any]]
 
@@ -47,12 +47,13 @@ class Driven:
         self._values: dict[str, Any] = dict.fromkeys(self._types)  # None: there is none
         self._trouble = ""
 
-    def check(self) -> list[str]:
-        lines = self._platform.check()
+    def diagnose(self) -> list[Finding]:
         self._sample()
-        if self._trouble:
-            raise Unready(self._trouble)
-        return [*lines, *(f"driver of {module}: {type(d).__name__}" for module, d in self._drivers.items())]
+        names = ", ".join(f"{module} by {type(driver).__name__}" for module, driver in self._drivers.items())
+        trouble = self._trouble
+        hint = "see to its device, or to the driver's class"
+        own = Finding("drivers", "fail", trouble, why=hint) if trouble else Finding("drivers", "ok", names)
+        return [*self._platform.diagnose(), own]
 
     def start(self, now: float) -> None:
         self._platform.start(now)
@@ -95,6 +96,12 @@ class Driven:
         if module in self._drivers:
             return self._drivers[module].call(name, args)
         return self._platform.call(port, args)
+
+    def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
+        self._platform.others(paths)
+
+    def news(self) -> list[str]:
+        return self._platform.news()
 
     def hold(self, on: bool, now: float) -> None:
         self._platform.hold(on, now)

@@ -89,3 +89,13 @@ class LocalFrame:
             east * e[2] + north * n[2] - down * u[2],
         )
         return _dot(v, self._east), _dot(v, self._north), _dot(v, self._up)
+
+    def ned(self, latitude: float, longitude: float, east: float, north: float, up: float) -> Vector:
+        """A direction or velocity in this frame's ENU axes, expressed in the NED axes at a place: `turned` back."""
+        e, n, u = _axes(latitude, longitude)
+        v = (
+            east * self._east[0] + north * self._north[0] + up * self._up[0],
+            east * self._east[1] + north * self._north[1] + up * self._up[1],
+            east * self._east[2] + north * self._north[2] + up * self._up[2],
+        )
+        return _dot(v, n), _dot(v, e), -_dot(v, u)

@@ -189,26 +189,36 @@ class Joining:
                 self._start = start
                 self.tell()
 
-    def waiting(self) -> str:
-        """What is waited for, in words; empty when the mission's start is known."""
-        if self._start is not None:
-            return ""
-        silent = [self._names[p] for p, o in self._others.items() if not self._link.sessions.get(p)]
+    @property
+    def alone(self) -> str:
+        """Why this robot should not begin to move, in words: who was not heard yet, running this program, or is in
+        another mission. Empty when all are here, or one who is in the mission that this robot comes back to."""
+        return "" if self.inside else "; ".join(self._absent())
+
+    def _absent(self) -> list[str]:
+        silent = [self._names[p] for p in self._others if p not in self._link.sessions]
         elsewhere = [self._names[p] for p, o in self._others.items() if o.elsewhere]
-        unready = [self._names[p] for p, o in self._others.items() if self._link.sessions.get(p) and o.init is None]
-        deaf = [self._names[p] for p, o in self._others.items() if o.init is not None and not o.epoch]
         parts = []
-        if self._returning:
-            parts.append("coming back to the mission")
         if elsewhere:
             parts.append(f"{', '.join(elsewhere)} in a mission that began before this start: end it first")
         if silent:
             reasons = dict.fromkeys(text for reason, text in _UNHEARD.items() if self._link.rejected.get(reason))
             why = f" ({'; '.join(reasons)})" if reasons else ""
             parts.append(f"waiting for {', '.join(silent)}, not heard yet{why}")
+        return parts
+
+    def waiting(self) -> str:
+        """What is waited for, in words; empty when the mission's start is known."""
+        if self._start is not None:
+            return ""
+        absent = self._absent()
+        unready = [self._names[p] for p, o in self._others.items() if self._link.sessions.get(p) and o.init is None]
+        deaf = [self._names[p] for p, o in self._others.items() if o.init is not None and not o.epoch]
+        parts = ["coming back to the mission"] if self._returning else []
+        parts += absent
         if unready and not self._returning:
             parts.append(f"waiting for {', '.join(unready)} to get ready")
-        if deaf and not self._returning and not silent and not unready:
+        if deaf and not self._returning and not absent and not unready:
             parts.append(f"waiting until {', '.join(deaf)} hear from all")
         return "; ".join(parts) or "waiting for the start of round 1"
 

@@ -75,7 +75,8 @@ class Agent:
         self._keeping = Keeping(store, program, len(self._names))
         if self._keeping.interrupted:
             self._joining.come_back(self._keeping.interrupted)
-        self._body = Body(program, platform, settings.geofence, settings.planner_budget, self._journal.warn)
+        fence, budget = settings.geofence, settings.planner_budget
+        self._body = Body(program, platform, fence, budget, self._journal.warn, settings.avoid, settings.pid)
         self._runner = Runner(program, settings.pid, len(self._names), clock, limit)
         self._guard = Guard(settings.safety, settings.geofence)
         self._verdict = Verdict("go")
@@ -159,6 +160,7 @@ class Agent:
     def _poll(self, now: float) -> float:
         if not self.phase:
             self._enter("starting", "")
+            self._body.hold("alone", bool(self._joining.alone), now)
             self._platform.start(now)
             self._started = True
         self._journal.round = self.round
@@ -240,13 +242,17 @@ class Agent:
             self._platform.rest(now)
         self._platform.poll(now)
         self._served, self._failures = now, 0
+        for line in self._platform.news():
+            self._journal.warn(line)
         match self.phase:
             case "starting":
-                self._journal.progress(self._platform.progress)
+                self._body.hold("alone", bool(self._joining.alone), now)
+                self._journal.progress("; ".join(filter(None, (self._platform.progress, self._joining.alone))))
                 if self._platform.ready:
                     self._begin_joining(now)
             case "joining" | "running":
                 if self.phase == "joining":
+                    self._body.hold("alone", bool(self._joining.alone), now)
                     self._journal.progress(self._joining.waiting())
                 self._judge(now)
             case "resting" if self._platform.rested:
@@ -335,10 +341,11 @@ class Agent:
 
     def _judge(self, now: float) -> None:
         verdict = self._guard.judge(self._platform.sense(now), now)
+        told = "" if verdict.action == "go" else f"{verdict.reason} ({self._platform.progress})"
         if verdict.action == "rest":
-            self._rest(verdict.reason, SURROUNDINGS)
+            self._rest(told, SURROUNDINGS)
         elif self._body.hold("position", verdict.action == "hold", now):
-            self._journal.warn(verdict.reason if verdict.action == "hold" else "own position is fresh again")
+            self._journal.warn(told if verdict.action == "hold" else "own position is fresh again")
         self._verdict = verdict
         if self.phase == "running" and self.round > 0:
             self._body.hold("joining", False, now)

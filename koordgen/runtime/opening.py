@@ -1,12 +1,38 @@
-"""Which kind of transport the settings ask for."""
+"""Opens what a bundle's folder and its settings name: the settings themselves, the key, the transport."""
 
 from __future__ import annotations
 
-from koordgen.runtime.settings import Settings
+from pathlib import Path
+
+from koordgen.runtime.seal import load_key
+from koordgen.runtime.settings import BadSettings, Settings, load
 from koordgen.runtime.transport import CannotOpen, Transport
 from koordgen.runtime.udp import GroupTransport, UnicastTransport
 
 INSTALL_ZENOH = "pip install 'eclipse-zenoh>=1.10'"
+
+
+def open_settings(root: Path, overrides: Path | None, pid: int | None) -> Settings:
+    """The settings in a bundle's folder, laid over by others and by a pid; or the others alone. Raises BadSettings."""
+    path = root / "settings.json"
+    if path.exists():
+        return load(path, overrides, pid)
+    if overrides is not None:
+        return load(overrides, None, pid)
+    raise BadSettings(
+        f"{path}: not there: this bundle was built without a fleet file; build it with "
+        "`koordgen build ... --fleet FILE`, or say `--settings FILE`"
+    )
+
+
+def open_key(settings: Settings) -> bytes | None:
+    """The fleet's key, None when the settings say that there is none. Raises BadKey, and BadSettings when they say
+    nothing."""
+    if settings.key_file is not None:
+        return load_key(Path(settings.key_file))
+    if not settings.insecure:
+        raise BadSettings("no key_file; a fleet without a key must say so: `insecure: true`")
+    return None
 
 
 def open_transport(settings: Settings) -> Transport:

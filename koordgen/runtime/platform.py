@@ -10,7 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
+
+from koordgen.runtime.values import Point
 
 
 class Unready(Exception):
@@ -20,6 +22,26 @@ class Unready(Exception):
         super().__init__(message)
         self.message = message
         self.hint = hint
+
+
+State = Literal["ok", "warn", "fail"]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing looked at before a mission: what it is like, in a few words with units. Where it is not right, `wanted`
+    says how it should be (empty where that is plain) and `why` what comes of it otherwise and what to do."""
+
+    name: str
+    state: State
+    found: str
+    wanted: str = ""
+    why: str = ""
+
+    @staticmethod
+    def of(name: str, error: Unready) -> Finding:
+        """What kept us from looking on."""
+        return Finding(name, "fail", error.message, why=error.hint)
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,13 +54,14 @@ class Sensed:
 
 
 class Platform(Protocol):
-    """Life: `check` or (`start`, then `poll` until `ready`, rounds, `rest`, `poll` until `rested`), then `close`."""
+    """Life: `diagnose` or (`start`, then `poll` until `ready`, rounds, `rest`, `poll` until `rested`), then `close`."""
 
     period: float  # seconds between two polls of the control loop
 
-    def check(self) -> list[str]:
-        """Open what must be opened and look, moving nothing; a line for each thing found right.
-        Raises Unready for the first that is wrong. May take up to ten seconds, the only call that may."""
+    def diagnose(self) -> list[Finding]:
+        """Open what must be opened, look, and close it, moving nothing. The first that fails is the one to repair
+        first; what cannot be looked at because of it may be left out. Raises nothing for what is merely wrong.
+        May take up to 15 seconds, the only call that may."""
         ...
 
     def start(self, now: float) -> None:
@@ -72,8 +95,19 @@ class Platform(Protocol):
         Points, empty when there is no way. May raise; then the event is discarded."""
         ...
 
+    def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
+        """The other robots' published paths by pid, each from where that robot is or was (a single point: it stays
+        there; none: it has published nothing). They come before an event whose calls are to keep clear of them."""
+        ...
+
+    def news(self) -> list[str]:
+        """What went wrong since this was asked last and does not end the mission, a line each for the log."""
+        ...
+
     def hold(self, on: bool, now: float) -> None:
-        """Pause at the present position, or resume what was commanded last. Idempotent."""
+        """Pause at the present position, or resume what was commanded last. Idempotent. What does not move
+        yet does not begin to: a quad that is held before it took off stays on the ground for as long. Called from
+        before `start` on."""
         ...
 
     def rest(self, now: float) -> None:

@@ -295,6 +295,7 @@ class Rounds:
             return
         memory = self._replica.memory
         assert memory is not None
+        self._body.others(memory.shared)
         frame = self._runner.frame(memory.shared, sensors, self._body.actuators, self._body.call)
         self._finish(self._runner.step(frame, self._tick(PUBLISH)), frame, now, into)
 

@@ -8,14 +8,14 @@ several times a round, and sees the same.
 from __future__ import annotations
 
 import math
-import socket
 import struct
 from collections import deque
 from collections.abc import Callable, Sequence
 
 import msgspec
 
-from koordgen.runtime.platform import Unready
+from koordgen.runtime.datagrams import DatagramLink, listen, waiting
+from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.seal import SCAN, seal, unseal
 from koordgen.runtime.values import Point, Scan
 
@@ -25,9 +25,6 @@ MOST_SCANS = 4  # that are kept: the newest
 MOST_RAYS = 512  # in a turn: it fits in one datagram of 1200 bytes
 FARTHEST = 1000.0  # metres that a lidar may claim to see
 NOTHING = 0xFFFF  # the range of a ray that met nothing
-# All that a socket buffers, or a scan that waits behind a flood would be taken for new.
-DATAGRAMS_A_POLL = 512
-LARGEST_DATAGRAM = 2048
 _TURNS = 100.0  # radians: more is no angle
 _HINT = "start the lidar's driver; check that it knows this robot's name, address and the fleet's key"
 
@@ -117,49 +114,29 @@ class ScanPort:
 
     def __init__(self, setting: str, robot: str, key: bytes | None) -> None:
         self._setting = setting
-        self._socket: socket.socket | None = None
+        self._link: DatagramLink | None = None
         self._began: float | None = None  # when the first scan was first looked for
         self._patient = True
         self.scans = Scans(robot, key)
 
     def open(self) -> None:
         """Bind the port, if there is one and it is not bound. Raises Unready."""
-        if not self._setting or self._socket is not None:
+        if not self._setting or self._link is not None:
             return
-        kind, _, address = self._setting.partition(":")
-        host, _, port = address.rpartition(":")
-        if kind != "udp" or not host or not port.isascii() or not port.isdigit():
-            hint = "write `scans: udp:HOST:PORT`, as in udp:0.0.0.0:47400; leave it out when there is no lidar"
-            raise Unready(f"scans {self._setting!r} is not understood", hint)
-        opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        try:
-            opened.setblocking(False)
-            opened.bind((host, int(port)))
-        except (OSError, OverflowError) as error:
-            opened.close()
-            hint = "free the port, or give another in `scans` of the robot's settings and to the lidar's driver"
-            reason = getattr(error, "strerror", None) or error
-            raise Unready(f"cannot receive scans on {host}:{port}: {reason}", hint) from None
-        self._socket = opened
+        example = "udp:0.0.0.0:47400; leave it out when there is no lidar"
+        self._link = listen("scans", self._setting, "scans", "the lidar's driver", example)
 
     def poll(self, now: float) -> None:
         """Take what has arrived. Raises Unready, once, when no scan has come for PATIENCE seconds: the robot must be
         able to go on to its safe end."""
-        if self._socket is None:
+        if self._link is None:
             return
-        self._drain(self._socket, now)
+        for datagram in waiting(self._link):
+            self.scans.take(datagram, now)
         self._began = now if self._began is None else self._began
         if self.waiting and self._patient and now - self._began > PATIENCE:
             self._patient = False
             raise Unready(f"{self.waiting}, but none has come for {now - self._began:.0f} s", _HINT)
-
-    def _drain(self, port: socket.socket, now: float) -> None:
-        for _ in range(DATAGRAMS_A_POLL):
-            try:
-                datagram = port.recv(LARGEST_DATAGRAM)
-            except OSError:  # nothing there; or a stray network error, which later silence tells well enough
-                return
-            self.scans.take(datagram, now)
 
     @property
     def waiting(self) -> str:
@@ -169,24 +146,29 @@ class ScanPort:
         rejected = ", ".join(f"{n} {why}" for why, n in self.scans.rejected.items())
         return f"waiting for scans on {self._setting}" + (f"; dropped: {rejected}" if rejected else "")
 
-    def check(self, wait: Callable[[float], None]) -> list[str]:
-        """For a platform's `check`: a line when scans arrive, none without a lidar. `wait` lets some seconds pass.
-        Raises Unready when none has come within WINDOW: a slower lidar would often show nothing."""
-        self.open()
+    def diagnose(self, wait: Callable[[float], None]) -> list[Finding]:
+        """For a platform's `diagnose`: whether scans arrive; nothing without a lidar. `wait` lets some seconds pass.
+        A lidar slower than WINDOW would often show nothing."""
         if not self._setting:
             return []
-        for _ in range(10):
-            self.poll(0.0)
-            if self.scans.heard:
-                return [f"scans arrive on {self._setting}"]
-            wait(WINDOW / 10)
-        raise Unready(f"{self.waiting}, but none has come within {WINDOW:g} s", _HINT)
+        try:
+            self.open()
+            for _ in range(10):
+                self.poll(0.0)
+                if self.scans.heard:
+                    return [Finding("scans", "ok", f"arrive on {self._setting}")]
+                wait(WINDOW / 10)
+        except Unready as error:
+            return [Finding.of("scans", error)]
+        finally:
+            self.close()
+        return [Finding("scans", "fail", f"{self.waiting}, but none has come", f"one within {WINDOW:g} s", _HINT)]
 
     def close(self) -> None:
         """Give the port back. Idempotent."""
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
+        if self._link is not None:
+            self._link.close()
+            self._link = None
 
 
 def _sound(sweep: Sweep) -> bool:

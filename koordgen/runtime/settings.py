@@ -82,6 +82,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     body: dict[str, Any] = {}
     trace: str | None = None  # JSON lines, one a round
     planner_budget: float = 0.01  # seconds that a call of a planner within an event may take; more is counted and told
+    avoid: str = ""  # the allread variable in which robots publish their paths; empty: planners do not look at others
     bind: str = ""  # the address to listen on, when it is not the one that peers send to
     control: Annotated[int, msgspec.Meta(ge=1, le=65535)] | None = None  # UDP port of orders; None: `control_port`
     state: str | None = "state"  # folder of what survives a crash, beside the bundle; None: none

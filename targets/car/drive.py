@@ -25,6 +25,7 @@ class Drive:
         self.heard = False  # whether it has answered since the link was opened
         self.fault = 0
         self.voltage = 0.0
+        self.version = ""
 
     def read(self, now: float) -> float | None:
         """Take what arrived; a newly measured speed, or None. Raises Unready when the controller has fallen silent."""
@@ -34,6 +35,8 @@ class Drive:
                 self.heard, self._unanswered_since = True, None
                 self.fault, self.voltage = message.fault, message.voltage
                 speed = message.erpm / self._settings.speed_to_erpm_gain
+            elif isinstance(message, vesc.Version):
+                self.version = f"{message.major}.{message.minor}"
         since = self._unanswered_since
         if self.heard and since is not None and now - since > SILENT:
             raise Unready(
@@ -43,8 +46,8 @@ class Drive:
         return speed
 
     def ask(self, now: float) -> None:
-        """Ask for its values; moves nothing."""
-        self._send(b"", now)
+        """Ask for its values, and for its version until that is known; moves nothing."""
+        self._send(b"" if self.version else vesc.encode(vesc.AskVersion()), now)
 
     def go(self, command: Command, now: float) -> None:
         """Drive like this until the next command; without one the VESC's own time-out brakes (set it to 0.5 s, and its

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import os
 import select
-import socket
 import termios
 from contextlib import suppress
 from typing import Protocol
 
+from koordgen.runtime.datagrams import DatagramLink
+from koordgen.runtime.feed import listen_for_poses
 from koordgen.runtime.platform import Unready
 
 BAUD = 115_200
-LARGEST_DATAGRAM = 2048
 
 
 class ByteLink(Protocol):
@@ -22,14 +22,6 @@ class ByteLink(Protocol):
     def read(self) -> bytes: ...
 
     def write(self, data: bytes) -> int: ...
-
-    def close(self) -> None: ...
-
-
-class DatagramLink(Protocol):
-    """Where datagrams arrive. None: there is none now."""
-
-    def receive(self) -> bytes | None: ...
 
     def close(self) -> None: ...
 
@@ -84,30 +76,6 @@ class SerialLink:
             self._port.close()
 
 
-class UdpLink:
-    """A bound UDP socket."""
-
-    def __init__(self, host: str, port: int) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        try:
-            self._socket.setblocking(False)
-            self._socket.bind((host, port))
-        except (OSError, OverflowError) as error:
-            self._socket.close()
-            hint = "free the port, or give another in `position` of the robot's settings and at the base station"
-            reason = getattr(error, "strerror", None) or error
-            raise Unready(f"cannot receive positions on {host}:{port}: {reason}", hint) from None
-
-    def receive(self) -> bytes | None:
-        try:
-            return self._socket.recv(LARGEST_DATAGRAM)
-        except OSError:  # nothing there; or a stray network error, which later silence tells well enough
-            return None
-
-    def close(self) -> None:
-        self._socket.close()
-
-
 class RealLinks:
     """Links to real devices."""
 
@@ -118,12 +86,7 @@ class RealLinks:
         return SerialLink(device)
 
     def position(self, setting: str) -> DatagramLink:
-        kind, _, address = setting.partition(":")
-        host, _, port = address.rpartition(":")
-        if kind != "udp" or not host or not port.isascii() or not port.isdigit():
-            hint = "write `position: udp:HOST:PORT`, as in udp:0.0.0.0:47300"
-            raise Unready(f"position {setting!r} is not understood", hint)
-        return UdpLink(host, int(port))
+        return listen_for_poses("position", setting)
 
     def wait(self, seconds: float) -> None:
         select.select([], [], [], seconds)

@@ -12,15 +12,17 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
+from koordgen.runtime.datagrams import DatagramLink, waiting
 from koordgen.runtime.feed import Feed
-from koordgen.runtime.platform import Sensed, Unready
+from koordgen.runtime.platform import Finding, Sensed, Unready
 from koordgen.runtime.safety import inside
 from koordgen.runtime.scans import ScanPort
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.values import Point, Pose
+from targets.car.diagnosis import STALE, drive_findings, feed_findings, silent_drive
 from targets.car.drive import Drive
 from targets.car.estimator import Estimator
-from targets.car.links import DatagramLink, Links, RealLinks
+from targets.car.links import Links, RealLinks
 from targets.car.mpc import STEP
 from targets.car.navigator import STANDING, Navigator
 from targets.car.settings import decode
@@ -28,16 +30,11 @@ from targets.planning.planner import Planner
 from targets.planning.route import Route
 
 MODULES = ("Motion", "MotionWithScan")  # one body under two names; the second has a lidar
-STALE = 0.3  # seconds without a sample of the position feed: brake
 WAIT_FOR_DRIVE, WAIT_FOR_FEED = 5.0, 60.0  # seconds until Unready; a base station may be started after the robots
 BLIND_BRAKING = 1.5  # seconds of braking after which a car whose speed nobody measures counts as standing
 STILL = 0.3  # seconds at standstill that make a rest
-# All that a socket buffers, or a position that waits behind a flood would be taken for new; and no more than is done in
-# a few milliseconds.
-DATAGRAMS_A_POLL = 512
 PASSED = 0.4  # metres from a point on the way at which the car makes for the next: the last alone is met exactly
 SLACK = 0.005  # seconds: polls that come at the period's pace, but for jitter, each run the controller
-_CHECK_STEP, _CHECK_STEPS = 0.05, 60
 
 
 class Car:
@@ -49,6 +46,7 @@ class Car:
         self._settings = decode(settings.body)
         self._fence = settings.geofence
         self._links: Links = links if links is not None else RealLinks()
+        self._robot, self._key = settings.robot, key
         self._feed = Feed(settings.robot, key)
         self._lidar = ScanPort(self._settings.scans, settings.robot, key)
         self._estimator = Estimator(self._settings.wheelbase)
@@ -65,32 +63,18 @@ class Car:
         self._holding = False
         self._blocked = ""  # why the car brakes, in words; "" when it does not
 
-    def check(self) -> list[str]:
-        drive, datagrams = self._open()
-        speed: float | None = None
-        fed = False
-        for i in range(_CHECK_STEPS):
-            now = i * _CHECK_STEP
-            drive.ask(now)
-            self._links.wait(_CHECK_STEP)
-            speed = drive.read(now) if speed is None else speed
-            while not fed and (datagram := datagrams.receive()) is not None:
-                fed = self._feed.take(datagram, now)
-            if fed and speed is not None:
-                break
-        if speed is None:
-            raise self._silent_drive(_CHECK_STEPS * _CHECK_STEP)
-        if not fed:
-            raise self._silent_feed(_CHECK_STEPS * _CHECK_STEP)
-        scans = self._lidar.check(self._links.wait)
-        self._build()
-        position = self._feed.pose.position if self._feed.pose else Point()
-        return [
-            f"motor controller answers on {self._settings.drive}, supply {drive.voltage:.1f} V",
-            f"position feed arrives on {self._settings.position}: ({position.x:.2f}, {position.y:.2f})",
-            f"planner and MPC are ready, turning radius {self._settings.planned_radius:.2f} m",
-            *scans,
-        ]
+    def diagnose(self) -> list[Finding]:
+        """See Platform."""
+        found = drive_findings(self._settings, self._links)
+        found += feed_findings(self._settings, self._fence, Feed(self._robot, self._key), self._links)
+        return [*found, self._loaded(), *self._lidar.diagnose(self._links.wait)]
+
+    def _loaded(self) -> Finding:
+        try:
+            self._build()
+        except Unready as error:
+            return Finding.of("planner", error)
+        return Finding("planner", "ok", f"planner and MPC load, turning radius {self._settings.planned_radius:.2f} m")
 
     def start(self, now: float) -> None:
         self._open()
@@ -136,10 +120,7 @@ class Car:
             self._estimator.wheels(speed, now)
         steering = self._navigator.steering if self._navigator else 0.0
         self._estimator.predict(now, steering)
-        for _ in range(DATAGRAMS_A_POLL):
-            datagram = datagrams.receive()
-            if datagram is None:
-                break
+        for datagram in waiting(datagrams):
             if self._feed.take(datagram, now) and self._feed.pose is not None and self._feed.time is not None:
                 self._estimator.correct(self._feed.pose, self._feed.time, now)
         self._wait_for_links(drive, now)
@@ -158,9 +139,9 @@ class Car:
     def _wait_for_links(self, drive: Drive, now: float) -> None:
         waited = now - self._started
         if not drive.heard and waited > WAIT_FOR_DRIVE:
-            raise self._silent_drive(waited)
+            raise silent_drive(self._settings.drive, waited)
         if self._feed.time is None and waited > WAIT_FOR_FEED and self._resting_since is None:
-            raise self._silent_feed(waited)
+            raise Unready(*self._feed.silent(self._settings.position, waited))
 
     def _control(self, drive: Drive, now: float) -> None:
         navigator = self._navigator
@@ -195,7 +176,7 @@ class Car:
         if not drive.heard:
             return f"waiting for the motor controller on {self._settings.drive}"
         if self._feed.time is None:
-            return f"waiting for the position feed on {self._settings.position}{self._rejections()}"
+            return f"waiting for the position feed on {self._settings.position}{self._feed.dropped}"
         if not self._fresh(now):
             return f"braking: the position is {now - self._feed.time:.1f} s old"
         if drive.fault:
@@ -204,19 +185,6 @@ class Car:
 
     def _fresh(self, now: float) -> bool:
         return self._feed.time is not None and now - self._feed.time <= STALE
-
-    def _rejections(self) -> str:
-        rejected = self._feed.rejected
-        return f"; dropped: {', '.join(f'{n} {why}' for why, n in rejected.items())}" if rejected else ""
-
-    def _silent_drive(self, seconds: float) -> Unready:
-        hint = "switch its supply on; check that `drive` names the VESC and that its USB or UART app is enabled"
-        return Unready(f"the motor controller on {self._settings.drive} has not answered for {seconds:.0f} s", hint)
-
-    def _silent_feed(self, seconds: float) -> Unready:
-        hint = "start the base station; check that it knows this robot's name, address and the fleet's key"
-        message = f"no position has arrived on {self._settings.position} for {seconds:.0f} s"
-        return Unready(message + self._rejections(), hint)
 
     @property
     def ready(self) -> bool:
@@ -267,6 +235,13 @@ class Car:
             return ()
         state = self._estimator.state
         return self._planner.plan(Point(state.x, state.y, 0.0), goal, obstacles)
+
+    def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
+        """See Platform: not looked at yet."""
+
+    def news(self) -> list[str]:
+        """See Platform."""
+        return []
 
     def hold(self, on: bool, now: float) -> None:
         self._holding = on

@@ -2,7 +2,7 @@
 
 A frame is 0x02 and one length byte (or 0x03 and two), the payload, its CRC-16/XMODEM, 0x03; a payload's first byte is
 the command. Numbers are big-endian. Formula and layout sources: the open VESC firmware's `packet.c`, `commands.c`
-(COMM_PACKET_ID, COMM_GET_VALUES) and `crc.c`.
+(COMM_PACKET_ID, COMM_FW_VERSION, COMM_GET_VALUES) and `crc.c`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import math
 import struct
 from dataclasses import dataclass
 
-GET_VALUES, SET_CURRENT_BRAKE, SET_RPM, SET_SERVO_POS = 4, 7, 8, 12
+FW_VERSION, GET_VALUES, SET_CURRENT_BRAKE, SET_RPM, SET_SERVO_POS = 0, 4, 7, 8, 12
 SHORT, LONG, END = 0x02, 0x03, 0x03
 # The firmware's own largest packet; a longer length field is noise, and waiting for its end would deafen the decoder.
 LARGEST = 512
@@ -57,7 +57,20 @@ class Values:
     fault: int = 0
 
 
-Message = SetErpm | SetServo | Brake | AskValues | Values
+@dataclass(frozen=True, slots=True)
+class AskVersion:
+    """Ask which firmware it runs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Version:
+    """The controller's firmware."""
+
+    major: int
+    minor: int
+
+
+Message = SetErpm | SetServo | Brake | AskValues | Values | AskVersion | Version
 
 
 def encode(message: Message) -> bytes:
@@ -75,6 +88,10 @@ def encode(message: Message) -> bytes:
         case Values(erpm, voltage, fault):
             fields = [0] * 7 + [_field(erpm, 1, _INT32), _field(voltage, 10, 2**15 - 1)] + [0] * 6 + [fault]
             payload = bytes([GET_VALUES]) + _VALUES.pack(*fields)
+        case AskVersion():
+            payload = bytes([FW_VERSION])
+        case Version(major, minor):
+            payload = bytes([FW_VERSION, major & 0xFF, minor & 0xFF])
     return frame(payload)
 
 
@@ -135,6 +152,10 @@ class Decoder:
 
 def _decode(payload: bytes) -> Message | None:
     match payload[0], len(payload):
+        case 0, 1:
+            return AskVersion()
+        case 0, size if size > 2:  # newer firmware goes on with names
+            return Version(payload[1], payload[2])
         case 4, 1:
             return AskValues()
         case 4, size if size > _VALUES.size:

@@ -1,9 +1,10 @@
-"""Looks at an autopilot without moving anything: who answers, what it is, whether it knows where it is, and whether a
-take-off from there would be right."""
+"""Listens to an autopilot for some seconds without moving anything, and asks it what it does not tell by itself."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -12,12 +13,99 @@ from koordgen.runtime.platform import Unready
 from koordgen.runtime.safety import clamp
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point
+from targets.quad.firmware import Firmware
+from targets.quad.framing import Message
 from targets.quad.link import Link
-from targets.quad.telemetry import Streams, Telemetry, firmware
+from targets.quad.parameters import Parameters, Wanted
+from targets.quad.telemetry import Streams, Telemetry
+from targets.quad.vehicles import identified
 
-DEADLINE = 9.5  # seconds
+DEADLINE = 9.5  # seconds for a position estimate to come
+WATCHED = 3.0  # seconds for which the streams are watched when it is there: rates can be told
 _PAUSE = 0.05
 GROUND_SLACK = 0.5  # metres by which the ground may seem to lie outside the fence, estimates being what they are
+
+# What is asked for once a second until it has come.
+ONCE = (
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS,
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
+    mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
+)
+
+
+@dataclass
+class Heard:
+    """What an autopilot has told: of each message the first time, the last time (seconds) and how often since the
+    first, and the last of it; `wall` is our own wall clock (seconds since 1970) at the last SYSTEM_TIME; `seconds`
+    says for how long it was listened to."""
+
+    link: Link
+    telemetry: Telemetry
+    first: dict[int, float] = field(default_factory=dict)
+    last: dict[int, float] = field(default_factory=dict)
+    count: dict[int, int] = field(default_factory=dict)
+    newest: dict[int, Message] = field(default_factory=dict)
+    parameters: Parameters | None = None
+    wall: float = 0.0
+    seconds: float = 0.0
+
+    def ask(self) -> None:
+        """Ask for what does not come by itself, and has not come yet."""
+        for number in ONCE:
+            if number not in self.newest:
+                self.link.tell(mavlink.MAV_CMD_REQUEST_MESSAGE, number)
+
+    def take(self, message: Message, now: float) -> None:
+        """One of the vehicle's messages."""
+        number = message.get_msgId()
+        self.first.setdefault(number, now)
+        self.count[number] = self.count.get(number, -1) + 1
+        self.last[number] = now
+        self.newest[number] = message
+        self.telemetry.take(message, now)
+        if self.parameters is not None:
+            self.parameters.take(message)
+
+    def rate(self, message: int) -> float:
+        """Hz; 0 when less than two have come."""
+        span = self.last.get(message, 0.0) - self.first.get(message, 0.0)
+        return self.count[message] / span if span > 0.0 else 0.0
+
+
+def listen(
+    link: Link, frame: LocalFrame, wanted: Callable[[Firmware], tuple[Wanted, ...]],
+    clock: Callable[[], float], sleep: Callable[[float], None], wall: Callable[[], float],
+) -> Heard:  # fmt: skip
+    """Within DEADLINE + WATCHED seconds; sooner when nothing more is to be expected."""
+    heard, streams = Heard(link, Telemetry(frame)), Streams()
+    asked, known = -math.inf, math.inf
+    begun = now = clock()
+    while now - begun < DEADLINE + WATCHED:
+        for message in link.receive(now):
+            streams.note(message.get_msgId(), now)
+            heard.take(message, now)
+            if message.get_msgId() == mavlink.MAVLINK_MSG_ID_SYSTEM_TIME:
+                heard.wall = wall()
+        link.greet(now)
+        if link.vehicle is not None:
+            firmware = identified(link)[1]
+            if firmware is None:
+                break
+            heard.telemetry.firmware = firmware
+            heard.parameters = heard.parameters or Parameters(wanted(firmware), firmware.bytewise)
+            heard.parameters.poll(link, now)
+            streams.poll(link, firmware, now)
+            if now - asked >= 1.0:
+                asked = now
+                heard.ask()
+        known = min(known, now) if heard.telemetry.fresh(now) else known
+        enough = now - known >= WATCHED or (math.isinf(known) and now - begun >= DEADLINE)
+        if enough and (heard.parameters is None or heard.parameters.done(now)):
+            break
+        sleep(_PAUSE)
+        now = clock()
+    heard.seconds = now - begun
+    return heard
 
 
 def coordinates(p: Point) -> str:
@@ -39,50 +127,21 @@ def misplaced(fence: Box, height: float, p: Point) -> str:
     return ""
 
 
-def checked(
-    url: str, link: Link, frame: LocalFrame, fence: Box, height: float,
-    clock: Callable[[], float], sleep: Callable[[float], None],
-) -> list[str]:  # fmt: skip
-    """A line for each thing found right, within DEADLINE. Raises Unready for the first that is wrong."""
-    telemetry, streams, version = Telemetry(frame), Streams(), None
-    begun = now = clock()
-    while now - begun < DEADLINE and not (telemetry.fresh(now) and version):
-        for message in link.receive(now):
-            streams.note(message.get_msgId(), now)
-            telemetry.take(message, now)
-            if message.get_msgId() == mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
-                version = ".".join(str(message.flight_sw_version >> shift & 0xFF) for shift in (24, 16, 8))
-        link.greet(now)
-        if link.vehicle is not None:
-            if not firmware(link)[1]:
-                break
-            streams.poll(link, now)
-            if version is None:
-                link.ask(now, mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
-        sleep(_PAUSE)
-        now = clock()
-    return _verdict(url, link, telemetry, version or "of unknown version", fence, height)
+def unheard(url: str, link: Link, seconds: float) -> Unready:
+    """What to say of a vehicle that is silent."""
+    if link.heard is not None:
+        heard = "the autopilot has fallen silent"
+    else:
+        heard = f"no autopilot{f' of system {link.system}' if link.system else ''} answers"
+    others = ", ".join(map(str, sorted(link.others)))
+    hint = "is it powered, and does it send MAVLink to this address or at this baud rate?"
+    if others:
+        hint = f"system {others} does: is the setting `system` right?"
+    elif link.garbled:
+        hint = f"{link.garbled} bytes came that are no MAVLink: is the baud rate right, and is it a MAVLink port?"
+    return Unready(f"{heard} on {url} ({seconds:.0f} s)", hint)
 
 
-def _verdict(url: str, link: Link, telemetry: Telemetry, version: str, fence: Box, height: float) -> list[str]:
-    what, flyable = firmware(link)
-    if link.vehicle is None:
-        raise Unready(
-            f"no autopilot answers on {url}",
-            "is it powered, and does it send MAVLink to this address or at this baud rate?",
-        )
-    if not flyable:
-        raise Unready(f"{url} is {what}, not an ArduPilot copter", "check the robot's `autopilot` setting")
-    p = telemetry.position
-    if p is None:
-        raise Unready(
-            f"{what} on {url} has no position estimate yet",
-            "it takes about 45 s from power-up, and a positioning source that works",
-        )
-    fault = "" if telemetry.flying else misplaced(fence, height, p)
-    if fault:
-        raise Unready(fault)
-    return [
-        f"autopilot on {url}: {what} {version}, system {link.vehicle.system}",
-        f"position estimate: {coordinates(p)} m; in {telemetry.mode_name}",
-    ]
+def stranger(url: str, what: str) -> Unready:
+    """What to say of a vehicle that is no copter of ours."""
+    return Unready(f"{url} is {what}, not an ArduPilot or PX4 copter", "check the robot's `autopilot` setting")

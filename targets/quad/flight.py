@@ -8,21 +8,31 @@ from __future__ import annotations
 
 import enum
 import math
+from collections.abc import Callable
 from typing import NoReturn
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.platform import Unready
 from koordgen.runtime.settings import Box
-from targets.quad.check import misplaced
+from koordgen.runtime.values import Point
+from targets.quad.check import misplaced, stranger, unheard
+from targets.quad.firmware import Firmware
+from targets.quad.framing import Message
 from targets.quad.link import RESULTS, Link
-from targets.quad.telemetry import GUIDED, LAND, RETURNS, Streams, Telemetry, firmware
+from targets.quad.parameters import Parameters, Wanted
+from targets.quad.telemetry import Streams, Telemetry
+from targets.quad.vehicles import identified
 
 SILENCE = 30.0  # seconds without a heartbeat after which the vehicle counts as gone for good
 AT_HEIGHT = 0.3  # metres below the flight height at which the climb counts as done
 BY_HAND = 5.0  # seconds after arming; ArduPilot itself disarms for want of a take-off after 10 (DISARM_DELAY)
 BLIND = 3.0  # seconds without a position after which a climb is given up
 STILL = 0.1  # m/s; in LAND mode a vehicle that is slower has touched down
+QUIET = 0.4  # seconds without any message, in flight, after which the link is said to be silent
+CALLING = 1.0  # seconds for which setpoints flow before a mode is asked for that lasts as long as they do
+CLIMB = 0.5  # m/s, of setpoints that rise
+REREAD = 5.0  # seconds between two looks at parameters that forbid a take-off
 PATIENCE = 5.0  # seconds on the ground after which we disarm, where the autopilot's own landing does not
 _ON_GROUND = mavlink.MAV_LANDED_STATE_ON_GROUND
 
@@ -41,14 +51,26 @@ class Phase(enum.Enum):
 
 
 class Flight:
-    """Brings the vehicle to `height` (m, fleet's ENU) and back to the ground."""
+    """Brings the vehicle to `height` (m, fleet's ENU) and back to the ground. `go_to` sends a position setpoint;
+    `wanted` are the parameters that matter on a firmware."""
 
-    def __init__(self, url: str, link: Link, telemetry: Telemetry, fence: Box, height: float, now: float) -> None:
+    def __init__(
+        self, url: str, link: Link, telemetry: Telemetry, fence: Box, height: float,
+        go_to: Callable[[Point], None], wanted: Callable[[Firmware], tuple[Wanted, ...]], now: float,
+    ) -> None:  # fmt: skip
         self._url, self._link, self._telemetry = url, link, telemetry
-        self._fence, self._height = fence, height
+        self._fence, self._height, self._go_to, self._wanted = fence, height, go_to, wanted
+        self._firmware = telemetry.firmware
+        self._parameters = Parameters((), bytewise=False)
+        self._told = False  # which parameters differ
+        self._reread = now
+        self._setpoint: Point | None = None  # the last one of a climb that is flown by setpoints
+        self.grounded = False  # not to take off, as long as this is set
+        self.withheld = ""  # what speaks against a take-off beside what is known here, in words
+        self.heard: list[Message] = []  # the vehicle's messages that the last poll took
         self._streams = Streams()
         self._since = now  # when the present phase began
-        self._begun = self._now = now
+        self._begun = self._now = self._polled = now
         self._restarts = 0
         self._climb_from = 0.0
         self._airborne = False  # it has left the ground: what goes wrong now is not simply begun again
@@ -61,20 +83,26 @@ class Flight:
     @property
     def progress(self) -> str:
         """What the flight is at, in the autopilot's own words where it refuses something."""
-        silent = self.phase is not Phase.RESTED and self._link.heard is not None and not self._link.alive(self._now)
-        return f"no heartbeat on {self._url}; was {self._doing}" if silent else self._doing
+        if self.phase is Phase.RESTED or self._link.heard is None:
+            return self._doing
+        if not self._link.alive(self._now):
+            return f"no heartbeat on {self._url}; was {self._doing}"
+        silent = self._airborne and self._link.spoke is not None and self._now - self._link.spoke > QUIET
+        return f"nothing comes on {self._url}; was {self._doing}" if silent else self._doing
 
     def poll(self, now: float) -> None:
         """Take what has arrived, look, and ask for what comes next. Raises Unready."""
-        self._now = now
-        for message in self._link.receive(now):
+        self._polled, self._now = self._now, now
+        self.heard = self._link.receive(now)
+        for message in self.heard:
             self._streams.note(message.get_msgId(), now)
             self._telemetry.take(message, now)
+            self._parameters.take(message)
         self._link.greet(now)
         if self.phase is not Phase.RESTED:
             self._watch(now)
         if self.phase is not Phase.CONNECTING:
-            self._streams.poll(self._link, now)
+            self._streams.poll(self._link, self._firmware, now)
         match self.phase:
             case Phase.CONNECTING:
                 self._connect(now)
@@ -102,58 +130,114 @@ class Flight:
         """Silence and restarts, in any phase."""
         silent = now - (self._begun if self._link.heard is None else self._link.heard)
         if silent > SILENCE:
-            heard = "no autopilot answers" if self._link.heard is None else "the autopilot has fallen silent"
-            raise Unready(
-                f"{heard} on {self._url} ({silent:.0f} s)",
-                "is it powered, and does it send MAVLink to this address or at this baud rate?",
-            )
+            raise unheard(self._url, self._link, silent)
         if self._telemetry.restarts != self._restarts:
             self._restarts = self._telemetry.restarts
             self._streams.restart()
             if self._airborne and self.phase is not Phase.LANDING:
                 raise Unready("the autopilot restarted in flight")
-            if self.phase in (Phase.SWITCHING, Phase.ARMING, Phase.CLIMBING):
+            if self.phase in (Phase.ESTIMATING, Phase.SWITCHING, Phase.ARMING, Phase.CLIMBING):
+                self._read_parameters()
                 self._enter(Phase.ESTIMATING, now, "the autopilot restarted; waiting for its position estimate")
 
     def _connect(self, now: float) -> None:
         if self._link.vehicle is None:
             return
-        what, flyable = firmware(self._link)
-        if not flyable:
-            raise Unready(f"{self._url} is {what}, not an ArduPilot copter", "check the robot's `autopilot` setting")
+        what, firmware = identified(self._link)
+        if firmware is None:
+            raise stranger(self._url, what)
+        self._firmware = self._telemetry.firmware = firmware
+        self._read_parameters()
         self._enter(Phase.ESTIMATING, now, f"{what}: waiting for its position estimate")
+
+    def _read_parameters(self) -> None:
+        self._parameters = Parameters(self._wanted(self._firmware), self._firmware.bytewise)
+        self._told = False
 
     def _estimate(self, now: float) -> None:
         state = self._telemetry
+        self._parameters.poll(self._link, now)
         if state.position is None or not state.fresh(now) or state.landed is None or state.mode is None:
             return
         if self._link.crowded(now):
-            self._doing = f"another autopilot sends to {self._url}: waiting until only this robot's does"
-            return
-        if state.flying:
-            if state.mode == GUIDED:
-                self._enter(Phase.FLYING, now, "flying already: taking over without a take-off")
-            elif state.mode == LAND or state.mode in RETURNS:
-                self._doing = f"already flying in {state.mode_name}: waiting until it has landed"
-            else:
-                raise Unready(f"already flying in {state.mode_name}", "land it first, or switch it to GUIDED")
-            return
-        fault = misplaced(self._fence, self._height, state.position)
-        if fault:
+            others = ", ".join(map(str, sorted(self._link.others)))
+            self._doing = (
+                f"another autopilot{f' (system {others})' if others else ''} sends to {self._url}: waiting until only "
+                "this robot's does; the setting `system` says which of several is this robot's"
+            )
+        elif state.flying:
+            self._take_over(now)
+        elif fault := self.withheld or misplaced(self._fence, self._height, state.position) or self._unfit(now):
             self._doing = f"not taking off: {fault}"
+        elif self._parameters.done(now):
+            self._prepare(now)
+
+    def _take_over(self, now: float) -> None:
+        """It flies already: an agent before us died, perhaps."""
+        state = self._telemetry
+        if state.mode == self._firmware.follows:
+            self._enter(Phase.FLYING, now, "flying already: taking over without a take-off")
+        elif self._ends_itself:
+            self._doing = f"already flying in {state.mode_name}: waiting until it has landed"
         else:
-            self._enter(Phase.SWITCHING, now, "switching to GUIDED")
+            wanted = self._firmware.mode(self._firmware.follows)
+            raise Unready(f"already flying in {state.mode_name}", f"land it first, or switch it to {wanted}")
+
+    def _unfit(self, now: float) -> str:
+        """Which parameters forbid a take-off, once that is known. They are looked at again, for somebody who mends
+        them."""
+        if not self._parameters.done(now):
+            return ""
+        vital = [str(r) for r in self._parameters.differences if r.wanted.vital]
+        if vital and now - self._reread >= REREAD:
+            self._reread = now
+            self._parameters.again()
+        return "; ".join(vital)
+
+    def _prepare(self, now: float) -> None:
+        """All is well for a take-off."""
+        differences = self._parameters.differences
+        if differences and not self._told:
+            self._doing = f"parameters of the autopilot differ: {'; '.join(map(str, differences))}"
+            self._told = True
+        elif self.grounded:
+            self._doing = "ready to take off, waiting for the fleet"
+        else:
+            self._setpoint = None
+            self._enter(Phase.SWITCHING, now, f"switching to {self._firmware.mode(self._firmware.follows)}")
+
+    @property
+    def _ends_itself(self) -> bool:
+        """Whether the mode is one that ends on the ground by itself."""
+        return self._telemetry.mode == self._firmware.lands or self._telemetry.mode in self._firmware.returns
 
     def _switch(self, now: float) -> None:
-        if self._telemetry.mode == GUIDED and self._telemetry.mode_time > self._since:
+        self._call()
+        if self._telemetry.mode == self._firmware.follows and self._telemetry.mode_time > self._since:
             self._enter(Phase.ARMING, now, "arming")
-            return
-        asked = self._set_mode(GUIDED, now)
-        if asked > 1:
-            self._doing = self._explained("switching to GUIDED", mavlink.MAV_CMD_DO_SET_MODE, now)
+        elif not self._firmware.rises or now - self._since >= CALLING:
+            asked = self._set_mode(self._firmware.follows, now)
+            if asked > 1:
+                doing = f"switching to {self._firmware.mode(self._firmware.follows)}"
+                self._doing = self._explained(doing, mavlink.MAV_CMD_DO_SET_MODE, now)
+
+    def _call(self) -> None:
+        """On the ground, where the firmware takes off by setpoints: they flow already, to a place below, so that no
+        error of the estimate looks like a wish to take off."""
+        if self._firmware.rises and self._telemetry.position is not None:
+            self._setpoint = self._telemetry.position + Point(0.0, 0.0, -0.2)
+            self._go_to(self._setpoint)
+
+    def _lift(self, seconds: float) -> None:
+        """... and rise, as far as the position is known."""
+        if self._setpoint is not None and self._telemetry.fresh(self._now):
+            p = self._setpoint
+            self._setpoint = Point(p.x, p.y, max(p.z, min(p.z + CLIMB * seconds, self._height)))
+            self._go_to(self._setpoint)
 
     def _arm(self, now: float) -> None:
-        if self._telemetry.mode != GUIDED:
+        self._call()
+        if self._telemetry.mode != self._firmware.follows:
             self._enter(Phase.SWITCHING, now, f"the autopilot fell back to {self._telemetry.mode_name}; asking again")
         elif self._telemetry.armed:
             self._enter(Phase.CLIMBING, now, "taking off")
@@ -163,6 +247,7 @@ class Flight:
 
     def _climb(self, now: float) -> None:
         state = self._telemetry
+        self._lift(now - self._polled)
         if not state.armed and not self._airborne:
             said = self._link.reasons(self._since)
             words = f"disarmed before take-off{': ' if said else ''}{said}"
@@ -171,12 +256,15 @@ class Flight:
             self._enter(Phase.ARMING, now, f"{words}; arming again")
         elif self._airborne:
             self._rise(now)
-        elif state.mode != GUIDED:
+        elif state.mode != self._firmware.follows:
             self._leave_to_them()
         elif state.position is None or not state.fresh(now) or state.time is None or state.time < self._since + 0.3:
             pass  # home, which the take-off's height counts from, has just been set anew
         elif state.flying:
             self._airborne = True
+        elif self._firmware.rises:
+            self._climb_from = state.position.z
+            self._doing = "taking off"
         else:
             self._climb_from = state.position.z
             # Height above home: home's own is what the two heights of one message differ by.
@@ -208,7 +296,7 @@ class Flight:
         if not self._telemetry.armed:
             said = self._link.reasons(now - 10.0)
             raise Unready(f"the autopilot disarmed in flight{': ' if said else ''}{said}")
-        if self._telemetry.mode != GUIDED:
+        if self._telemetry.mode != self._firmware.follows:
             self._leave_to_them()
 
     def _leave_to_them(self) -> NoReturn:
@@ -220,9 +308,9 @@ class Flight:
 
     def rest(self, now: float) -> None:
         """Begin to land. Idempotent. A vehicle that was never commanded, not a copter perhaps, or flown by a pilot, is
-        left as it is; unless it flies in GUIDED, for an agent before us that is no more."""
+        left as it is; unless it flies for an agent before us that is no more."""
         state = self._telemetry
-        orphan = state.flying and state.mode == GUIDED and not self._link.crowded(now)
+        orphan = state.flying and state.mode == self._firmware.follows and not self._link.crowded(now)
         if self.phase is Phase.CONNECTING or (self.phase is Phase.ESTIMATING and not orphan):
             self._enter(Phase.RESTED, now, "nothing was moved")
         elif self.phase is not Phase.RESTED and self.phase is not Phase.LANDING:
@@ -234,7 +322,7 @@ class Flight:
         if not state.armed and state.mode_time > self._since + 1.0:
             self._enter(Phase.RESTED, now, "at rest, disarmed")
             return
-        ends_itself = state.mode == LAND or state.mode in RETURNS
+        ends_itself, lands = self._ends_itself, self._firmware.lands
         if self._landing_seen and not ends_itself:
             self._taken = True
         if self._taken and not ends_itself:
@@ -245,7 +333,7 @@ class Flight:
             self._link.forget(mavlink.MAV_CMD_DO_SET_MODE)
             self._doing = "landing"
         else:
-            self._set_mode(LAND, now)
+            self._set_mode(lands, now)
             self._doing = self._explained("switching to LAND", mavlink.MAV_CMD_DO_SET_MODE, now)
         self._touch_down(now)
 
@@ -254,7 +342,7 @@ class Flight:
         control ArduPilot's LAND may wait for ever (LAND_REPOSITION). In flight it refuses to."""
         state = self._telemetry
         down = state.landed == _ON_GROUND
-        if state.mode == LAND and state.fresh(now):
+        if state.mode == self._firmware.lands and state.fresh(now):
             down |= math.hypot(state.velocity.x, state.velocity.y, state.velocity.z) < STILL
         if not down:
             self._grounded = None
@@ -268,8 +356,7 @@ class Flight:
 
     def _set_mode(self, mode: int, now: float) -> int:
         """How often it was asked for in this phase."""
-        flag = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
-        return self._link.ask(now, mavlink.MAV_CMD_DO_SET_MODE, flag, mode).times
+        return self._link.ask(now, mavlink.MAV_CMD_DO_SET_MODE, *self._firmware.ask_mode(mode)).times
 
     def _explained(self, doing: str, command: int, now: float) -> str:
         """What is being done, the answer to it, and the autopilot's own words."""

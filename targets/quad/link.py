@@ -31,7 +31,7 @@ RESULTS = {
 
 @dataclass(frozen=True, slots=True)
 class Vehicle:
-    """The autopilot that was chosen: the first whose heartbeat was heard."""
+    """The autopilot that was chosen: the first whose heartbeat was heard, of the system id that was asked for."""
 
     system: int
     component: int
@@ -49,45 +49,55 @@ class Asked:
 
 
 class Link:
-    """Owns the transport. `rejected` counts what was dropped, by reason; `texts` holds (time, severity, text)."""
+    """Owns the transport. `system` is the vehicle's MAVLink system id, 0 for the only one. `rejected` counts what was
+    dropped, by reason; `texts` holds (time, severity, text)."""
 
-    def __init__(self, transport: Transport) -> None:
+    def __init__(self, transport: Transport, system: int = 0) -> None:
         self._transport = transport
+        self.system = system
         self._framer = Framer()
         self._packer = mavlink.MAVLink(None, srcSystem=GROUND_STATION, srcComponent=COMPONENT)
         self._source: object = None
         self._greeted = -math.inf
-        self._other = -math.inf  # when another autopilot's last heartbeat came
+        self._other = -math.inf  # when the last heartbeat came of another autopilot that may be the one meant
         self._asked: dict[int, Asked] = {}
         self._parts: tuple[int, int, str] = (0, 0, "")
         self.rejected = self._framer.rejected
         self.unsent = 0
         self.vehicle: Vehicle | None = None
         self.heard: float | None = None  # when the vehicle's last heartbeat came
+        self.spoke: float | None = None  # when its last message came
+        self.others: set[int] = set()  # system ids of the other autopilots that were heard
         self.texts: deque[tuple[float, int, str]] = deque(maxlen=20)
+
+    @property
+    def garbled(self) -> int:
+        """Bytes that came and were no part of a frame."""
+        return self.rejected.get("bytes", 0)
 
     def alive(self, now: float) -> bool:
         """Whether the vehicle's heartbeat is fresh."""
         return self.heard is not None and now - self.heard <= LOST
 
     def crowded(self, now: float) -> bool:
-        """Whether another autopilot speaks on this link, by its system id or address: which is ours is not known."""
+        """Whether another autopilot speaks on this link, by its system id (where none was asked for) or its address:
+        which is ours is not known."""
         return now - self._other <= GONE
 
     def receive(self, now: float) -> list[Message]:
         """The vehicle's messages that have arrived, in order."""
         messages = []
+        decode = self._framer.datagram if self._transport.datagrams else self._framer.stream
         for data, source in self._transport.receive(now):
             strange = self._source is not None and source != self._source and self.alive(now)
-            if strange:
-                self._count("another address")  # while the vehicle speaks, nobody else does in its name
-            decode = self._framer.datagram if self._transport.datagrams else self._framer.stream
             for message in decode(data):
-                if strange or not self._from_vehicle(message):
-                    if self.vehicle is not None and _is_autopilot(message):
-                        self._other = now
+                if not self._from_vehicle(message):
+                    self._take_foreign(message, now)
+                elif strange:
+                    self._count("another address")  # while the vehicle speaks, nobody else does in its name
+                    self._other = now
                 else:
-                    self._source = source
+                    self._source, self.spoke = source, now
                     self._transport.answer(source)
                     self._note(message, now)
                     messages.append(message)
@@ -96,15 +106,21 @@ class Link:
     def _from_vehicle(self, message: Message) -> bool:
         system, component = message.get_srcSystem(), message.get_srcComponent()
         if self.vehicle is None:
-            if message.get_msgId() != mavlink.MAVLINK_MSG_ID_HEARTBEAT:
-                return False
-            if message.autopilot == mavlink.MAV_AUTOPILOT_INVALID:  # a ground station, a gimbal
+            if not _is_autopilot(message) or self.system not in (0, system):
                 return False
             self.vehicle = Vehicle(system, component, message.autopilot, message.type)
-        if (system, component) == (self.vehicle.system, self.vehicle.component):
-            return True
-        self._count("another system")
-        return False
+        return (system, component) == (self.vehicle.system, self.vehicle.component)
+
+    def _take_foreign(self, message: Message, now: float) -> None:
+        """Count what is not the vehicle's; of ground stations and of its own gimbals as well."""
+        system = message.get_srcSystem()
+        chosen = self.system or (self.vehicle.system if self.vehicle is not None else 0)
+        if chosen and system != chosen:
+            self._count("another system")
+        if _is_autopilot(message) and chosen:
+            self.others.add(system)
+            if not self.system:
+                self._other = now
 
     def _note(self, message: Message, now: float) -> None:
         match message.get_msgId():

@@ -1,4 +1,4 @@
-"""A multicopter behind an ArduPilot autopilot: the ports of Motion and MotionWithScan, served over MAVLink 2.
+"""A multicopter behind an ArduPilot or PX4 autopilot: the ports of Motion and MotionWithScan, served over MAVLink 2.
 
 `position` and `velocity` are the autopilot's estimate; `target` is approached in a straight line at `max_speed`
 and at `flight_height` or above, the points of a `path` one after the other; `reached` means arrived and standing still.
@@ -8,21 +8,29 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any
+from dataclasses import replace
+from typing import Annotated, Any, Literal
 
 import msgspec
 
+from koordgen.runtime.datagrams import DatagramLink
+from koordgen.runtime.feed import listen_for_poses
 from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.platform import Sensed, Unready
+from koordgen.runtime.platform import Finding, Sensed, Unready
 from koordgen.runtime.safety import clamp, inside
 from koordgen.runtime.scans import ScanPort
 from koordgen.runtime.settings import BadSettings, Settings
 from koordgen.runtime.values import Point
 from targets.planning.planner import Planner
-from targets.quad.check import checked
+from targets.quad.check import listen
+from targets.quad.diagnosis import findings
+from targets.quad.firmware import Firmware
 from targets.quad.flight import Flight, Phase
 from targets.quad.link import Link
 from targets.quad.motion import Motion
+from targets.quad.parameters import Wanted
+from targets.quad.positioning import Positioning
+from targets.quad.setpoint import setpoint
 from targets.quad.telemetry import Telemetry
 from targets.quad.transport import Transport, opened
 
@@ -39,11 +47,20 @@ class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     reached_dwell: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 0.3
     scans: str = ""
     clearance: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.5
+    positioning: Literal["own", "gps_input", "vision", "odometry"] = "own"
+    feed: str = "udp:0.0.0.0:47300"
+    system: Annotated[int, msgspec.Meta(ge=0, le=255)] = 0
+    allow_no_failsafe: bool = False
+
+
+def _bind(setting: str) -> DatagramLink:
+    return listen_for_poses("feed", setting)
 
 
 class Quad:
-    """Implements koordgen.runtime.platform.Platform. The fleet's key serves scans alone: the autopilot's link is a wire
-    or loopback. `connect`, `clock` and `sleep` are what the surroundings give; the last two serve `check` alone."""
+    """Implements koordgen.runtime.platform.Platform. The fleet's key serves feeds alone: the autopilot's link is a wire
+    or loopback. `connect`, `bind` and `wall` (the time of day) are what the surroundings give, and for `diagnose` alone
+    `clock` and `sleep`."""
 
     period = 0.05
 
@@ -53,8 +70,10 @@ class Quad:
         key: bytes | None,
         *,
         connect: Callable[[str], Transport] = opened,
+        bind: Callable[[str], DatagramLink] = _bind,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
+        wall: Callable[[], float] = time.time,
     ) -> None:
         try:
             body = msgspec.convert(settings.body, Body)
@@ -71,24 +90,46 @@ class Quad:
         self._motion = Motion(
             self._frame, fence, body.flight_height, body.max_speed, body.reached_radius, body.reached_dwell
         )
-        self._connect, self._clock, self._sleep = connect, clock, sleep
+        self._connect, self._clock, self._sleep, self._wall = connect, clock, sleep, wall
         self._lidar = ScanPort(body.scans, settings.robot, key)
+        self._positioning: Positioning | None = None  # None: the vehicle's own
+        if body.positioning != "own":
+            self._positioning = Positioning(
+                body.positioning, body.feed, settings, key, self._frame, body.max_speed, bind, wall
+            )
         self._link: Link | None = None
         self._flight: Flight | None = None
         self._planner: Planner | None = None  # made by `start`: its imports take longer than an event may
+        self._others: Mapping[int, tuple[Point, ...]] = {}
+        self._news: list[str] = []  # what `news` will tell
+        self._held = False
         self._now = 0.0
 
-    def check(self) -> list[str]:
-        """See Platform: hears the autopilot, its firmware and its position estimate; moves nothing."""
-        link = Link(self._connect(self._body.autopilot))
+    def diagnose(self) -> list[Finding]:
+        """See Platform: hears the autopilot, and the feeds that there are; a position feed is passed on meanwhile."""
+        url, height, positioning = self._body.autopilot, self._body.flight_height, self._positioning
         try:
-            self._lidar.open()  # what arrives meanwhile waits in its socket
-            found = checked(
-                self._body.autopilot, link, self._frame, self._fence, self._body.flight_height, self._clock, self._sleep
-            )
-            return found + self._lidar.check(self._sleep)
+            link = Link(self._connect(url), self._body.system)
+        except Unready as error:
+            return [Finding.of("link", error), *self._lidar.diagnose(self._sleep)]
+
+        def sleep(seconds: float) -> None:
+            self._sleep(seconds)
+            if positioning is not None:
+                positioning.pass_on(link, self._clock())
+
+        try:
+            if positioning is not None:
+                positioning.open(self._clock())
+            heard = listen(link, self._frame, self._wanted, self._clock, sleep, self._wall)
+        except Unready as error:
+            return [Finding.of("positioning", error), *self._lidar.diagnose(self._sleep)]
         finally:
             link.close()
+            if positioning is not None:
+                positioning.close()
+        fed = positioning.findings(self._clock()) if positioning is not None else []
+        return [*fed, *findings(url, heard, self._frame, self._fence, height), *self._lidar.diagnose(self._sleep)]
 
     def start(self, now: float) -> None:
         """See Platform: opens the links; `poll` then takes off."""
@@ -96,8 +137,24 @@ class Quad:
         self._now = now
         self._planner = Planner(self._fence, self._body.clearance)
         self._lidar.open()
-        self._link = Link(self._connect(url))
-        self._flight = Flight(url, self._link, self._telemetry, self._fence, self._body.flight_height, now)
+        if self._positioning is not None:
+            self._positioning.open(now)
+        self._link = Link(self._connect(url), self._body.system)
+        self._flight = Flight(
+            url, self._link, self._telemetry, self._fence, self._body.flight_height, self._go_to, self._wanted, now
+        )
+        self._flight.grounded = self._held
+
+    def _go_to(self, p: Point) -> None:
+        if self._link is not None and self._link.vehicle is not None:
+            self._link.send(setpoint(self._link.vehicle, self._frame, self._fence, p))
+
+    def _wanted(self, firmware: Firmware) -> tuple[Wanted, ...]:
+        """The parameters that matter on this firmware, with these settings."""
+        fed = self._positioning.wanted(firmware) if self._positioning is not None else ()
+        if self._body.allow_no_failsafe:
+            return (*(replace(w, vital=False) for w in firmware.parameters), *fed)
+        return (*firmware.parameters, *fed)
 
     def poll(self, now: float) -> None:
         """See Platform."""
@@ -106,6 +163,9 @@ class Quad:
         self._now = now
         self._lidar.poll(now)
         self._flight.poll(now)
+        if self._positioning is not None:
+            self._positioning.poll(self._link, self._flight, self._telemetry, now)
+            self._motion.hold(self._held or self._positioning.held)
         if self._flight.phase is Phase.FLYING and self._telemetry.fresh(now):
             self._motion.steer(self._link, self._telemetry, now)
         else:
@@ -122,6 +182,7 @@ class Quad:
             and self._telemetry.fresh(self._now)
             and self._motion.followed
             and not self._lidar.waiting
+            and (self._positioning is None or not self._positioning.held)
         )
 
     @property
@@ -131,7 +192,8 @@ class Quad:
             return "not started"
         refused = f"; {self._motion.refused} targets were not finite" if self._motion.refused else ""
         waiting = f"; {self._lidar.waiting}" if self._lidar.waiting else ""
-        return self._flight.progress + waiting + refused
+        doubt = f"; {self._positioning.doubt}" if self._positioning is not None and self._positioning.doubt else ""
+        return self._flight.progress + doubt + waiting + refused
 
     def sense(self, now: float) -> Sensed:
         """See Platform. Before the first estimate the position is the origin, and `time` is None."""
@@ -139,7 +201,15 @@ class Quad:
         ports = {"position": state.position or Point(), "velocity": state.velocity, "reached": self._motion.reached}
         values: dict[str, Any] = {f"{module}.{port}": value for module in MODULES for port, value in ports.items()}
         values["MotionWithScan.pscan"] = self._lidar.scans.recent(now)
-        return Sensed(values, state.time)
+        return Sensed(values, self._vouched)
+
+    @property
+    def _vouched(self) -> float | None:
+        """When the position was known to be right last: told by the autopilot, and by its source where that is ours."""
+        told = self._telemetry.time
+        if self._positioning is None or told is None:
+            return told
+        return None if self._positioning.vouched is None else min(told, self._positioning.vouched)
 
     def command(self, actuators: Mapping[str, Any], now: float) -> None:
         """See Platform. What is not finite is refused, counted and shown in `progress`."""
@@ -158,9 +228,21 @@ class Quad:
             return ()
         return self._planner.plan(position, goal, obstacles)
 
+    def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
+        """See Platform."""
+        self._others = paths
+
+    def news(self) -> list[str]:
+        """See Platform."""
+        told, self._news = self._news, []
+        return told
+
     def hold(self, on: bool, now: float) -> None:
         """See Platform."""
-        self._motion.hold(on)
+        self._held = on
+        self._motion.hold(on or (self._positioning is not None and self._positioning.held))
+        if self._flight is not None:
+            self._flight.grounded = on
 
     def rest(self, now: float) -> None:
         """See Platform: lands. A vehicle that a pilot or a failsafe has taken is left to them."""
@@ -178,3 +260,5 @@ class Quad:
             self._link.close()
             self._link = None
         self._lidar.close()
+        if self._positioning is not None:
+            self._positioning.close()

@@ -12,39 +12,14 @@ import math
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.values import Point
+from koordgen.runtime.values import Point, transmissible
+from targets.quad.ardupilot import ARDUPILOT
+from targets.quad.firmware import Firmware
 from targets.quad.framing import Message
 from targets.quad.link import Link
 
-COPTERS = {
-    mavlink.MAV_TYPE_QUADROTOR: "quadrotor",
-    mavlink.MAV_TYPE_COAXIAL: "coaxial copter",
-    mavlink.MAV_TYPE_HELICOPTER: "helicopter",
-    mavlink.MAV_TYPE_HEXAROTOR: "hexarotor",
-    mavlink.MAV_TYPE_OCTOROTOR: "octorotor",
-    mavlink.MAV_TYPE_TRICOPTER: "tricopter",
-    mavlink.MAV_TYPE_DODECAROTOR: "dodecarotor",
-    mavlink.MAV_TYPE_DECAROTOR: "decarotor",
-}
-GUIDED, LAND = 4, 9
-RETURNS = (6, 21)  # RTL, SMART_RTL: like LAND they end on the ground by themselves
-MODES = {
-    0: "STABILIZE", 1: "ACRO", 2: "ALT_HOLD", 3: "AUTO", 4: "GUIDED", 5: "LOITER", 6: "RTL", 7: "CIRCLE", 9: "LAND",
-    11: "DRIFT", 13: "SPORT", 16: "POSHOLD", 17: "BRAKE", 18: "THROW", 20: "GUIDED_NOGPS", 21: "SMART_RTL",
-}  # fmt: skip
-
-# Message -> how often it is wanted, Hz. A heartbeat carries the mode, so it is wanted more often than it comes.
-RATES = {
-    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 20.0,
-    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
-    mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 5.0,
-    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: 5.0,
-    mavlink.MAVLINK_MSG_ID_HEARTBEAT: 4.0,
-}
-# Their absence proves nothing: the one comes only while there is a target, the other always, only too seldom. They are
-# asked for again every two seconds, whatever comes.
-_OCCASIONAL = (mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT, mavlink.MAVLINK_MSG_ID_HEARTBEAT)
 VOUCHED = 2.0  # seconds for which a report of the estimate's state holds
+_NO_POSITION = 0x007  # bits of a type mask
 LONG_AGO = 2000  # ms, more than a message may be late
 
 
@@ -60,10 +35,10 @@ class Streams:
         """A message of this id has come."""
         self._came[message] = now
 
-    def poll(self, link: Link, now: float) -> None:
-        """Ask for what is missing."""
-        for message, rate in RATES.items():
-            occasional = message in _OCCASIONAL
+    def poll(self, link: Link, firmware: Firmware, now: float) -> None:
+        """Ask for what is missing; of what comes only now and then, every two seconds."""
+        for message, rate in firmware.rates.items():
+            occasional = message in firmware.occasional
             silent = now - self._came.get(message, -math.inf) > 1.0
             if (silent or occasional) and now - self._asked.get(message, -math.inf) >= (2.0 if occasional else 1.0):
                 self._asked[message] = now
@@ -80,6 +55,8 @@ class Telemetry:
 
     def __init__(self, frame: LocalFrame) -> None:
         self._frame = frame
+        self._local: tuple[Point, Point] | None = None  # position about the EKF's origin, and `position` at that time
+        self.firmware = ARDUPILOT  # until it is known
         self._boot: int | None = None  # ms, the vehicle's clock in the newest message
         self._earlier: int | None = None  # ... in a last one that was older than that
         self._ekf: int | None = None
@@ -99,6 +76,8 @@ class Telemetry:
 
     def take(self, message: Message, now: float) -> None:
         """Take one of the vehicle's messages."""
+        if message.get_msgId() not in self.firmware.rates:
+            return
         match message.get_msgId():
             case mavlink.MAVLINK_MSG_ID_HEARTBEAT:
                 self.mode, self.mode_time = message.custom_mode, now
@@ -107,12 +86,26 @@ class Telemetry:
                 self._take_position(message, now)
             case mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE:
                 self.landed = message.landed_state or None
-            case mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT:
+            case mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT | mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS:  # of equal bits
                 self._ekf, self._ekf_time = message.flags, now
             case mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT:
                 if math.isfinite(message.alt):  # always AMSL here, whatever frame was asked for
                     place = self._frame.enu(message.lat_int * 1e-7, message.lon_int * 1e-7, message.alt)
                     self.followed, self.followed_time = Point(*place), now
+            case mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED:
+                if self.position is not None and self.fresh(now):
+                    self._local = Point(message.y, message.x, -message.z), self.position
+            case mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED:
+                self._take_local_target(message, now)
+
+    def _take_local_target(self, message: Message, now: float) -> None:
+        """Its origin is the EKF's own, which needs not be known: how far the target is from the vehicle suffices."""
+        if self._local is None or message.type_mask & _NO_POSITION:
+            return
+        here, position = self._local
+        target = position + (Point(message.y, message.x, -message.z) - here)
+        if transmissible(target):
+            self.followed, self.followed_time = target, now
 
     def _take_position(self, message: Message, now: float) -> None:
         if not self._news(message.time_boot_ms):
@@ -143,7 +136,7 @@ class Telemetry:
 
     def _restarted(self) -> None:
         self.restarts += 1
-        self._ekf = self.landed = self.position = self.time = self.followed = None
+        self._ekf = self.landed = self.position = self.time = self.followed = self._local = None
 
     def _estimating(self, now: float) -> bool:
         """Whether the EKF knows where it is, as ArduPilot itself decides it (Copter::ekf_has_absolute_position)."""
@@ -165,17 +158,4 @@ class Telemetry:
 
     @property
     def mode_name(self) -> str:
-        return "no mode" if self.mode is None else MODES.get(self.mode, f"mode {self.mode}")
-
-
-def firmware(link: Link) -> tuple[str, bool]:
-    """What the vehicle is, in words, and whether it is one that this target can fly."""
-    vehicle = link.vehicle
-    if vehicle is None:
-        return "nothing", False
-    kind = COPTERS.get(vehicle.type)
-    maker = {mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduPilot", mavlink.MAV_AUTOPILOT_PX4: "PX4"}.get(
-        vehicle.autopilot, f"autopilot {vehicle.autopilot}"
-    )
-    flyable = kind is not None and vehicle.autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
-    return f"{maker} {kind or f'vehicle of MAV_TYPE {vehicle.type}'}", flyable
+        return self.firmware.mode(self.mode)

@@ -6,6 +6,8 @@ import contextlib
 import errno
 import os
 import socket
+import termios
+from collections.abc import Callable
 from typing import Any, Protocol
 
 from koordgen.runtime.platform import Unready
@@ -14,7 +16,10 @@ Address = tuple[Any, ...]
 Chunk = tuple[bytes, Address | None]
 
 BUDGET = 16384  # bytes read in one call: far above what an autopilot sends, and a bound on what a flood costs
-RECONNECT = 1.0  # seconds between two attempts to open a broken connection anew
+FIRST_WAIT, LONGEST_WAIT = 0.25, 2.0  # seconds before a broken connection is opened anew: doubled until it answers
+SILENT = 3.0  # seconds after which a connection on which nothing comes is given up: half a MAVLink link is none
+REPLUG = 0.5  # seconds between two attempts to open a device anew
+_GONE = (OSError, ValueError, TypeError, termios.error)  # what pyserial raises when a device vanishes under it
 HINT = "use udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD"
 
 
@@ -89,52 +94,58 @@ class Udp:
 
 
 class Tcp:
-    """A TCP client that connects, and connects again, in the background."""
+    """A TCP client that connects, and connects again, in the background. `make` is socket.socket."""
 
     datagrams = False
 
-    def __init__(self, peer: Address, family: int) -> None:
-        self._peer = peer
-        self._family = family
+    def __init__(self, peer: Address, family: int, make: Callable[..., socket.socket] = socket.socket) -> None:
+        self._peer, self._family, self._make = peer, family, make
         self._socket: socket.socket | None = None
-        self._retry = float("-inf")
+        self._retry = float("-inf")  # when to connect
+        self._wait = FIRST_WAIT  # before the next attempt but this
+        self._heard = 0.0  # when something came last, or the connection was begun
         self._unsent = b""
 
     def receive(self, now: float) -> list[Chunk]:
-        if self._socket is None:
-            if now >= self._retry:
-                self._connect(now)
-            return []
+        if self._socket is None and now >= self._retry:
+            self._connect(now)
         chunks: list[Chunk] = []
         size = 0
-        while size < BUDGET:
+        while self._socket is not None and size < BUDGET:
             try:
                 data = self._socket.recv(4096)
             except BlockingIOError:
                 break
             except OSError as error:
                 if error.errno != errno.ENOTCONN:  # still connecting
-                    self._drop()
+                    self._drop(now)
                 break
             if not data:
-                self._drop()
+                self._drop(now)
                 break
             size += len(data)
             chunks.append((data, None))
+        if chunks:
+            self._heard, self._wait = now, FIRST_WAIT
+        elif self._socket is not None and now - self._heard > SILENT:
+            self._drop(now)
         return chunks
 
     def _connect(self, now: float) -> None:
-        self._retry = now + RECONNECT
-        self._socket = socket.socket(self._family, socket.SOCK_STREAM)
-        self._socket.setblocking(False)
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        if self._socket.connect_ex(self._peer) not in (0, errno.EINPROGRESS, errno.EWOULDBLOCK):
-            self._drop()
+        self._heard = now
+        try:
+            self._socket = self._make(self._family, socket.SOCK_STREAM)
+            self._socket.setblocking(False)
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            refused = self._socket.connect_ex(self._peer) not in (0, errno.EINPROGRESS, errno.EWOULDBLOCK)
+        except OSError:  # no file descriptor left
+            refused = True
+        if refused:
+            self._drop(now)
 
-    def _drop(self) -> None:
-        if self._socket is not None:
-            self._socket.close()
-        self._socket, self._unsent = None, b""
+    def _drop(self, now: float) -> None:
+        self.close()
+        self._retry, self._wait = now + self._wait, min(2 * self._wait, LONGEST_WAIT)
 
     def answer(self, source: Address | None) -> None:
         pass
@@ -153,7 +164,9 @@ class Tcp:
         return True
 
     def close(self) -> None:
-        self._drop()
+        if self._socket is not None:
+            self._socket.close()
+        self._socket, self._unsent = None, b""
 
 
 class Serial:
@@ -176,20 +189,20 @@ class Serial:
         if self._port is None:
             if now < self._retry:
                 return []
-            self._retry = now + RECONNECT
+            self._retry = now + REPLUG
             try:
                 self._port = self._opened()
-            except (OSError, ValueError):
+            except _GONE:
                 return []
         try:
             data = self._port.read(BUDGET)
-        except (OSError, TypeError):  # pyserial: TypeError when the file descriptor vanished under it
+        except _GONE:
             self._drop()
             return []
         return [(data, None)] if data else []
 
     def _drop(self) -> None:
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(*_GONE):
             self._port.close()
         self._port, self._unsent = None, b""
 
@@ -210,7 +223,7 @@ class Serial:
         # Not by pyserial: as long as the device takes nothing, its non-blocking write spins and never returns.
         try:
             return os.write(self._port.fileno(), data)
-        except (OSError, TypeError):
+        except _GONE:
             return 0
 
     def close(self) -> None:
@@ -236,7 +249,7 @@ def opened(url: str) -> Transport:
         return Udp(address, None, family) if scheme == "udpin" else Udp(None, address, family)
     except ImportError:
         raise Unready(f"autopilot: {url} needs pyserial", "pip install -r requirements.txt") from None
-    except (OSError, ValueError, OverflowError) as error:
+    except (*_GONE, OverflowError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise Unready(f"autopilot: cannot open {url}: {reason}", _hint(scheme)) from None
 

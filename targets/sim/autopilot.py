@@ -102,7 +102,10 @@ class SimulatedAutopilot:
         if not copter.armed:
             return
         if copter.landed:
+            copter.guidance.rest()
             self._body.accelerate((0.0, 0.0, -1.0), 0.0)  # idling
+            return
+        if dt <= 0.0:
             return
         guidance = copter.guidance
         acceleration = guidance.acceleration(self._estimate.position, self._estimate.velocity, now, dt)

@@ -1,4 +1,4 @@
-"""The simulated motor controller of a car: a VESC behind a pseudo-terminal, and the base station's position feed.
+"""The simulated motor controller of a car: a VESC behind a pseudo-terminal.
 
 It talks the VESC protocol and drives a simulated body; its own numbers (gains) are those of the robot's settings, so
 that a wrong gain in the fleet file is no more noticed here than a right one: calibration is for the real car.
@@ -9,22 +9,18 @@ from __future__ import annotations
 import math
 import os
 import pty
-import random
 import tty
 from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
-from koordgen.runtime.feed import Sample, encode
-from koordgen.runtime.values import Point, Pose
 from targets.car import vesc
 from targets.car.settings import CarSettings, decode
 from targets.sim.bodies import Car, DeviceContext
-from targets.sim.ports import UdpPort
 
 TIMEOUT = 0.5  # seconds without a command after which the VESC brakes by itself; asking for values is none
 SUPPLY = 11.1  # volts
-FEED_PERIOD = 0.02  # seconds
+FIRMWARE = 6, 5
 
 
 class Controller:
@@ -53,7 +49,9 @@ class Controller:
                     self._steering = max(-self._settings.max_steering, min(self._settings.max_steering, angle))
                 case vesc.AskValues():
                     answers += vesc.encode(vesc.Values(self._wheel_speed() * self._settings.speed_to_erpm_gain, SUPPLY))
-                case vesc.Values():
+                case vesc.AskVersion():
+                    answers += vesc.encode(vesc.Version(*FIRMWARE))
+                case vesc.Values() | vesc.Version():
                     pass  # an answer is no question
         if now - self._commanded > TIMEOUT:
             self._speed = 0.0
@@ -65,50 +63,18 @@ class Controller:
         return state.velocity[0] * math.cos(state.yaw) + state.velocity[1] * math.sin(state.yaw)
 
 
-class BaseStation:
-    """Measures the body's pose with seeded noise, 50 times a second: `noise` metres (standard deviation) in each
-    direction; the yaw error is that of two such markers, one over each axle."""
-
-    def __init__(self, body: Car, context: DeviceContext) -> None:
-        self._body = body
-        self._robot = context.robot
-        self._key = context.key
-        self._noise = float(context.harness.get("position_noise", 0.0))
-        self._random = random.Random(f"{context.seed} {context.robot} position")
-        self._sequence = 0
-        self._next = -math.inf
-
-    def sample(self, now: float) -> bytes | None:
-        """The datagram that is due, if one is."""
-        if now < self._next:
-            return None
-        self._next = max(self._next, now - FEED_PERIOD) + FEED_PERIOD
-        state = self._body.state()
-        x, y, z = state.position
-        place = Point(*(v + self._random.gauss(0.0, self._noise) for v in (x, y, z)))
-        yaw = state.yaw + self._random.gauss(0.0, math.sqrt(2) * self._noise / self._body.wheelbase)
-        self._sequence += 1
-        return encode(Sample(self._robot, 1, self._sequence, Pose(place, yaw)), self._key)
-
-
 class SimulatedDrive:
-    """targets.sim.bodies.Device for a car: the pseudo-terminal and the UDP socket around a controller and a base
-    station. One process runs the whole world, so its `session` is 1."""
+    """targets.sim.bodies.Device for a car: the pseudo-terminal around a controller."""
 
     def __init__(self, body: Car, context: DeviceContext) -> None:
         settings = decode(context.settings)
         self._controller = Controller(body, settings)
-        self._station = BaseStation(body, context)
         self._unsent = b""
         self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
-        self._port = UdpPort()
         # The slave stays open here: a master whose last slave closes reads errors, and agents come and go.
-        self.overrides: Mapping[str, Any] = {
-            "drive": f"vesc:{os.ttyname(self._slave)}",
-            "position": f"udp:127.0.0.1:{self._port.number}",
-        }
+        self.overrides: Mapping[str, Any] = {"drive": f"vesc:{os.ttyname(self._slave)}"}
 
     def step(self, now: float) -> None:
         received = b""
@@ -119,14 +85,10 @@ class SimulatedDrive:
         if self._unsent:
             with suppress(OSError):  # its side is full
                 self._unsent = self._unsent[os.write(self._master, self._unsent) :]
-        datagram = self._station.sample(now)
-        if datagram is not None:
-            self._port.send(datagram)
 
     def close(self) -> None:
         if self._master < 0:
             return
         os.close(self._master)
         os.close(self._slave)
-        self._port.close()
         self._master = self._slave = -1

@@ -28,8 +28,9 @@ class Copter:
         self.started: float | None = None
         self.guidance = Guidance()
         self.params = {
-            "DISARM_DELAY": 10.0, "FS_GCS_ENABLE": 5.0, "FS_THR_ENABLE": 0.0, "LAND_REPOSITION": 0.0,
-            "SYSID_THISMAV": 1.0, "WPNAV_SPEED": 500.0,
+            "DISARM_DELAY": 10.0, "FS_GCS_ENABLE": 5.0, "FS_GCS_TIMEOUT": 5.0, "FS_THR_ENABLE": 0.0,
+            "GUID_TIMEOUT": 3.0, "LAND_REPOSITION": 0.0, "MAV_GCS_SYSID": 255.0, "MAV_SYSID": 1.0,
+            "WPNAV_SPEED": 500.0,
         }  # fmt: skip
         self.said: list[tuple[int, str]] = []
         self.mode = STABILIZE
@@ -78,7 +79,7 @@ class Copter:
             self.say(mavlink.MAV_SEVERITY_CRITICAL, f"Arm: {fault}")
             return FAILED
         self.armed, self._armed_at, self.home = True, now, position
-        self.guidance.go(Aim.HOLD, now, position)
+        self.guidance.stop(now, position)
         self.guidance.yaw = yaw
         self.say(mavlink.MAV_SEVERITY_INFO, "Arming motors")
         return ACCEPTED

@@ -1,31 +1,29 @@
-"""How a simulated autopilot flies: setpoint groups and their timeouts, and the cascade from position to acceleration.
+"""How a simulated autopilot flies: what it was told to do, for how long that holds, and the path that comes of it.
 
-Everything in local ENU about the fleet's origin, metres and seconds. The numbers are ArduPilot's defaults where it has
-one (POSXY_P, VELXY_P, WPNAV_SPEED, WPNAV_ACCEL, LAND_SPEED), so that a position that moves is followed as late as
-by the real one: about 1.1 s.
+As ArduCopter/mode_guided.cpp of Copter 4.7: each kind of setpoint is a submode of its own, and a change of submode
+starts the position controller anew from where the vehicle is, with the default speed. In local ENU about the fleet's
+origin, metres and seconds; the speeds are ArduPilot's defaults (WP_SPD_UP, WP_SPD_DN, LAND_SPEED, LAND_ALT_LOW).
 """
 
 from __future__ import annotations
 
 import enum
 import math
-from dataclasses import dataclass
+
+from targets.sim.mavlink_position import horizontal, vertical
 
 Vector = tuple[float, float, float]
 
-TIMEOUT = 3.0  # seconds for which a velocity is kept
-ACCELERATION = 2.5
-SPEED_UP, SPEED_DOWN = 2.5, 1.5
-LAND_FAST, LAND_SLOW, LAND_SLOWLY_BELOW = 1.5, 0.5, 5.0
-_POSITION_GAIN = 1.0
-_VELOCITY_GAIN = 2.0
-_VERTICAL_GAIN = 4.0
+STILL: Vector = (0.0, 0.0, 0.0)
+TIMEOUT = 3.0  # seconds for which a velocity is kept (GUID_TIMEOUT)
+SPEED, SPEED_UP, SPEED_DOWN = 5.0, 2.5, 1.5
+LAND_FAST, LAND_SLOW, LAND_SLOWLY_BELOW = 1.5, 0.5, 10.0
 
 
 class Aim(enum.Enum):
     """What the vehicle is steered to."""
 
-    HOLD = enum.auto()
+    HOLD = enum.auto()  # brake, and stay there
     TAKEOFF = enum.auto()
     POSITION = enum.auto()
     VELOCITY = enum.auto()
@@ -34,61 +32,86 @@ class Aim(enum.Enum):
     FALL = enum.auto()  # a manual mode without anybody at the sticks
 
 
-@dataclass(slots=True)
 class Guidance:
-    """The current aim. `speed` is the horizontal limit; `yaw` (rad, ENU) is kept."""
+    """The current aim. `speed` is the horizontal limit; `yaw` (rad, ENU) is kept; `position` is the target, for LAND
+    home's height."""
 
-    speed: float = 5.0
-    aim: Aim = Aim.HOLD
-    position: Vector = (0.0, 0.0, 0.0)
-    velocity: Vector = (0.0, 0.0, 0.0)
-    since: float = 0.0
-    yaw: float = 0.0
+    def __init__(self) -> None:
+        self.speed = SPEED
+        self.default_speed = SPEED
+        self.aim = Aim.HOLD
+        self.position: Vector = STILL
+        self.velocity: Vector = STILL
+        self.since = 0.0
+        self.yaw = 0.0
+        self._begun = False
+        self._level, self._height = horizontal(), vertical()
 
-    def go(self, aim: Aim, now: float, position: Vector, velocity: Vector = (0.0, 0.0, 0.0)) -> None:
-        """Steer to this from now on."""
-        self.aim, self.position, self.velocity, self.since = aim, position, velocity, now
+    def go(self, aim: Aim, now: float, position: Vector, velocity: Vector = STILL) -> None:
+        """A new aim, or the same with other numbers."""
+        if aim is not self.aim:
+            self.speed, self._begun = self.default_speed, False
+        self.aim, self.since = aim, now
+        self.position, self.velocity = position, velocity
+
+    def stop(self, now: float, position: Vector) -> None:
+        """Brake, from whatever it is at (ModeGuided::init)."""
+        self._begun = False
+        self.go(Aim.HOLD, now, position)
+
+    def rest(self) -> None:
+        """On the ground: begin anew when it leaves it."""
+        self._begun = False
+        self._level.rest()
+        self._height.rest()
 
     def acceleration(self, position: Vector, velocity: Vector, now: float, dt: float) -> Vector:
-        """What to ask of the body, given where the vehicle believes to be."""
+        """What to ask of the body, given where the vehicle believes to be. `dt` is positive."""
         if self.aim is Aim.FALL:
             return 0.0, 0.0, -9.0
-        if now - self.since > TIMEOUT:
-            if self.aim is Aim.VELOCITY:
-                self.go(Aim.HOLD, now, position)
-            elif self.aim is Aim.POSITION_VELOCITY:
-                self.velocity = (0.0, 0.0, 0.0)
-        if self.aim is Aim.POSITION_VELOCITY:
-            p, v = self.position, self.velocity
-            self.position = (p[0] + v[0] * dt, p[1] + v[1] * dt, p[2] + v[2] * dt)
-        wanted = self._velocity(position)
-        ax = _VELOCITY_GAIN * (wanted[0] - velocity[0])
-        ay = _VELOCITY_GAIN * (wanted[1] - velocity[1])
-        scale = min(1.0, 2 * ACCELERATION / max(math.hypot(ax, ay), 1e-9))
-        az = _VERTICAL_GAIN * (wanted[2] - velocity[2])
-        return ax * scale, ay * scale, max(-2 * ACCELERATION, min(2 * ACCELERATION, az))
+        at, moving = complex(position[0], position[1]), complex(velocity[0], velocity[1])
+        if not self._begun:
+            self._begun = True
+            self._level.begin(at, moving)
+            self._height.begin(position[2], velocity[2])
+        self._time_out(now)
+        self._level.path.advance(dt)
+        self._height.path.advance(dt)
+        self._shape(position[2], dt)
+        level = self._level.acceleration(at, moving, self.speed, dt)
+        rising = SPEED_UP if self._height.path.position > position[2] else SPEED_DOWN
+        return level.real, level.imag, self._height.acceleration(position[2], velocity[2], rising, dt)
 
-    def _velocity(self, position: Vector) -> Vector:
-        v = self.velocity
-        if self.aim is Aim.VELOCITY:
-            vx, vy, vz = v
-        else:
-            ex, ey, ez = (t - p for t, p in zip(self.position, position, strict=True))
-            far = math.hypot(ex, ey)
-            speed = _approach(far)
-            vx = v[0] + (ex / far * speed if far > 1e-9 else 0.0)
-            vy = v[1] + (ey / far * speed if far > 1e-9 else 0.0)
-            vz = v[2] + math.copysign(_approach(abs(ez)), ez)
-        if self.aim is Aim.LAND:
-            vz = -(LAND_SLOW if position[2] < self.position[2] + LAND_SLOWLY_BELOW else LAND_FAST)
-        scale = min(1.0, self.speed / max(math.hypot(vx, vy), 1e-9))
-        return vx * scale, vy * scale, max(-SPEED_DOWN, min(SPEED_UP, vz))
+    def _time_out(self, now: float) -> None:
+        if now - self.since > TIMEOUT and self.aim in (Aim.VELOCITY, Aim.POSITION_VELOCITY):
+            self.velocity = STILL
 
+    def _shape(self, height: float, dt: float) -> None:
+        """Bend the path towards the aim."""
+        level, up = self._level.path, self._height.path
+        (x, y, z), (vx, vy, vz) = self.position, self.velocity
+        match self.aim:
+            case Aim.POSITION | Aim.TAKEOFF:
+                fast, rising = self._speeds(abs(complex(x, y) - level.position), z - up.position)
+                level.seek(complex(x, y), 0j, fast, dt)
+                up.seek(z, 0.0, rising, dt)
+            case Aim.POSITION_VELOCITY:
+                level.seek(complex(x, y), complex(vx, vy), self.speed, dt)
+                up.seek(z, vz, SPEED_UP if z > up.position else SPEED_DOWN, dt)
+                self.position = (x + vx * dt, y + vy * dt, z + vz * dt)
+            case Aim.LAND:
+                level.match(0j, dt)
+                up.match(-(LAND_SLOW if height < z + LAND_SLOWLY_BELOW else LAND_FAST), dt)
+            case _:
+                level.match(complex(vx, vy), dt)
+                up.match(vz, dt)
 
-def _approach(far: float) -> float:
-    """The speed at a distance: proportional when near, and braking at ACCELERATION when far (ArduPilot's
-    sqrt_controller)."""
-    linear = ACCELERATION / _POSITION_GAIN**2
-    if far <= linear:
-        return _POSITION_GAIN * far
-    return math.sqrt(2 * ACCELERATION * (far - linear / 2))
+    def _speeds(self, far: float, up: float) -> tuple[float, float]:
+        """The horizontal and the vertical speed of a straight way there, within both limits (kinematic_limit)."""
+        length = math.hypot(far, up)
+        if length <= 0.0:
+            return self.speed, SPEED_UP
+        level, steep = far / length, abs(up) / length
+        vertical_limit = SPEED_UP if up > 0 else SPEED_DOWN
+        along = min(self.speed / max(level, 1e-9), vertical_limit / max(steep, 1e-9))
+        return along * level, along * steep

@@ -34,7 +34,7 @@ def take_setpoint(
     uses = _uses(message.type_mask)
     globally = message.get_msgId() == mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT
     if uses is None or message.coordinate_frame not in (AMSL + ABOVE_HOME if globally else LOCAL + OFFSET):
-        copter.guidance.go(Aim.HOLD, now, estimate.position)
+        copter.guidance.stop(now, estimate.position)
         return True
     position, velocity = estimate.position, (0.0, 0.0, 0.0)
     if uses[0]:

@@ -22,7 +22,9 @@ TILT_GAIN = 10.0  # rad/s of tilting per rad of error: the attitude lag's invers
 RATE_GAIN = 40.0  # 1/s
 MAX_SPIN_UP = 150.0  # rad/s^2
 THRUST_LAG = 0.04  # s
-DRAG = 0.15  # 1/s: deceleration by air per speed
+# 1/s: deceleration by air per speed. That of the rotors' stream: 0.2 sqrt(thrust x air's density x disc area) / mass
+# of the quadrotor that ArduPilot's own simulation flies (libraries/SITL/SIM_Frame: 3 kg, 0.385 m^2).
+DRAG = 0.25
 
 
 class SimulatedQuadrotor:

@@ -14,6 +14,7 @@ from targets.sim.car import SimulatedCar
 from targets.sim.lidar import SETTING, SimulatedLidar
 from targets.sim.quadrotor import SimulatedQuadrotor
 from targets.sim.scenario import BadScenario, Robot, Scenario
+from targets.sim.station import SimulatedFeed, fed
 from targets.sim.world import Rigid, World
 
 
@@ -52,11 +53,11 @@ class Actor:
     robot: Robot
     body: Body
     device: Device
-    lidar: Device | None  # for robots that have a setting for one
+    sensors: tuple[Device, ...]  # lidar and position feed, for robots that have a setting for them
 
     @property
     def devices(self) -> tuple[Device, ...]:
-        return (self.device,) if self.lidar is None else (self.device, self.lidar)
+        return (self.device, *self.sensors)
 
     @property
     def overrides(self) -> dict[str, Any]:
@@ -171,4 +172,7 @@ def _actor(world: World, scenario: Scenario, robot: Robot, seed: int, key: bytes
     place = (origin.latitude, origin.longitude, origin.altitude)
     context = DeviceContext(robot.name, robot.settings, harness, place, own_seed, key)
     device = make(body, context)
-    return Actor(robot, body, device, SimulatedLidar(world, body, context) if SETTING in robot.settings else None)
+    sensors: list[Device] = [SimulatedLidar(world, body, context)] if SETTING in robot.settings else []
+    if setting := fed(robot.settings):
+        sensors.append(SimulatedFeed(body, context, setting))
+    return Actor(robot, body, device, tuple(sensors))

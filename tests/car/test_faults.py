@@ -10,11 +10,7 @@ import pytest
 from koordgen.runtime.platform import Unready
 from targets.car import vesc
 from targets.car.platform import WAIT_FOR_DRIVE, WAIT_FOR_FEED, Car
-from tests.car.world import KEY, NoLinks, World, datagram, robot_settings, standing
-
-
-def open_and_start(car: Car) -> None:
-    car.start(0.0)
+from tests.car.world import KEY, NoLinks, TestBody, World, datagram, robot_settings, standing
 
 
 def test_a_stale_position_brakes_it_and_it_goes_on_afterwards() -> None:
@@ -97,9 +93,8 @@ def test_rest_without_any_measured_speed_takes_some_seconds_of_braking() -> None
 
 
 def test_a_device_that_cannot_be_opened_is_unready() -> None:
-    for act in (open_and_start, Car.check):
-        with pytest.raises(Unready, match="cannot open it"):
-            act(Car(robot_settings({}), KEY, NoLinks()))
+    with pytest.raises(Unready, match="cannot open it"):
+        Car(robot_settings({}), KEY, NoLinks()).start(0.0)
 
 
 def test_a_silent_feed_is_waited_for_and_then_unready() -> None:
@@ -152,15 +147,55 @@ def test_a_car_that_no_longer_hears_its_motor_controller_brakes_it_all_the_same(
     assert lost > 30 and standing(world)
 
 
-@pytest.mark.parametrize(("dead", "message"), [("controller", "motor controller"), ("station", "no position")])
-def test_check_says_what_is_missing(dead: str, message: str) -> None:
+@pytest.mark.parametrize(
+    ("dead", "name", "message"), [("controller", "drive", "motor controller"), ("station", "position", "no position")]
+)
+def test_diagnosis_says_what_is_missing_and_looks_at_the_rest(dead: str, name: str, message: str) -> None:
     world = World()
     setattr(world, dead, None)
-    with pytest.raises(Unready, match=message):
-        world.car.check()
+    found = {f.name: f for f in world.car.diagnose()}
+    assert [f.name for f in found.values() if f.state == "fail"] == [name]
+    assert message in found[name].found and found[name].why
 
 
-def test_check_of_a_missing_package_is_unready(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_diagnosis_of_a_controller_with_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World()
+    assert world.controller is not None
+    answer = vesc.encode(vesc.Version(5, 2)) + vesc.encode(vesc.Values(0.0, 9.0, 3))
+    monkeypatch.setattr(world.controller, "step", lambda received, now: answer)
+    found = world.car.diagnose()[0]
+    assert found.state == "fail" and "VESC firmware 5.2" in found.found and "fault 3" in found.found
+
+
+def test_diagnosis_of_links_that_cannot_be_opened() -> None:
+    car = Car(robot_settings({}), KEY, NoLinks())
+    found = {f.name: f for f in car.diagnose()}
+    assert (found["drive"].state, found["drive"].found, found["drive"].why) == ("fail", "cannot open it", "plug it in")
+
+
+@pytest.mark.parametrize(("every", "state"), [(5, "ok"), (8, "warn"), (25, "fail")])
+def test_diagnosis_of_a_feed_that_is_too_slow(every: int, state: str) -> None:
+    """Of 50 samples a second each fifth, eighth and 25th arrives."""
+    world = World()
+    assert world.station is not None
+    station, seen = world.station, iter(range(10_000))
+
+    class Thin:
+        def sample(self, now: float) -> bytes | None:
+            datagram = station.sample(now)
+            return datagram if datagram is not None and next(seen) % every == 0 else None
+
+    world.station = Thin()  # type: ignore[assignment]
+    found = {f.name: f for f in world.car.diagnose()}
+    assert found["position"].state == state, found
+
+
+def test_diagnosis_of_a_car_outside_the_fence() -> None:
+    found = {f.name: f for f in World(TestBody(x=9.0)).car.diagnose()}
+    assert found["place"].state == "fail" and "(9.0" in found["place"].found and found["position"].state == "ok"
+
+
+def test_diagnosis_of_a_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
     import builtins
 
     real = builtins.__import__
@@ -171,8 +206,8 @@ def test_check_of_a_missing_package_is_unready(monkeypatch: pytest.MonkeyPatch) 
         return real(name, *rest)
 
     monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(Unready, match="casadi"):
-        World().car.check()
+    (found,) = (f for f in World().car.diagnose() if f.state == "fail")
+    assert found.name == "planner" and "casadi" in found.found
 
 
 def test_a_flood_of_forged_datagrams_neither_stops_nor_moves_it() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from koordgen.runtime.platform import Platform
@@ -76,12 +78,14 @@ def test_rest_brakes_and_keeps_braking_whatever_comes() -> None:
 
 def test_check_looks_and_moves_nothing() -> None:
     world = World()
-    lines = world.car.check()
-    assert len(lines) == 3 and any("supply 11.1 V" in line for line in lines)
+    found = {f.name: f for f in world.car.diagnose()}
+    assert list(found) == ["drive", "position", "place", "planner"] and {f.state for f in found.values()} == {"ok"}
+    assert "VESC firmware 6.5" in found["drive"].found and "supply 11.1 V" in found["drive"].found
+    assert re.match("(49|50|51) Hz on ", found["position"].found)
     assert world.body.asked == (0.0, 0.0)
-    world.car.close()
-    world.car.close()
     assert world.wire.closed == 2  # one for each link
+    world.car.close()
+    world.begin()
 
 
 def test_polling_more_often_does_not_command_more_often() -> None:

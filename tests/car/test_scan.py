@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from koordgen.runtime.platform import Unready
+from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.scans import PATIENCE, Sweep, encode, packed
 from koordgen.runtime.values import Point
 from tests.car.world import KEY, World
@@ -85,8 +85,14 @@ def test_a_lidar_that_never_speaks_ends_the_wait_and_lets_it_come_to_rest(world:
     assert world.car.rested
 
 
-def test_check_tells_of_scans(world: World, lidar: Lidar) -> None:
-    with pytest.raises(Unready, match="waiting for scans"):
-        world.car.check()
-    lidar.send()
-    assert f"scans arrive on {lidar.setting}" in world.car.check()
+def test_diagnosis_tells_of_scans(world: World, lidar: Lidar) -> None:
+    found = world.car.diagnose()[-1]
+    assert (found.name, found.state) == ("scans", "fail") and "waiting for scans" in found.found
+    physics = world.wire.idle
+
+    def idle(seconds: float) -> None:
+        physics(seconds)
+        lidar.send()
+
+    world.wire.idle = idle
+    assert world.car.diagnose()[-1] == Finding("scans", "ok", f"arrive on {lidar.setting}")

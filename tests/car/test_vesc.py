@@ -30,6 +30,8 @@ def test_the_checksum_is_xmodem() -> None:
     ("message", "payload"),
     [
         (vesc.AskValues(), "04"),
+        (vesc.AskVersion(), "00"),
+        (vesc.Version(6, 5), "00 06 05"),
         (vesc.SetErpm(1000.0), "08 00 00 03 e8"),
         (vesc.SetErpm(-4614.0), "08 ff ff ed fa"),
         (vesc.SetServo(0.5304), "0c 02 12"),
@@ -66,6 +68,8 @@ messages = st.one_of(
     st.builds(vesc.SetServo, st.integers(0, 1000).map(lambda n: n / 1000)),
     st.builds(vesc.Brake, st.integers(0, 60000).map(lambda n: n / 1000)),
     st.just(vesc.AskValues()),
+    st.just(vesc.AskVersion()),
+    st.builds(vesc.Version, st.integers(0, 255), st.integers(0, 255)),
     st.builds(vesc.Values, st.integers(-99999, 99999).map(float), st.integers(0, 600).map(lambda n: n / 10)),
 )
 
@@ -105,4 +109,4 @@ def test_a_damaged_frame_gives_no_message(message: vesc.Message, data: st.DataOb
 @given(st.binary(min_size=1, max_size=80))
 def test_well_framed_nonsense_is_passed_over(payload: bytes) -> None:
     for message in vesc.Decoder().feed(vesc.frame(payload)):
-        assert payload[0] in (4, 7, 8, 12), message
+        assert payload[0] in (0, 4, 7, 8, 12), message

@@ -16,7 +16,8 @@ from targets.car.bicycle import State, advance
 from targets.car.platform import Car
 from targets.car.settings import decode
 from targets.sim.bodies import BodyState, DeviceContext
-from targets.sim.drive import BaseStation, Controller
+from targets.sim.drive import Controller
+from targets.sim.station import BaseStation
 
 KEY = bytes(range(32))
 FENCE = Box(Point(-6.0, -5.0, -0.5), Point(6.0, 5.0, 4.0))
@@ -153,7 +154,7 @@ def robot_settings(body: Mapping[str, Any]) -> Settings:
 
 
 def datagram(x: float, y: float, yaw: float, sequence: int) -> bytes:
-    return encode(Sample("bert", 2, sequence, Pose(Point(x, y, 0.0), yaw)), KEY)
+    return encode(Sample("bert", 2, sequence, 0.0, Pose(Point(x, y, 0.0), yaw)), KEY)
 
 
 def standing(world: World) -> bool:

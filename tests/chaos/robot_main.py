@@ -14,7 +14,7 @@ from typing import Any
 sys.path.insert(0, sys.argv[1])  # the bundle's own copy of the runtime, not the checkout's
 
 from koordgen.runtime.agent import main
-from koordgen.runtime.platform import Sensed
+from koordgen.runtime.platform import Finding, Sensed
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.values import Point
 
@@ -32,8 +32,8 @@ class Still:
     def __init__(self, settings: Settings, key: bytes | None) -> None:
         """Nothing to open."""
 
-    def check(self) -> list[str]:
-        return ["a body that does nothing"]
+    def diagnose(self) -> list[Finding]:
+        return [Finding("still", "ok", "a body that does nothing")]
 
     def start(self, now: float) -> None: ...
 
@@ -46,6 +46,11 @@ class Still:
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
         raise LookupError(port)
+
+    def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None: ...
+
+    def news(self) -> list[str]:
+        return []
 
     def hold(self, on: bool, now: float) -> None: ...
 

@@ -122,6 +122,9 @@ class Body:
         self.actuators: dict[str, int] = {}
         self._commanded = commanded
 
+    def others(self, shared: Mapping[str, Any]) -> None:
+        """No planner here."""
+
     def command(self, written: Mapping[str, int], now: float) -> None:
         self.actuators = {**self.actuators, **written}
         if "out" in written:

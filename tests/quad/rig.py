@@ -15,6 +15,7 @@ from targets.quad.platform import Quad
 from targets.quad.transport import Address, Chunk
 from targets.sim.autopilot import SimulatedAutopilot
 from targets.sim.bodies import BodyState, DeviceContext, Vector
+from targets.sim.quadrotor import DRAG
 
 ORIGIN = (47.397742, 8.545594, 488.0)
 FENCE = Box(Point(-6, -5, -0.5), Point(6, 5, 4))
@@ -23,7 +24,7 @@ SETPOINT = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT
 
 
 class PointMass:
-    """A Quadrotor that takes 0.15 s to follow an acceleration, and stands on the ground z = 0."""
+    """A Quadrotor that takes 0.15 s to follow an acceleration, with the air's drag, and stands on the ground z = 0."""
 
     def __init__(self, position: Vector = (1.0, -2.0, 0.0)) -> None:
         self.position, self.velocity = list(position), [0.0, 0.0, 0.0]
@@ -46,7 +47,7 @@ class PointMass:
     def step(self, dt: float) -> None:
         for i in range(3):
             self._actual[i] += (self._asked[i] - self._actual[i]) * dt / 0.15
-            a = self._actual[i] if self._on else (0.0, 0.0, -9.8)[i]
+            a = (self._actual[i] if self._on else (0.0, 0.0, -9.8)[i]) - DRAG * self.velocity[i]
             self.velocity[i] += a * dt
             self.position[i] += self.velocity[i] * dt
         if self.position[2] <= 0:

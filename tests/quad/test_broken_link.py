@@ -131,7 +131,7 @@ def test_a_link_cut_for_good_is_unready_and_the_autopilot_lands_by_itself() -> N
 
 
 def test_an_agent_that_rests_over_a_broken_link_lands_when_it_heals() -> None:
-    rig = Rig()
+    rig = Rig(allow_no_failsafe=True)
     assert rig.autopilot is not None
     rig.autopilot.copter.params["FS_GCS_ENABLE"] = 0.0
     rig.fly()

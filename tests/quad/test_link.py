@@ -162,3 +162,17 @@ def test_a_bad_link_is_refused_in_words(url: str) -> None:
     with pytest.raises(Unready) as error:
         opened(url)
     assert (url in error.value.message or not url) and error.value.hint
+
+
+def test_a_system_that_is_asked_for_is_the_vehicle_and_the_others_are_counted() -> None:
+    wire = Wire()
+    link = Link(wire, system=7)
+    for system in (3, 255, 7, 3):
+        wire.inject(heartbeat(system=system, autopilot=3 if system != 255 else mavlink.MAV_AUTOPILOT_INVALID))
+    assert len(link.receive(0.0)) == 1 and link.vehicle == Vehicle(7, 1, 3, 2)
+    assert link.rejected == {"another system": 3} and link.others == {3}
+    assert not link.crowded(0.0)
+    wire.down.append((heartbeat(system=3), ("10.0.0.9", 5)))
+    assert link.receive(1.0) == [] and not link.crowded(1.0)
+    wire.down.append((heartbeat(system=7), ("10.0.0.9", 5)))  # two with one id
+    assert link.receive(1.0) == [] and link.crowded(1.0) and link.rejected["another address"] == 1

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Iterator
+from itertools import count
 
 import pytest
 
-from koordgen.runtime.platform import Unready
+from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.scans import PATIENCE, Sweep, encode, packed
 from koordgen.runtime.values import Point
 from tests.quad.rig import Rig
@@ -71,8 +72,16 @@ def test_a_lidar_that_never_speaks_ends_the_wait_and_lets_it_land(rig: Rig) -> N
     assert rig.body.position[2] < 0.1
 
 
-def test_check_tells_of_scans(rig: Rig, port: int) -> None:
-    with pytest.raises(Unready, match="waiting for scans"):
-        rig.quad.check()
-    send(port)
-    assert rig.quad.check()[-1] == f"scans arrive on udp:127.0.0.1:{port}"
+def test_diagnosis_tells_of_scans(rig: Rig, port: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = rig.quad.diagnose()[-1]
+    assert (found.name, found.state) == ("scans", "fail") and "waiting for scans" in found.found
+    pass_time, sequence = rig.pass_time, count(1)
+
+    def lidar(seconds: float) -> None:
+        pass_time(seconds)
+        send(port, next(sequence))
+
+    monkeypatch.setattr(rig, "pass_time", lidar)
+    assert rig.agent(scans=f"udp:127.0.0.1:{port}").diagnose()[-1] == Finding(
+        "scans", "ok", f"arrive on udp:127.0.0.1:{port}"
+    )

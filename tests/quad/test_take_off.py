@@ -71,8 +71,8 @@ def test_a_mode_that_falls_back_before_take_off_is_set_again() -> None:
     assert any("fell back to STABILIZE" in said for said in rig.progress)
 
 
-@pytest.mark.parametrize(("autopilot", "kind", "name"), [(3, 10, "MAV_TYPE 10"), (12, 2, "PX4"), (3, 1, "MAV_TYPE 1")])
-def test_what_is_not_an_ardupilot_copter_is_refused_and_left_alone(autopilot: int, kind: int, name: str) -> None:
+@pytest.mark.parametrize(("autopilot", "kind", "name"), [(3, 10, "MAV_TYPE 10"), (4, 2, "autopilot 4"), (12, 1, "PX4")])
+def test_what_is_no_copter_of_a_known_firmware_is_refused_and_left_alone(autopilot: int, kind: int, name: str) -> None:
     rig = Rig(autopilot=False)
     rig.quad.start(rig.now)
     rig.wire.inject(heartbeat(autopilot=autopilot, kind=kind))
@@ -125,6 +125,22 @@ def test_a_climb_without_a_position_ends_in_a_landing() -> None:
         rig.run(6.0)
     rig.quad.rest(rig.now)
     assert rig.run(20.0, lambda: rig.quad.rested) and at(rig).z == 0.0
+
+
+def test_no_take_off_while_held() -> None:
+    """The agent holds its body until the whole fleet was heard."""
+    rig = Rig()
+    assert rig.autopilot is not None
+    rig.quad.hold(True, rig.now)
+    rig.quad.start(rig.now)
+    rig.run(10.0)
+    assert rig.quad.progress == "ready to take off, waiting for the fleet"
+    assert not commands(rig, mavlink.MAV_CMD_COMPONENT_ARM_DISARM) and rig.autopilot.copter.mode == 0
+    rig.quad.hold(False, rig.now)
+    assert rig.run(15.0, lambda: rig.quad.ready)
+    rig.quad.hold(True, rig.now)  # in the air it is a pause
+    rig.run(2.0)
+    assert rig.quad.ready
 
 
 def test_rest_before_take_off_disarms() -> None:

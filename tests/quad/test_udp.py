@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
+import subprocess
+import sys
 import time
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -99,3 +104,102 @@ def test_a_serial_device_that_takes_nothing_blocks_nobody_and_gets_whole_frames_
             got += os.read(master, 65536)
         assert got == b"".join(taken) + b"last"
         link.close()
+
+
+def test_a_serial_device_that_is_plugged_in_again_is_opened_anew(tmp_path: Path) -> None:
+    device = tmp_path / "autopilot"
+    now = 0.0
+    link = None
+    for word in (b"one", b"two"):
+        with terminal() as (master, path):
+            device.unlink(missing_ok=True)
+            device.symlink_to(path)
+            link = link or opened(f"serial:{device}:115200")
+            while not link.send(b"hello"):
+                now += 0.05
+                link.receive(now)
+            assert os.read(master, 5) == b"hello"
+            os.write(master, word)
+            got = b""
+            while got != word:
+                got += b"".join(data for data, _ in link.receive(now))
+        for _ in range(20):  # unplugged
+            now += 0.05
+            assert link.receive(now) == []
+        assert not link.send(b"?")
+    assert link is not None
+    link.close()
+
+
+def test_udpout_speaks_first_and_to_its_peer_alone() -> None:
+    udp = socket.AF_INET, socket.SOCK_DGRAM
+    with socket.socket(*udp) as peer, socket.socket(*udp) as other:
+        peer.bind(("127.0.0.1", 0))
+        peer.settimeout(5)
+        link = opened(f"udpout:127.0.0.1:{peer.getsockname()[1]}")
+        for word in (b"one", b"two"):
+            assert link.send(b"hello")
+            data, source = peer.recvfrom(100)
+            assert data == b"hello"
+            other.sendto(b"spoof", source)
+            peer.sendto(word, source)
+            got: list[bytes] = []
+            while not got:
+                got = [chunk for chunk, _ in link.receive(0.0)]
+            assert got == [word]
+        link.close()
+
+
+AGENT = """
+import sys, time
+from targets.quad.platform import Quad
+from tests.quad.rig import settings
+quad = Quad(settings(autopilot=sys.argv[1], flight_height=0.5), None)
+quad.start(time.monotonic())
+told = False
+while True:
+    quad.poll(time.monotonic())
+    if quad.ready and not told:
+        told = True
+        print("flying", flush=True)
+    time.sleep(0.02)
+"""
+
+
+def test_an_autopilot_lands_five_seconds_after_its_agent_was_killed() -> None:
+    """SIGKILL: nobody says good-bye. The agent's last heartbeat came at most a second before."""
+    body = PointMass()
+    autopilot = SimulatedAutopilot(body, DeviceContext("alice", {}, {"boot": 0.2}, ORIGIN, 1, b""))
+    agent = subprocess.Popen([sys.executable, "-c", AGENT, autopilot.overrides["autopilot"]], stdout=subprocess.PIPE)
+    now = begun = time.monotonic()
+
+    def live(seconds: float, until: Callable[[], bool], real: bool) -> bool:
+        nonlocal now
+        end = now + seconds
+        while now < end:
+            if until():
+                return True
+            if not real or now < time.monotonic():
+                now += STEP
+                body.step(STEP)
+                autopilot.step(now)
+            else:
+                time.sleep(0.002)
+        return False
+
+    try:
+        assert agent.stdout is not None
+        os.set_blocking(agent.stdout.fileno(), False)
+        assert live(20.0, lambda: agent.stdout is not None and bool(agent.stdout.read(100)), real=True)
+        agent.send_signal(signal.SIGKILL)
+        agent.wait()
+        killed, place = now, body.position[:2]
+        assert live(7.0, lambda: autopilot.copter.mode == 9, real=False)
+        assert autopilot.copter.ground_station is not None and now - killed < 5.2
+        assert 5.0 < now - autopilot.copter.ground_station < 5.1
+        assert live(10.0, lambda: not autopilot.copter.armed, real=False) and body.position[2] == 0.0
+        assert body.position[:2] == pytest.approx(place, abs=0.1) and time.monotonic() - begun < 20.0
+    finally:
+        agent.kill()
+        agent.communicate()
+        autopilot.close()

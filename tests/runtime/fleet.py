@@ -13,7 +13,7 @@ from typing import Any
 from koordgen.runtime.clock import SimulatedClock
 from koordgen.runtime.machine import Agent
 from koordgen.runtime.network import Conditions, MemoryNetwork
-from koordgen.runtime.platform import Sensed
+from koordgen.runtime.platform import Finding, Sensed
 from koordgen.runtime.program import Program
 from koordgen.runtime.settings import Box, Origin, Peer, Safety, Settings
 from koordgen.runtime.store import KEPT, Acceptor, Loaded, Locals, Mission
@@ -85,9 +85,11 @@ class FakePlatform:
         self.closed = False
         self.now = 0.0
         self.goal_reached = True
+        self.seen_paths: list[dict[int, tuple[Point, ...]]] = []
+        self.told: list[str] = []
 
-    def check(self) -> list[str]:
-        return ["a fake body"]
+    def diagnose(self) -> list[Finding]:
+        return [Finding("fake", "ok", "a fake body")]
 
     def start(self, now: float) -> None:
         self.started = self.last = now
@@ -121,6 +123,13 @@ class FakePlatform:
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
         return args[:1]
+
+    def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
+        self.seen_paths.append(dict(paths))
+
+    def news(self) -> list[str]:
+        told, self.told = self.told, []
+        return told
 
     def hold(self, on: bool, now: float) -> None:
         self.held = on

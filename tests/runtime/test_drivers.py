@@ -10,7 +10,7 @@ import pytest
 
 from koordgen.runtime.bounds import Fixed
 from koordgen.runtime.drivers import Driven, with_drivers
-from koordgen.runtime.platform import Unready
+from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.program import Cell, Event, Frame, Port, Program
 from koordgen.runtime.values import Point
 from tests.runtime.fleet import FakePlatform, Fleet
@@ -140,12 +140,12 @@ def test_a_driver_that_takes_no_command_brings_the_robot_to_rest() -> None:
 def test_the_rest_of_a_platform() -> None:
     body, driver = FakePlatform(Point(0, 0, 0)), Hvac()
     driven = Driven(body, HEATING, {"HVAC": lambda: driver})
-    assert driven.check() == ["a fake body", "driver of HVAC: Hvac"]
+    assert driven.diagnose() == [Finding("fake", "ok", "a fake body"), Finding("drivers", "ok", "HVAC by Hvac")]
     assert driven.call("HVAC.ask", (1, 2)) == [1, 2, "ask"]
     assert driven.call("Motion.planner", (Point(),)) == (Point(),)
     driver.raises = OSError("no bus")
-    with pytest.raises(Unready, match="no bus"):
-        driven.check()
+    found = driven.diagnose()[-1]
+    assert found.state == "fail" and "OSError: no bus" in found.found
     driven.close()
     assert body.closed and driver.closed
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -18,7 +19,7 @@ import msgspec
 import pytest
 
 from koordgen.runtime import agent
-from koordgen.runtime.platform import Unready
+from koordgen.runtime.platform import Finding
 from koordgen.runtime.settings import Peer
 from tests.runtime.fleet import NAMES, FakePlatform, settings
 from tests.runtime.lineform import PROGRAM
@@ -112,7 +113,7 @@ def test_three_robots_over_other_networks(
     for folder in bundles:
         change(folder, network=network)
     assert run(bundles[1], "--check") == 0
-    assert f"network    {kind} " in capsys.readouterr().out
+    assert re.search(rf"^port .*\b{kind} ", capsys.readouterr().out, re.MULTILINE)
     processes = [start(folder, started) for folder in bundles]
     limit = time.monotonic() + 20
     while time.monotonic() < limit and not all(len(rounds(f)) >= 20 for f in bundles):
@@ -221,7 +222,7 @@ def test_a_port_in_use_names_robot_and_address(bundles: list[Path], capsys: pyte
         for arguments in ([], ["--check"]):
             assert run(bundles[1], *arguments) == 5
             said = capsys.readouterr().err
-            assert f"error: 127.0.0.1:{port}, where robot bert listens, is in use" in said
+            assert re.search(rf"error: .*127\.0\.0\.1:{port}, where robot bert listens, is in use", said)
 
 
 @pytest.mark.parametrize(
@@ -242,7 +243,7 @@ def test_wrong_settings_are_status_1(
     change(bundles[0], **changes)
     assert run(bundles[0], "--check") == 1
     said = capsys.readouterr().err
-    assert message in said and said.startswith("error: ")
+    assert message in said and "error: " in said
 
 
 @pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999"])
@@ -264,7 +265,7 @@ def test_a_key_others_may_read_is_refused(bundles: list[Path], capsys: pytest.Ca
 def test_without_a_key_it_warns_loudly(bundles: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
     change(bundles[0], key_file=None, insecure=True)
     assert run(bundles[0], "--check") == 0
-    assert "warning: INSECURE" in capsys.readouterr().err
+    assert "warning: key: INSECURE" in capsys.readouterr().err
 
 
 def test_a_bundle_without_settings_says_how_to_get_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -287,8 +288,8 @@ def test_wrong_usage_is_status_2(tmp_path: Path, arguments: list[str]) -> None:
 
 def test_a_body_that_is_not_there_is_status_5(bundles: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
     class Absent(FakePlatform):
-        def check(self) -> list[str]:
-            raise Unready("no autopilot answers on udpin:14550", "is it powered?")
+        def diagnose(self) -> list[Finding]:
+            return [Finding("link", "fail", "no autopilot answers on udpin:14550", why="is it powered?")]
 
     made = Absent(body(settings(0, 3), None).position)
     assert agent.main(PROGRAM, lambda s, k: made, bundles[0], ["--check"]) == 5

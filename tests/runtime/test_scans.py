@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from koordgen.runtime.platform import Unready
+from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.scans import MOST_RAYS, MOST_SCANS, PATIENCE, WINDOW, ScanPort, Scans, Sweep, encode, packed
 from koordgen.runtime.seal import POSITION, SCAN, seal
 from koordgen.runtime.values import Point, transmissible
@@ -171,7 +171,7 @@ def test_a_robot_without_a_lidar_waits_for_none(ports: Callable[[str], ScanPort]
     port.open()
     port.poll(0.0)
     port.poll(PATIENCE + 1.0)
-    assert port.waiting == "" and port.check(lambda seconds: None) == []
+    assert port.waiting == "" and port.diagnose(lambda seconds: None) == []
 
 
 def test_scans_arrive_over_udp(ports: Callable[[str], ScanPort]) -> None:
@@ -198,14 +198,19 @@ def test_a_lidar_that_stays_silent_is_told_once(ports: Callable[[str], ScanPort]
     port.poll(1002.0 + PATIENCE)  # the robot must be able to land
 
 
-def test_check_waits_for_a_scan(ports: Callable[[str], ScanPort]) -> None:
+def test_diagnosis_waits_for_a_scan_and_closes_the_port(ports: Callable[[str], ScanPort]) -> None:
     number = free()
     waited: list[float] = []
     port = ports(f"udp:127.0.0.1:{number}")
-    with pytest.raises(Unready, match=r"within 0\.5 s"):
-        port.check(waited.append)
+    (found,) = port.diagnose(waited.append)
+    assert (found.state, found.wanted) == ("fail", "one within 0.5 s") and "driver" in found.why
     assert sum(waited) == pytest.approx(WINDOW)
-    assert port.check(lambda seconds: send(number, datagram())) == [f"scans arrive on udp:127.0.0.1:{number}"]
+    (found,) = port.diagnose(lambda seconds: send(number, datagram()))
+    assert found == Finding("scans", "ok", f"arrive on udp:127.0.0.1:{number}")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", number))
+        (found,) = port.diagnose(waited.append)
+    assert found.state == "fail" and "cannot receive scans" in found.found
 
 
 @pytest.mark.parametrize("setting", ["lidar", "udp:", "udp:1234", "tcp:127.0.0.1:1", "udp:127.0.0.1:x", "udp::"])

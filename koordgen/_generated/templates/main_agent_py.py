@@ -28,7 +28,7 @@ def root(context, missing=missing):
         yield str(environment.getattr(l_1_loop, 'index'))
         yield '\n'
     l_1_loop = l_1__ = l_1_driver = l_1_class = missing
-    yield '    except ModuleNotFoundError as missing:\n        print(f"error: the Python package {missing.name!r} is missing\\n"\n              f"  help: {sys.executable} -m pip install -r {HERE / \'requirements.txt\'}", file=sys.stderr)\n        raise SystemExit(5) from None\n    raise SystemExit(main(PROGRAM, Body, HERE, sys.argv[1:]'
+    yield '    except ImportError as missing:\n        from koordgen.runtime.findings import tell_unloadable\n\n        raise SystemExit(tell_unloadable(HERE, sys.argv[1:], missing)) from None\n    raise SystemExit(main(PROGRAM, Body, HERE, sys.argv[1:]'
     if (undefined(name='drivers') if l_0_drivers is missing else l_0_drivers):
         pass
         yield ', {'

@@ -10,8 +10,8 @@ if __name__ == "__main__":
         from koordgen.runtime.agent import main
         from program import PROGRAM
         from targets.car.platform import Car as Body
-    except ModuleNotFoundError as missing:
-        print(f"error: the Python package {missing.name!r} is missing\n"
-              f"  help: {sys.executable} -m pip install -r {HERE / 'requirements.txt'}", file=sys.stderr)
-        raise SystemExit(5) from None
+    except ImportError as missing:
+        from koordgen.runtime.findings import tell_unloadable
+
+        raise SystemExit(tell_unloadable(HERE, sys.argv[1:], missing)) from None
     raise SystemExit(main(PROGRAM, Body, HERE, sys.argv[1:]))

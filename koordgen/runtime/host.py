@@ -1,0 +1,167 @@
+"""What a robot's computer and its bundle must be like, looked at before anything is imported that may be missing:
+this needs nothing but Python itself."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import platform
+import re
+import shutil
+import struct
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from hashlib import sha256
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from koordgen.runtime.platform import Finding
+
+PYTHON = (3, 10)
+SUMS, REQUIREMENTS, SETTINGS = "SHA256SUMS", "requirements.txt", "settings.json"
+ROOM = 100_000_000  # bytes: some hours of a trace
+JUMP = 0.05  # seconds by which the wall clock may leave the monotonic one during a look
+_REQUIREMENT = re.compile(
+    r"(?P<name>[A-Za-z0-9._-]+)\s*(?P<relation>==|>=)\s*(?P<version>[0-9][^\s;]*)"
+    r"(?:\s*;\s*python_version\s*(?P<when>[<>]=?)\s*'(?P<python>[0-9.]+)')?"
+)
+_UNSYNCHRONISED = 5  # TIME_ERROR of adjtimex(2)
+
+
+def host(root: Path) -> list[Finding]:
+    """Of the bundle in `root` and the computer that it is on: what needs no settings."""
+    return [python(sys.version_info[:3]), processor(), *packages(root), files(root)]
+
+
+def python(running: tuple[int, ...]) -> Finding:
+    """Whether this Python can run a bundle."""
+    told, least = ".".join(map(str, running)), ".".join(map(str, PYTHON))
+    if running < PYTHON:
+        return Finding(
+            "python", "fail", told, f"{least} or later", "install a newer Python, and start the bundle with it"
+        )
+    return Finding("python", "ok", f"{told}, {sys.executable}")
+
+
+def processor() -> Finding:
+    """Architecture and number of cores."""
+    bits, cores = struct.calcsize("P") * 8, os.cpu_count() or 1
+    told = f"{platform.machine()}, {bits} bits, {cores} core{'s' if cores > 1 else ''}"
+    if bits != 64:
+        return Finding(
+            "processor", "fail", told, "64 bits", "the packages have no 32-bit wheels: install a 64-bit system"
+        )
+    if cores == 1:
+        return Finding("processor", "warn", told, "2 cores or more", "planning and the control loop share the one core")
+    return Finding("processor", "ok", told)
+
+
+def packages(root: Path, installed: Callable[[str], str] = version) -> list[Finding]:
+    """Whether what requirements.txt names is installed, in the versions that were tested."""
+    try:
+        lines = (root / REQUIREMENTS).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return [Finding("packages", "warn", f"no {REQUIREMENTS}", why="which packages are needed cannot be told")]
+    install = f"{sys.executable} -m pip install -r {root / REQUIREMENTS}"
+    wrong, right = [], 0
+    for line in filter(None, map(str.strip, lines)):
+        named = _REQUIREMENT.fullmatch(line)
+        if named is None:
+            wrong.append(Finding("packages", "warn", f"{line!r} is not understood", why="look at it by hand"))
+        elif _applies(named):
+            found = _package(named, installed, install)
+            wrong += [found] if found else []
+            right += found is None
+    return wrong or [Finding("packages", "ok", f"{right} of {right} as {REQUIREMENTS} wants")]
+
+
+def _applies(named: re.Match[str]) -> bool:
+    if named["when"] is None:
+        return True
+    here, there = sys.version_info[:2], _numbers(named["python"])
+    return {"<": here < there, "<=": here <= there, ">": here > there, ">=": here >= there}[named["when"]]
+
+
+def _numbers(text: str) -> tuple[int, ...]:
+    return tuple(int(part) for part in re.findall(r"\d+", text))
+
+
+def _package(named: re.Match[str], installed: Callable[[str], str], install: str) -> Finding | None:
+    try:
+        has = installed(named["name"])
+    except PackageNotFoundError:
+        return Finding(named["name"], "fail", "not installed", named["version"], install)
+    if has == named["version"] or (named["relation"] == ">=" and _numbers(has) >= _numbers(named["version"])):
+        return None
+    return Finding(named["name"], "warn", has, named["version"], f"not the version that was tested: {install}")
+
+
+def files(root: Path) -> Finding:
+    """Whether the bundle arrived whole and is as it was built. Settings may be changed by hand; code may not: robots
+    of different programs refuse one another, and nobody tested it."""
+    try:
+        lines = (root / SUMS).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return Finding("files", "warn", f"no {SUMS}", why="whether the bundle is whole cannot be told: copy it again")
+    listed = {path: digest for digest, _, path in (line.partition("  ") for line in lines)}
+    wrong = [f"{path} is {state}" for path, digest in listed.items() if (state := _state(root / path, digest))]
+    if not wrong:
+        return Finding("files", "ok", f"{len(listed)} files as they were built")
+    if wrong == [f"{SETTINGS} is changed"]:
+        return Finding("files", "warn", wrong[0], why="the fleet file no longer says how this robot is set")
+    more = f" and {len(wrong) - 1} more" if len(wrong) > 1 else ""
+    return Finding("files", "fail", wrong[0] + more, "as they were built", "build the bundle again, and copy it whole")
+
+
+def _state(path: Path, digest: str) -> str:
+    try:
+        return "" if sha256(path.read_bytes()).hexdigest() == digest else "changed"
+    except FileNotFoundError:
+        return "missing"
+    except OSError as error:
+        return f"not readable ({error.strerror})"
+
+
+def disk(folder: Path) -> Finding:
+    """Whether what survives a crash can be kept in `folder`, which need not be there yet."""
+    standing = next(place for place in (folder, *folder.parents) if place.exists())
+    try:
+        free = shutil.disk_usage(standing).free
+    except OSError as error:
+        return Finding("disk", "fail", f"{standing}: {error.strerror}", why="the robot keeps its state there")
+    told = f"{free / 1e6:.0f} MB free in {standing}"
+    if not os.access(standing, os.W_OK | os.X_OK):
+        return Finding(
+            "disk", "fail", f"{standing} cannot be written", why="the robot keeps its state there: `chown` it"
+        )
+    if free < ROOM:
+        return Finding("disk", "warn", told, f"{ROOM / 1e6:.0f} MB", "make room: a full disk ends the trace")
+    return Finding("disk", "ok", told)
+
+
+class Clocks:
+    """Watches the computer's wall clock against its monotonic one, from when it is made to its `finding`. Rounds run
+    on the monotonic clock; a wall clock that jumps only spoils what is compared with other computers."""
+
+    def __init__(self, monotonic: Callable[[], float] = time.monotonic, wall: Callable[[], float] = time.time) -> None:
+        self._monotonic, self._wall = monotonic, wall
+        self._began = wall() - monotonic()
+
+    def finding(self, synchronised: Callable[[], bool | None] | None = None) -> Finding:
+        jump = self._wall() - self._monotonic() - self._began
+        if abs(jump) > JUMP:
+            why = "something sets it, and times in logs do not match; rounds go on unharmed"
+            return Finding("clock", "warn", f"the wall clock jumped by {jump:+.2f} s", "no jumps", why)
+        known = (synchronised or ntp)()
+        told = "steady" if known is None else f"steady, {'' if known else 'not '}synchronised by NTP"
+        return Finding("clock", "ok", told)
+
+
+def ntp() -> bool | None:
+    """Whether the kernel holds its clock for synchronised, by adjtimex(2) without changes; None: it does not say."""
+    with suppress(OSError, AttributeError):
+        state = ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(512))  # struct timex has 208 bytes
+        return None if state < 0 else bool(state != _UNSYNCHRONISED)
+    return None

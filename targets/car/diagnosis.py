@@ -1,0 +1,99 @@
+"""Looks at a car without moving it: whether its motor controller answers, and how well the position feed arrives."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+from koordgen.runtime.datagrams import waiting
+from koordgen.runtime.feed import Feed
+from koordgen.runtime.platform import Finding, Unready
+from koordgen.runtime.safety import inside
+from koordgen.runtime.settings import Box
+from targets.car.drive import Drive
+from targets.car.links import Links
+from targets.car.settings import CarSettings
+
+STALE = 0.3  # seconds without a sample of the position feed: brake
+_STEP, _STEPS = 0.05, 60  # seconds; the look ends earlier when all is there
+_WATCHED = 1.0  # seconds for which a feed is watched
+LEAST_RATE = 10.0  # Hz
+
+
+def silent_drive(setting: str, seconds: float) -> Unready:
+    """No answer of the motor controller."""
+    hint = "switch its supply on; check that `drive` names the VESC and that its USB or UART app is enabled"
+    return Unready(f"the motor controller on {setting} has not answered for {seconds:.0f} s", hint)
+
+
+def drive_findings(settings: CarSettings, links: Links) -> list[Finding]:
+    """Whether the motor controller answers, and what it says of itself; it is opened and closed."""
+    try:
+        drive = Drive(settings, links.drive(settings.drive))
+    except Unready as error:
+        return [Finding.of("drive", error)]
+    try:
+        for i in range(_STEPS):
+            drive.ask(i * _STEP)
+            links.wait(_STEP)
+            drive.read(i * _STEP)
+            if drive.heard and drive.version:
+                break
+    except Unready as error:
+        return [Finding.of("drive", error)]
+    finally:
+        drive.close()
+    if not drive.heard:
+        return [Finding.of("drive", silent_drive(settings.drive, _STEPS * _STEP))]
+    version = f"VESC firmware {drive.version}" if drive.version else "a VESC that does not tell its firmware"
+    found = f"{version} answers on {settings.drive}, supply {drive.voltage:.1f} V"
+    if drive.fault:
+        hint = "it brakes while this lasts; the VESC tool tells what the fault means"
+        return [Finding("drive", "fail", f"{found}, fault {drive.fault}", "no fault", hint)]
+    return [Finding("drive", "ok", found)]
+
+
+def feed_findings(settings: CarSettings, fence: Box, feed: Feed, links: Links) -> list[Finding]:
+    """Whether positions arrive, how often, how old, and whether where they should; the port is opened and closed."""
+    try:
+        datagrams = links.position(settings.position)
+    except Unready as error:
+        return [Finding.of("position", error)]
+    came: list[float] = []
+    oldest = 0.0  # seconds
+    try:
+        for i in range(_STEPS):
+            links.wait(_STEP)
+            now = i * _STEP
+            for datagram in waiting(datagrams):
+                if feed.take(datagram, now) and feed.time is not None:
+                    came.append(now)
+                    oldest = max(oldest, now - feed.time)
+            if came and now - came[0] >= _WATCHED:
+                break
+    finally:
+        datagrams.close()
+    if feed.pose is None:
+        return [Finding.of("position", Unready(*feed.silent(settings.position, _STEPS * _STEP)))]
+    p = feed.pose.position
+    where = f"({p.x:.2f}, {p.y:.2f}) m"
+    if not inside(fence, p):
+        hint = "is the base station's origin the fleet's, and does it track this robot's markers?"
+        placed = Finding("place", "fail", where, "inside the geofence", hint)
+    else:
+        placed = Finding("place", "ok", f"{where}, inside the geofence")
+    return [_arriving(settings, came, oldest, now), placed]
+
+
+def _arriving(settings: CarSettings, came: list[float], oldest: float, end: float) -> Finding:
+    """`came`: when each sample arrived; `end`: when the look ended; seconds."""
+    rate = sum(t > came[0] for t in came) / max(end - came[0], _STEP)
+    gap = max(b - a for a, b in pairwise([*came, end]))
+    found = f"{rate:.0f} Hz on {settings.position}, {oldest * 1e3:.0f} ms old, longest gap {gap:.2f} s"
+    wanted = f"{LEAST_RATE:g} Hz or more, none older than {STALE:g} s"
+    if gap + oldest > STALE:
+        return Finding(
+            "position", "fail", found, wanted, "the car brakes at each gap: see to the base station's network"
+        )
+    if rate < LEAST_RATE:
+        return Finding("position", "warn", found, wanted, "it drives less exactly: raise the base station's rate")
+    return Finding("position", "ok", found)

@@ -1,0 +1,192 @@
+"""What `listen` heard of an autopilot, judged: is it the right one, does it know where it is, may it take off there."""
+
+from __future__ import annotations
+
+import math
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from koordgen.runtime.geodesy import LocalFrame
+from koordgen.runtime.platform import Finding, State
+from koordgen.runtime.settings import Box
+from targets.quad.check import DEADLINE, Heard, coordinates, misplaced, stranger, unheard
+from targets.quad.framing import Message
+from targets.quad.vehicles import identified
+
+CHARGE, LEAST_CHARGE = 50, 20  # percent
+FAR_ORIGIN = 1000.0  # metres
+CLOCKS = 1.0  # seconds between the autopilot's wall clock and ours
+VARIANCE = 0.8  # at which ArduPilot's EKF failsafe acts (FS_EKF_THRESH)
+SLOW = 0.7  # of the rate that was asked for
+_FLAGS = {
+    mavlink.EKF_ATTITUDE: "attitude",
+    mavlink.EKF_VELOCITY_HORIZ: "horizontal velocity",
+    mavlink.EKF_VELOCITY_VERT: "vertical velocity",
+    mavlink.EKF_POS_VERT_ABS: "height",
+}
+
+
+def findings(url: str, heard: Heard, frame: LocalFrame, fence: Box, height: float) -> list[Finding]:
+    """What there is to say, what is to be repaired first coming first."""
+    link = heard.link
+    if link.vehicle is None:
+        return [Finding.of("link", unheard(url, link, heard.seconds))]
+    found = [Finding("link", "ok", f"autopilot on {url}, system {link.vehicle.system}")]
+    what, firmware = identified(link)
+    if firmware is None:
+        return [*found, Finding.of("firmware", stranger(url, what))]
+    return [
+        *found,
+        _version(what, heard),
+        *_parameters(heard),
+        *_armed(heard),
+        _estimate(heard),
+        *_place(heard, fence, height),
+        *_origin(heard, frame),
+        _streams(heard),
+        *_battery(heard),
+        *_clock(heard),
+        *_said(heard),
+    ]
+
+
+def _version(what: str, heard: Heard) -> Finding:
+    message = heard.newest.get(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+    if message is None:
+        return Finding(
+            "firmware", "warn", f"{what} of unknown version", "an answer", "is the link overloaded or lossy?"
+        )
+    version = ".".join(str(message.flight_sw_version >> shift & 0xFF) for shift in (24, 16, 8))
+    return Finding("firmware", "ok", f"{what} {version}, in {heard.telemetry.mode_name}")
+
+
+def _parameters(heard: Heard) -> list[Finding]:
+    """Each that differs on a line of its own."""
+    if heard.parameters is None:
+        return []
+    wrong = heard.parameters.differences
+    if not wrong:
+        return [Finding("parameters", "ok", f"all {len(heard.parameters.readings)} that matter are right")]
+    return [
+        Finding(
+            r.name, "fail" if r.wanted.vital else "warn", "does not answer" if r.found is None else f"{r.found:g}",
+            r.expected, f"{r.wanted.why}; set it by a ground station",
+        )
+        for r in wrong
+    ]  # fmt: skip
+
+
+def _armed(heard: Heard) -> list[Finding]:
+    if not heard.telemetry.armed:
+        return []
+    state = "flying" if heard.telemetry.flying else "armed"
+    return [Finding("state", "warn", state, "disarmed, on the ground", "the agent arms by itself; disarm first")]
+
+
+def _estimate(heard: Heard) -> Finding:
+    """The estimator's flags (of equal bits in both reports) and how much its sensors disagree."""
+    report = heard.newest.get(mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT)
+    report = report or heard.newest.get(mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS)
+    if heard.telemetry.position is None:
+        hint = "it takes about 45 s from power-up, and a positioning source that works"
+        flags = "no report of the EKF" if report is None else f"EKF flags {report.flags:#x}"
+        return Finding("estimate", "fail", f"no position estimate yet: {flags}", f"one within {DEADLINE:g} s", hint)
+    if report is None:  # there is no position without one
+        return Finding("estimate", "warn", "no report of the EKF", "one, 5 times a second", "is the link lossy?")
+    lacking = [name for flag, name in _FLAGS.items() if not report.flags & flag]
+    if lacking:
+        return Finding("estimate", "fail", f"the EKF lacks {', '.join(lacking)}", why="calibrate, wait, or reboot it")
+    worst, name = max(_disagreements(report))
+    told = f"EKF flags {report.flags:#x}, largest disagreement {worst:.2f} of {name}"
+    if not worst < 0.5:  # NaN among them
+        hint = f"its sensors disagree about {name}; at 1 the autopilot refuses or lands by itself"
+        return Finding("estimate", "warn" if worst < 1.0 else "fail", told, "less than 0.5", hint)
+    return Finding("estimate", "ok", told)
+
+
+def _disagreements(report: Message) -> list[tuple[float, str]]:
+    """By kind, as a part of what the firmware bears."""
+    if report.get_msgId() == mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS:
+        ratios = report.vel_ratio, report.pos_horiz_ratio, report.pos_vert_ratio, report.mag_ratio
+    else:
+        variances = (
+            report.velocity_variance, report.pos_horiz_variance, report.pos_vert_variance, report.compass_variance,
+        )  # fmt: skip
+        ratios = tuple(v / VARIANCE for v in variances)
+    return list(zip(ratios, ("velocity", "horizontal position", "height", "compass"), strict=True))
+
+
+def _place(heard: Heard, fence: Box, height: float) -> list[Finding]:
+    p = heard.telemetry.position
+    if p is None:
+        return []
+    fault = "" if heard.telemetry.flying else misplaced(fence, height, p)
+    if fault:
+        return [Finding("place", "fail", fault)]
+    return [Finding("place", "ok", f"{coordinates(p)} m, inside the geofence, {height - p.z:.1f} m to climb")]
+
+
+def _origin(heard: Heard, frame: LocalFrame) -> list[Finding]:
+    """The EKF's own origin: where the vehicle was when it learned its position."""
+    message = heard.newest.get(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
+    if message is None:
+        return []
+    x, y, z = frame.enu(message.latitude * 1e-7, message.longitude * 1e-7, message.altitude * 1e-3)
+    away = math.hypot(x, y)
+    told = f"the autopilot's is {away:.1f} m from the fleet's, {round(z, 1) + 0.0:+.1f} m in altitude"
+    if max(away, abs(z)) > FAR_ORIGIN:
+        hint = "is the fleet's origin this place? Else land, move the vehicle here, and restart the autopilot"
+        return [Finding("origin", "warn", told, f"less than {FAR_ORIGIN:g} m", hint)]
+    return [Finding("origin", "ok", told)]
+
+
+def _streams(heard: Heard) -> Finding:
+    firmware = heard.telemetry.firmware
+    asked = {number: rate for number, rate in firmware.rates.items() if number not in firmware.occasional}
+    told = ", ".join(f"{_name(n)} {heard.rate(n):.0f} of {rate:.0f}" for n, rate in asked.items())
+    hint = "raise the link's baud rate, or end other programs that ask this autopilot for streams"
+    if any(heard.rate(number) < SLOW * rate for number, rate in asked.items()):
+        return Finding("streams", "warn", f"{told} Hz", "what was asked for", hint)
+    return Finding("streams", "ok", f"{told} Hz")
+
+
+def _name(message: int) -> str:
+    return str(mavlink.mavlink_map[message].msgname)
+
+
+def _battery(heard: Heard) -> list[Finding]:
+    """SYS_STATUS: millivolts, 0 and 65535 where nobody measures; percent, -1 likewise."""
+    status = heard.newest.get(mavlink.MAVLINK_MSG_ID_SYS_STATUS)
+    if status is None:
+        return []
+    if status.voltage_battery in (0, 65535):
+        hint = "nobody notices an empty battery: set BATT_MONITOR and the BATT_ failsafes on the autopilot"
+        return [Finding("battery", "warn", "not measured", why=hint)]
+    volts, charge = f"{status.voltage_battery / 1e3:.1f} V", status.battery_remaining
+    if charge < 0:
+        return [Finding("battery", "ok", f"{volts}, charge not told")]
+    told = f"{volts}, {charge} %"
+    if charge < CHARGE:
+        state: State = "fail" if charge < LEAST_CHARGE else "warn"
+        return [Finding("battery", state, told, f"{CHARGE} % or more", "charge it")]
+    return [Finding("battery", "ok", told)]
+
+
+def _clock(heard: Heard) -> list[Finding]:
+    message = heard.newest.get(mavlink.MAVLINK_MSG_ID_SYSTEM_TIME)
+    if message is None:
+        return []
+    up = f"up for {message.time_boot_ms / 1e3:.0f} s"
+    if message.time_unix_usec == 0:
+        return [Finding("boot", "ok", f"{up}, it does not know the time of day")]
+    off = message.time_unix_usec * 1e-6 - heard.wall
+    told = f"{up}, its clock is {off:+.1f} s from ours"
+    if abs(off) > CLOCKS:
+        hint = "times in its log and in ours do not match; set this computer's clock"
+        return [Finding("boot", "warn", told, f"within {CLOCKS:g} s", hint)]
+    return [Finding("boot", "ok", told)]
+
+
+def _said(heard: Heard) -> list[Finding]:
+    reasons = heard.link.reasons(-math.inf)
+    return [Finding("says", "warn", reasons, why="the autopilot's own words; it may refuse to arm")] if reasons else []

@@ -1,0 +1,71 @@
+"""The EKF's origin of an autopilot that flies by external positions: set to the fleet's, or taken as it is.
+
+An EKF that was told positions without a place on earth needs one. It takes the first SET_GPS_GLOBAL_ORIGIN after it is
+initialised; what is sent earlier is lost, and later ones change nothing. So it is sent until positions are told on the
+globe, and what the autopilot says of its origin is what poses are sent about.
+"""
+
+from __future__ import annotations
+
+import math
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from koordgen.runtime.geodesy import LocalFrame
+from targets.quad.external import Ned
+from targets.quad.framing import Message
+from targets.quad.link import Link
+
+EVERY = 1.0  # seconds between two askings
+
+
+class Origin:
+    """`ned` is what poses are to be sent about; `resets` counts how often it changed."""
+
+    def __init__(self, frame: LocalFrame, origin: tuple[float, float, float]) -> None:
+        self._frame = frame
+        self._wanted = (round(origin[0] * 1e7), round(origin[1] * 1e7), round(origin[2] * 1e3))
+        self._boot = 0  # ms, in the last position told
+        self._told: tuple[int, int, int] | None = None
+        self._next = -math.inf
+        self._initialised = False
+        self._placed = False  # positions are told on the globe
+        self.ned = self._about(self._wanted)
+        self.resets = 0
+
+    def take(self, message: Message) -> None:
+        """Take one of the vehicle's messages."""
+        match message.get_msgId():
+            case mavlink.MAVLINK_MSG_ID_STATUSTEXT:
+                self._initialised |= "EKF3 IMU" in str(message.text) and "initialised" in str(message.text)
+            case mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT:  # an agent that comes later has missed those words
+                self._initialised |= bool(message.flags & mavlink.EKF_ATTITUDE)
+            case mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
+                if message.time_boot_ms + 1000 < self._boot:  # the autopilot restarted
+                    self._initialised, self._told = False, None
+                self._boot, self._placed = message.time_boot_ms, bool(message.lat or message.lon)
+            case mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN:
+                self._take_origin((message.latitude, message.longitude, message.altitude))
+
+    def _take_origin(self, told: tuple[int, int, int]) -> None:
+        if abs(told[0]) > 900_000_000 or abs(told[1]) > 1_800_000_000 or not any(told):
+            return
+        self._told = told
+        ned = self._about(told)
+        if ned.origin != self.ned.origin:
+            self.ned = ned
+            self.resets += 1
+
+    def _about(self, place: tuple[int, int, int]) -> Ned:
+        return Ned(self._frame, place[0] * 1e-7, place[1] * 1e-7, place[2] * 1e-3)
+
+    def poll(self, link: Link, now: float) -> None:
+        """Ask for the origin that is not known yet, and set it as long as there seems to be none."""
+        if link.vehicle is None or now < self._next or (self._told is not None and self._placed):
+            return
+        self._next = now + EVERY
+        if self._told is None:
+            link.tell(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
+        ardupilot = link.vehicle.autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+        if not self._placed and (self._initialised or not ardupilot):
+            link.send(mavlink.MAVLink_set_gps_global_origin_message(link.vehicle.system, *self._wanted))

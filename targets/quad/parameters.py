@@ -1,0 +1,149 @@
+"""The autopilot's parameters that a flight depends on: read back and compared, never written.
+
+Each is asked for by PARAM_REQUEST_READ, in turns under its present and its older names: an unknown parameter never
+answers. PARAM_VALUE carries an integer either as a float of that value (ArduPilot) or as the integer's own bytes (PX4);
+which, the autopilot says in AUTOPILOT_VERSION.capabilities.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from targets.quad.framing import Message
+from targets.quad.link import Link
+
+EVERY = 0.7  # seconds between two requests for the same parameter
+TURNS = 6  # requests after which a parameter counts as one that does not answer
+_INTEGERS = {
+    mavlink.MAV_PARAM_TYPE_UINT8: "<B",
+    mavlink.MAV_PARAM_TYPE_INT8: "<b",
+    mavlink.MAV_PARAM_TYPE_UINT16: "<H",
+    mavlink.MAV_PARAM_TYPE_INT16: "<h",
+    mavlink.MAV_PARAM_TYPE_UINT32: "<I",
+    mavlink.MAV_PARAM_TYPE_INT32: "<i",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """A parameter, its names in older versions, the values that are right, and why. `vital`: with any other value the
+    vehicle must not take off."""
+
+    name: str
+    older: tuple[str, ...]
+    values: tuple[float, ...]
+    why: str
+    vital: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What a parameter was found to be, under the name that it answered to; None when it did not answer."""
+
+    wanted: Wanted
+    name: str
+    found: float | None
+
+    @property
+    def right(self) -> bool:
+        return self.found is not None and any(math.isclose(self.found, v, rel_tol=1e-6) for v in self.wanted.values)
+
+    @property
+    def expected(self) -> str:
+        """The values that are right, in words."""
+        return " or ".join(f"{v:g}" for v in self.wanted.values)
+
+    def __str__(self) -> str:
+        found = "does not answer" if self.found is None else f"is {self.found:g}"
+        return f"{self.name} {found}, wanted {self.expected}: {self.wanted.why}"
+
+
+@dataclass(slots=True)
+class _Asked:
+    times: int = 0
+    at: float = -math.inf
+    name: str = ""  # that it answered to
+    raw: bytes = b""
+    value: float = 0.0
+    type: int = 0
+
+
+class Parameters:
+    """Polled until `done`. `bytewise` is how this firmware sends integers, where it does not say."""
+
+    def __init__(self, wanted: tuple[Wanted, ...], bytewise: bool) -> None:
+        self._asked = {w: _Asked() for w in wanted}
+        self._names = {name: w for w in wanted for name in (w.name, *w.older)}
+        self._bytewise = bytewise
+        self._versioned = False  # the autopilot has said what it is capable of
+
+    def take(self, message: Message) -> None:
+        """Take one of the vehicle's messages."""
+        match message.get_msgId():
+            case mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
+                self._versioned = True
+                if message.capabilities & mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE:
+                    self._bytewise = True
+                elif message.capabilities & mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST:
+                    self._bytewise = False
+            case mavlink.MAVLINK_MSG_ID_PARAM_VALUE:
+                wanted = self._names.get(message.param_id)
+                if wanted is not None:
+                    asked = self._asked[wanted]
+                    asked.name, asked.value, asked.type = message.param_id, message.param_value, message.param_type
+                    asked.raw = _first_field(bytes(message.get_msgbuf()))
+
+    def poll(self, link: Link, now: float) -> None:
+        """Ask for what has not answered yet."""
+        if link.vehicle is None:
+            return
+        if not self._versioned:
+            link.ask(now, mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+        for wanted, asked in self._asked.items():
+            if not asked.name and asked.times < TURNS and now - asked.at >= EVERY:
+                names = (wanted.name, *wanted.older)
+                name = names[asked.times % len(names)]
+                asked.times, asked.at = asked.times + 1, now
+                link.send(
+                    mavlink.MAVLink_param_request_read_message(
+                        link.vehicle.system, link.vehicle.component, name.encode("ascii"), -1
+                    )
+                )
+
+    def done(self, now: float) -> bool:
+        """Whether each has answered, or was asked for often enough."""
+        return all(a.name or (a.times >= TURNS and now - a.at >= EVERY) for a in self._asked.values())
+
+    def again(self) -> None:
+        """Ask anew for what is not right."""
+        for reading in self.readings:
+            if not reading.right:
+                self._asked[reading.wanted] = _Asked()
+
+    @property
+    def readings(self) -> tuple[Reading, ...]:
+        """All parameters, as far as they have answered."""
+        return tuple(
+            Reading(w, a.name, self._value(a)) if a.name else Reading(w, w.name, None) for w, a in self._asked.items()
+        )
+
+    @property
+    def differences(self) -> tuple[Reading, ...]:
+        """Those that are not right, what is vital first."""
+        wrong = [r for r in self.readings if not r.right]
+        return tuple(sorted(wrong, key=lambda r: not r.wanted.vital))
+
+    def _value(self, asked: _Asked) -> float:
+        form = _INTEGERS.get(asked.type)
+        if form is None or not self._bytewise:
+            return asked.value
+        return float(struct.unpack(form, asked.raw[: struct.calcsize(form)])[0])
+
+
+def _first_field(frame: bytes) -> bytes:
+    """The four bytes of PARAM_VALUE's value: as a float they may be a NaN, whose bits do not survive a conversion."""
+    return frame[10:14] if frame[0] == 0xFD else frame[6:10]

@@ -1,0 +1,86 @@
+"""The simulated base station: measures a body's pose and sends it to the robot's agent, as motion capture does."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections import deque
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+from koordgen.runtime.feed import Sample, encode
+from koordgen.runtime.values import Point, Pose
+from targets.sim.bodies import BodyState, DeviceContext
+from targets.sim.ports import Port, UdpPort
+
+FEED_PERIOD = 0.02  # seconds
+BASELINE = 0.33  # metres between the two markers that tell a body's yaw
+
+
+class Carrier(Protocol):
+    """The body that carries the markers."""
+
+    def state(self) -> BodyState: ...
+
+
+class BaseStation:
+    """Measures a body's pose with seeded noise, 50 times a second: `position_noise` metres (standard deviation) in each
+    direction; the yaw error is that of two such markers. What was measured is told `position_delay` seconds later, and
+    not how late that is: what real systems take from the cameras to the network they do not tell either."""
+
+    def __init__(self, body: Carrier, context: DeviceContext) -> None:
+        self._body = body
+        self._robot = context.robot
+        self._key = context.key
+        self._noise = float(context.harness.get("position_noise", 0.0))
+        self._delay = float(context.harness.get("position_delay", 0.0))
+        self._random = random.Random(f"{context.seed} {context.robot} position")
+        self._sequence = 0
+        self._next = -math.inf
+        self._measured: deque[tuple[float, Pose]] = deque()
+
+    def sample(self, now: float) -> bytes | None:
+        """The datagram that is due, if one is."""
+        if now >= self._next:
+            self._next = max(self._next, now - FEED_PERIOD) + FEED_PERIOD
+            self._measured.append((now + self._delay, self._measure()))
+        if not self._measured or now < self._measured[0][0]:
+            return None
+        self._sequence += 1
+        return encode(Sample(self._robot, 1, self._sequence, now, self._measured.popleft()[1]), self._key)
+
+    def _measure(self) -> Pose:
+        state = self._body.state()
+        x, y, z = state.position
+        place = Point(*(v + self._random.gauss(0.0, self._noise) for v in (x, y, z)))
+        return Pose(place, state.yaw + self._random.gauss(0.0, math.sqrt(2) * self._noise / BASELINE))
+
+
+class SimulatedFeed:
+    """targets.sim.bodies.Device: a base station, and the port to which the agent's `setting` is pointed. One process
+    runs the whole world, so its `session` is 1."""
+
+    def __init__(self, body: Carrier, context: DeviceContext, setting: str, port: Port | None = None) -> None:
+        self._station = BaseStation(body, context)
+        self.overrides: Mapping[str, Any] = {}
+        if port is None:
+            port = udp = UdpPort()
+            self.overrides = {setting: f"udp:127.0.0.1:{udp.number}"}
+        self._port = port
+
+    def step(self, now: float) -> None:
+        """See Device."""
+        datagram = self._station.sample(now)
+        if datagram is not None:
+            self._port.send(datagram)
+
+    def close(self) -> None:
+        """See Device."""
+        self._port.close()
+
+
+def fed(settings: Mapping[str, Any]) -> str:
+    """The setting of a robot that says where its poses arrive; "" when it takes none."""
+    if "position" in settings:
+        return "position"
+    return "feed" if settings.get("positioning", "own") != "own" else ""

@@ -1,0 +1,210 @@
+"""What a quad finds of its autopilot before a flight, each thing wrong in turn; nothing moves."""
+
+from __future__ import annotations
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from koordgen.runtime.geodesy import LocalFrame
+from koordgen.runtime.platform import Finding, Unready
+from targets.quad.check import Heard
+from targets.quad.diagnosis import findings
+from targets.quad.framing import Message
+from targets.quad.link import Link
+from targets.quad.platform import Quad
+from targets.quad.telemetry import Telemetry
+from targets.quad.transport import Transport
+from tests.quad.rig import FENCE, ORIGIN, Rig, Wire, commands, sent, settings, told
+
+HARMLESS = {mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAV_CMD_REQUEST_MESSAGE}
+
+
+def diagnosed(rig: Rig) -> dict[str, Finding]:
+    found = rig.quad.diagnose()
+    assert len({f.name for f in found}) == len(found) and rig.wire.closed
+    assert all(f.state == "ok" or f.why or f.name == "place" for f in found), "what to do about it"
+    return {f.name: f for f in found}
+
+
+def test_all_is_well_and_nothing_moves() -> None:
+    rig = Rig()
+    began = rig.now
+    found = diagnosed(rig)
+    assert rig.now - began <= 15.0
+    assert {f.state for f in found.values()} == {"ok"}, found
+    assert "ArduPilot quadrotor 4.7.0" in found["firmware"].found
+    assert "(1.00, -2.00, 0.00) m, inside the geofence, 1.5 m to climb" in found["place"].found
+    assert "GLOBAL_POSITION_INT 20 of 20" in found["streams"].found
+    assert {m.command for m in sent(rig, mavlink.MAVLINK_MSG_ID_COMMAND_LONG)} <= HARMLESS
+    assert not commands(rig, mavlink.MAV_CMD_COMPONENT_ARM_DISARM)
+
+
+def test_a_silent_link() -> None:
+    rig = Rig(autopilot=False)
+    (found,) = diagnosed(rig).values()
+    assert (found.name, found.state) == ("link", "fail") and "no autopilot answers on udpin:" in found.found
+    assert rig.now - 1000.0 <= 10.0
+
+
+def test_a_link_that_cannot_be_opened() -> None:
+    def connect(url: str) -> Transport:
+        raise Unready(f"cannot open {url}", "free it")
+
+    (found,) = Quad(settings(), None, connect=connect).diagnose()
+    assert found == Finding("link", "fail", "cannot open udpin:127.0.0.1:14550", why="free it")
+
+
+def test_no_position_estimate() -> None:
+    rig = Rig(boot=42.0)
+    found = diagnosed(rig)
+    assert found["estimate"].state == "fail" and "no position estimate yet" in found["estimate"].found
+    assert "place" not in found and rig.now - 1000.0 <= 15.0
+
+
+def test_a_place_outside_the_fence() -> None:
+    found = diagnosed(Rig(position=(9.0, 0.0, 0.0)))
+    assert found["place"].state == "fail" and "(9.00, 0.00, 0.00), outside the geofence" in found["place"].found
+
+
+def test_a_ground_above_the_flight_height() -> None:
+    found = diagnosed(Rig(flight_height=0.3, position=(0.0, 0.0, 0.0)))
+    assert found["place"].state == "ok"
+    rig = Rig(flight_height=1.0)
+    rig.fly()
+    rig.quad.close()
+    found = diagnosed(rig)
+    assert found["state"].found == "flying" and found["state"].state == "warn"
+
+
+def test_another_vehicle_ends_the_look_at_once() -> None:
+    rig = Rig()
+    assert rig.autopilot is not None
+
+    def disguised(data: bytes, down: bool) -> bytes | None:
+        if down and told(data) == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+            heartbeat = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GROUND_ROVER, 3, 81, 15, 3, 3)
+            return bytes(heartbeat.pack(mavlink.MAVLink(None, 1, 1)))
+        return data
+
+    rig.wire.meddle = disguised
+    found = diagnosed(rig)
+    assert found["firmware"].state == "fail" and "not an ArduPilot or PX4 copter" in found["firmware"].found
+    assert rig.now - 1000.0 < 3.0
+
+
+def test_streams_that_come_too_seldom() -> None:
+    rig = Rig()
+    count = 0
+
+    def thin(data: bytes, down: bool) -> bytes | None:
+        nonlocal count
+        if down and told(data) == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
+            count += 1
+            return data if count % 3 == 0 else None
+        return data
+
+    rig.wire.meddle = thin
+    found = diagnosed(rig)["streams"]
+    assert found.state == "warn" and "GLOBAL_POSITION_INT 7 of 20" in found.found
+
+
+def test_a_link_that_answers_no_question() -> None:
+    rig = Rig()
+    version = mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION
+    rig.wire.meddle = lambda data, down: None if down and told(data) == version else data
+    assert diagnosed(rig)["firmware"].state == "warn"
+
+
+# What the simulated autopilot never tells, as the real one would.
+
+
+def judged(*messages: Message, wall: float = 1.8e9) -> dict[str, Finding]:
+    frame = LocalFrame(*ORIGIN)
+    wire = Wire()
+    link = Link(wire)
+    heard = Heard(link, Telemetry(frame))
+    alive = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_QUADROTOR, 3, 81, 4, 3, 3)
+    latitude, longitude = (round(v * 1e7) for v in ORIGIN[:2])
+    place = mavlink.MAVLink_global_position_int_message(1, latitude, longitude, round(ORIGIN[2] * 1e3), 0, 0, 0, 0, 0)
+    for message in (alive, ekf(), *messages, place):
+        wire.inject(message.pack(mavlink.MAVLink(None, 1, 1)))
+        for received in link.receive(1000.0):
+            heard.take(received, 1000.0)
+    heard.wall = wall
+    return {f.name: f for f in findings("udpin:1", heard, frame, FENCE, 1.5)}
+
+
+def ekf(flags: int = 0x33F, variance: float = 0.1) -> Message:
+    return mavlink.MAVLink_ekf_status_report_message(flags, variance, 0.01, 0.01, 0.01, 0.0)
+
+
+def status(millivolts: int, percent: int) -> Message:
+    return mavlink.MAVLink_sys_status_message(0, 0, 0, 0, millivolts, 0, percent, 0, 0, 0, 0, 0, 0)
+
+
+@pytest.mark.parametrize(("variance", "state"), [(0.39, "ok"), (0.41, "warn"), (0.79, "warn"), (0.81, "fail")])
+def test_the_variances_of_the_estimate(variance: float, state: str) -> None:
+    found = judged(ekf(variance=variance))["estimate"]
+    assert found.state == state and found.found.endswith("of velocity")
+
+
+def test_a_flag_that_the_estimate_lacks() -> None:
+    found = judged(ekf(0x33F & ~mavlink.EKF_ATTITUDE))["estimate"]
+    assert found.state == "fail" and found.found == "the EKF lacks attitude"
+
+
+@pytest.mark.parametrize(
+    ("millivolts", "percent", "state", "told"),
+    [
+        (12400, 80, "ok", "12.4 V, 80 %"),
+        (11000, 49, "warn", "11.0 V, 49 %"),
+        (10000, 19, "fail", "10.0 V, 19 %"),
+        (12400, -1, "ok", "12.4 V, charge not told"),
+        (0, -1, "warn", "not measured"),
+        (65535, -1, "warn", "not measured"),
+    ],
+)
+def test_the_battery(millivolts: int, percent: int, state: str, told: str) -> None:
+    found = judged(status(millivolts, percent))["battery"]
+    assert (found.state, found.found) == (state, told)
+
+
+@pytest.mark.parametrize(
+    ("unix", "state", "told"),
+    [
+        (0, "ok", "up for 90 s, it does not know the time of day"),
+        (1_800_000_000_500_000, "ok", "up for 90 s, its clock is +0.5 s from ours"),
+        (1_799_999_000_000_000, "warn", "up for 90 s, its clock is -1000.0 s from ours"),
+    ],
+)
+def test_the_autopilots_clock(unix: int, state: str, told: str) -> None:
+    found = judged(mavlink.MAVLink_system_time_message(unix, 90_000))["boot"]
+    assert (found.state, found.found) == (state, told)
+
+
+@pytest.mark.parametrize(("degrees", "state"), [(0.0, "ok"), (0.02, "warn")])
+def test_the_origins(degrees: float, state: str) -> None:
+    latitude, longitude, altitude = ORIGIN
+    place = round((latitude + degrees) * 1e7), round(longitude * 1e7), round(altitude * 1e3) + 2000
+    found = judged(mavlink.MAVLink_gps_global_origin_message(*place))["origin"]
+    assert found.state == state and "m from the fleet's" in found.found
+    assert degrees or found.found == "the autopilot's is 0.0 m from the fleet's, +2.0 m in altitude"
+
+
+def test_what_the_autopilot_says() -> None:
+    text = b"PreArm: Compass not calibrated"
+    found = judged(mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_CRITICAL, text))["says"]
+    assert (found.state, found.found) == ("warn", text.decode())
+
+
+def test_garbage_on_the_link_is_told() -> None:
+    rig = Rig(autopilot=False)
+    pass_time = rig.pass_time
+
+    def noisy(seconds: float) -> None:
+        pass_time(seconds)
+        rig.wire.inject(b"\xfdnoise" * 7)
+
+    quad = Quad(settings(), None, connect=lambda url: rig.wire, clock=lambda: rig.now, sleep=noisy)
+    (found,) = quad.diagnose()
+    assert found.state == "fail" and "bytes came that are no MAVLink" in found.why
