@@ -57,7 +57,6 @@ class Memory:
         self._course = Course(view)
         self.view = view  # the latest
         n = self._n = layout.n_sys
-        self._most = majority(n)
         self._logs = [Log(applied) for _ in range(n)]
         self._words = {p: _Word((0,) * n) for p in range(n) if p != pid}
         self._lacking: set[int] = set()  # members whose closing of round applied + 1 is not here
@@ -258,7 +257,7 @@ class Memory:
             number = self.view.number
             self._watched = round_
             self._reached = sum(w.view == number and w.applied >= round_ for w in self._words.values())
-        return 1 + self._reached >= self._most
+        return 1 + self._reached >= majority(self._n)
 
     def unaware(self, round_: int) -> list[int]:
         """The members that have not said to have applied a round."""
