@@ -31,15 +31,9 @@ from koordgen.runtime.machine import INTERNAL, OK, SURROUNDINGS, WRONG_PROGRAM, 
 from koordgen.runtime.opening import open_key, open_settings, open_transport
 from koordgen.runtime.platform import Platform, Unready
 from koordgen.runtime.program import Program
-<<<<<<< HEAD
 from koordgen.runtime.runner import EndedAtOnce, Interrupting
-from koordgen.runtime.seal import BadKey, load_key
-from koordgen.runtime.settings import BadSettings, Settings, load
-=======
-from koordgen.runtime.runner import EndedAtOnce, interrupting
 from koordgen.runtime.seal import BadKey
 from koordgen.runtime.settings import BadSettings, Settings
->>>>>>> main
 from koordgen.runtime.status import ask, show
 from koordgen.runtime.store import Store
 from koordgen.runtime.trace import Trace
