@@ -25,13 +25,22 @@ class Setting(Node):
     least: float | None
     most: float | None
     doc: str
+    words: tuple[str, ...] = ()  # that may stand for a number
+
+
+class Feed(Node):
+    """How robots of a target are told their poses: at the address in the setting `setting`, unless their settings are
+    as `unless` says."""
+
+    setting: str
+    unless: dict[str, Any]
 
 
 class Target(Node):
     """One target. `kind` "agent" runs one robot (`entry` is its Platform class), "harness" a whole fleet on one host
     (`entry` is its main function), both as "module:name". `sensors`, `actuators` and `callables` are keyed by
     "Module.port" and say the Koord type. `simulation` names the body and the device that stand in for the real ones;
-    `also` the other folders of targets/ whose files this one's code imports."""
+    `feed` how a base station finds it; `also` the other folders of targets/ whose files this one's code imports."""
 
     name: str
     summary: str
@@ -43,6 +52,7 @@ class Target(Node):
     callables: dict[str, str]
     settings: dict[str, Setting]
     simulation: dict[str, str]
+    feed: Feed | None
     also: tuple[str, ...]
     folder: Path
 
@@ -96,6 +106,7 @@ def _target(raw: dict[str, Any], path: Path) -> Target:
         callables=ports["callables"],
         settings={key: _setting(key, value) for key, value in raw.get("settings", {}).items()},
         simulation=raw.get("simulation", {}),
+        feed=Feed(raw["feed"]["setting"], raw["feed"].get("unless", {})) if "feed" in raw else None,
         also=tuple(raw.get("also", ())),
         folder=path.parent,
     )
@@ -105,4 +116,4 @@ def _setting(key: str, raw: dict[str, Any]) -> Setting:
     if raw["type"] not in SETTING_TYPES:
         raise ValueError(f"settings.{key}: type {raw['type']!r} is none of {', '.join(SETTING_TYPES)}")
     default = SETTING_TYPES[raw["type"]](raw["default"])
-    return Setting(raw["type"], default, raw.get("min"), raw.get("max"), raw["doc"])
+    return Setting(raw["type"], default, raw.get("min"), raw.get("max"), raw["doc"], tuple(raw.get("words", ())))

@@ -178,6 +178,40 @@ def _estop(options: Namespace) -> int:
     return HOLDS
 
 
+def _basestation(options: Namespace) -> int:
+    import os
+
+    from koordgen.basestation import CannotServe, all_targets, station
+    from koordgen.cli.terminal import Line
+    from koordgen.pipeline import read_fleet
+
+    fleet, _ = read_fleet(options.fleet, all_targets(), None)
+    line = Line(sys.stderr)
+    try:
+        serving = station(fleet, options.fleet, options.key, options.system, options.host, options.rate)
+        try:
+            serving.serve(line.show)
+        except KeyboardInterrupt:
+            line.end()
+            if not serving.camera.end():  # it waits for a frame within its library, and would crash Python's own end
+                _say("interrupted")
+                os._exit(INTERRUPTED)
+            raise
+    except CannotServe as error:
+        line.end()
+        raise Failure(SURROUNDINGS, str(error), error.help) from None
+    return HOLDS
+
+
+def _doctor(options: Namespace) -> int:
+    from koordgen.doctor import CannotExamine, examine
+
+    try:
+        return examine(options.bundle, options.settings, options.format)
+    except CannotExamine as error:
+        raise Failure(SURROUNDINGS, str(error), error.help) from None
+
+
 def _key(options: Namespace) -> int:
     import os
     import secrets
@@ -203,7 +237,8 @@ def _key(options: Namespace) -> int:
 
 
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {
-    "check": _check, "dump": _dump, "build": _build, "fmt": _fmt, "explain": _explain, "estop": _estop, "key": _key,
+    "check": _check, "dump": _dump, "build": _build, "fmt": _fmt, "explain": _explain, "estop": _estop,
+    "basestation": _basestation, "doctor": _doctor, "key": _key,
 }  # fmt: skip
 
 

@@ -46,12 +46,8 @@ def examine(
     yield _program(program, settings)
     if settings.state is not None:
         yield disk(root.resolve().parent / settings.state)
-    try:
-        key = open_key(settings)
-    except BadKey as error:
-        yield Finding("key", "fail", str(error))
-        return
-    yield _key(settings)
+    key, found = _key(settings)
+    yield found
     yield from _network(settings, key)
     yield from _body(settings, key, program, platform_type, drivers)
     yield clocks.finding()
@@ -67,11 +63,16 @@ def _program(program: Program, settings: Settings) -> Finding:
     return Finding("program", "ok", f"{program.name} {program.program_hash}, interface {program.interface_hash}")
 
 
-def _key(settings: Settings) -> Finding:
-    if settings.key_file is None:
+def _key(settings: Settings) -> tuple[bytes | None, Finding]:
+    """A key that cannot be used keeps nobody from looking at the rest; feeds are not authentic without it."""
+    try:
+        key = open_key(settings)
+    except (BadKey, BadSettings) as error:
+        return None, Finding("key", "fail", str(error))
+    if key is None:
         why = "anyone on this network can drive this robot: make a key with `koordgen key new`"
-        return Finding("key", "warn", "INSECURE: there is none", "a key", why)
-    return Finding("key", "ok", f"{settings.key_file}, its owner's alone")
+        return None, Finding("key", "warn", "INSECURE: there is none", "a key", why)
+    return key, Finding("key", "ok", f"{settings.key_file}, {len(key)} bytes, readable by its owner alone")
 
 
 def _network(settings: Settings, key: bytes | None) -> Iterator[Finding]:

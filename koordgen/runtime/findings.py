@@ -68,7 +68,7 @@ def tell_shortly(findings: Iterable[Finding]) -> int:
         if finding.state == "warn":
             print(f"warning: {_whole(finding)}", file=sys.stderr)
         else:
-            print(f"{finding.name:<{_NAME}} {finding.found}")
+            print(f"{finding.name:<{_NAME}} {finding.found}", flush=True)
     return OK
 
 

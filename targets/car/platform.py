@@ -19,7 +19,7 @@ from koordgen.runtime.safety import inside
 from koordgen.runtime.scans import ScanPort
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.values import Point, Pose
-from targets.car.diagnosis import STALE, drive_findings, feed_findings, silent_drive
+from targets.car.diagnosis import STALE, drive_findings, feed_findings, limits, silent_drive
 from targets.car.drive import Drive
 from targets.car.estimator import Estimator
 from targets.car.links import Links, RealLinks
@@ -74,14 +74,14 @@ class Car:
         """See Platform."""
         found = drive_findings(self._settings, self._links)
         found += feed_findings(self._settings, self._fence, Feed(self._robot, self._key), self._links)
-        return [*found, self._loaded(), *self._lidar.diagnose(self._links.wait)]
+        return [*found, limits(self._settings, self._fence), self._loaded(), *self._lidar.diagnose(self._links.wait)]
 
     def _loaded(self) -> Finding:
         try:
             self._build()
         except Unready as error:
             return Finding.of("planner", error)
-        return Finding("planner", "ok", f"planner and MPC load, turning radius {self._settings.planned_radius:.2f} m")
+        return Finding("planner", "ok", "planner and MPC load")
 
     def start(self, now: float) -> None:
         self._open()

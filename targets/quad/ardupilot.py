@@ -60,11 +60,13 @@ ARDUPILOT = Firmware(
         mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 20.0,
         mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
         mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 5.0,
-        mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: 5.0,
+        # The target in global coordinates is told for position-only setpoints alone, the local one for all.
+        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 5.0,
+        mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 5.0,
         mavlink.MAVLINK_MSG_ID_HEARTBEAT: 4.0,  # it carries the mode, so it is wanted more often than it comes
     },
     # The one comes only while there is a target, the other always, only too seldom.
-    occasional=(mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT, mavlink.MAVLINK_MSG_ID_HEARTBEAT),
+    occasional=(mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED, mavlink.MAVLINK_MSG_ID_HEARTBEAT),
     parameters=PARAMETERS,
     positioning=POSITIONING,
     bytewise=False,

@@ -16,11 +16,11 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from koordgen.runtime.platform import Unready
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point
-from targets.quad.check import misplaced, stranger, unheard
+from targets.quad.check import RIVAL, misplaced, stranger, unheard
 from targets.quad.firmware import Firmware
 from targets.quad.framing import Message
 from targets.quad.link import RESULTS, Link
-from targets.quad.parameters import Parameters, Wanted
+from targets.quad.parameters import Review, Wanted
 from targets.quad.telemetry import Streams, Telemetry
 from targets.quad.vehicles import identified
 
@@ -32,7 +32,6 @@ STILL = 0.1  # m/s; in LAND mode a vehicle that is slower has touched down
 QUIET = 0.4  # seconds without any message, in flight, after which the link is said to be silent
 CALLING = 1.0  # seconds for which setpoints flow before a mode is asked for that lasts as long as they do
 CLIMB = 0.5  # m/s, of setpoints that rise
-REREAD = 5.0  # seconds between two looks at parameters that forbid a take-off
 PATIENCE = 5.0  # seconds on the ground after which we disarm, where the autopilot's own landing does not
 _ON_GROUND = mavlink.MAV_LANDED_STATE_ON_GROUND
 
@@ -61,9 +60,8 @@ class Flight:
         self._url, self._link, self._telemetry = url, link, telemetry
         self._fence, self._height, self._go_to, self._wanted = fence, height, go_to, wanted
         self._firmware = telemetry.firmware
-        self._parameters = Parameters((), bytewise=False)
-        self._told = False  # which parameters differ
-        self._reread = now
+        self._review = Review((), bytewise=False)
+        self._rivalled = False  # it was told that another ground station speaks under our system id
         self._setpoint: Point | None = None  # the last one of a climb that is flown by setpoints
         self.grounded = False  # not to take off, as long as this is set
         self.withheld = ""  # what speaks against a take-off beside what is known here, in words
@@ -97,7 +95,7 @@ class Flight:
         for message in self.heard:
             self._streams.note(message.get_msgId(), now)
             self._telemetry.take(message, now)
-            self._parameters.take(message)
+            self._review.take(message)
         self._link.greet(now)
         if self.phase is not Phase.RESTED:
             self._watch(now)
@@ -151,13 +149,14 @@ class Flight:
         self._enter(Phase.ESTIMATING, now, f"{what}: waiting for its position estimate")
 
     def _read_parameters(self) -> None:
-        self._parameters = Parameters(self._wanted(self._firmware), self._firmware.bytewise)
-        self._told = False
+        self._review = Review(self._wanted(self._firmware), self._firmware.bytewise)
 
     def _estimate(self, now: float) -> None:
         state = self._telemetry
-        self._parameters.poll(self._link, now)
+        self._review.poll(self._link, now)
         if state.position is None or not state.fresh(now) or state.landed is None or state.mode is None:
+            if differing := self._review.news():  # it may be why there is no estimate
+                self._doing = f"waiting for its position estimate; {differing}"
             return
         if self._link.crowded(now):
             others = ", ".join(map(str, sorted(self._link.others)))
@@ -167,10 +166,19 @@ class Flight:
             )
         elif state.flying:
             self._take_over(now)
-        elif fault := self.withheld or misplaced(self._fence, self._height, state.position) or self._unfit(now):
+        elif fault := self.withheld or misplaced(self._fence, self._height, state.position) or self._review.forbids:
             self._doing = f"not taking off: {fault}"
-        elif self._parameters.done(now):
-            self._prepare(now)
+        elif not self._review.known:
+            self._doing = "reading the autopilot's parameters"
+        elif differing := self._review.news():
+            self._doing = differing
+        elif self._link.rivalled(now) and not self._rivalled:
+            self._rivalled, self._doing = True, RIVAL
+        elif self.grounded:
+            self._doing = "ready to take off, waiting for the fleet"
+        else:
+            self._setpoint = None
+            self._enter(Phase.SWITCHING, now, f"switching to {self._firmware.mode(self._firmware.follows)}")
 
     def _take_over(self, now: float) -> None:
         """It flies already: an agent before us died, perhaps."""
@@ -182,29 +190,6 @@ class Flight:
         else:
             wanted = self._firmware.mode(self._firmware.follows)
             raise Unready(f"already flying in {state.mode_name}", f"land it first, or switch it to {wanted}")
-
-    def _unfit(self, now: float) -> str:
-        """Which parameters forbid a take-off, once that is known. They are looked at again, for somebody who mends
-        them."""
-        if not self._parameters.done(now):
-            return ""
-        vital = [str(r) for r in self._parameters.differences if r.wanted.vital]
-        if vital and now - self._reread >= REREAD:
-            self._reread = now
-            self._parameters.again()
-        return "; ".join(vital)
-
-    def _prepare(self, now: float) -> None:
-        """All is well for a take-off."""
-        differences = self._parameters.differences
-        if differences and not self._told:
-            self._doing = f"parameters of the autopilot differ: {'; '.join(map(str, differences))}"
-            self._told = True
-        elif self.grounded:
-            self._doing = "ready to take off, waiting for the fleet"
-        else:
-            self._setpoint = None
-            self._enter(Phase.SWITCHING, now, f"switching to {self._firmware.mode(self._firmware.follows)}")
 
     @property
     def _ends_itself(self) -> bool:

@@ -18,6 +18,7 @@ from targets.quad.link import Link
 
 EVERY = 0.7  # seconds between two requests for the same parameter
 TURNS = 6  # requests after which a parameter counts as one that does not answer
+REREAD = 5.0  # seconds between two looks at what differs
 _INTEGERS = {
     mavlink.MAV_PARAM_TYPE_UINT8: "<B",
     mavlink.MAV_PARAM_TYPE_INT8: "<b",
@@ -142,6 +143,44 @@ class Parameters:
         if form is None or not self._bytewise:
             return asked.value
         return float(struct.unpack(form, asked.raw[: struct.calcsize(form)])[0])
+
+
+class Review:
+    """The parameters before a take-off: read, again as long as some differ, for somebody who mends them, and told of
+    once."""
+
+    def __init__(self, wanted: tuple[Wanted, ...], bytewise: bool) -> None:
+        self._parameters = Parameters(wanted, bytewise)
+        self._differences: tuple[Reading, ...] = ()
+        self._reread = -math.inf
+        self._told: tuple[str, ...] = ()
+        self.known = False  # whether all were read, or do not answer
+
+    def take(self, message: Message) -> None:
+        """Take one of the vehicle's messages."""
+        self._parameters.take(message)
+
+    def poll(self, link: Link, now: float) -> None:
+        """Ask for what is missing."""
+        self._parameters.poll(link, now)
+        if self._parameters.done(now):
+            self.known, self._differences = True, self._parameters.differences
+            if self._differences and now - self._reread >= REREAD:
+                self._reread = now
+                self._parameters.again()
+
+    @property
+    def forbids(self) -> str:
+        """What differs that forbids a take-off, in words."""
+        return "; ".join(str(r) for r in self._differences if r.wanted.vital)
+
+    def news(self) -> str:
+        """What differs and was not told yet, in words; it counts as told then."""
+        differences = tuple(map(str, self._differences))
+        if differences == self._told:
+            return ""
+        self._told = differences
+        return f"parameters of the autopilot differ: {'; '.join(differences)}" if differences else ""
 
 
 def _first_field(frame: bytes) -> bytes:

@@ -27,6 +27,7 @@ from targets.quad.check import listen
 from targets.quad.diagnosis import findings
 from targets.quad.firmware import Firmware
 from targets.quad.flight import Flight, Phase
+from targets.quad.framing import Message
 from targets.quad.link import Link
 from targets.quad.motion import Motion
 from targets.quad.parameters import Wanted
@@ -109,30 +110,34 @@ class Quad:
 
     def diagnose(self) -> list[Finding]:
         """See Platform: hears the autopilot, and the feeds that there are; a position feed is passed on meanwhile."""
-        url, height, positioning = self._body.autopilot, self._body.flight_height, self._positioning
+        vehicle = self._diagnose_vehicle()
+        return [*vehicle, self._avoidance.diagnose(self._sleep), *self._lidar.diagnose(self._sleep)]
+
+    def _diagnose_vehicle(self) -> list[Finding]:
+        url, positioning = self._body.autopilot, self._positioning
         try:
             link = Link(self._connect(url), self._body.system)
         except Unready as error:
-            return [Finding.of("link", error), *self._lidar.diagnose(self._sleep)]
+            return [Finding.of("link", error)]
 
-        def sleep(seconds: float) -> None:
-            self._sleep(seconds)
+        def meanwhile(messages: list[Message], now: float) -> None:
             if positioning is not None:
-                positioning.pass_on(link, self._clock())
+                positioning.attend(link, messages, now)
 
+        fed: list[Finding] = []
         try:
             if positioning is not None:
-                positioning.open(self._clock())
-            heard = listen(link, self._frame, self._wanted, self._clock, sleep, self._wall)
+                fed = positioning.tried(self._clock())
+            heard = listen(link, self._frame, self._wanted, meanwhile, self._clock, self._sleep, self._wall)
         except Unready as error:
-            return [Finding.of("positioning", error), *self._lidar.diagnose(self._sleep)]
+            return [Finding.of("positioning", error)]
         finally:
             link.close()
             if positioning is not None:
                 positioning.close()
-        fed = positioning.findings(self._clock()) if positioning is not None else []
-        found = findings(url, heard, self._frame, self._fence, height)
-        return [*fed, *found, self._avoidance.diagnose(self._sleep), *self._lidar.diagnose(self._sleep)]
+        if positioning is not None and not fed:
+            fed = positioning.findings(heard.telemetry, self._clock())
+        return [*fed, *findings(url, heard, self._frame, self._fence, self._body.flight_height)]
 
     def start(self, now: float) -> None:
         """See Platform: opens the links; `poll` then takes off."""

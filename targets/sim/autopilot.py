@@ -3,46 +3,54 @@
 from __future__ import annotations
 
 import math
-import random
+from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.geodesy import LocalFrame
-from targets.sim.bodies import BodyState, DeviceContext, Quadrotor
-from targets.sim.mavlink_copter import ACCEPTED, GUIDED, Copter
-from targets.sim.mavlink_guided import Vector
+from targets.sim.bodies import DeviceContext, Quadrotor
+from targets.sim.mavlink_copter import ACCEPTED, UNSUPPORTED, Copter
+from targets.sim.mavlink_estimate import Estimator
+from targets.sim.mavlink_params import VERSION, Parameters
+from targets.sim.mavlink_reports import Reports
 from targets.sim.mavlink_setpoints import take_setpoint
-from targets.sim.mavlink_telemetry import Estimate, Message, Telemetry
+from targets.sim.mavlink_telemetry import Message, Telemetry
 from targets.sim.ports import Port, UdpPort
+from targets.sim.scenario import BadScenario
 
-WANDER = 2.0  # seconds over which the error of the position estimate forgets itself
+REAL_BOOT = 42.0  # seconds of a cold start, as observed
 _SETPOINTS = (
     mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
     mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
 )
-_YAW_GAIN, _YAW_RATE = 1.5, 1.0  # rad/s per rad, and at most
+_HEARTBEATS = {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}  # Hz
 
 
 class SimulatedAutopilot:
-    """A device of the sim harness. Its settings there: `boot` (s), `position_noise` (m, standard deviation of an error
-    that wanders, as that of a real estimate does). `copter` is its inner state, for tests and scenarios to upset."""
+    """A device of the sim harness. Its settings there: `boot` (seconds, or "real"), `version` (of ArduPilot: how the
+    parameters are called), `position_noise` (m, standard deviation of an error that wanders, as that of a real estimate
+    does). The robot's own `positioning` says what its parameters were set for: without a GPS of its own it believes
+    what it is told. `copter` is its inner state, for tests and scenarios to upset."""
 
     def __init__(self, body: Quadrotor, context: DeviceContext, port: Port | None = None) -> None:
         self._body = body
         self._frame = LocalFrame(*context.origin)
-        self._noise = float(context.harness.get("position_noise", 0.0))
-        self._random = random.Random(f"{context.seed}/{context.robot}/autopilot")
-        self._error: Vector = (0.0, 0.0, 0.0)
         self._mavlink = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
         self._mavlink.robust_parsing = True
-        self._estimate = Estimate()
         self._last: float | None = None
         self._dead = False  # its process has aborted: silence, and no thrust
         self.dropped = 0  # datagrams and messages that were damaged or not for us
-        self.copter = Copter(float(context.harness.get("boot", 3.0)))
-        self._telemetry = Telemetry(self.copter, self._frame, self._send)
+        harness = context.harness
+        boot = _seconds(harness.get("boot", 3.0))
+        positioning = str(context.settings.get("positioning", ""))
+        params = Parameters(str(harness.get("version", VERSION)), positioning=positioning)
+        self.copter = Copter(boot, params)
+        noise, seed = float(harness.get("position_noise", 0.0)), f"{context.seed}/{context.robot}/autopilot"
+        self.copter.estimator = self._estimator = Estimator(params, self._frame, boot, noise, seed, self.copter.say)
+        self._listed: deque[str] = deque()  # parameters that PARAM_REQUEST_LIST asked for
+        self._telemetry = Telemetry(Reports(self.copter, self._frame).makers, _HEARTBEATS, self.copter.said, self._send)
         self.overrides: Mapping[str, Any] = {}
         if port is None:
             port = udp = UdpPort()
@@ -54,16 +62,14 @@ class SimulatedAutopilot:
         if self._dead:
             self._port.receive()
             return
-        if self.copter.started is None:
-            self.copter.started = now
         dt = 0.0 if self._last is None else max(0.0, min(now - self._last, 0.1))
         self._last = now
-        self._observe(self._body.state(), dt)
-        if self._telemetry.ekf is None and self.copter.estimating(now):
-            self._initialise()
+        self._estimator.step(self._body.state(), now, dt)
         if self._receive(now):
             self._fly(now, dt)
-            self._telemetry.step(self._estimate, now)
+            if self._listed:
+                self._answer_param(self._listed.popleft())
+            self._telemetry.step(now)
 
     def close(self) -> None:
         """See Device."""
@@ -76,41 +82,19 @@ class SimulatedAutopilot:
                 self._take(message, now)
         return not self._dead
 
-    def _observe(self, truth: BodyState, dt: float) -> None:
-        """The estimate is the truth and a first-order Gauss-Markov error."""
-        if self._noise:
-            keep = math.exp(-dt / WANDER) if dt else 0.0
-            fresh = self._noise * math.sqrt(1 - keep * keep)
-            x, y, z = self._error
-            gauss = self._random.gauss
-            self._error = (keep * x + gauss(0, fresh), keep * y + gauss(0, fresh), keep * z + gauss(0, fresh))
-        (x, y, z), (a, b, c) = truth.position, self._error
-        self._estimate.position = (x + a, y + b, z + c)
-        self._estimate.velocity, self._estimate.yaw = truth.velocity, truth.yaw
-
-    def _initialise(self) -> None:
-        """The EKF's origin is where the vehicle was when it learned its position: no other robot's."""
-        self._telemetry.ekf_place = self._frame.geodetic(*self._estimate.position)
-        self._telemetry.ekf = LocalFrame(*self._telemetry.ekf_place)
-        self.copter.home = self._estimate.position
-        self.copter.say(mavlink.MAV_SEVERITY_INFO, "EKF3 IMU0 origin set")
-
     def _fly(self, now: float, dt: float) -> None:
-        copter = self.copter
-        copter.watch(self._estimate.position, self._estimate.velocity, now)
+        copter, estimate = self.copter, self._estimator.estimate
+        copter.watch(now)
         self._body.motors(copter.armed)
         if not copter.armed:
             return
-        if copter.landed:
-            copter.guidance.rest()
-            self._body.accelerate((0.0, 0.0, -1.0), 0.0)  # idling
-            return
-        if dt <= 0.0:
-            return
         guidance = copter.guidance
-        acceleration = guidance.acceleration(self._estimate.position, self._estimate.velocity, now, dt)
-        turn = math.remainder(guidance.yaw - self._estimate.yaw, math.tau)
-        self._body.accelerate(acceleration, max(-_YAW_RATE, min(_YAW_RATE, _YAW_GAIN * turn)))
+        if copter.landed:
+            guidance.rest()
+            self._body.accelerate((0.0, 0.0, -1.0), 0.0)  # idling
+        elif dt > 0.0:
+            acceleration = guidance.acceleration(estimate.position, estimate.velocity, now, dt)
+            self._body.accelerate(acceleration, guidance.turning(estimate.yaw, dt))
 
     def _decoded(self, datagram: bytes) -> list[Message]:
         self._mavlink.buf.clear()
@@ -134,62 +118,81 @@ class SimulatedAutopilot:
             return
         match message.get_msgId():
             case mavlink.MAVLINK_MSG_ID_HEARTBEAT:
-                if message.get_srcSystem() == 255:
+                if message.get_srcSystem() == self.copter.params.of("MAV_GCS_SYSID"):
                     self.copter.ground_station = now
             case mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
-                result = self._command(message, now)
                 self._send(
                     mavlink.MAVLink_command_ack_message(
-                        message.command, result, 0, 0, message.get_srcSystem(), message.get_srcComponent()
+                        message.command, self._command(message, now), 0, 0,
+                        message.get_srcSystem(), message.get_srcComponent(),
                     )
-                )
+                )  # fmt: skip
             case number if number in _SETPOINTS:
-                self._take_setpoint(message, now)
+                if not take_setpoint(message, self.copter, self._frame, now):
+                    self._dead = True
+                    self._body.motors(False)
+            case _:
+                self._take_feed(message, now)
+                self._take_param(message)
+
+    def _take_feed(self, message: Message, now: float) -> None:
+        match message.get_msgId():
+            case mavlink.MAVLINK_MSG_ID_GPS_INPUT:
+                self._estimator.take_gps(message, now)
+            case mavlink.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE:
+                self._estimator.take_vision((message.x, message.y, message.z), message.yaw, now)
+            case mavlink.MAVLINK_MSG_ID_ODOMETRY:
+                if (
+                    message.frame_id == mavlink.MAV_FRAME_LOCAL_FRD
+                    and message.child_frame_id == mavlink.MAV_FRAME_BODY_FRD
+                ):
+                    w, x, y, z = message.q
+                    yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+                    self._estimator.take_vision((message.x, message.y, message.z), yaw, now)
+            case mavlink.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN:
+                self._estimator.take_origin(message)
+
+    def _take_param(self, message: Message) -> None:
+        match message.get_msgId():
             case mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ:
-                self._answer_param(message.param_id)
+                self._answer_param(message.param_id, message.param_index)
+            case mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_LIST:
+                self._listed.extend(self.copter.params)
             case mavlink.MAVLINK_MSG_ID_PARAM_SET:
-                if message.param_id in self.copter.params and math.isfinite(message.param_value):
-                    self.copter.params[message.param_id] = message.param_value
+                if self.copter.params.change(message.param_id, message.param_value):
                     self._answer_param(message.param_id)
 
-    def _take_setpoint(self, message: Message, now: float) -> None:
-        ekf = self._telemetry.ekf
-        if ekf is None or self.copter.mode != GUIDED:
-            return
-        if not take_setpoint(message, self.copter, self._frame, ekf, self._estimate, now):
-            self._dead = True
-            self._body.motors(False)
-
-    def _answer_param(self, name: str) -> None:
+    def _answer_param(self, name: str, index: int = -1) -> None:
         """An unknown parameter never answers."""
-        if name in self.copter.params:
-            value, kind = self.copter.params[name], mavlink.MAV_PARAM_TYPE_REAL32
-            self._send(mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(self.copter.params), 65535))
+        told = self.copter.params.told(name, index)
+        if told is not None:
+            self._send(told)
 
     def _command(self, message: Message, now: float) -> int:
         """A MAV_RESULT."""
-        p1, p2, p7 = message.param1, message.param2, message.param7
-        if not all(map(math.isfinite, (p1, p2, p7))):
+        p1, p2 = message.param1, message.param2
+        if not all(map(math.isfinite, (p1, p2, message.param7))):
             return int(mavlink.MAV_RESULT_DENIED)
-        position = self._estimate.position
         match message.command:
             case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
                 return self._telemetry.ask(int(p1), p2, now)
             case mavlink.MAV_CMD_REQUEST_MESSAGE:
-                return self._telemetry.once(int(p1), self._estimate, now)
-            case mavlink.MAV_CMD_DO_SET_MODE:
-                if not int(p1) & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
-                    return int(mavlink.MAV_RESULT_UNSUPPORTED)
-                return self.copter.set_mode(int(p2), position, now)
-            case mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
-                if p1 == 1:
-                    return self.copter.arm(position, self._estimate.yaw, now)
-                return self.copter.disarm(force=p2 == 21196)
-            case mavlink.MAV_CMD_NAV_TAKEOFF:
-                return self.copter.take_off(p7, position, now)
-            case mavlink.MAV_CMD_DO_CHANGE_SPEED:
-                if not 0.1 <= p2 <= 20 or int(p1) not in (0, 1):
-                    return int(mavlink.MAV_RESULT_DENIED)
-                self.copter.guidance.speed = p2
-                return int(ACCEPTED)
-        return int(mavlink.MAV_RESULT_UNSUPPORTED)
+                return self._telemetry.once(int(p1), now)
+            case mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
+                self._telemetry.once(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, now)
+                return ACCEPTED
+        result = self.copter.command(message, now)
+        return UNSUPPORTED if result is None else result
+
+
+def _seconds(boot: Any) -> float:
+    """What the setting `boot` says. Raises BadScenario."""
+    if boot == "real":
+        return REAL_BOOT
+    try:
+        seconds = float(boot)
+    except ValueError:
+        seconds = -1.0
+    if not 0.0 <= seconds <= 600.0:
+        raise BadScenario(f"boot is {boot!r}", "give seconds, 0 to 600, or `real`")
+    return seconds

@@ -1,87 +1,159 @@
-"""What state a simulated copter is in: booting, its mode, arming, landed or not, and the failsafes that change it.
+"""What state a simulated copter is in: its mode, arming, landed or not, and the failsafes that change it.
 
 Behaves as was observed on ArduPilot 4.7: a mode set in the first second after boot is acknowledged and lost; arming is
-refused, in words, before the position estimate; it disarms 10 s after an arming that no take-off followed; GUIDED
-leaves the ground by NAV_TAKEOFF only; it lands 5 s after the last heartbeat of its ground station.
+refused in words; it disarms 10 s after an arming that no take-off followed; GUIDED leaves the ground by NAV_TAKEOFF
+only; it lands 5 s after the last heartbeat of its ground station, and when it has lost its position.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from targets.sim.mavlink_estimate import Estimator
 from targets.sim.mavlink_guided import Aim, Guidance, Vector
+from targets.sim.mavlink_params import Parameters
 
 STABILIZE, ALT_HOLD, GUIDED, LOITER, LAND, POSHOLD, BRAKE = 0, 2, 4, 5, 9, 16, 17
 MODES = (STABILIZE, ALT_HOLD, GUIDED, LOITER, LAND, POSHOLD, BRAKE)
 ACCEPTED: int = mavlink.MAV_RESULT_ACCEPTED
 DENIED: int = mavlink.MAV_RESULT_DENIED
 FAILED: int = mavlink.MAV_RESULT_FAILED
+UNSUPPORTED: int = mavlink.MAV_RESULT_UNSUPPORTED
 MODE_LOST = 1.0  # seconds after boot in which a mode is acknowledged and forgotten
-GCS_TIMEOUT = 5.0
+COMPLAINS = 30.0  # seconds from one telling of what hinders arming to the next
+WARNING, CRITICAL, INFO = mavlink.MAV_SEVERITY_WARNING, mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_INFO
 
 
 class Copter:
     """Modes and arming. `said` collects STATUSTEXTs as (severity, text) for the telemetry to send."""
 
-    def __init__(self, boot: float) -> None:
+    autopilot: int = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+
+    def __init__(self, boot: float, params: Parameters) -> None:
         self._boot = boot
-        self.started: float | None = None
+        self.params = params
         self.guidance = Guidance()
-        self.params = {
-            "DISARM_DELAY": 10.0, "FS_GCS_ENABLE": 5.0, "FS_GCS_TIMEOUT": 5.0, "FS_THR_ENABLE": 0.0,
-            "GUID_TIMEOUT": 3.0, "LAND_REPOSITION": 0.0, "MAV_GCS_SYSID": 255.0, "MAV_SYSID": 1.0,
-            "WPNAV_SPEED": 500.0,
-        }  # fmt: skip
+        self.estimator: Estimator  # which tells us what it has to say
         self.said: list[tuple[int, str]] = []
         self.mode = STABILIZE
         self.armed = False
         self.landed = True
-        self.home: Vector = (0.0, 0.0, 0.0)
+        self.home: Vector | None = None
         self.failing_check = ""  # what a pre-arm check complains about, when one does
         self.ground_station: float | None = None  # when its last heartbeat came
         self._armed_at = 0.0
         self._still: float | None = None
+        self._complained: float | None = None
 
-    def estimating(self, now: float) -> bool:
-        """Whether the boot is over and the position known."""
-        return self.started is not None and now - self.started >= self._boot
+    @property
+    def position(self) -> Vector:
+        """Where it believes to be."""
+        return self.estimator.estimate.position
 
-    def set_mode(self, mode: int, position: Vector, now: float) -> int:
+    @property
+    def following(self) -> bool:
+        """Whether setpoints are obeyed: in GUIDED, and off the ground; else they are dropped in silence."""
+        return self.mode == GUIDED and self.armed and not self.landed
+
+    @property
+    def shows_target(self) -> bool:
+        """Whether it says what setpoint it has."""
+        return self.mode == GUIDED
+
+    @property
+    def landing(self) -> bool:
+        return self.mode == LAND
+
+    def heard_setpoint(self, now: float) -> None:
+        """ArduPilot does not count them."""
+
+    def booted(self, now: float) -> bool:
+        return self.estimator.started is not None and now - self.estimator.started >= self._boot + MODE_LOST
+
+    def heartbeat(self) -> tuple[int, int]:
+        """Base and custom mode."""
+        flags = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
+        if self.mode == GUIDED:
+            flags |= mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
+        if self.armed:
+            flags |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+        return flags, self.mode
+
+    def command(self, message: Any, now: float) -> int | None:
+        """DO_SET_MODE, arming and take-off, as a MAV_RESULT; None for any other command."""
+        p1, p2, p7 = message.param1, message.param2, message.param7
+        match message.command:
+            case mavlink.MAV_CMD_DO_SET_MODE:
+                if not int(p1) & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
+                    return UNSUPPORTED
+                return self.set_mode(int(p2), now)
+            case mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
+                return self.arm(now) if p1 == 1 else self.disarm(force=p2 == 21196)
+            case mavlink.MAV_CMD_NAV_TAKEOFF:
+                return self.take_off(p7, now)
+            case mavlink.MAV_CMD_NAV_LAND:
+                return self.set_mode(LAND, now)
+            case mavlink.MAV_CMD_DO_CHANGE_SPEED:
+                if not 0.1 <= p2 <= 20 or int(p1) not in (0, 1):
+                    return DENIED
+                self.guidance.speed = p2
+                return ACCEPTED
+        return None
+
+    def set_mode(self, mode: int, now: float) -> int:
         """A MAV_RESULT."""
         if mode not in MODES:
             return DENIED
-        if mode == GUIDED and not self.estimating(now):
-            self.say(mavlink.MAV_SEVERITY_WARNING, "Mode change to GUIDED failed: requires position")
+        if mode == GUIDED and not self.estimator.ready:
+            self.say(WARNING, "Mode change to GUIDED failed: requires position")
             return FAILED
-        if self.started is None or now - self.started < self._boot + MODE_LOST:
-            return ACCEPTED
-        self._enter(mode, position, now)
+        if self.booted(now):
+            self.enter(mode, now)
         return ACCEPTED
 
-    def _enter(self, mode: int, position: Vector, now: float) -> None:
+    def enter(self, mode: int, now: float) -> None:
+        """Change the mode, without asking: as a remote control or a failsafe does."""
         if mode == self.mode:
             return
         self.mode = mode
         self._still = None
-        aim = {LAND: Aim.LAND, STABILIZE: Aim.FALL}.get(mode, Aim.HOLD)
-        self.guidance.go(aim, now, position if aim is not Aim.LAND else (position[0], position[1], self.home[2]))
+        x, y, z = self.position
+        match mode:
+            case _ if mode == LAND:
+                self.guidance.go(Aim.LAND, now, (x, y, z if self.home is None else self.home[2]))
+            case _ if mode == STABILIZE:
+                self.guidance.go(Aim.FALL, now, (x, y, z))
+            case _:
+                self.guidance.stop(now, (x, y, z))
 
-    def arm(self, position: Vector, yaw: float, now: float) -> int:
+    def fault(self, now: float) -> str:
+        """What hinders arming; "" when nothing does."""
+        if self.failing_check:
+            return self.failing_check
+        if self.params.of("FS_THR_ENABLE"):
+            return "RC not found"
+        return self.estimator.fault(now)
+
+    def arm(self, now: float) -> int:
         """A MAV_RESULT."""
         if self.armed:
             return ACCEPTED
-        fault = self.failing_check
-        if not self.estimating(now):
-            fault = "Need Position Estimate"
-        elif self.mode == LAND:
-            fault = "LAND mode not armable"
+        fault = self.fault(now)
         if fault:
-            self.say(mavlink.MAV_SEVERITY_CRITICAL, f"Arm: {fault}")
+            self.say(CRITICAL, f"PreArm: {fault}")
             return FAILED
-        self.armed, self._armed_at, self.home = True, now, position
-        self.guidance.stop(now, position)
-        self.guidance.yaw = yaw
-        self.say(mavlink.MAV_SEVERITY_INFO, "Arming motors")
+        if self.mode == LAND:
+            self.say(CRITICAL, "Arm: LAND mode not armable")
+            return FAILED
+        self.armed, self._armed_at, self.home = True, now, self.position
+        self.guidance.default_speed = self.params.of("WP_SPD")
+        self.guidance.timeout = self.params.of("GUID_TIMEOUT")
+        self.guidance.looks_ahead = self.params.of("WP_YAW_BEHAVIOR") != 0
+        self.guidance.stop(now, self.position)
+        self.guidance.turn(self.estimator.estimate.yaw, 0.0)
+        self.say(INFO, "Arming motors")
         return ACCEPTED
 
     def disarm(self, force: bool) -> int:
@@ -90,43 +162,63 @@ class Copter:
             return FAILED
         if self.armed:
             self.armed, self.landed = False, True
-            self.say(mavlink.MAV_SEVERITY_INFO, "Disarming motors")
+            self.say(INFO, "Disarming motors")
         return ACCEPTED
 
-    def take_off(self, above_home: float, position: Vector, now: float) -> int:
+    def take_off(self, above_home: float, now: float) -> int:
         """A MAV_RESULT."""
-        height = self.home[2] + above_home
-        if self.mode != GUIDED or not self.armed or not self.landed or not height > position[2]:
+        if self.mode != GUIDED or not self.armed or not self.landed or self.home is None:
+            return FAILED
+        x, y, z = self.position
+        if not self.home[2] + above_home > z:
             return FAILED
         self.landed = False
-        self.guidance.go(Aim.TAKEOFF, now, (position[0], position[1], height))
+        self.guidance.go(Aim.TAKEOFF, now, (x, y, self.home[2] + above_home))
         return ACCEPTED
 
-    def watch(self, position: Vector, velocity: Vector, now: float) -> None:
-        """What happens by itself: auto-disarm, touch-down, failsafe."""
+    def watch(self, now: float) -> None:
+        """What happens by itself: complaints, auto-disarm, touch-down, failsafes."""
         if not self.armed:
-            return
-        if self.landed:
-            waits_for_pilot = self.mode == LAND and self.params["LAND_REPOSITION"]
-            delay = 1.0 if self.mode == LAND else self.params["DISARM_DELAY"]
+            self._complain(now)
+        elif self.landed:
+            waits_for_pilot = self.mode == LAND and self.params.of("LAND_REPOSITION")
+            delay = 1.0 if self.mode == LAND else self.params.of("DISARM_DELAY")
             if not waits_for_pilot and now - max(self._armed_at, self.guidance.since) > delay:
                 self.disarm(force=False)
-            return
-        silent = 0.0 if self.ground_station is None else now - self.ground_station
-        if silent > GCS_TIMEOUT and self.params["FS_GCS_ENABLE"] and self.mode != LAND:
-            self.say(mavlink.MAV_SEVERITY_WARNING, "GCS Failsafe")
-            self._enter(LAND, position, now)
-        if self.mode == LAND:
-            self._touch_down(velocity, now)
+        elif self.mode == LAND:
+            self._touch_down(now)
+        else:
+            self._fail_safe(now)
 
-    def _touch_down(self, velocity: Vector, now: float) -> None:
-        if now - self.guidance.since < 1.0 or abs(velocity[2]) > 0.1:
+    def _complain(self, now: float) -> None:
+        if not self.booted(now):
+            return
+        if self._complained is None or now - self._complained >= COMPLAINS:
+            self._complained = now
+            fault = self.fault(now)
+            if fault:
+                self.say(CRITICAL, f"PreArm: {fault}")
+
+    def _fail_safe(self, now: float) -> None:
+        silent = 0.0 if self.ground_station is None else now - self.ground_station
+        if silent > self.params.of("FS_GCS_TIMEOUT") and self.params.of("FS_GCS_ENABLE"):
+            self.say(WARNING, "GCS Failsafe")
+        elif not self.estimator.ready and self.params.of("FS_EKF_ACTION"):
+            self.say(CRITICAL, "EKF Failsafe: changed to LAND Mode")
+        elif self.params.of("FS_THR_ENABLE"):
+            self.say(WARNING, "Radio Failsafe")
+        else:
+            return
+        self.enter(LAND, now)
+
+    def _touch_down(self, now: float) -> None:
+        if now - self.guidance.since < 1.0 or abs(self.estimator.estimate.velocity[2]) > 0.1:
             self._still = None
             return
         self._still = now if self._still is None else self._still
         if now - self._still > 1.0:
             self.landed = True
-            if not self.params["LAND_REPOSITION"]:  # else it waits for a pilot who is not there
+            if not self.params.of("LAND_REPOSITION"):  # else it waits for a pilot who is not there
                 self.disarm(force=False)
 
     def say(self, severity: int, text: str) -> None:

@@ -7,6 +7,7 @@ origin, metres and seconds; the speeds are ArduPilot's defaults (WP_SPD_UP, WP_S
 
 from __future__ import annotations
 
+import cmath
 import enum
 import math
 
@@ -18,6 +19,8 @@ STILL: Vector = (0.0, 0.0, 0.0)
 TIMEOUT = 3.0  # seconds for which a velocity is kept (GUID_TIMEOUT)
 SPEED, SPEED_UP, SPEED_DOWN = 5.0, 2.5, 1.5
 LAND_FAST, LAND_SLOW, LAND_SLOWLY_BELOW = 1.5, 0.5, 10.0
+YAW_GAIN, YAW_RATE = 1.5, 1.0  # rad/s per rad, and at most
+TURNS_ABOVE = 0.05  # of the speed limit: faster, and it turns its nose to where it flies (AC_PosControl)
 
 
 class Aim(enum.Enum):
@@ -32,27 +35,43 @@ class Aim(enum.Enum):
     FALL = enum.auto()  # a manual mode without anybody at the sticks
 
 
+FOLLOWING = (Aim.POSITION, Aim.VELOCITY, Aim.POSITION_VELOCITY)
+
+
 class Guidance:
-    """The current aim. `speed` is the horizontal limit; `yaw` (rad, ENU) is kept; `position` is the target, for LAND
-    home's height."""
+    """The current aim. `speed` is the horizontal limit; `position` is the target, for LAND home's height. `yaw` (rad,
+    ENU) is kept; where `looks_ahead`, and no setpoint says otherwise, it turns to the direction of flight."""
 
     def __init__(self) -> None:
         self.speed = SPEED
         self.default_speed = SPEED
+        self.timeout = TIMEOUT
+        self.looks_ahead = True
         self.aim = Aim.HOLD
         self.position: Vector = STILL
         self.velocity: Vector = STILL
+        self.push: Vector = STILL  # m/s^2, that goes with the velocity
         self.since = 0.0
         self.yaw = 0.0
+        self.yaw_rate = 0.0
+        self._yaw_told = False
         self._begun = False
         self._level, self._height = horizontal(), vertical()
 
-    def go(self, aim: Aim, now: float, position: Vector, velocity: Vector = STILL) -> None:
+    def go(self, aim: Aim, now: float, position: Vector, velocity: Vector = STILL, push: Vector = STILL) -> None:
         """A new aim, or the same with other numbers."""
         if aim is not self.aim:
             self.speed, self._begun = self.default_speed, False
         self.aim, self.since = aim, now
-        self.position, self.velocity = position, velocity
+        self.position, self.velocity, self.push = position, velocity, push
+        self.turn(None, 0.0)
+
+    def turn(self, yaw: float | None, rate: float) -> None:
+        """What the last setpoint says of the yaw: nothing, an angle, a rate, or both."""
+        self._yaw_told = yaw is not None or rate != 0.0 or self.aim not in FOLLOWING
+        self.yaw_rate = rate
+        if yaw is not None:
+            self.yaw = yaw
 
     def stop(self, now: float, position: Vector) -> None:
         """Brake, from whatever it is at (ModeGuided::init)."""
@@ -65,6 +84,15 @@ class Guidance:
         self._level.rest()
         self._height.rest()
 
+    def turning(self, yaw: float, dt: float) -> float:
+        """The yaw rate to ask of the body, given its yaw."""
+        self.yaw += self.yaw_rate * dt
+        velocity = self._level.path.velocity
+        if self.looks_ahead and not self._yaw_told and abs(velocity) > TURNS_ABOVE * self.speed:
+            self.yaw = cmath.phase(velocity)
+        wanted = YAW_GAIN * math.remainder(self.yaw - yaw, math.tau) + self.yaw_rate
+        return max(-YAW_RATE, min(YAW_RATE, wanted))
+
     def acceleration(self, position: Vector, velocity: Vector, now: float, dt: float) -> Vector:
         """What to ask of the body, given where the vehicle believes to be. `dt` is positive."""
         if self.aim is Aim.FALL:
@@ -74,7 +102,8 @@ class Guidance:
             self._begun = True
             self._level.begin(at, moving)
             self._height.begin(position[2], velocity[2])
-        self._time_out(now)
+        if now - self.since > self.timeout and self.aim in FOLLOWING:
+            self.velocity, self.push, self.yaw_rate = STILL, STILL, 0.0
         self._level.path.advance(dt)
         self._height.path.advance(dt)
         self._shape(position[2], dt)
@@ -82,29 +111,26 @@ class Guidance:
         rising = SPEED_UP if self._height.path.position > position[2] else SPEED_DOWN
         return level.real, level.imag, self._height.acceleration(position[2], velocity[2], rising, dt)
 
-    def _time_out(self, now: float) -> None:
-        if now - self.since > TIMEOUT and self.aim in (Aim.VELOCITY, Aim.POSITION_VELOCITY):
-            self.velocity = STILL
-
     def _shape(self, height: float, dt: float) -> None:
         """Bend the path towards the aim."""
         level, up = self._level.path, self._height.path
-        (x, y, z), (vx, vy, vz) = self.position, self.velocity
+        (x, y, z), (vx, vy, vz), (ax, ay, az) = self.position, self.velocity, self.push
         match self.aim:
             case Aim.POSITION | Aim.TAKEOFF:
                 fast, rising = self._speeds(abs(complex(x, y) - level.position), z - up.position)
-                level.seek(complex(x, y), 0j, fast, dt)
-                up.seek(z, 0.0, rising, dt)
+                level.seek(complex(x, y), 0j, 0j, fast, dt)
+                up.seek(z, 0.0, 0.0, rising, dt)
             case Aim.POSITION_VELOCITY:
-                level.seek(complex(x, y), complex(vx, vy), self.speed, dt)
-                up.seek(z, vz, SPEED_UP if z > up.position else SPEED_DOWN, dt)
+                level.seek(complex(x, y), complex(vx, vy), complex(ax, ay), self.speed, dt)
+                up.seek(z, vz, az, SPEED_UP if z > up.position else SPEED_DOWN, dt)
                 self.position = (x + vx * dt, y + vy * dt, z + vz * dt)
             case Aim.LAND:
-                level.match(0j, dt)
-                up.match(-(LAND_SLOW if height < z + LAND_SLOWLY_BELOW else LAND_FAST), dt)
+                level.match(0j, 0j, dt)
+                up.match(-(LAND_SLOW if height < z + LAND_SLOWLY_BELOW else LAND_FAST), 0.0, dt)
             case _:
-                level.match(complex(vx, vy), dt)
-                up.match(vz, dt)
+                level.match(complex(vx, vy), complex(ax, ay), dt)
+                up.match(vz, az, dt)
+        self.velocity = (vx + ax * dt, vy + ay * dt, vz + az * dt)
 
     def _speeds(self, far: float, up: float) -> tuple[float, float]:
         """The horizontal and the vertical speed of a straight way there, within both limits (kinematic_limit)."""

@@ -60,14 +60,14 @@ class Path(Generic[Number]):
         self.position += self.velocity * dt + self.acceleration * (0.5 * dt * dt)
         self.velocity += self.acceleration * dt
 
-    def seek(self, position: Number, velocity: Number, speed: float, dt: float) -> None:
-        """Accelerate towards a position that moves with a velocity, at most `speed` faster than that."""
+    def seek(self, position: Number, velocity: Number, acceleration: Number, speed: float, dt: float) -> None:
+        """Accelerate towards a position that moves with a velocity and an acceleration, at most `speed` faster."""
         gain = 0.5 * self.jerk / self.acceleration_limit
         closing = limited(approach(position - self.position, gain, 0.5 * self.acceleration_limit, dt), speed)
-        self.match(closing + velocity, dt)
+        self.match(closing + velocity, acceleration, dt)
 
-    def match(self, velocity: Number, dt: float) -> None:
-        """Accelerate towards a velocity."""
+    def match(self, velocity: Number, acceleration: Number, dt: float) -> None:
+        """Accelerate towards a velocity that changes by an acceleration."""
         gain = self.jerk / self.acceleration_limit
         wanted = limited(approach(velocity - self.velocity, gain, self.jerk, dt), self.acceleration_limit)
-        self.acceleration += limited(wanted - self.acceleration, self.jerk * dt)
+        self.acceleration += limited(wanted + acceleration - self.acceleration, self.jerk * dt)

@@ -5,15 +5,18 @@ from __future__ import annotations
 import ast
 import importlib
 import json
+import os
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
 from koordgen import fleet, manifest
 from koordgen.ir.types import GENERIC, NAMED
+from koordgen.runtime.findings import OWN
 from koordgen.runtime.platform import Platform
 from koordgen.runtime.settings import Settings
 from tests.programs import build, settings_of
@@ -112,6 +115,24 @@ def test_every_setting_reaches_the_body(target: manifest.Target, tmp_path: Path)
 
 
 @agents_by_name
+def test_diagnosis_names_what_is_missing_and_closes_what_it_opened(target: manifest.Target) -> None:
+    """No device is there and no port speaks: nothing is raised, in time, twice."""
+    module, _, name = target.entry.partition(":")
+    platform: Platform = getattr(importlib.import_module(module), name)(settings_of(target), bytes(32))
+    opened = os.listdir("/proc/self/fd")
+    began = time.monotonic()
+    found = platform.diagnose()
+    assert time.monotonic() - began <= 15.0
+    assert os.listdir("/proc/self/fd") == opened
+    failed = [f for f in found if f.state == "fail"]
+    assert failed and all(f.found and f.why for f in failed), found
+    assert len({f.name for f in found}) == len(found) and not {f.name for f in found} & set(OWN)
+    assert not platform.ready
+    platform.close()
+    assert os.listdir("/proc/self/fd") == opened
+
+
+@agents_by_name
 def test_check_of_a_built_bundle_says_what_is_missing(target: manifest.Target, tmp_path: Path) -> None:
     files = build(target.name)[f"{target.name}-0"]
     for path, data in files.items():
@@ -120,11 +141,14 @@ def test_check_of_a_built_bundle_says_what_is_missing(target: manifest.Target, t
     done = subprocess.run([sys.executable, str(tmp_path), "--check"], capture_output=True, text=True)
     assert done.returncode == 1
     assert "koordgen key new" in done.stderr
-    (tmp_path / "fleet.key").write_bytes(bytes(32))
-    (tmp_path / "fleet.key").chmod(0o600)
-    done = subprocess.run([sys.executable, str(tmp_path), "--check"], capture_output=True, text=True)
-    assert done.returncode == 5, done.stderr
-    assert "help:" in done.stderr
+    done = subprocess.run([sys.executable, "-S", str(tmp_path), "--doctor"], capture_output=True, text=True)
+    assert done.returncode == 5 and "FAIL  msgspec    not installed" in done.stdout, "without any package"
+    (tmp_path / f"targets/{target.name}/platform.py").unlink()
+    done = subprocess.run([sys.executable, str(tmp_path), "--doctor", "--format=json"], capture_output=True, text=True)
+    assert done.returncode == 1, done.stderr
+    found = {f["name"]: f for f in json.loads(done.stdout)["findings"]}
+    assert found["files"]["found"] == f"targets/{target.name}/platform.py is missing"
+    assert f"No module named 'targets.{target.name}.platform'" in found["import"]["found"]
 
 
 @agents_by_name

@@ -183,6 +183,11 @@ def test_the_link(text: str, link: fleet.Link | None) -> None:
     assert read_fleet.link == link
 
 
+def test_a_word_may_stand_for_a_number() -> None:
+    read_fleet, found = read("sim: {boot: real}\n" + GOOD)
+    assert found == [] and read_fleet is not None and read_fleet.harness["sim"]["boot"] == "real"
+
+
 @pytest.mark.parametrize(
     ("text", "network"),
     [

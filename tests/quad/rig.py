@@ -116,16 +116,20 @@ def settings(**body: Any) -> Settings:
 
 
 class Rig:
-    """The pair, and the clock. `now` begins at 1000 s: no code may take 0 for the beginning of time."""
+    """The pair, and the clock. `now` begins at 1000 s: no code may take 0 for the beginning of time. `prepared` is
+    the `positioning` that the autopilot's parameters were set for, where that is not the agent's own."""
 
     def __init__(
-        self, boot: float = 1.0, noise: float = 0.0, autopilot: bool = True, position: Vector = (1.0, -2.0, 0.0),
-        **body: Any,
+        self, boot: float | str = 1.0, noise: float = 0.0, autopilot: bool = True,
+        position: Vector = (1.0, -2.0, 0.0), harness: dict[str, Any] | None = None,
+        prepared: str = "", **body: Any,
     ) -> None:  # fmt: skip
         self.now = 1000.0
         self.body = PointMass(position)
         self.wire = Wire()
-        context = DeviceContext("alice", {}, {"boot": boot, "position_noise": noise}, ORIGIN, 7, b"")
+        told = {"positioning": prepared or body.get("positioning", "own")}
+        setup = {"boot": boot, "position_noise": noise, **(harness or {})}
+        context = DeviceContext("alice", told, setup, ORIGIN, 7, b"")
         self.autopilot = SimulatedAutopilot(self.body, context, self.wire.autopilot_end) if autopilot else None
         self.quad = self.agent(**body)
         self.progress: list[str] = []

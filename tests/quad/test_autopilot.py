@@ -32,7 +32,7 @@ def test_booting() -> None:
     assert all(m.lat == m.lon == 0 for m in bench.of(33))
     assert bench.command(MODE, 1, 4) == mavlink.MAV_RESULT_FAILED
     assert bench.command(ARM, 1) == mavlink.MAV_RESULT_FAILED
-    assert [m.text for m in bench.of(253)] == ["Arm: Need Position Estimate"]
+    assert [m.text for m in bench.of(253)] == ["PreArm: Need Position Estimate"]
     bench.wait(2.5)
     assert bench.of(33)[-1].lat == pytest.approx(ORIGIN[0] * 1e7, abs=1000)
     assert bench.command(MODE, 1, 4) == 0 and bench.copter.mode == 0  # acknowledged, and lost
@@ -134,12 +134,30 @@ def test_the_target_is_told_back() -> None:
     bench = Bench()
     bench.fly()
     bench.command(INTERVAL, 87, 200_000)
+    bench.command(INTERVAL, 85, 200_000)
     assert not [m for m in bench.wait(1.0) if m.get_msgId() == 87]  # still in its take-off
     bench.global_setpoint(0xDF8, 6, 3.0, 1.0, 2.5)
     bench.wait(1.0)
-    told = bench.of(87)[-1]
+    told, local = bench.of(87)[-1], bench.of(85)[-1]
     assert told.coordinate_frame == 0
     assert FRAME.enu(told.lat_int * 1e-7, told.lon_int * 1e-7, told.alt) == pytest.approx((3.0, 1.0, 2.5), abs=0.02)
+    assert (local.x, local.y, local.z) == pytest.approx((3.0, 2.0, -2.5), abs=0.02)
+
+
+def test_the_target_of_a_position_and_velocity_is_told_locally_only() -> None:
+    bench = Bench()
+    bench.fly()
+    bench.command(INTERVAL, 87, 200_000)
+    bench.command(INTERVAL, 85, 200_000)
+    bench.local_setpoint(0xDC0, 1, 1.0, 0.0, -2.0, 0.0, 0.5, 0.0)
+    bench.wait(0.5)
+    bench.wait(0.3)
+    told = bench.of(85)[-1]
+    assert (told.x, told.z, told.vy) == pytest.approx((1.0, -2.0, 0.5), abs=0.01) and 0.2 < told.y < 0.5
+    assert told.type_mask & 0x3F == 0 and not bench.of(87)
+    bench.local_setpoint(0xDC7, 1, 0.0, 0.0, 0.0, 0.0, 0.5, 0.0)
+    bench.wait(0.5)
+    assert bench.of(85)[-1].type_mask & 0x3F == 7 and not bench.of(87)
 
 
 def test_the_speed_is_limited_as_asked() -> None:
@@ -174,27 +192,6 @@ def test_it_does_not_disarm_in_flight() -> None:
     bench = Bench()
     bench.fly()
     assert bench.command(ARM, 0) == mavlink.MAV_RESULT_FAILED and bench.copter.armed
-
-
-def test_it_lands_five_seconds_after_the_last_heartbeat_of_its_ground_station() -> None:
-    bench = Bench()
-    bench.fly()
-    bench.wait(20.0)
-    assert bench.copter.mode == 4  # never heard one
-    bench.send(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
-    bench.wait(4.9)
-    assert bench.copter.mode == 4
-    bench.wait(0.3)
-    assert bench.copter.mode == 9
-
-
-def test_parameters() -> None:
-    bench = Bench()
-    bench.send(mavlink.MAVLink_param_request_read_message(1, 1, b"WPNAV_SPEED", -1))
-    bench.send(mavlink.MAVLink_param_request_read_message(1, 1, b"NO_SUCH_PARAM", -1))
-    bench.send(mavlink.MAVLink_param_request_read_message(2, 1, b"WPNAV_SPEED", -1))  # another system's
-    bench.wait(0.5)
-    assert [(m.param_id, m.param_value) for m in bench.of(22)] == [("WPNAV_SPEED", 500.0)]
 
 
 def test_home_and_origin_are_its_own() -> None:

@@ -15,7 +15,7 @@ def test_a_pilot_who_takes_over_is_left_alone() -> None:
     rig = Rig()
     rig.fly()
     assert rig.autopilot is not None
-    rig.autopilot.copter._enter(5, rig.body.state().position, rig.now)  # LOITER, at the remote control
+    rig.autopilot.copter.enter(5, rig.now)  # LOITER, at the remote control
     with pytest.raises(Unready, match="LOITER: a pilot or a failsafe"):
         rig.run(3.0)
     rig.wire.up.clear()
@@ -28,7 +28,7 @@ def test_a_failsafe_landing_is_waited_for() -> None:
     rig = Rig()
     rig.fly()
     assert rig.autopilot is not None
-    rig.autopilot.copter._enter(9, (*rig.body.state().position[:2], 0.0), rig.now)
+    rig.autopilot.copter.enter(9, rig.now)
     with pytest.raises(Unready, match="LAND: a pilot or a failsafe"):
         rig.run(3.0)
     rig.quad.rest(rig.now)
@@ -84,7 +84,7 @@ def test_a_new_agent_does_not_grab_a_vehicle_that_a_pilot_flies() -> None:
     rig = Rig()
     rig.fly()
     assert rig.autopilot is not None
-    rig.autopilot.copter._enter(5, rig.body.state().position, rig.now)
+    rig.autopilot.copter.enter(5, rig.now)
     rig.quad = rig.agent()
     rig.quad.start(rig.now)
     with pytest.raises(Unready, match="already flying in LOITER"):

@@ -141,9 +141,24 @@ def test_what_does_not_forbid_a_take_off_is_told_once() -> None:
     assert rig.autopilot is not None
     rig.autopilot.copter.params |= {"FS_GCS_ENABLE": 1.0, "LAND_REPOSITION": 1.0}
     rig.fly()
-    told = [said for said in rig.progress if "parameters" in said]
-    assert told == [
+    (told,) = (said for said in rig.progress if "parameters" in said)
+    assert told.endswith(
         "parameters of the autopilot differ: FS_GCS_ENABLE is 1, wanted 5: else it does not land when the agent dies; "
         "LAND_REPOSITION is 1, wanted 0: else it waits for a pilot after landing, and does not disarm"
-    ]
+    )
     assert not sent(rig, SET)
+
+
+def test_what_differs_is_told_while_there_is_no_estimate_yet() -> None:
+    """It may be why there is none."""
+    rig = Rig(boot=30.0)
+    assert rig.autopilot is not None
+    rig.autopilot.copter.params["FS_THR_ENABLE"] = 1.0
+    rig.quad.start(rig.now)
+    rig.run(3.0)
+    assert rig.quad.progress == (
+        "waiting for its position estimate; parameters of the autopilot differ: FS_THR_ENABLE is 1, wanted 0: else it "
+        "does not fly without a remote control"
+    )
+    rig.autopilot.copter.params["FS_THR_ENABLE"] = 0.0
+    assert rig.run(50.0, lambda: rig.quad.ready)

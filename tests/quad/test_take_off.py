@@ -16,7 +16,7 @@ def test_a_refused_arming_shows_the_autopilots_words() -> None:
     assert rig.autopilot is not None
     rig.autopilot.copter.failing_check = "Compass not calibrated"
     rig.quad.start(rig.now)
-    assert rig.run(10.0, lambda: "failed: Arm: Compass not calibrated" in rig.quad.progress)
+    assert rig.run(10.0, lambda: "failed: PreArm: Compass not calibrated" in rig.quad.progress)
     assert not rig.run(30.0, lambda: rig.quad.ready)
     assert "Compass not calibrated" in rig.quad.progress
     rig.autopilot.copter.failing_check = ""
@@ -108,7 +108,7 @@ def test_a_pilot_who_takes_over_before_take_off_is_left_alone() -> None:
     rig.quad.start(rig.now)
     assert rig.run(10.0, lambda: copter.armed)
     rig.run(1.0)
-    copter._enter(0, rig.body.state().position, rig.now)  # STABILIZE, at the remote control
+    copter.enter(0, rig.now)  # STABILIZE, at the remote control
     rig.wire.meddle = lambda data, down: data
     with pytest.raises(Unready, match="STABILIZE: a pilot or a failsafe"):
         rig.run(2.0)

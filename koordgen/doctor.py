@@ -1,0 +1,60 @@
+"""`koordgen doctor`: lets a robot's bundle tell, with this Python, what it finds of its surroundings."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+from koordgen import __version__
+
+_VERSION = re.compile(r'^__version__ = "([^"]*)"', re.MULTILINE)
+
+
+class CannotExamine(Exception):
+    """The folder is no robot's bundle of this koordgen; `help` is the way out."""
+
+    def __init__(self, message: str, help: str) -> None:
+        super().__init__(message)
+        self.help = help
+
+
+def robots_bundle(path: str) -> Path:
+    """The folder of one robot's bundle. Raises CannotExamine."""
+    folder = Path(path)
+    build = "`koordgen build APP.koord --target ... --fleet FILE` writes a folder for each robot"
+    if not folder.is_dir():
+        raise CannotExamine(f"{path}: no such folder", build)
+    if not (folder / "__main__.py").is_file() or not (folder / "koordgen/runtime").is_dir():
+        inside = sorted(p.parent.name for p in folder.glob("*/program.py"))
+        raise CannotExamine(f"{path}: not a bundle", f"name one of {', '.join(inside)} in it" if inside else build)
+    if not (folder / "program.py").is_file():
+        agents = ", ".join(sorted(str(p.parent) for p in folder.glob("agents/*/program.py")))
+        help = f"the robots that it runs: {agents}" if agents else build
+        raise CannotExamine(f"{path}: runs a whole fleet on this host, it is no robot's bundle", help)
+    version = _version(folder)
+    if version != __version__:
+        help = f"build it anew, or ask the bundle itself: {sys.executable} {path} --doctor"
+        raise CannotExamine(f"{path}: made by koordgen {version}, and this is koordgen {__version__}", help)
+    return folder
+
+
+def _version(folder: Path) -> str:
+    try:
+        found = _VERSION.search((folder / "koordgen/__init__.py").read_text(encoding="utf-8", errors="replace"))
+    except OSError:
+        found = None
+    return found[1] if found else "of unknown version"
+
+
+def examine(path: str, settings: str | None, form: str) -> int:
+    """Run the bundle's own `--doctor`, which prints; its exit status. Raises CannotExamine."""
+    command = [sys.executable, str(robots_bundle(path).resolve()), "--doctor", f"--format={form}"]
+    if settings is not None:
+        command.append(f"--settings={settings}")
+    status = subprocess.run(command, check=False).returncode
+    if status < 0:
+        raise CannotExamine(f"{path}: it was killed by {signal.Signals(-status).name}", "start it again")
+    return status
