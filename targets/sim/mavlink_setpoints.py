@@ -35,12 +35,12 @@ def take_setpoint(message: Message, copter: Copter, frame: LocalFrame, now: floa
     uses = _uses(message.type_mask)
     globally = message.get_msgId() == mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT
     if uses is None or message.coordinate_frame not in (AMSL + ABOVE_HOME if globally else LOCAL + OFFSET):
-        copter.guidance.stop(now, estimate.position)
+        copter.refuse_setpoint(now)
         return True
     position, velocity, push = estimate.position, STILL, STILL
     if uses[0]:
         if not all(map(math.isfinite, (message.alt,) if globally else (message.x, message.y, message.z))):
-            return False
+            return not copter.fragile
         position = _global(message, copter, frame) if globally else _local(message, copter, frame, ekf)
     if uses[1]:
         velocity = _turned(message, message.vx, message.vy, message.vz, estimate.yaw)
