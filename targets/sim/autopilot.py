@@ -16,7 +16,7 @@ from targets.sim.mavlink_estimate import Estimator
 from targets.sim.mavlink_params import VERSION, Parameters
 from targets.sim.mavlink_px4 import STREAMS, Px4, Px4Parameters, Px4Reports
 from targets.sim.mavlink_reports import Reports
-from targets.sim.mavlink_setpoints import take_setpoint
+from targets.sim.mavlink_setpoints import reposition, take_setpoint
 from targets.sim.mavlink_telemetry import Message, Telemetry
 from targets.sim.ports import Port, UdpPort
 from targets.sim.scenario import BadScenario
@@ -130,7 +130,7 @@ class SimulatedAutopilot:
         match message.get_msgId():
             case mavlink.MAVLINK_MSG_ID_HEARTBEAT:
                 self.copter.heard_heartbeat(message.get_srcSystem(), now)
-            case mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
+            case mavlink.MAVLINK_MSG_ID_COMMAND_LONG | mavlink.MAVLINK_MSG_ID_COMMAND_INT:
                 self._send(
                     mavlink.MAVLink_command_ack_message(
                         message.command, self._command(message, now), 0, 0,
@@ -178,6 +178,10 @@ class SimulatedAutopilot:
 
     def _command(self, message: Message, now: float) -> int:
         """A MAV_RESULT."""
+        if message.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_INT:
+            if message.command == mavlink.MAV_CMD_DO_REPOSITION:
+                return reposition(message, self.copter, self._frame, now)
+            message.param7 = message.z
         p1, p2 = message.param1, message.param2
         match message.command:
             case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL if math.isfinite(p1):

@@ -195,6 +195,15 @@ class Copter:
         self.guidance.go(Aim.TAKEOFF, now, (x, y, self.home[2] + above_home))
         return ACCEPTED
 
+    def reposition(self, place: Vector, changes_mode: bool, now: float) -> int:
+        """DO_REPOSITION. A MAV_RESULT."""
+        if self.mode != GUIDED and not (changes_mode and self.set_mode(GUIDED, now) == ACCEPTED):
+            return DENIED
+        if not self.following:
+            return FAILED
+        self.guidance.go(Aim.POSITION, now, place)
+        return ACCEPTED
+
     def watch(self, now: float) -> None:
         """What happens by itself: complaints, auto-disarm, touch-down, failsafes."""
         if not self.armed:

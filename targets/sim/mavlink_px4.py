@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.geodesy import LocalFrame
 from targets.sim.mavlink_copter import ACCEPTED, CRITICAL, DENIED, INFO, WARNING, Copter
-from targets.sim.mavlink_guided import Aim
+from targets.sim.mavlink_guided import Aim, Vector
 from targets.sim.mavlink_params import REAL, Parameter, Parameters
 from targets.sim.mavlink_reports import Reports
 from targets.sim.mavlink_telemetry import Message
@@ -204,6 +204,14 @@ class Px4(Copter):
     def disarm(self, force: bool) -> int:
         result = super().disarm(force)
         return REJECTED if result != ACCEPTED else result
+
+    def reposition(self, place: Vector, changes_mode: bool, now: float) -> int:
+        """DO_REPOSITION: HOLD, at another place."""
+        if not self.armed or self.landed:
+            return REJECTED
+        self.enter(HOLD, now)
+        self.guidance.go(Aim.POSITION, now, place)
+        return ACCEPTED
 
     def watch(self, now: float) -> None:
         """What happens by itself: take-off, the end of one, auto-disarm, touch-down, failsafes."""
