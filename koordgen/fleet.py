@@ -11,6 +11,7 @@ import yaml
 
 from koordgen.located import Reader, Report, YamlNode
 from koordgen.manifest import SETTING_TYPES, Setting, Target
+from koordgen.mocap import Mocap, read_mocap
 from koordgen.node import Node
 from koordgen.source import Source
 
@@ -99,10 +100,14 @@ class Fleet(Node):
     harness: dict[str, dict[str, Any]]
     link: Link | None  # None: nothing is said of it
     network: dict[str, Any]  # `transport`, and what the file says of it
+    mocap: Mocap
 
 
-def read(source: Source, targets: Mapping[str, Target], params: Mapping[str, Fits], report: Report) -> Fleet | None:
-    """Check a fleet file against the targets there are and the program's params; None after anything was reported."""
+def read(
+    source: Source, targets: Mapping[str, Target], params: Mapping[str, Fits] | None, report: Report
+) -> Fleet | None:
+    """Check a fleet file against the targets there are and the program's params (None: whatever they are); None after
+    anything was reported."""
     mistakes = 0
 
     def counted(code: str, message: str, span: Any, help: str) -> None:
@@ -113,7 +118,7 @@ def read(source: Source, targets: Mapping[str, Target], params: Mapping[str, Fit
     reader = Reader(source, counted)
     harnesses = sorted(name for name, t in targets.items() if t.kind == "harness")
     optional = ["application_id", "key", "insecure", "params", "safety", "obstacles", "modules"]
-    optional += ["planner_budget", "link", "network", *harnesses]
+    optional += ["planner_budget", "link", "network", "mocap", *harnesses]
     top = reader.table(reader.document(), "the fleet file", ["delta", "origin", "geofence", "robots"], optional)
     origin = reader.table(top.get("origin"), "origin", ["latitude", "longitude", "altitude"], [])
     insecure = bool(reader.scalar(top.get("insecure"), "insecure", bool))
@@ -129,7 +134,7 @@ def read(source: Source, targets: Mapping[str, Target], params: Mapping[str, Fit
         obstacles=_obstacles(reader, top.get("obstacles")),
         key=_key(reader, top.get("key"), insecure),
         insecure=insecure,
-        params=_params(reader, top.get("params"), params),
+        params={} if params is None else _params(reader, top.get("params"), params),
         safety=_safety(reader, top.get("safety")),
         planner_budget=reader.number(top.get("planner_budget"), "planner_budget (seconds)", 0.0005, 1.0) or 0.01,
         drivers=_drivers(reader, top.get("modules")),
@@ -137,6 +142,7 @@ def read(source: Source, targets: Mapping[str, Target], params: Mapping[str, Fit
         harness={n: _settings(reader, top[n], n, targets[n].settings) for n in harnesses if n in top},
         link=_link(reader, top.get("link")),
         network=_network(reader, top.get("network")),
+        mocap=read_mocap(reader, top.get("mocap")),
     )
     return None if mistakes else fleet
 

@@ -28,11 +28,19 @@ class Setting(Node):
     words: tuple[str, ...] = ()  # that may stand for a number
 
 
+class Feed(Node):
+    """How robots of a target are told their poses: at the address in the setting `setting`, unless their settings are
+    as `unless` says."""
+
+    setting: str
+    unless: dict[str, Any]
+
+
 class Target(Node):
     """One target. `kind` "agent" runs one robot (`entry` is its Platform class), "harness" a whole fleet on one host
     (`entry` is its main function), both as "module:name". `sensors`, `actuators` and `callables` are keyed by
     "Module.port" and say the Koord type. `simulation` names the body and the device that stand in for the real ones;
-    `also` the other folders of targets/ whose files this one's code imports."""
+    `feed` how a base station finds it; `also` the other folders of targets/ whose files this one's code imports."""
 
     name: str
     summary: str
@@ -44,6 +52,7 @@ class Target(Node):
     callables: dict[str, str]
     settings: dict[str, Setting]
     simulation: dict[str, str]
+    feed: Feed | None
     also: tuple[str, ...]
     folder: Path
 
@@ -97,6 +106,7 @@ def _target(raw: dict[str, Any], path: Path) -> Target:
         callables=ports["callables"],
         settings={key: _setting(key, value) for key, value in raw.get("settings", {}).items()},
         simulation=raw.get("simulation", {}),
+        feed=Feed(raw["feed"]["setting"], raw["feed"].get("unless", {})) if "feed" in raw else None,
         also=tuple(raw.get("also", ())),
         folder=path.parent,
     )

@@ -165,8 +165,8 @@ def _beside(
     return own, wrong
 
 
-def read_fleet(path: str, targets: Mapping[str, Target], program: Program) -> tuple[Fleet, dict[str, Value]]:
-    """The fleet and its params as values. Raises Rejected."""
+def read_fleet(path: str, targets: Mapping[str, Target], program: Program | None) -> tuple[Fleet, dict[str, Value]]:
+    """The fleet and its params as values; without a program nothing is known of those. Raises Rejected."""
     from koordgen import fleet
 
     source = read_source(path)
@@ -175,7 +175,8 @@ def read_fleet(path: str, targets: Mapping[str, Target], program: Program) -> tu
     def report(code: str, message: str, span: Span, help: str) -> None:
         found.append((source, Diagnostic(code, "error", message, span, help=help)))
 
-    read = fleet.read(source, targets, {p.name: _fits(program, p.name) for p in program.params}, report)
+    params = {p.name: _fits(program, p.name) for p in program.params} if program is not None else None
+    read = fleet.read(source, targets, params, report)
     if read is None:
         raise Rejected(found)
     return read, read.params

@@ -178,6 +178,31 @@ def _estop(options: Namespace) -> int:
     return HOLDS
 
 
+def _basestation(options: Namespace) -> int:
+    import os
+
+    from koordgen.basestation import CannotServe, all_targets, station
+    from koordgen.cli.terminal import Line
+    from koordgen.pipeline import read_fleet
+
+    fleet, _ = read_fleet(options.fleet, all_targets(), None)
+    line = Line(sys.stderr)
+    try:
+        serving = station(fleet, options.fleet, options.key, options.system, options.host, options.rate)
+        try:
+            serving.serve(line.show)
+        except KeyboardInterrupt:
+            line.end()
+            if not serving.camera.end():  # it waits for a frame within its library, and would crash Python's own end
+                _say("interrupted")
+                os._exit(INTERRUPTED)
+            raise
+    except CannotServe as error:
+        line.end()
+        raise Failure(SURROUNDINGS, str(error), error.help) from None
+    return HOLDS
+
+
 def _doctor(options: Namespace) -> int:
     from koordgen.doctor import CannotExamine, examine
 
@@ -213,7 +238,7 @@ def _key(options: Namespace) -> int:
 
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "check": _check, "dump": _dump, "build": _build, "fmt": _fmt, "explain": _explain, "estop": _estop,
-    "doctor": _doctor, "key": _key,
+    "basestation": _basestation, "doctor": _doctor, "key": _key,
 }  # fmt: skip
 
 

@@ -79,6 +79,24 @@ def _estop(command: argparse.ArgumentParser) -> None:
     command.add_argument("--format", choices=("text", "json"), default="text", help="of what is told (default: text)")
 
 
+def _basestation(command: argparse.ArgumentParser) -> None:
+    command.add_argument("fleet", metavar="FLEET", help="the fleet file (YAML)")
+    systems = "vicon, optitrack, qualisys, vrpn: what the package motioncapture knows"
+    command.add_argument("--system", metavar="NAME", required=True, help=systems)
+    command.add_argument("--host", metavar="HOST", required=True, help="where the motion capture system's server is")
+    command.add_argument("--key", metavar="FILE", help="the fleet's key (default: beside the fleet file, or here)")
+    rate = "poses a second to each robot, at most (default: 50)"
+    command.add_argument("--rate", metavar="HZ", type=_rate, default=50.0, help=rate)
+    _format(command)
+
+
+def _rate(text: str) -> float:
+    value = float(text)
+    if not 1.0 <= value <= 1000.0:
+        raise ValueError
+    return value
+
+
 def _doctor(command: argparse.ArgumentParser) -> None:
     command.add_argument("bundle", metavar="BUNDLE", help="a robot's folder, as build wrote it")
     command.add_argument("--settings", metavar="FILE", help="JSON laid over the bundle's settings.json")
@@ -122,6 +140,7 @@ _COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "fmt": ("format programs in place", _fmt),
     "explain": ("tell more of a code, with a wrong and a right example", _explain),
     "estop": ("emergency stop: bring all robots of a fleet to rest at once", _estop),
+    "basestation": ("pass the poses of a motion capture system on to the robots of a fleet", _basestation),
     "doctor": ("look whether a robot is ready for a mission, on its own computer; nothing moves", _doctor),
     "key": ("make a fleet's key", _key),
 }

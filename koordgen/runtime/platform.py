@@ -10,9 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
-from koordgen.runtime.values import Point
+if TYPE_CHECKING:  # what is found must be told even where no package is installed
+    from koordgen.runtime.values import Point
 
 
 class Unready(Exception):

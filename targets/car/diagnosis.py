@@ -17,12 +17,32 @@ STALE = 0.3  # seconds without a sample of the position feed: brake
 _STEP, _STEPS = 0.05, 60  # seconds; the look ends earlier when all is there
 _WATCHED = 1.0  # seconds for which a feed is watched
 LEAST_RATE = 10.0  # Hz
+LEAST_STEERING = 0.8  # of max_steering, that the servo's range must allow
+MOST_ERPM = 100_000.0  # l_max_erpm of the VESC firmware as delivered
 
 
 def silent_drive(setting: str, seconds: float) -> Unready:
     """No answer of the motor controller."""
     hint = "switch its supply on; check that `drive` names the VESC and that its USB or UART app is enabled"
     return Unready(f"the motor controller on {setting} has not answered for {seconds:.0f} s", hint)
+
+
+def limits(settings: CarSettings, fence: Box) -> Finding:
+    """Whether the settings fit one another and the arena; what is calibrated only the real car can tell."""
+    radius, room = settings.planned_radius, min(fence.hi.x - fence.lo.x, fence.hi.y - fence.lo.y)
+    erpm = abs(settings.max_speed * settings.speed_to_erpm_gain)
+    told = f"turning radius {radius:.2f} m, {settings.max_speed:g} m/s are {erpm:.0f} ERPM"
+    if 2 * radius > room:
+        hint = "it cannot turn round: look at wheelbase, max_steering, the servo's gain and offset, and the geofence"
+        return Finding("limits", "fail", told, f"a circle that fits into the {room:g} m of the geofence", hint)
+    if settings.steering_limit < LEAST_STEERING * settings.max_steering:
+        hint = "the servo's range ends before the wheels': look at steering_to_servo_gain and steering_to_servo_offset"
+        steering = f"steers {settings.steering_limit:.2f} rad, {told}"
+        return Finding("limits", "warn", steering, f"max_steering, {settings.max_steering:g} rad", hint)
+    if erpm > MOST_ERPM:
+        hint = "a VESC refuses more as delivered: look at max_speed and speed_to_erpm_gain"
+        return Finding("limits", "warn", told, f"{MOST_ERPM:.0f} ERPM or less", hint)
+    return Finding("limits", "ok", told)
 
 
 def drive_findings(settings: CarSettings, links: Links) -> list[Finding]:

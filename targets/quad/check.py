@@ -15,7 +15,7 @@ from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point
 from targets.quad.firmware import Firmware
 from targets.quad.framing import Message
-from targets.quad.link import Link
+from targets.quad.link import GROUND_STATION, Link
 from targets.quad.parameters import Parameters, Wanted
 from targets.quad.telemetry import Streams, Telemetry
 from targets.quad.vehicles import identified
@@ -25,8 +25,8 @@ WATCHED = 3.0  # seconds for which the streams are watched when it is there: rat
 _PAUSE = 0.05
 GROUND_SLACK = 0.5  # metres by which the ground may seem to lie outside the fence, estimates being what they are
 
-# What is asked for once a second until it has come.
-ONCE = (
+# What is asked for once a second.
+SELDOM = (
     mavlink.MAVLINK_MSG_ID_SYS_STATUS,
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
     mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
@@ -36,8 +36,8 @@ ONCE = (
 @dataclass
 class Heard:
     """What an autopilot has told: of each message the first time, the last time (seconds) and how often since the
-    first, and the last of it; `wall` is our own wall clock (seconds since 1970) at the last SYSTEM_TIME; `seconds`
-    says for how long it was listened to."""
+    first, and the last of it; `wall` is our own wall clock (seconds since 1970) at the last SYSTEM_TIME;
+    from `began` to `ended` it was listened to."""
 
     link: Link
     telemetry: Telemetry
@@ -47,13 +47,14 @@ class Heard:
     newest: dict[int, Message] = field(default_factory=dict)
     parameters: Parameters | None = None
     wall: float = 0.0
-    seconds: float = 0.0
+    began: float = 0.0
+    ended: float = 0.0
+    examined: bool = False  # whether it was asked to run its checks, the results of which it says
 
     def ask(self) -> None:
-        """Ask for what does not come by itself, and has not come yet."""
-        for number in ONCE:
-            if number not in self.newest:
-                self.link.tell(mavlink.MAV_CMD_REQUEST_MESSAGE, number)
+        """Ask for what does not come by itself."""
+        for number in SELDOM:
+            self.link.tell(mavlink.MAV_CMD_REQUEST_MESSAGE, number)
 
     def take(self, message: Message, now: float) -> None:
         """One of the vehicle's messages."""
@@ -74,14 +75,18 @@ class Heard:
 
 def listen(
     link: Link, frame: LocalFrame, wanted: Callable[[Firmware], tuple[Wanted, ...]],
+    meanwhile: Callable[[list[Message], float], None],
     clock: Callable[[], float], sleep: Callable[[float], None], wall: Callable[[], float],
 ) -> Heard:  # fmt: skip
-    """Within DEADLINE + WATCHED seconds; sooner when nothing more is to be expected."""
+    """Within DEADLINE + WATCHED seconds; sooner when nothing more is to be expected. `meanwhile` is called with what
+    came since, and the time."""
     heard, streams = Heard(link, Telemetry(frame)), Streams()
     asked, known = -math.inf, math.inf
     begun = now = clock()
     while now - begun < DEADLINE + WATCHED:
-        for message in link.receive(now):
+        messages = link.receive(now)
+        meanwhile(messages, now)
+        for message in messages:
             streams.note(message.get_msgId(), now)
             heard.take(message, now)
             if message.get_msgId() == mavlink.MAVLINK_MSG_ID_SYSTEM_TIME:
@@ -98,13 +103,16 @@ def listen(
             if now - asked >= 1.0:
                 asked = now
                 heard.ask()
+            if not heard.examined and (math.isfinite(known) or now - begun >= DEADLINE / 2):
+                heard.examined = True
+                link.tell(mavlink.MAV_CMD_RUN_PREARM_CHECKS)
         known = min(known, now) if heard.telemetry.fresh(now) else known
         enough = now - known >= WATCHED or (math.isinf(known) and now - begun >= DEADLINE)
         if enough and (heard.parameters is None or heard.parameters.done(now)):
             break
         sleep(_PAUSE)
         now = clock()
-    heard.seconds = now - begun
+    heard.began, heard.ended = begun, now
     return heard
 
 
@@ -140,6 +148,12 @@ def unheard(url: str, link: Link, seconds: float) -> Unready:
     elif link.garbled:
         hint = f"{link.garbled} bytes came that are no MAVLink: is the baud rate right, and is it a MAVLink port?"
     return Unready(f"{heard} on {url} ({seconds:.0f} s)", hint)
+
+
+RIVAL = (
+    f"another ground station sends heartbeats as system {GROUND_STATION} (QGroundControl's own number): while it does, "
+    "the autopilot does not land when this agent dies; give it another number"
+)
 
 
 def stranger(url: str, what: str) -> Unready:

@@ -9,11 +9,12 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.platform import Finding, State
 from koordgen.runtime.settings import Box
-from targets.quad.check import DEADLINE, Heard, coordinates, misplaced, stranger, unheard
+from targets.quad.check import DEADLINE, RIVAL, Heard, coordinates, misplaced, stranger, unheard
 from targets.quad.framing import Message
 from targets.quad.vehicles import identified
 
 CHARGE, LEAST_CHARGE = 50, 20  # percent
+LEVEL = 1.0  # metres: the ground may be so much off z = 0
 FAR_ORIGIN = 1000.0  # metres
 CLOCKS = 1.0  # seconds between the autopilot's wall clock and ours
 VARIANCE = 0.8  # at which ArduPilot's EKF failsafe acts (FS_EKF_THRESH)
@@ -24,14 +25,27 @@ _FLAGS = {
     mavlink.EKF_VELOCITY_VERT: "vertical velocity",
     mavlink.EKF_POS_VERT_ABS: "height",
 }
+_REFUSALS = ("PreArm:", "Arm:", "Preflight Fail:")
+# Not the remote control, which may be absent, nor the motors, which a safety switch holds.
+_SENSORS = {
+    mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO: "gyro",
+    mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL: "accelerometer",
+    mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG: "compass",
+    mavlink.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE: "barometer",
+    mavlink.MAV_SYS_STATUS_SENSOR_GPS: "GPS",
+    mavlink.MAV_SYS_STATUS_SENSOR_VISION_POSITION: "external position",
+    mavlink.MAV_SYS_STATUS_AHRS: "AHRS",
+    mavlink.MAV_SYS_STATUS_SENSOR_BATTERY: "battery",
+    mavlink.MAV_SYS_STATUS_LOGGING: "logging",
+}
 
 
 def findings(url: str, heard: Heard, frame: LocalFrame, fence: Box, height: float) -> list[Finding]:
     """What there is to say, what is to be repaired first coming first."""
     link = heard.link
     if link.vehicle is None:
-        return [Finding.of("link", unheard(url, link, heard.seconds))]
-    found = [Finding("link", "ok", f"autopilot on {url}, system {link.vehicle.system}")]
+        return [Finding.of("link", unheard(url, link, heard.ended - heard.began))]
+    found = [_link(url, heard, link.vehicle.system)]
     what, firmware = identified(link)
     if firmware is None:
         return [*found, Finding.of("firmware", stranger(url, what))]
@@ -39,6 +53,7 @@ def findings(url: str, heard: Heard, frame: LocalFrame, fence: Box, height: floa
         *found,
         _version(what, heard),
         *_parameters(heard),
+        *_rival(heard),
         *_armed(heard),
         _estimate(heard),
         *_place(heard, fence, height),
@@ -46,8 +61,18 @@ def findings(url: str, heard: Heard, frame: LocalFrame, fence: Box, height: floa
         _streams(heard),
         *_battery(heard),
         *_clock(heard),
-        *_said(heard),
+        *_checks(heard),
     ]
+
+
+def _link(url: str, heard: Heard, system: int) -> Finding:
+    if not heard.link.alive(heard.ended):
+        return Finding.of("link", unheard(url, heard.link, heard.ended - (heard.link.heard or 0.0)))
+    if heard.link.crowded(heard.ended):
+        others = ", ".join(map(str, sorted(heard.link.others))) or str(system)
+        hint = "see that only this robot's does; the setting `system` says which of several is this robot's"
+        return Finding("link", "fail", f"another autopilot (system {others}) sends to {url}", "one", hint)
+    return Finding("link", "ok", f"autopilot on {url}, system {system}")
 
 
 def _version(what: str, heard: Heard) -> Finding:
@@ -74,6 +99,10 @@ def _parameters(heard: Heard) -> list[Finding]:
         )
         for r in wrong
     ]  # fmt: skip
+
+
+def _rival(heard: Heard) -> list[Finding]:
+    return [Finding("failsafe", "warn", RIVAL)] if math.isfinite(heard.link.rival) else []
 
 
 def _armed(heard: Heard) -> list[Finding]:
@@ -123,7 +152,11 @@ def _place(heard: Heard, fence: Box, height: float) -> list[Finding]:
     fault = "" if heard.telemetry.flying else misplaced(fence, height, p)
     if fault:
         return [Finding("place", "fail", fault)]
-    return [Finding("place", "ok", f"{coordinates(p)} m, inside the geofence, {height - p.z:.1f} m to climb")]
+    told = f"{coordinates(p)} m, inside the geofence, {height - p.z:.1f} m to climb"
+    if abs(p.z) > LEVEL and not heard.telemetry.flying:
+        hint = "it flies as much lower or higher over the ground: is the altitude of the fleet's origin right?"
+        return [Finding("place", "warn", told, f"a ground within {LEVEL:g} m of z = 0", hint)]
+    return [Finding("place", "ok", told)]
 
 
 def _origin(heard: Heard, frame: LocalFrame) -> list[Finding]:
@@ -187,6 +220,25 @@ def _clock(heard: Heard) -> list[Finding]:
     return [Finding("boot", "ok", told)]
 
 
-def _said(heard: Heard) -> list[Finding]:
-    reasons = heard.link.reasons(-math.inf)
-    return [Finding("says", "warn", reasons, why="the autopilot's own words; it may refuse to arm")] if reasons else []
+def _checks(heard: Heard) -> list[Finding]:
+    """What the autopilot says of its own health: SYS_STATUS, and its words since it was asked to run its checks."""
+    found = []
+    texts = [text for _, severity, text in heard.link.texts if severity <= mavlink.MAV_SEVERITY_WARNING]
+    refusals = list(dict.fromkeys(text for text in texts if text.startswith(_REFUSALS)))
+    others = list(dict.fromkeys(text for text in texts if text not in refusals))
+    status = heard.newest.get(mavlink.MAVLINK_MSG_ID_SYS_STATUS)
+    failing = 0
+    if status is not None:
+        failing = (
+            status.onboard_control_sensors_present
+            & status.onboard_control_sensors_enabled
+            & ~status.onboard_control_sensors_health
+        )
+    if sick := [name for flag, name in _SENSORS.items() if failing & flag]:
+        found.append(Finding("sensors", "warn", f"not healthy: {', '.join(sick)}", "all", "calibrate or repair them"))
+    if refusals or (failing & mavlink.MAV_SYS_STATUS_PREARM_CHECK and not heard.telemetry.armed):
+        told = "; ".join(refusals) or "its checks fail, and it does not say which"
+        found.append(Finding("checks", "fail", told, why="the autopilot will refuse to arm"))
+    if others:
+        found.append(Finding("says", "warn", "; ".join(others), why="these are the autopilot's own warnings"))
+    return found

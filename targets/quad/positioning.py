@@ -8,7 +8,7 @@ whether the autopilot's estimate follows it. What is in doubt holds the vehicle 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from koordgen.runtime.datagrams import DatagramLink, waiting
 from koordgen.runtime.feed import Feed
@@ -57,7 +57,7 @@ class Positioning:
         self._began = 0.0
         self._unix = 0.0  # time of day minus the agent's clock: read once, so that fixes follow one another evenly
         self._next = self._sent = -math.inf
-        self._taken = 0  # samples
+        self._taken = 0  # samples since it was opened
         self._carried = 0  # how often the vehicle was carried elsewhere, on the ground
         self.vouched: float | None = None
         self.doubt = self._waiting()
@@ -67,7 +67,7 @@ class Positioning:
         """Bind the feed's port, if it is not bound. Raises Unready."""
         if self._datagrams is None:
             self._datagrams = self._bind(self._setting)
-        self._began, self._unix = now, self._wall() - now
+        self._began, self._unix, self._taken = now, self._wall() - now, 0
 
     def close(self) -> None:
         """Give the port back. Idempotent."""
@@ -82,7 +82,21 @@ class Positioning:
             raise Unready(f"{firmware.name} takes no positioning {self._mode!r}", f"it takes: own, {there_are}")
         return firmware.positioning[self._mode]
 
-    def pass_on(self, link: Link, now: float) -> None:
+    def tried(self, now: float) -> list[Finding]:
+        """`open` for a platform's `diagnose`: nothing, or why it could not be."""
+        try:
+            self.open(now)
+        except Unready as error:
+            return [Finding.of("feed", error)]
+        return []
+
+    def attend(self, link: Link, messages: Iterable[Message], now: float) -> None:
+        """Take the vehicle's messages, and pass the source on."""
+        for message in messages:
+            self._origin.take(message)
+        self._pass_on(link, now)
+
+    def _pass_on(self, link: Link, now: float) -> None:
         """Take the samples that have arrived, and send the newest to the autopilot when that is due."""
         for datagram in waiting(self._datagrams) if self._datagrams is not None else ():
             if self._feed.take(datagram, now) and self._feed.pose is not None and self._feed.time is not None:
@@ -111,9 +125,7 @@ class Positioning:
 
     def poll(self, link: Link, flight: Flight, state: Telemetry, now: float) -> None:
         """Pass the source on, and watch it. Raises Unready when it cannot be flown by any more."""
-        for message in flight.heard:
-            self._origin.take(message)
-        self.pass_on(link, now)
+        self.attend(link, flight.heard, now)
         grounded = flight.phase in (Phase.CONNECTING, Phase.ESTIMATING)
         if grounded and self._track.refused(now) > JUMPED:
             self._track.forget()
@@ -132,14 +144,18 @@ class Positioning:
             self.doubt = f"the position source jumped: {track.jumps} samples refused"
         elif track.pose is not None and now - track.time > STALE:
             self.doubt = f"no position has come on {self._setting} for {now - track.time:.1f} s"
-        elif state.position is not None and state.time is not None and (there := track.at(state.time)) is not None:
+        elif (off := self._apart(state)) is not None:
             v = track.velocity
-            off = distance(state.position, there)
             if off > APART + LAG * math.hypot(v.x, v.y, v.z):
                 self.doubt = f"the autopilot's estimate is {off:.2f} m from the position source"
             else:
                 self.vouched = track.time
         self.held = self.vouched is None or now - self.vouched > STALE
+
+    def _apart(self, state: Telemetry) -> float | None:
+        """Metres from the estimate to where the source was then; None when that is not known."""
+        there = self._track.at(state.time) if state.time is not None else None
+        return distance(state.position, there) if state.position is not None and there is not None else None
 
     def _give_up(self, phase: Phase, now: float) -> None:
         jumped = self._track.refused(now)
@@ -153,17 +169,34 @@ class Positioning:
     def _waiting(self) -> str:
         return f"waiting for the position feed on {self._setting}{self._feed.dropped}"
 
-    def findings(self, now: float) -> list[Finding]:
-        """For a platform's `diagnose`, after samples were passed on since `open`: whether they come as they should."""
+    def findings(self, state: Telemetry, now: float) -> list[Finding]:
+        """For a platform's `diagnose`, after samples were passed on since `open`: whether they come as they should, and
+        whether the autopilot's estimate is where they are."""
         feed, seconds = self._feed, max(now - self._began, 0.1)
         if feed.pose is None:
             return [Finding.of("feed", Unready(*feed.silent(self._setting, seconds)))]
-        rate = self._taken / seconds
-        found = f"{rate:.0f} Hz on {self._setting}: {coordinates(feed.pose.position)} m{feed.dropped}"
+        rate, age = self._taken / seconds, now - self._track.time
+        place = coordinates(feed.pose.position)
+        found = f"{rate:.0f} Hz on {self._setting}, {age * 1e3:.0f} ms old: {place} m{feed.dropped}"
         if self._track.jumps:
             why = "it would land the robot: look at the markers and at the base station's network"
             return [Finding("feed", "fail", f"{found}; {self._track.jumps} samples jumped", "none that jumps", why)]
+        if age > STALE:
+            why = "it has fallen silent, which would land the robot: look at the base station and its network"
+            return [Finding("feed", "fail", found, f"not older than {STALE * 1e3:.0f} ms", why)]
         if rate < LEAST_RATE:
             why = "the autopilot flies less exactly: raise the base station's rate"
-            return [Finding("feed", "warn", found, f"{LEAST_RATE:g} Hz or more", why)]
-        return [Finding("feed", "ok", found)]
+            came = Finding("feed", "warn", found, f"{LEAST_RATE:g} Hz or more", why)
+        else:
+            came = Finding("feed", "ok", found)
+        return [came, *self._followed(state)]
+
+    def _followed(self, state: Telemetry) -> list[Finding]:
+        """How far the estimate is from the source; nothing without one, which is told elsewhere."""
+        if (off := self._apart(state)) is None:
+            return []
+        told = f"{off:.2f} m from the position source"
+        if off > APART:
+            why = "it would not take off: the fleet's origin, or the autopilot's parameters for its source, are wrong"
+            return [Finding("followed", "fail", told, f"within {APART:g} m", why)]
+        return [Finding("followed", "ok", told)]

@@ -9,8 +9,10 @@ import pytest
 
 from koordgen.runtime.platform import Unready
 from targets.car import vesc
+from targets.car.diagnosis import limits
 from targets.car.platform import WAIT_FOR_DRIVE, WAIT_FOR_FEED, Car
-from tests.car.world import KEY, NoLinks, TestBody, World, datagram, robot_settings, standing
+from targets.car.settings import decode
+from tests.car.world import FENCE, KEY, NoLinks, TestBody, World, datagram, robot_settings, standing
 
 
 def test_a_stale_position_brakes_it_and_it_goes_on_afterwards() -> None:
@@ -188,6 +190,20 @@ def test_diagnosis_of_a_feed_that_is_too_slow(every: int, state: str) -> None:
     world.station = Thin()  # type: ignore[assignment]
     found = {f.name: f for f in world.car.diagnose()}
     assert found["position"].state == state, found
+
+
+@pytest.mark.parametrize(
+    ("settings", "state", "told"),
+    [
+        ({}, "ok", "turning radius 0.91 m"),
+        ({"wheelbase": 3.0}, "fail", "turning radius 8."),
+        ({"steering_to_servo_gain": -2.0}, "warn", "steers 0.23 rad"),
+        ({"max_speed": 10.0, "speed_to_erpm_gain": 11_000.0}, "warn", "110000 ERPM"),
+    ],
+)
+def test_settings_that_do_not_fit(settings: dict[str, float], state: str, told: str) -> None:
+    found = limits(decode(settings), FENCE)
+    assert found.state == state and told in found.found, found
 
 
 def test_diagnosis_of_a_car_outside_the_fence() -> None:

@@ -35,7 +35,7 @@ def test_another_vehicle_than_the_one_asked_for_is_left_alone() -> None:
         rig.run(40.0)
     assert error.value.hint == "system 7 does: is the setting `system` right?"
     assert not sent(rig, mavlink.MAVLINK_MSG_ID_COMMAND_LONG)
-    (found,) = rig.agent(system=3).diagnose()
+    found, *_ = rig.agent(system=3).diagnose()
     assert found.state == "fail" and found.found.startswith("no autopilot of system 3 answers")
 
 
@@ -81,3 +81,21 @@ def test_an_autopilot_that_restarts_in_flight_is_lost() -> None:
     rig.quad.rest(rig.now)
     assert rig.run(5.0, lambda: rig.quad.rested) and at(rig).z == 0.0
     assert not [m for m in commands(rig, ARM) if m.param1 == 1]
+
+
+def test_another_ground_station_under_our_number_is_told_of() -> None:
+    """Its heartbeats hold off the failsafe that lands the vehicle of a dead agent."""
+    rig = Rig()
+    station = heartbeat(system=255, component=1, autopilot=mavlink.MAV_AUTOPILOT_INVALID, kind=mavlink.MAV_TYPE_GCS)
+    other = heartbeat(system=254, autopilot=mavlink.MAV_AUTOPILOT_INVALID, kind=mavlink.MAV_TYPE_GCS)
+    rig.watch = lambda: rig.wire.inject(other)
+    rig.fly()
+    assert not any("ground station" in said for said in rig.progress)
+    rig = Rig()
+    rig.watch = lambda: rig.wire.inject(station)
+    rig.fly()
+    assert sum("another ground station sends heartbeats as system 255" in said for said in rig.progress) == 1
+    rig = Rig()
+    rig.wire.meddle = lambda data, down: data + station if down else data
+    (found,) = (f for f in rig.quad.diagnose() if f.name == "failsafe")
+    assert found.state == "warn" and "does not land when this agent dies" in found.found

@@ -16,7 +16,11 @@ from targets.quad.telemetry import Telemetry
 from targets.quad.transport import Transport
 from tests.quad.rig import FENCE, ORIGIN, Rig, Wire, commands, sent, settings, told
 
-HARMLESS = {mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAV_CMD_REQUEST_MESSAGE}
+HARMLESS = {
+    mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
+    mavlink.MAV_CMD_REQUEST_MESSAGE,
+    mavlink.MAV_CMD_RUN_PREARM_CHECKS,
+}
 
 
 def diagnosed(rig: Rig) -> dict[str, Finding]:
@@ -41,7 +45,7 @@ def test_all_is_well_and_nothing_moves() -> None:
 
 def test_a_silent_link() -> None:
     rig = Rig(autopilot=False)
-    (found,) = diagnosed(rig).values()
+    found, *_ = diagnosed(rig).values()
     assert (found.name, found.state) == ("link", "fail") and "no autopilot answers on udpin:" in found.found
     assert rig.now - 1000.0 <= 10.0
 
@@ -50,7 +54,7 @@ def test_a_link_that_cannot_be_opened() -> None:
     def connect(url: str) -> Transport:
         raise Unready(f"cannot open {url}", "free it")
 
-    (found,) = Quad(settings(), None, connect=connect).diagnose()
+    found, *_ = Quad(settings(), None, connect=connect).diagnose()
     assert found == Finding("link", "fail", "cannot open udpin:127.0.0.1:14550", why="free it")
 
 
@@ -130,7 +134,7 @@ def judged(*messages: Message, wall: float = 1.8e9) -> dict[str, Finding]:
         wire.inject(message.pack(mavlink.MAVLink(None, 1, 1)))
         for received in link.receive(1000.0):
             heard.take(received, 1000.0)
-    heard.wall = wall
+    heard.wall, heard.began, heard.ended = wall, 995.0, 1000.0
     return {f.name: f for f in findings("udpin:1", heard, frame, FENCE, 1.5)}
 
 
@@ -191,10 +195,60 @@ def test_the_origins(degrees: float, state: str) -> None:
     assert degrees or found.found == "the autopilot's is 0.0 m from the fleet's, +2.0 m in altitude"
 
 
+def said(text: str, severity: int = mavlink.MAV_SEVERITY_CRITICAL) -> Message:
+    return mavlink.MAVLink_statustext_message(severity, text.encode())
+
+
 def test_what_the_autopilot_says() -> None:
-    text = b"PreArm: Compass not calibrated"
-    found = judged(mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_CRITICAL, text))["says"]
-    assert (found.state, found.found) == ("warn", text.decode())
+    refusal = said("PreArm: Compass not calibrated")
+    warning, news = said("Bad vision", mavlink.MAV_SEVERITY_WARNING), said("Hello", mavlink.MAV_SEVERITY_INFO)
+    found = judged(refusal, warning, refusal, news)
+    assert (found["checks"].state, found["checks"].found) == ("fail", "PreArm: Compass not calibrated")
+    assert (found["says"].state, found["says"].found) == ("warn", "Bad vision")
+    assert not {"checks", "says", "sensors"} & set(judged(news))
+
+
+def test_its_health() -> None:
+    bits = mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG | mavlink.MAV_SYS_STATUS_PREARM_CHECK
+    rc = mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
+
+    def health(present: int, enabled: int, healthy: int) -> dict[str, Finding]:
+        return judged(mavlink.MAVLink_sys_status_message(present, enabled, healthy, 0, 12000, 0, 99, 0, 0, 0, 0, 0, 0))
+
+    found = health(bits | rc, bits | rc, 0)
+    assert found["sensors"].found == "not healthy: compass" and found["sensors"].state == "warn"
+    assert found["checks"].state == "fail" and "does not say which" in found["checks"].found
+    for fine in (health(bits, bits, bits), health(bits, 0, 0), health(0, bits, 0)):
+        assert not {"checks", "sensors"} & set(fine)
+
+
+def test_a_link_that_falls_silent() -> None:
+    rig = Rig()
+    rig.wire.meddle = lambda data, down: None if rig.now > 1001.9 else data
+    found = diagnosed(rig)["link"]
+    assert found.state == "fail" and "has fallen silent on udpin:127.0.0.1:14550 (" in found.found
+
+
+def test_another_autopilot_on_the_link() -> None:
+    rig = Rig()
+    pass_time = rig.pass_time
+
+    def two(seconds: float) -> None:
+        pass_time(seconds)
+        heartbeat = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_QUADROTOR, 3, 81, 4, 3, 3)
+        rig.wire.inject(heartbeat.pack(mavlink.MAVLink(None, 7, 1)))
+
+    quad = Quad(settings(), None, connect=lambda url: rig.wire, clock=lambda: rig.now, sleep=two)
+    found = quad.diagnose()[0]
+    assert (found.name, found.state) == ("link", "fail") and "another autopilot (system 7)" in found.found
+
+
+@pytest.mark.parametrize(("z", "state"), [(0.9, "ok"), (1.1, "warn")])
+def test_a_ground_that_is_not_level_with_the_origin(z: float, state: str) -> None:
+    rig = Rig(position=(0.0, 0.0, 0.0), flight_height=3.0)
+    rig.body.position[2] = z
+    rig.body.step = lambda dt: None  # type: ignore[method-assign]  # it stands there
+    assert diagnosed(rig)["place"].state == state
 
 
 def test_garbage_on_the_link_is_told() -> None:
@@ -206,5 +260,13 @@ def test_garbage_on_the_link_is_told() -> None:
         rig.wire.inject(b"\xfdnoise" * 7)
 
     quad = Quad(settings(), None, connect=lambda url: rig.wire, clock=lambda: rig.now, sleep=noisy)
-    (found,) = quad.diagnose()
+    found, *_ = quad.diagnose()
     assert found.state == "fail" and "bytes came that are no MAVLink" in found.why
+
+
+def test_arming_checks_that_fail() -> None:
+    rig = Rig()
+    assert rig.autopilot is not None
+    rig.autopilot.copter.failing_check = "Compass not calibrated"
+    found = diagnosed(rig)["checks"]
+    assert found.state == "fail" and found.why == "the autopilot will refuse to arm"

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import random
+import re
 from itertools import pairwise
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from koordgen.runtime.platform import Unready
+from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.safety import Guard
 from koordgen.runtime.settings import BadSettings, Safety
 from koordgen.runtime.values import Point, Pose, distance
+from targets.quad.platform import Quad
 from targets.quad.positioning import JUMPED, PATIENCE, STALE
-from tests.quad.fed import WALL, Cable, FedRig, sample
-from tests.quad.rig import FENCE, Rig, at, sent
+from targets.quad.track import Track
+from tests.quad.fed import KEY, WALL, Cable, FedRig, sample
+from tests.quad.rig import FENCE, Rig, at, sent, settings
 
 NUMBERS = {
     "gps_input": mavlink.MAVLINK_MSG_ID_GPS_INPUT,
@@ -131,7 +135,7 @@ def test_a_feed_that_comes_back_goes_on() -> None:
     rig.go(-2.0, 1.0)
     rig.run(1.0)
     station, rig.station = rig.station, None
-    rig.run(1.2)
+    rig.run(1.4)
     assert rig.body.velocity[0] > -0.3, "it holds"
     rig.station = station
     assert rig.run(20.0, rig.reached)
@@ -286,13 +290,57 @@ def test_landing_goes_on_with_the_feed_and_without() -> None:
 def test_the_doctor_tells_of_the_feed_and_passes_it_on() -> None:
     rig = FedRig("vision")
     found = {f.name: f for f in rig.quad.diagnose()}
-    assert found["feed"].state == "ok" and "50 Hz on udp:0.0.0.0:47300: (1.0" in found["feed"].found
+    assert found["feed"].state == "ok" and re.match(
+        r"50 Hz on udp:0.0.0.0:47300, \d+ ms old: \(1.0", found["feed"].found
+    )
+    assert found["followed"].state == found["estimate"].state == "ok", found
     assert sent(rig, NUMBERS["vision"]) and rig.cable.closed
     rig = FedRig("gps_input")
     rig.station = None
     found = {f.name: f for f in rig.quad.diagnose()}
     assert found["feed"].state == "fail" and found["feed"].why
     assert len(found) > 5, "and goes on"
+
+
+def test_the_doctor_tells_of_a_feed_that_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
+    def findings(rig: FedRig) -> dict[str, Finding]:
+        return {f.name: f for f in rig.quad.diagnose()}
+
+    seldom, count = FedRig("vision"), itertools.count()
+    seldom.alter = lambda datagram: datagram if next(count) % 5 == 0 else None
+    assert (findings(seldom)["feed"].state, findings(seldom)["feed"].wanted) == ("warn", "15 Hz or more")
+    silenced = FedRig("vision")
+    silenced.alter = lambda datagram: datagram if silenced.now < 1003.0 else None
+    assert findings(silenced)["feed"].wanted == "not older than 300 ms"
+    jumpy = FedRig("vision")
+    pass_time = jumpy.pass_time
+
+    def move(seconds: float) -> None:
+        jumpy.markers.moved = Point(3.0, 0.0, 0.0) if jumpy.now > 1002.0 else Point()
+        pass_time(seconds)
+
+    monkeypatch.setattr(jumpy, "pass_time", move)
+    jumpy.quad = jumpy.agent(positioning="vision")
+    assert "samples jumped" in findings(jumpy)["feed"].found
+    apart = FedRig("gps_input")
+    monkeypatch.setattr(Track, "at", lambda track, time: Point(1.6, -2.0, 0.0))
+    found = findings(apart)["followed"]
+    assert found.state == "fail" and re.match(r"0\.\d+ m from the position source", found.found)
+
+
+def test_the_doctor_of_a_feed_whose_port_is_taken() -> None:
+    rig = FedRig("vision")
+
+    def taken(setting: str) -> Cable:
+        raise Unready("cannot receive positions", "free the port")
+
+    quad = Quad(
+        settings(positioning="vision"), KEY, connect=lambda url: rig.wire, clock=lambda: rig.now, sleep=rig.pass_time,
+        bind=taken,
+    )  # fmt: skip
+    found = {f.name: f for f in quad.diagnose()}
+    assert found["feed"] == Finding("feed", "fail", "cannot receive positions", why="free the port")
+    assert found["link"].state == "ok", "the rest is looked at all the same"
 
 
 def test_the_port_is_given_back() -> None:
