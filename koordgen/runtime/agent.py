@@ -31,7 +31,7 @@ from koordgen.runtime.machine import INTERNAL, OK, SURROUNDINGS, WRONG_PROGRAM, 
 from koordgen.runtime.opening import open_key, open_settings, open_transport
 from koordgen.runtime.platform import Platform, Unready
 from koordgen.runtime.program import Program
-from koordgen.runtime.runner import EndedAtOnce, interrupting
+from koordgen.runtime.runner import EndedAtOnce, Interrupting
 from koordgen.runtime.seal import BadKey
 from koordgen.runtime.settings import BadSettings, Settings
 from koordgen.runtime.status import ask, show
@@ -143,7 +143,7 @@ def _run(
         trace = _open_trace(settings.trace)
         opened.callback(trace.close)
         agent = Agent(
-            program, settings, key, platform, clock, transport, trace, emit, os.urandom(8), store, limit=interrupting
+            program, settings, key, platform, clock, transport, trace, emit, os.urandom(8), store, limit=Interrupting()
         )
 
         def report() -> dict[str, Any]:
@@ -163,7 +163,7 @@ def _run(
                     agent.end(f"{signals.name}: coming to rest")
                 else:
                     _say("warning", "still coming to rest; one more signal ends the process at once")
-            transport.wait(min(wake - clock.now(), LONGEST_WAIT))
+            transport.wait(min(wake - clock.now(), LONGEST_WAIT), agent.gather)
         while control.lingers(clock.now()):
             control.poll(clock.now(), agent.phase, report)
             time.sleep(0.01)

@@ -19,7 +19,6 @@ from pathlib import Path
 
 from koordgen.runtime.platform import Finding
 
-PYTHON = (3, 10)
 SUMS, REQUIREMENTS, SETTINGS = "SHA256SUMS", "requirements.txt", "settings.json"
 ROOM = 100_000_000  # bytes: some hours of a trace
 JUMP = 0.05  # seconds by which the wall clock may leave the monotonic one during a look
@@ -32,17 +31,8 @@ _UNSYNCHRONISED = 5  # TIME_ERROR of adjtimex(2)
 
 def host(root: Path) -> list[Finding]:
     """Of the bundle in `root` and the computer that it is on: what needs no settings."""
-    return [python(sys.version_info[:3]), processor(), *packages(root), files(root)]
-
-
-def python(running: tuple[int, ...]) -> Finding:
-    """Whether this Python can run a bundle."""
-    told, least = ".".join(map(str, running)), ".".join(map(str, PYTHON))
-    if running < PYTHON:
-        return Finding(
-            "python", "fail", told, f"{least} or later", "install a newer Python, and start the bundle with it"
-        )
-    return Finding("python", "ok", f"{told}, {sys.executable}")
+    running = Finding("python", "ok", f"{platform.python_version()}, {sys.executable}")  # or we were not here
+    return [running, processor(), packages(root), files(root)]
 
 
 def processor() -> Finding:
@@ -58,23 +48,32 @@ def processor() -> Finding:
     return Finding("processor", "ok", told)
 
 
-def packages(root: Path, installed: Callable[[str], str] = version) -> list[Finding]:
+def packages(root: Path, installed: Callable[[str], str] = version) -> Finding:
     """Whether what requirements.txt names is installed, in the versions that were tested."""
     try:
         lines = (root / REQUIREMENTS).read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError):
-        return [Finding("packages", "warn", f"no {REQUIREMENTS}", why="which packages are needed cannot be told")]
-    install = f"{sys.executable} -m pip install -r {root / REQUIREMENTS}"
-    wrong, right = [], 0
+        return Finding("packages", "warn", f"no {REQUIREMENTS}", why="which packages are needed cannot be told")
+    missing, others, right = [], [], 0
     for line in filter(None, map(str.strip, lines)):
         named = _REQUIREMENT.fullmatch(line)
         if named is None:
-            wrong.append(Finding("packages", "warn", f"{line!r} is not understood", why="look at it by hand"))
+            others.append(f"{line!r} is not understood")
         elif _applies(named):
-            found = _package(named, installed, install)
-            wrong += [found] if found else []
-            right += found is None
-    return wrong or [Finding("packages", "ok", f"{right} of {right} as {REQUIREMENTS} wants")]
+            try:
+                has = installed(named["name"])
+            except PackageNotFoundError:
+                missing.append(named["name"])
+                continue
+            if _fits(named, has):
+                right += 1
+            else:
+                others.append(f"{named['name']} is {has}, not {named['version']}")
+    if not missing and not others:
+        return Finding("packages", "ok", f"all {right} as {REQUIREMENTS} wants")
+    told = "; ".join([f"not installed: {', '.join(missing)}"] * bool(missing) + others)
+    install = f"{sys.executable} -m pip install -r {root / REQUIREMENTS}"
+    return Finding("packages", "fail" if missing else "warn", told, f"what {REQUIREMENTS} names", install)
 
 
 def _applies(named: re.Match[str]) -> bool:
@@ -84,18 +83,12 @@ def _applies(named: re.Match[str]) -> bool:
     return {"<": here < there, "<=": here <= there, ">": here > there, ">=": here >= there}[named["when"]]
 
 
+def _fits(named: re.Match[str], has: str) -> bool:
+    return has == named["version"] or (named["relation"] == ">=" and _numbers(has) >= _numbers(named["version"]))
+
+
 def _numbers(text: str) -> tuple[int, ...]:
     return tuple(int(part) for part in re.findall(r"\d+", text))
-
-
-def _package(named: re.Match[str], installed: Callable[[str], str], install: str) -> Finding | None:
-    try:
-        has = installed(named["name"])
-    except PackageNotFoundError:
-        return Finding(named["name"], "fail", "not installed", named["version"], install)
-    if has == named["version"] or (named["relation"] == ">=" and _numbers(has) >= _numbers(named["version"])):
-        return None
-    return Finding(named["name"], "warn", has, named["version"], f"not the version that was tested: {install}")
 
 
 def files(root: Path) -> Finding:

@@ -15,7 +15,7 @@ from koordgen.runtime.wire import LIMIT, MAX_ROBOTS, MOST_PIECES, Closing, Write
 
 MOST_CLOSING = 128 * 1024  # bytes of one robot's closing of one round
 MOST_SHARED = 256  # variables: so many writes a closing may have
-PATCH_FROM = 128  # bytes: a shorter value goes whole
+PATCH_FROM = 256  # bytes: a shorter value goes whole; to find the difference would cost more than it saves on the air
 
 _CLOSING = 1 + 1 + 3 * 9 + 3 + 3 + 3  # array, author, incarnation, first, round, three bools, lock, array of writes
 _WRITE = 1 + 3 + 1  # array, index, bool

@@ -106,6 +106,7 @@ class Link:
         self._reported: set[tuple[int, str]] = set()
         self._sequence = 0
         self._echoed: dict[int, float] = {}  # when each peer was last sent an echo
+        self._next_echo = -math.inf  # none is due to anyone before
         self.room = LIMIT - overhead(len(settings.peers))  # bytes for closings or a piece in one datagram
 
     def hello(self, to: int, challenge: bytes, answer: bytes, holds: tuple[int, ...], init: Closing | None,
@@ -162,10 +163,12 @@ class Link:
         self.rejected[reason] = self.rejected.get(reason, 0) + 1
 
     def _admit(self, message: Message, local: float, fleet: float | None) -> bool:
+        """Whether it may be listened to; if so, its stamps have been learned from."""
         head = message.head
         session = self.sessions.get(head.pid)
         adopted = session is not None and session.boot == head.boot
-        reason = self._foreign(head)
+        ours = head.program == self._program and head.interface == self._interface
+        reason = None if ours and adopted and head.application == self._application else self._foreign(head)
         if reason is None:
             if isinstance(message, Hello):
                 if message.to != self.pid:
@@ -249,10 +252,14 @@ class Link:
     def _echoes(self, to: Collection[int], now: float, every: float | None = None) -> tuple[Echo, ...]:
         """Of those whose turn it is: as often as they learn from it, which from the reference they do most."""
         if every is None:
+            if now < self._next_echo:
+                return ()
             reference = self._fleet_clock.reference == self.pid
             every = (REFERENCE_EVERY if reference else OTHERS_EVERY) / ECHOES_A_LESSON
         sessions, echoed = self.sessions, self._echoed
         due = [p for p in to if now - echoed.get(p, -math.inf) >= every and p in sessions]
+        if len(due) <= MAX_ECHOES and len(to) == len(sessions):  # nobody is left
+            self._next_echo = now + every / ECHOES_A_LESSON
         if len(due) > MAX_ECHOES:
             due = sorted(due, key=lambda p: (echoed.get(p, -math.inf), p))[:MAX_ECHOES]
         echoed.update(dict.fromkeys(due, now))

@@ -50,14 +50,19 @@ class Log:
 
     def take(self, entry: Entry) -> None:
         """Keep a closing that reaches beyond `held`."""
-        if entry.closing.first <= self.held + 1:
+        closing = entry.closing
+        if closing.first == self.held + 1 and closing.acted and not self.later:  # nearly always, so first
+            self.entries.append(entry)
+            self.held = closing.round
+            return
+        if closing.first <= self.held + 1:
             self.append(entry)
             if self.later:
                 self._absorb()
             return
-        known = self.later.get(entry.closing.first)
-        if known is None or known.closing.round < entry.closing.round:
-            self.later[entry.closing.first] = entry
+        known = self.later.get(closing.first)
+        if known is None or known.closing.round < closing.round:
+            self.later[closing.first] = entry
 
     def append(self, entry: Entry) -> None:
         """Keep a closing that begins where `held` ends; silence is joined to silence."""

@@ -36,6 +36,7 @@ from koordgen.runtime.wire import Closing, Hello, View, encoder
 OK, WRONG_PROGRAM, SURROUNDINGS, INTERNAL = 0, 1, 5, 70
 LOST_BODY = 10.0  # seconds that a body which is lost for good is still tried to be brought to rest
 _COUNTED = tuple(f.name for f in fields(Counters))
+MOST_UNTOLD = 8  # records of rounds that wait to be told
 MOST_FAILURES = 100  # of the platform in a row after an internal error, then it is given up
 
 
@@ -81,6 +82,7 @@ class Agent:
         self._verdict = Verdict("go")
         self._rounds: Rounds | None = None
         self._replica: Replica | None = None
+        self._untold: list[Record] = []
         self._view = -1
         self._next_body = 0.0
         self._known_restarts = self._missed = 0
@@ -101,6 +103,11 @@ class Agent:
     def round(self) -> int:
         """The present round; 0 before the first."""
         return self._rounds.round if self._rounds is not None else 0
+
+    @property
+    def gather(self) -> float:
+        """See Rounds."""
+        return self._rounds.gather if self._rounds is not None else 0.0
 
     def counters(self) -> dict[str, int]:
         """Everything counted so far, by its name; datagrams by the reason they were dropped for."""
@@ -130,7 +137,10 @@ class Agent:
         """Do what is due at local time `now`; returns when to be polled again at the latest (earlier when a datagram
         arrives). Never raises: what goes wrong brings the robot to rest and sets `status`."""
         try:
-            return self._poll(now)
+            wake = self._poll(now)
+            if self.done and self._untold:
+                self._tell()
+            return wake
         except Unready as lost:
             if not self._lost:
                 self._lost = True
@@ -158,8 +168,13 @@ class Agent:
         if self._broken:
             self._transport.receive()
             return wake
+        rounds = self._rounds
+        acted = rounds is not None and rounds.ripe(now)
+        if rounds is not None and acted:  # before what has arrived is looked at: all others wait for this closing
+            wake = min(wake, self._poll_rounds(rounds, now))
         fleet = self._fleet_clock.read(now) if self._fleet_clock.known else None
-        for message in self._link.receive():
+        messages = self._link.receive()
+        for message in messages:
             if isinstance(message, Hello):
                 self._joining.take(message, fleet)
             elif self._rounds is not None:
@@ -169,7 +184,11 @@ class Agent:
         self._watch_restarts()
         rounds = self._rounds
         if rounds is not None:
-            wake = min(wake, self._poll_rounds(rounds, now), self._joining.poll(now, fleet))
+            if messages or not acted:
+                wake = min(wake, self._poll_rounds(rounds, now))
+            wake = min(wake, self._joining.poll(now, fleet))
+            if self._untold and (rounds.calm or len(self._untold) >= MOST_UNTOLD):
+                self._tell()
             if rounds.over and self.phase == "running":
                 self._asked_to_end = True
                 self._rest("all robots have stopped", OK)
@@ -312,7 +331,7 @@ class Agent:
             start,
             self._settings.delta,
             lives,
-            self._observe,
+            self._untold.append,
             self._keeping.life,
         )
         self._enter("running", f"mission {epoch.hex()}, round 1 at {start:.3f} s of fleet time")
@@ -355,9 +374,13 @@ class Agent:
             self._journal.error(f"the body did not come to rest within {LOST_BODY:.0f} s")
             self.done = True
 
-    def _observe(self, record: Record) -> None:
-        self._journal.observe(record, self.counters())
-        self._journal.measure(self._link.rejected, record.time)
+    def _tell(self) -> None:
+        """Tell of the rounds that have become certain; not while the others' closings are still coming in."""
+        counters = self.counters()
+        for record in self._untold:
+            self._journal.observe(record, counters)
+        self._journal.measure(self._link.rejected, self._untold[-1].time)
+        self._untold.clear()
         memory = self._replica.memory if self._replica is not None else None
         for pid, held in enumerate(memory.held if memory is not None else ()):
             self.metrics.closed(pid, held)

@@ -6,17 +6,19 @@ all have. A round is stable once a majority has said to have applied it: no late
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from koordgen.runtime.course import Course
 from koordgen.runtime.layout import Layout, Unpatched
-from koordgen.runtime.log import GAPS, Entry, Log, detached, shortened
+from koordgen.runtime.log import GAPS, Entry, Log, detached
 from koordgen.runtime.views import majority
 from koordgen.runtime.wire import Closing, State, View
 
 AHEAD = 8  # rounds that a peer's clock may be ahead of ours
 RECENT = 8  # so many closings of one author may keep the datagrams that they came in: most are soon forgotten
+FORGET_EVERY = 4  # rounds: to go through all logs costs more than to keep some closings a little longer
 WINDOW = 256  # closings of one author that not everyone holds; its author writes no more then
 
 
@@ -52,7 +54,8 @@ class Memory:
     ) -> None:
         self._layout = layout
         self._pid = pid
-        self._views = [view]  # the one of round applied + 1, and those after it
+        self._course = Course(view)
+        self.view = view  # the latest
         n = self._n = layout.n_sys
         self._logs = [Log(applied) for _ in range(n)]
         self._words = {p: _Word((0,) * n) for p in range(n) if p != pid}
@@ -60,11 +63,13 @@ class Memory:
         self._snapshot: tuple[int, State] | None = None
         self.frozen = False
         self.settled = 0  # all members hold everything up to here
+        self._forgotten = 0  # ... and it was dropped up to here
         self.applied = applied  # `shared` is S_{applied + 1}
         self.shared = shared
         self.stopped = dict(stopped or {})  # pid -> the round it stopped in
         self.acted = list(acted) or [0] * n  # the last round in which an event counted
         self.won = 0  # the last round in which a commit of ours counted
+        self.unanswered: set[int] = set()  # peers that by their last word lack something, and were not sent it yet
         self.unfit = 0  # patches that fitted no value: a fault of their author's, dropped by everyone alike
         # Store and `acted` after a round and the silent ones behind it; the first is of a stable round.
         self._past: list[tuple[int, Mapping[str, Any], list[int]]] = [(applied, shared, list(self.acted))]
@@ -90,11 +95,6 @@ class Memory:
         return cls(layout, pid, state.view, shared, state.applied, stopped, state.acted)
 
     @property
-    def view(self) -> View:
-        """The latest view."""
-        return self._views[-1]
-
-    @property
     def held(self) -> tuple[int, ...]:
         """For each robot the last round up to which its closings are held without a gap."""
         return tuple([log.held for log in self._logs])
@@ -117,9 +117,9 @@ class Memory:
         return None if None in rounds else max(r for r in rounds if r is not None)
 
     @property
-    def lacking(self) -> bool:
-        """Whether a closing is missing that the next round to be applied needs."""
-        return bool(self._lacking)
+    def lacking(self) -> int:
+        """How many closings are missing that the next round to be applied needs."""
+        return len(self._lacking)
 
     def member(self) -> bool:
         """Whether this robot counts."""
@@ -136,7 +136,7 @@ class Memory:
         stopped = {p: r for p, r in self.stopped.items() if r <= last}
         memory = Memory(self._layout, self._pid, view, shared, last, stopped, acted)
         memory.settled = self.settled
-        memory._logs, memory._words = self._logs, self._words
+        memory._logs, memory._words, memory.unanswered = self._logs, self._words, self.unanswered
         memory._forget(self.view, view)
         for log in memory._logs:
             log.skip(last)  # also of those who did not count
@@ -147,7 +147,8 @@ class Memory:
         """Go by the next view. Closings of those who no longer count, or count anew, are dropped from its beginning
         on."""
         self._forget(self.view, view)
-        self._views.append(view)
+        self._course.append(view)
+        self.view = view
         self.frozen = False
         self._watched = -1
         self._look()
@@ -158,6 +159,7 @@ class Memory:
             if old != new:
                 self._logs[pid].cut(view.since - 1)
                 if pid != self._pid:
+                    self.unanswered.discard(pid)
                     self._words[pid] = _Word((0,) * self._n)
 
     def close(self, round_: int, shared: Mapping[str, Any], *, stopped: bool, acted: bool = False, prompt: bool = False,
@@ -183,9 +185,9 @@ class Memory:
             return "closing does not fit"
         if closing.round > present + AHEAD:
             return "closing too far ahead"
-        views = self._views
-        simple = len(views) == 1 and views[0].members[closing.author] == closing.incarnation
-        fitting = closing if simple else self._of_this_life(closing)
+        course = self._course
+        simple = course.single and self.view.members[closing.author] == closing.incarnation
+        fitting = closing if simple else course.of_this_life(closing)
         if fitting is None:
             return "closing of another view"
         if closing.author == self._pid:
@@ -224,6 +226,7 @@ class Memory:
             self._reached += view == self.view.number and before < self._watched <= applied
         if through > word.through or (asks and through == word.through):
             word.through, word.answered = through, (min(held) if held else applied) >= through
+            (self.unanswered.discard if word.answered else self.unanswered.add)(pid)
             if not word.answered:
                 word.held = held or (applied,) * self._n
         if view == self.view.number and settled > self.settled:
@@ -236,12 +239,11 @@ class Memory:
         while self.applied < round_ - 1 and not self._lacking:
             if self.frozen and self.applied >= self.view.since - 1:
                 break
-            members = [p for p, m in enumerate(self._at(self.applied + 1).members) if m >= 0]
+            members = [p for p, m in enumerate(self._course.first.members) if m >= 0]
             entries = [self._logs[p].at(self.applied + 1) for p in members]
             through = self.applied + 1
             if all(not e.closing.writes and not e.closing.acted and e.closing.lock < 0 for e in entries):
-                end = min((v.since - 1 for v in self._views if v.since > through), default=round_ - 1)
-                through = min(round_ - 1, end, min(e.closing.round for e in entries))
+                through = min(round_ - 1, self._course.end(through), min(e.closing.round for e in entries))
             self._apply(entries, through)
         return self.applied == round_ - 1 and not self.frozen and self.member()
 
@@ -264,7 +266,7 @@ class Memory:
 
     def missing(self, through: int) -> list[int]:
         """The members whose closings up to `through` are not all held."""
-        if through <= self.applied and len(self._views) == 1:
+        if through <= self.applied and self._course.single:
             return []
         members = self.view.members
         return [p for p, log in enumerate(self._logs) if members[p] >= 0 and log.held < through]
@@ -282,6 +284,7 @@ class Memory:
         if word.answered or self.view.members[pid] < 0:
             return []
         word.answered = True
+        self.unanswered.discard(pid)
         found: list[Closing] = []
         for author in (*range(self._pid, self._n), *range(self._pid)) if helps else (self._pid,):
             low = max(word.held[author], self.settled) + 1
@@ -291,29 +294,13 @@ class Memory:
 
     def snapshot(self) -> tuple[int, State]:
         """The round and the store for one who comes in; made once for each round and view."""
-        view = self._at(self.applied + 1)
+        view = self._course.first
         made = self._snapshot
         if made is None or (made[0], made[1].view) != (self.applied, view):
             stopped = tuple([self.stopped.get(p, -1) for p in range(self._n)])
             values = self._layout.pack(self.shared)
             made = self._snapshot = self.applied, State(view, self.applied, values, stopped, tuple(self.acted))
         return made
-
-    def _at(self, round_: int) -> View:
-        """The view of a round not before the next one to be applied."""
-        return next(v for v in reversed(self._views) if v.since <= round_ or v is self._views[0])
-
-    def _of_this_life(self, closing: Closing) -> Closing | None:
-        """The closing as far as its author counted in that incarnation, or None."""
-        view = self._views[0] if len(self._views) == 1 else self._at(closing.round)
-        if view.members[closing.author] == closing.incarnation:
-            return closing
-        for view in self._views:
-            if view.since > closing.first and view.members[closing.author] != closing.incarnation:
-                single = closing.writes or closing.acted or closing.lock >= 0
-                began = self._at(closing.first).members[closing.author] == closing.incarnation
-                return shortened(closing, view.since - 1) if began and not single else None
-        return None
 
     def _base(self, index: int, author: int) -> Any:
         """A variable's value (of an allread variable, the author's slot) in the round after the last applied one."""
@@ -324,29 +311,25 @@ class Memory:
         """Forget what everyone holds."""
         if through > self.settled:
             self.settled = through
-            for log in self._logs:
-                log.forget(through)
+            if through >= self._forgotten + FORGET_EVERY:
+                self._forgotten = through
+                for log in self._logs:
+                    log.forget(through)
 
     def _look(self) -> None:
         """After a round was applied or the view has changed: what is lacking now, and who is in from when."""
-        for pid, log in enumerate(self._logs if len(self._views) > 1 else ()):
-            for begins, ends in self._absences(pid):
-                if begins <= log.held + 1 <= ends:
-                    log.skip(ends)
-        while len(self._views) > 1 and self._views[1].since <= self.applied + 1:
-            del self._views[0]
-        members = self._at(self.applied + 1).members
+        if not self._course.single:
+            for pid, log in enumerate(self._logs):
+                for begins, ends in self._course.absences(pid):
+                    if begins <= log.held + 1 <= ends:
+                        log.skip(ends)
+            self._course.drop(self.applied)
+        members = self._course.first.members
         self._lacking = {p for p, log in enumerate(self._logs) if members[p] >= 0 and log.held <= self.applied}
-
-    def _absences(self, pid: int) -> Iterator[tuple[int, int]]:
-        """The rounds, first and last, in which a robot does not count, before the latest view."""
-        for i, (view, following) in enumerate(zip(self._views, self._views[1:], strict=False)):
-            if view.members[pid] < 0:
-                yield view.since if i else 0, following.since - 1
 
     def _counting(self, entries: Sequence[Entry], round_: int) -> Sequence[Entry]:
         """Those whose event counts, in the order in which they take effect."""
-        if all(e.closing.lock < 0 for e in entries):
+        if max([e.closing.lock for e in entries], default=-1) < 0:
             return entries
         contenders: dict[int, list[int]] = {}
         for entry in entries:
@@ -363,8 +346,8 @@ class Memory:
         for entry in self._counting(entries, through):
             closing = entry.closing
             author = closing.author
-            for index, item in entry.values:
-                self._write(changed, index, author, item)
+            if entry.values:
+                self._write(changed, entry)
             if closing.stopped:
                 self.stopped.setdefault(author, max(closing.first, self.applied + 1) if through else 0)
             if closing.acted:
@@ -387,14 +370,20 @@ class Memory:
         words = [w.applied if w.view == number else 0 for p, w in self._words.items() if members[p] >= 0]
         self._settle(min(through, *words) if words else through)
 
-    def _write(self, changed: dict[int, Any], index: int, author: int, item: Any) -> None:
-        value = self._layout.resolve(index, item, self._base(index, author)) if isinstance(item, Unpatched) else item
-        if value is None:
-            self.unfit += 1
-        elif not self._layout.is_slots[index]:
-            changed[index] = value
-        else:
+    def _write(self, changed: dict[int, Any], entry: Entry) -> None:
+        """One robot's writes of a round."""
+        layout, author = self._layout, entry.closing.author
+        for index, item in entry.values:
+            value = item
+            if isinstance(item, Unpatched):
+                value = layout.resolve(index, item, self._base(index, author))
+                if value is None:
+                    self.unfit += 1
+                    continue
+            if not layout.is_slots[index]:
+                changed[index] = value
+                continue
             slots = changed.get(index)
             if slots is None:
-                slots = changed[index] = list(self.shared[self._layout.names[index]])
+                slots = changed[index] = list(self.shared[layout.names[index]])
             slots[author] = value

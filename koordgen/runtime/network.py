@@ -97,7 +97,7 @@ class MemoryTransport:
     def receive(self) -> Sequence[bytes]:
         return self._network.arrived(self._queue)
 
-    def wait(self, seconds: float) -> None:
+    def wait(self, seconds: float, gather: float = 0.0) -> None:
         """Simulated time is moved by its owner, not by waiting."""
 
     def close(self) -> None:

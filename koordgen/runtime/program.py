@@ -230,9 +230,9 @@ class Program:
     library: Library | None = None
 
 
-def choose(program: Program, frame: Frame) -> Event | Fault | None:
-    """The first event in text order whose guard holds, or None. A guard that raises is a Fault."""
-    state = program.begin(frame)  # one for all: a guard writes nothing
+def choose(program: Program, state: Transaction) -> Event | Fault | None:
+    """The first event in text order whose guard holds, or None. A guard that raises is a Fault; none writes anything,
+    so that all of them and the effect share one Transaction."""
     for event in program.events:
         try:
             if event.guard(state):
@@ -242,10 +242,9 @@ def choose(program: Program, frame: Frame) -> Event | Fault | None:
     return None
 
 
-def run(program: Program, effect: Callable[[Any], None], frame: Frame, line: int = 0) -> Effects | Fault:
-    """Run one effect, which stands on a Koord line, on a Transaction of its own. Whatever it raises, and any value that
-    must not be kept or leave the robot, discards it whole."""
-    state = program.begin(frame)
+def run(program: Program, effect: Callable[[Any], None], state: Transaction, line: int = 0) -> Effects | Fault:
+    """Run one effect, which stands on a Koord line. Whatever it raises, and any value that must not be kept or leave
+    the robot, discards it whole."""
     stopped = False
     try:
         effect(state)

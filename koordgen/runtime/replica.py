@@ -128,6 +128,9 @@ class Replica:
             self._link.round(self._peers, word, () if closing is None else (closing,))
             return
         own = memory.own(first)
+        if not memory.unanswered:
+            self._link.round(self._peers, word, own)
+            return
         plain: list[int] = []
         for pid, peer in self._peers.items():
             repeats = memory.repeat(pid, self._helps(pid, round_))

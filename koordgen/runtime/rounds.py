@@ -23,6 +23,9 @@ from koordgen.runtime.trace import Observe, Record
 
 PUBLISH = 0.5  # of delta: when a round's closing leaves at the latest
 FIRST_SLOT = 3  # the first of a round's SLOTS in which its own closings are asked for, before it the last round's
+PUNCTUAL = 0.5  # of a slot: who wakes later is late
+GATHER = 20e-6  # seconds that the closing of one more robot may take to come after another's
+MOST_GATHER = 0.03  # of a round, for all of them
 LINGER = 20  # rounds after all have stopped
 WOKE_LATE = "woke after the publish deadline"
 
@@ -115,6 +118,28 @@ class Rounds:
         since = None if memory is None or not (self.stopped or self._left) else memory.all_stopped
         return since is not None and self._present.round > since + LINGER
 
+    def ripe(self, now: float) -> bool:
+        """Whether another round has begun for which everything is there: its event may run before anything else."""
+        memory, present = self._replica.memory, self._present
+        if memory is None or present.open or memory.applied != present.round or not present.round:
+            return False
+        return self._clock.read(now) >= self._start + present.round * self._delta
+
+    @property
+    def calm(self) -> bool:
+        """Whether nothing more is expected in this round: there is time for what can wait."""
+        memory, present = self._replica.memory, self._present
+        return not present.open and (memory is None or memory.applied >= present.round or present.slot >= FIRST_SLOT)
+
+    @property
+    def gather(self) -> float:
+        """Seconds for which it pays to let more arrive before what has come is looked at: to wake for each of many
+        closings alone costs more than all else."""
+        memory, present = self._replica.memory, self._present
+        if memory is None or present.open or memory.applied >= present.round:
+            return 0.0
+        return min(GATHER * memory.lacking, MOST_GATHER * self._delta)
+
     def leave(self) -> None:
         self._left = True
 
@@ -135,15 +160,19 @@ class Rounds:
         into = elapsed - (present.round - 1) * self._delta
         slot = min(SLOTS - 1, math.floor(into / self._delta * SLOTS + 1e-6))
         fresh = slot > present.slot
+        timely = fresh and into * SLOTS < (slot + PUNCTUAL) * self._delta
+        memory = self._replica.memory
+        ripe = fresh and present.open and memory is not None and memory.applied == present.round - 1
         if fresh:
             present.slot = slot
-            self._replica.poll((present.round - 1) * SLOTS + slot, present.round)
-        memory = self._replica.memory
+            if not ripe:
+                self._replica.poll((present.round - 1) * SLOTS + slot, present.round)
+                memory = self._replica.memory
         if memory is not None and self._calm(memory):
             if not fresh:
                 return self._wake
             if memory.view.number == self._view:
-                self._wake = self._ask(slot, fresh)
+                self._wake = self._ask(slot, timely)
                 return self._wake
         current = False
         if memory is not None:
@@ -162,14 +191,16 @@ class Rounds:
             memory.advance(present.round + 1)
             self._settle(now)
             self._confirm(memory.applied)
-        self._wake = self._ask(slot, fresh)
+        if ripe:  # only now: all others wait for the closing
+            self._replica.poll((present.round - 1) * SLOTS + slot, present.round)
+        self._wake = self._ask(slot, timely)
         return self._wake
 
     def _calm(self, memory: Memory) -> bool:
         """Whether nothing that has come since the last poll of this round makes a difference to it."""
         if self._present.open or self._returns != self._replica.returns:
             return False
-        stays = memory.applied >= self._present.round or memory.lacking
+        stays = memory.applied >= self._present.round or memory.lacking > 0
         return stays and not self._outbox.can_settle(memory)
 
     def _tick(self, part: float) -> float:
@@ -334,8 +365,9 @@ class Rounds:
             present.confirmed = True
             self._replica.confirm(present.round)
 
-    def _ask(self, slot: int, fresh: bool) -> float:
-        """Ask for what should have come by now; returns the next moment at which there may be something to do."""
+    def _ask(self, slot: int, timely: bool) -> float:
+        """Ask for what should have come by now; returns the next moment at which there may be something to do. Who
+        woke late asks nothing: the others may be as late, and would have the more to do."""
         present, memory = self._present, self._replica.memory
         following = self._tick((slot + 1) / SLOTS)
         if memory is None:
@@ -344,7 +376,7 @@ class Rounds:
         missing = [p for p in memory.missing(through) if p != self._replica.pid]
         waited = self._outbox.first
         unaware = memory.unaware(waited) if waited is not None and (waited < through or slot >= 1) else []
-        if fresh and (missing or unaware):
+        if timely and (missing or unaware):
             self._replica.ask(missing, unaware, through)
             self.counters.asked += 1
         if present.open:

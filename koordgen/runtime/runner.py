@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import signal
-import threading
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from types import FrameType
 from typing import Any
@@ -33,30 +32,38 @@ def unlimited(seconds: float) -> AbstractContextManager[None]:
     return nullcontext()
 
 
-@contextmanager
-def interrupting(seconds: float) -> Iterator[None]:
-    """Interrupt what runs inside after so many seconds (Overrun), by the process's real-time timer: a loop that does
-    not end must not keep the robot from its control loop. Main thread only."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    armed = True
+class Interrupting:
+    """`with it(seconds)`: interrupts what runs inside after so many seconds (Overrun), by the process's real-time
+    timer: a loop that does not end must not keep the robot from its control loop. One for the process, which it takes
+    SIGALRM of for good; made in the main thread, where signals arrive."""
 
-    def ring(number: int, frame: FrameType | None) -> None:
-        if armed:
-            raise Overrun("out of time")
+    def __init__(self) -> None:
+        self._armed = False
+        self._seconds = 0.0
+        signal.signal(signal.SIGALRM, self._ring)
 
-    before = signal.signal(signal.SIGALRM, ring)
-    try:  # the timer may ring at any step from its start on: every one must lead to its end
-        try:
+    def __call__(self, seconds: float) -> Interrupting:
+        self._seconds = max(1e-4, seconds)
+        return self
+
+    def __enter__(self) -> None:
+        self._armed = True
+        try:  # the timer may ring at once, here already
             # ... and again, should a bare `except` keep the first.
-            signal.setitimer(signal.ITIMER_REAL, max(1e-4, seconds), 0.05)
-            yield
-        finally:
-            armed = False
-    finally:
+            signal.setitimer(signal.ITIMER_REAL, self._seconds, 0.05)
+        except BaseException:
+            self.__exit__()
+            raise
+
+    def __exit__(self, *error: object) -> None:
+        self._armed = False
         signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+
+    def _ring(self, number: int, frame: FrameType | None) -> None:
+        # Once the event is over, nothing may keep its end from turning the timer off.
+        over = frame is not None and frame.f_code is Interrupting.__exit__.__code__
+        if self._armed and not over:
+            raise Overrun("out of time")
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +99,7 @@ class Runner:
             return Effects(self.locals, {}, {}, False)
         try:
             with self._limit(INIT_TIME):
-                done = run(self.program, self.program.init, frame)
+                done = run(self.program, self.program.init, self.program.begin(frame))
         except Overrun:
             return Fault(self.program.source, 0, f"init not finished within {INIT_TIME} s")
         if isinstance(done, Effects):
@@ -106,13 +113,14 @@ class Runner:
         done: Effects | Fault
         try:
             with self._limit(deadline - self._clock.now()):
-                chosen = choose(self.program, frame)
+                state = self.program.begin(frame)
+                chosen = choose(self.program, state)
                 if chosen is None:
                     return Outcome()
                 if isinstance(chosen, Fault):
                     return Outcome(fault=chosen)
                 event = chosen
-                done = run(self.program, event.effect, frame, event.line)
+                done = run(self.program, event.effect, state, event.line)
         except Overrun:
             done = Fault(self.program.source, event.line if event else 0, LATE)
         name = event.name if event else None

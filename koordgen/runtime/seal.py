@@ -48,8 +48,10 @@ def seal(key: bytes | None, purpose: bytes, payload: bytes) -> bytes:
 
 def unseal(key: bytes | None, purpose: bytes, datagram: bytes) -> bytes | None:
     """The payload of a genuine datagram, or None."""
-    payload, mac = datagram[:-MAC_SIZE], datagram[-MAC_SIZE:]
-    return payload if payload and compare_digest(mac, _digest(key, purpose, payload)) else None
+    payload = datagram[:-MAC_SIZE]
+    state = _keyed(key or b"", purpose).copy()
+    state.update(payload)
+    return payload if payload and compare_digest(datagram[-MAC_SIZE:], state.digest()) else None
 
 
 def _digest(key: bytes | None, purpose: bytes, payload: bytes) -> bytes:

@@ -21,8 +21,9 @@ class Transport(Protocol):
         bytes: more than LIMIT tells that it was too long."""
         ...
 
-    def wait(self, seconds: float) -> None:
-        """Wait until something has arrived, at most so long."""
+    def wait(self, seconds: float, gather: float = 0.0) -> None:
+        """Wait until something has arrived, at most so long; then `gather` seconds, but not longer than that in all,
+        for what comes with it."""
         ...
 
     @property

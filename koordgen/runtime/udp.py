@@ -59,14 +59,16 @@ class UnicastTransport:
         except OSError as error:  # an earlier send's echo, nothing about what waits
             self._count("receive", error)
 
-    def wait(self, seconds: float) -> None:
+    def wait(self, seconds: float, gather: float = 0.0) -> None:
         end = time.monotonic() + seconds
         # poll takes milliseconds and rounds up: the last of them is select's, or rounds would begin late.
-        if seconds >= 0.001 and self._poll.poll(int(seconds * 1000)):
-            return
-        rest = end - time.monotonic()
+        if seconds < 0.001 or not self._poll.poll(int(seconds * 1000)):
+            rest = end - time.monotonic()
+            if rest <= 0 or not select.select(tuple(self._sockets), (), (), rest)[0]:
+                return
+        rest = min(gather, end - time.monotonic())
         if rest > 0:
-            select.select(tuple(self._sockets), (), (), rest)
+            time.sleep(rest)
 
     def close(self) -> None:
         for number, each in self._sockets.items():

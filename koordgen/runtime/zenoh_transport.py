@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Sequence
 
@@ -53,8 +54,10 @@ class ZenohTransport:
             self._some.set()
         return taken
 
-    def wait(self, seconds: float) -> None:
-        self._some.wait(max(0.0, seconds))
+    def wait(self, seconds: float, gather: float = 0.0) -> None:
+        end = time.monotonic() + seconds
+        if self._some.wait(max(0.0, seconds)) and gather > 0:
+            time.sleep(max(0.0, min(gather, end - time.monotonic())))
 
     @property
     def troubles(self) -> dict[str, int]:

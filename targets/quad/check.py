@@ -15,7 +15,7 @@ from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point
 from targets.quad.firmware import Firmware
 from targets.quad.framing import Message
-from targets.quad.link import Link
+from targets.quad.link import GROUND_STATION, Link
 from targets.quad.parameters import Parameters, Wanted
 from targets.quad.telemetry import Streams, Telemetry
 from targets.quad.vehicles import identified
@@ -148,6 +148,12 @@ def unheard(url: str, link: Link, seconds: float) -> Unready:
     elif link.garbled:
         hint = f"{link.garbled} bytes came that are no MAVLink: is the baud rate right, and is it a MAVLink port?"
     return Unready(f"{heard} on {url} ({seconds:.0f} s)", hint)
+
+
+RIVAL = (
+    f"another ground station sends heartbeats as system {GROUND_STATION} (QGroundControl's own number): while it does, "
+    "the autopilot does not land when this agent dies; give it another number"
+)
 
 
 def stranger(url: str, what: str) -> Unready:

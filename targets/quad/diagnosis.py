@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.platform import Finding, State
 from koordgen.runtime.settings import Box
-from targets.quad.check import DEADLINE, Heard, coordinates, misplaced, stranger, unheard
+from targets.quad.check import DEADLINE, RIVAL, Heard, coordinates, misplaced, stranger, unheard
 from targets.quad.framing import Message
 from targets.quad.vehicles import identified
 
@@ -53,6 +53,7 @@ def findings(url: str, heard: Heard, frame: LocalFrame, fence: Box, height: floa
         *found,
         _version(what, heard),
         *_parameters(heard),
+        *_rival(heard),
         *_armed(heard),
         _estimate(heard),
         *_place(heard, fence, height),
@@ -96,6 +97,10 @@ def _parameters(heard: Heard) -> list[Finding]:
         )
         for r in wrong
     ]  # fmt: skip
+
+
+def _rival(heard: Heard) -> list[Finding]:
+    return [Finding("failsafe", "warn", RIVAL)] if math.isfinite(heard.link.rival) else []
 
 
 def _armed(heard: Heard) -> list[Finding]:

@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from koordgen.runtime.platform import Unready
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point
-from targets.quad.check import misplaced, stranger, unheard
+from targets.quad.check import RIVAL, misplaced, stranger, unheard
 from targets.quad.firmware import Firmware
 from targets.quad.framing import Message
 from targets.quad.link import RESULTS, Link
@@ -61,6 +61,7 @@ class Flight:
         self._fence, self._height, self._go_to, self._wanted = fence, height, go_to, wanted
         self._firmware = telemetry.firmware
         self._review = Review((), bytewise=False)
+        self._rivalled = False  # it was told that another ground station speaks under our system id
         self._setpoint: Point | None = None  # the last one of a climb that is flown by setpoints
         self.grounded = False  # not to take off, as long as this is set
         self.withheld = ""  # what speaks against a take-off beside what is known here, in words
@@ -171,6 +172,8 @@ class Flight:
             self._doing = "reading the autopilot's parameters"
         elif differing := self._review.news():
             self._doing = differing
+        elif self._link.rivalled(now) and not self._rivalled:
+            self._rivalled, self._doing = True, RIVAL
         elif self.grounded:
             self._doing = "ready to take off, waiting for the fleet"
         else:

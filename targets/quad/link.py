@@ -60,6 +60,7 @@ class Link:
         self._source: object = None
         self._greeted = -math.inf
         self._other = -math.inf  # when the last heartbeat came of another autopilot that may be the one meant
+        self.rival = -math.inf  # when a heartbeat came of another ground station with our system id
         self._asked: dict[int, Asked] = {}
         self._parts: tuple[int, int, str] = (0, 0, "")
         self.rejected = self._framer.rejected
@@ -83,6 +84,11 @@ class Link:
         """Whether another autopilot speaks on this link, by its system id (where none was asked for) or its address:
         which is ours is not known."""
         return now - self._other <= GONE
+
+    def rivalled(self, now: float) -> bool:
+        """Whether another ground station sends heartbeats under our system id: they hold off the autopilot's failsafe
+        as well as ours do."""
+        return now - self.rival <= GONE
 
     def receive(self, now: float) -> list[Message]:
         """The vehicle's messages that have arrived, in order."""
@@ -117,6 +123,8 @@ class Link:
         chosen = self.system or (self.vehicle.system if self.vehicle is not None else 0)
         if chosen and system != chosen:
             self._count("another system")
+        if system == GROUND_STATION and message.get_msgId() == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+            self.rival = now
         if _is_autopilot(message) and chosen:
             self.others.add(system)
             if not self.system:

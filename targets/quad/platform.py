@@ -28,10 +28,10 @@ from targets.quad.firmware import Firmware
 from targets.quad.flight import Flight, Phase
 from targets.quad.framing import Message
 from targets.quad.link import Link
-from targets.quad.motion import Motion
+from targets.quad.motion import Motion, heading
 from targets.quad.parameters import Wanted
 from targets.quad.positioning import Positioning
-from targets.quad.setpoint import setpoint
+from targets.quad.setpoint import Aim, setpoint
 from targets.quad.telemetry import Telemetry
 from targets.quad.transport import Transport, opened
 
@@ -44,6 +44,9 @@ class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     autopilot: str = "udpin:127.0.0.1:14550"
     flight_height: Annotated[float, msgspec.Meta(ge=0.3, le=100.0)] = 1.5
     max_speed: Annotated[float, msgspec.Meta(ge=0.1, le=15.0)] = 1.0
+    max_acceleration: Annotated[float, msgspec.Meta(ge=0.1, le=5.0)] = 1.0
+    max_climb: Annotated[float, msgspec.Meta(ge=0.1, le=5.0)] = 0.7
+    yaw: str = "keep"
     reached_radius: Annotated[float, msgspec.Meta(ge=0.01, le=5.0)] = 0.15
     reached_dwell: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 0.3
     scans: str = ""
@@ -88,9 +91,16 @@ class Quad:
         self._body, self._fence = body, fence
         self._frame = LocalFrame(origin.latitude, origin.longitude, origin.altitude)
         self._telemetry = Telemetry(self._frame)
+        try:
+            yaw = heading(body.yaw)
+        except ValueError:
+            raise BadSettings(
+                f"settings of {settings.robot}: body: yaw {body.yaw!r} is not keep, forward or an angle"
+            ) from None
         self._motion = Motion(
-            self._frame, fence, body.flight_height, body.max_speed, body.reached_radius, body.reached_dwell
-        )
+            self._frame, fence, body.flight_height, body.max_speed, body.max_acceleration, body.max_climb,
+            body.reached_radius, body.reached_dwell, yaw,
+        )  # fmt: skip
         self._connect, self._clock, self._sleep, self._wall = connect, clock, sleep, wall
         self._lidar = ScanPort(body.scans, settings.robot, key)
         self._positioning: Positioning | None = None  # None: the vehicle's own
@@ -152,7 +162,7 @@ class Quad:
 
     def _go_to(self, p: Point) -> None:
         if self._link is not None and self._link.vehicle is not None:
-            self._link.send(setpoint(self._link.vehicle, self._frame, self._fence, p))
+            self._link.send(setpoint(self._link.vehicle, self._frame, self._fence, Aim(p)))
 
     def _wanted(self, firmware: Firmware) -> tuple[Wanted, ...]:
         """The parameters that matter on this firmware, with these settings."""
@@ -170,11 +180,13 @@ class Quad:
         self._flight.poll(now)
         if self._positioning is not None:
             self._positioning.poll(self._link, self._flight, self._telemetry, now)
-            self._motion.hold(self._held or self._positioning.held)
-        if self._flight.phase is Phase.FLYING and self._telemetry.fresh(now):
+            self._motion.hold(self._held or self._positioning.held, now)
+        if self._flight.phase is not Phase.FLYING:
+            self._motion.coast(now)
+        elif self._telemetry.fresh(now):
             self._motion.steer(self._link, self._telemetry, now)
         else:
-            self._motion.coast()
+            self._motion.halt(self._link, now)
 
     @property
     def ready(self) -> bool:
@@ -220,9 +232,9 @@ class Quad:
         """See Platform. What is not finite is refused, counted and shown in `progress`."""
         for module in MODULES:
             if f"{module}.target" in actuators:
-                self._motion.command((actuators[f"{module}.target"],))
+                self._motion.command((actuators[f"{module}.target"],), now)
             if f"{module}.path" in actuators:
-                self._motion.command(actuators[f"{module}.path"])
+                self._motion.command(actuators[f"{module}.path"], now)
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
         """See Platform. The only one is `planner(goal, obstacles)`: a goal on the ground or outside the fence is
@@ -245,7 +257,7 @@ class Quad:
     def hold(self, on: bool, now: float) -> None:
         """See Platform."""
         self._held = on
-        self._motion.hold(on or (self._positioning is not None and self._positioning.held))
+        self._motion.hold(on or (self._positioning is not None and self._positioning.held), now)
         if self._flight is not None:
             self._flight.grounded = on
 

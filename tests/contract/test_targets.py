@@ -142,7 +142,10 @@ def test_check_of_a_built_bundle_says_what_is_missing(target: manifest.Target, t
     assert done.returncode == 1
     assert "koordgen key new" in done.stderr
     done = subprocess.run([sys.executable, "-S", str(tmp_path), "--doctor"], capture_output=True, text=True)
-    assert done.returncode == 5 and "FAIL  msgspec    not installed" in done.stdout, "without any package"
+    assert done.returncode == 5 and "FAIL  packages   not installed: msgspec" in done.stdout, "without any package"
+    old = f"import runpy, sys; sys.version_info = (3, 9, 18); runpy.run_path({str(tmp_path)!r}, run_name='__main__')"
+    done = subprocess.run([sys.executable, "-c", old], capture_output=True, text=True)
+    assert done.returncode == 5 and "help: install Python 3.10 or later" in done.stderr
     (tmp_path / f"targets/{target.name}/platform.py").unlink()
     done = subprocess.run([sys.executable, str(tmp_path), "--doctor", "--format=json"], capture_output=True, text=True)
     assert done.returncode == 1, done.stderr

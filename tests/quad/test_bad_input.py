@@ -81,3 +81,21 @@ def test_an_autopilot_that_restarts_in_flight_is_lost() -> None:
     rig.quad.rest(rig.now)
     assert rig.run(5.0, lambda: rig.quad.rested) and at(rig).z == 0.0
     assert not [m for m in commands(rig, ARM) if m.param1 == 1]
+
+
+def test_another_ground_station_under_our_number_is_told_of() -> None:
+    """Its heartbeats hold off the failsafe that lands the vehicle of a dead agent."""
+    rig = Rig()
+    station = heartbeat(system=255, component=1, autopilot=mavlink.MAV_AUTOPILOT_INVALID, kind=mavlink.MAV_TYPE_GCS)
+    other = heartbeat(system=254, autopilot=mavlink.MAV_AUTOPILOT_INVALID, kind=mavlink.MAV_TYPE_GCS)
+    rig.watch = lambda: rig.wire.inject(other)
+    rig.fly()
+    assert not any("ground station" in said for said in rig.progress)
+    rig = Rig()
+    rig.watch = lambda: rig.wire.inject(station)
+    rig.fly()
+    assert sum("another ground station sends heartbeats as system 255" in said for said in rig.progress) == 1
+    rig = Rig()
+    rig.wire.meddle = lambda data, down: data + station if down else data
+    (found,) = (f for f in rig.quad.diagnose() if f.name == "failsafe")
+    assert found.state == "warn" and "does not land when this agent dies" in found.found

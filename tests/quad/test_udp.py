@@ -150,6 +150,7 @@ def test_udpout_speaks_first_and_to_its_peer_alone() -> None:
         link.close()
 
 
+ROOT = Path(__file__).parents[2]
 AGENT = """
 import sys, time
 from targets.quad.platform import Quad
@@ -170,7 +171,9 @@ def test_an_autopilot_lands_five_seconds_after_its_agent_was_killed() -> None:
     """SIGKILL: nobody says good-bye. The agent's last heartbeat came at most a second before."""
     body = PointMass()
     autopilot = SimulatedAutopilot(body, DeviceContext("alice", {}, {"boot": 0.2}, ORIGIN, 1, b""))
-    agent = subprocess.Popen([sys.executable, "-c", AGENT, autopilot.overrides["autopilot"]], stdout=subprocess.PIPE)
+    agent = subprocess.Popen(
+        [sys.executable, "-c", AGENT, autopilot.overrides["autopilot"]], stdout=subprocess.PIPE, cwd=ROOT
+    )
     now = begun = time.monotonic()
 
     def live(seconds: float, until: Callable[[], bool], real: bool) -> bool:

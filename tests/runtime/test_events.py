@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import signal
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from types import FrameType
 from typing import Any
 
 import pytest
@@ -14,7 +16,7 @@ from koordgen.runtime.clock import SystemClock
 from koordgen.runtime.machine import WRONG_PROGRAM
 from koordgen.runtime.platform import Sensed
 from koordgen.runtime.program import Event, Program, Stopped, no_ports
-from koordgen.runtime.runner import Overrun, Runner, interrupting
+from koordgen.runtime.runner import Interrupting, Overrun, Runner
 from koordgen.runtime.values import Point
 from tests.runtime.fleet import FakePlatform, Fleet
 from tests.runtime.lineform import PROGRAM, State, effect
@@ -122,8 +124,15 @@ def loops_and_catches(s: State) -> None:
             continue
 
 
+@pytest.fixture
+def interrupting() -> Iterator[Interrupting]:
+    before = signal.getsignal(signal.SIGALRM)
+    yield Interrupting()
+    signal.signal(signal.SIGALRM, before)
+
+
 @pytest.mark.parametrize("endless", [loops, loops_and_catches])
-def test_an_event_that_never_ends_is_interrupted(endless: Callable[[State], None]) -> None:
+def test_an_event_that_never_ends_is_interrupted(endless: Callable[[State], None], interrupting: Interrupting) -> None:
     clock = SystemClock()
     runner = Runner(program(endless), 0, 1, clock, interrupting)
     sensors, actuators = {"Motion.position": Point(), "Motion.reached": True}, {"Motion.target": Point()}
@@ -136,7 +145,9 @@ def test_an_event_that_never_ends_is_interrupted(endless: Callable[[State], None
     assert runner.locals == {"count": 0}
 
 
-def test_a_timer_that_rings_while_it_is_set_ends_with_its_event(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_timer_that_rings_while_it_is_set_ends_with_its_event(
+    monkeypatch: pytest.MonkeyPatch, interrupting: Interrupting
+) -> None:
     """As on a busy host: the process is put off within the system call that starts the timer."""
 
     def put_off(which: int, seconds: float, again: float = 0.0) -> None:
@@ -145,11 +156,30 @@ def test_a_timer_that_rings_while_it_is_set_ends_with_its_event(monkeypatch: pyt
         while time.monotonic() < until:
             pass
 
-    set_timer, before = signal.setitimer, signal.getsignal(signal.SIGALRM)
+    set_timer = signal.setitimer
     monkeypatch.setattr(signal, "setitimer", put_off)
     with pytest.raises(Overrun), interrupting(0.0):
         raise AssertionError("the event begins")
-    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0) and signal.getsignal(signal.SIGALRM) == before
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+
+
+def test_a_timer_that_rings_when_the_event_is_over_changes_nothing(
+    monkeypatch: pytest.MonkeyPatch, interrupting: Interrupting
+) -> None:
+    """At the first step of its end, which must not be kept from turning the timer off."""
+
+    def rings_as_it_is_left(frame: FrameType, what: str, argument: object) -> None:
+        if frame.f_code is Interrupting.__exit__.__code__ and what == "call":
+            ring(signal.SIGALRM, frame)
+
+    ring, before = signal.getsignal(signal.SIGALRM), sys.getprofile()
+    assert callable(ring)
+    try:
+        with interrupting(60.0):
+            sys.setprofile(rings_as_it_is_left)
+    finally:
+        sys.setprofile(before)
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
 
 
 def stops_when_line_is_reached(s: State) -> None:

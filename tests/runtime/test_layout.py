@@ -24,7 +24,7 @@ SHARED = (
     Variable("seen", "allread", GridMap, Cells(160 * 140), GridMap),
     Variable("ids", "allwrite", tuple[int, ...], Distinct(100, INT), lambda: ()),
     Variable("ways", "allread", tuple[float, ...], Many(60, NUMBER), lambda: ()),
-    Variable("note", "allwrite", str, Text(200), str),
+    Variable("note", "allwrite", str, Text(300), str),
 )
 MAP = mark_occupied(area(Point(), Point(16, 14, 0), 0.1), Grid(80, 70, 0.1))
 MORE = mark_occupied(MAP, Grid(81, 70, 0.1))
@@ -79,9 +79,9 @@ def test_without_a_base_all_goes_whole() -> None:
 
 def test_a_short_value_goes_whole() -> None:
     layout = Layout(SHARED, 3)
-    (write,) = layout.writes({"note": "x" * 120 + "a"}, {"note": "x" * 120 + "b"})
+    (write,) = layout.writes({"note": "x" * 240 + "a"}, {"note": "x" * 240 + "b"})
     assert not write.patch
-    (write,) = layout.writes({"note": "x" * 150 + "a"}, {"note": "x" * 150 + "b"})
+    (write,) = layout.writes({"note": "x" * 270 + "a"}, {"note": "x" * 270 + "b"})
     assert write.patch
 
 
@@ -212,7 +212,7 @@ def test_no_closing_is_longer_than_is_reckoned() -> None:
         "seen": GridMap(0.1, far, far, 160, 140, bytes(cells)),
         "ids": tuple(range(-(2**63), -(2**63) + 100)),
         "ways": tuple(0.1 * k for k in range(60)),
-        "note": "x" * 200,
+        "note": "x" * 300,
     }
     made = Closing(MAX_ROBOTS - 1, top, top, top, True, True, True, 65535, layout.writes(longest))
     assert layout.closing_bytes - 80 < len(encoder.encode(made)) <= layout.closing_bytes

@@ -6,6 +6,10 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 
 if __name__ == "__main__":
+    if sys.version_info < (3, 10):
+        print(f"error: {sys.executable} is Python {sys.version.split()[0]}\n"
+              "  help: install Python 3.10 or later, and start the bundle with it", file=sys.stderr)
+        raise SystemExit(5)
     try:
         from koordgen.runtime.agent import main
         from program import PROGRAM
