@@ -9,6 +9,7 @@ from typing import Any
 
 from koordgen.runtime.feed import Sample, encode
 from koordgen.runtime.values import Point, Pose
+from targets.planning.process import Inside
 from targets.quad.platform import Quad
 from targets.sim.bodies import BodyState, DeviceContext
 from targets.sim.station import BaseStation
@@ -60,7 +61,7 @@ class FedRig(Rig):
     def agent(self, **body: Any) -> Quad:
         return Quad(
             settings(**body), KEY, connect=lambda url: self.wire, clock=lambda: self.now, sleep=self.pass_time,
-            bind=lambda setting: self.cable, wall=lambda: WALL + self.now,
+            bind=lambda setting: self.cable, wall=lambda: WALL + self.now, planning=Inside,
         )  # fmt: skip
 
     def pass_time(self, seconds: float) -> None:

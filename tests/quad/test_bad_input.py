@@ -35,7 +35,7 @@ def test_another_vehicle_than_the_one_asked_for_is_left_alone() -> None:
         rig.run(40.0)
     assert error.value.hint == "system 7 does: is the setting `system` right?"
     assert not sent(rig, mavlink.MAVLINK_MSG_ID_COMMAND_LONG)
-    (found,) = rig.agent(system=3).diagnose()
+    found, *_ = rig.agent(system=3).diagnose()
     assert found.state == "fail" and found.found.startswith("no autopilot of system 3 answers")
 
 
