@@ -7,26 +7,26 @@ from typing import Any
 
 from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.safety import clamp, inside
-from koordgen.runtime.settings import Box, Settings
+from koordgen.runtime.settings import Settings
 from koordgen.runtime.values import Point, transmissible
 from targets.planning.guard import Guard
 from targets.planning.process import Planning, made
 from targets.planning.world import Path, Scene, World
+from targets.quad.motion import room
 
 MakePlanning = Callable[[str, World, float], Planning]
 
 
 class Avoidance:
-    """Metres. `height` is what a target's z is raised to: where the quad flies, and so where it plans."""
+    """Metres. `height` is that which targets are raised to: the quad plans where it flies, from there upwards."""
 
     def __init__(
         self, settings: Settings, height: float, radius: float, clearance: float, planner: str, planning: MakePlanning
     ) -> None:
-        self._fence, self._height = settings.geofence, height
-        lo, hi = settings.geofence.lo, settings.geofence.hi
-        arena = Box(Point(lo.x, lo.y, height), Point(hi.x, hi.y, max(lo.z, hi.z)))
+        self._fence, self._room = settings.geofence, room(settings.geofence, height)
         self._name = planner
-        self._planning = planning(planner, World(arena, settings.obstacles, clearance, radius), settings.planner_budget)
+        world = World(self._room, settings.obstacles, clearance, radius)
+        self._planning = planning(planner, world, settings.planner_budget)
         self._guard = Guard(settings.obstacles, radius)
         self._others: tuple[Path, ...] = ()
         self._admitted: Path | None = None  # what was commanded last and may be flown
@@ -53,7 +53,7 @@ class Avoidance:
     def plan(self, position: Point | None, goal: Point, named: Any) -> Path:
         """A way from `position` to `goal` around the fleet file's obstacles, those that the program names, and the
         others; () when there is none: a goal on the ground or outside the fence is infeasible. What is planned is what
-        would be flown: a way to a goal below the flight height ends above it."""
+        would be flown: a way to a goal below the flight height, say, ends above it."""
         if position is None or goal.z <= 0.0 or not inside(self._fence, goal):
             return ()
         path = self._planning.plan(position, self._lifted(goal), Scene.of(named, self._others))
@@ -73,7 +73,7 @@ class Avoidance:
 
     def _lifted(self, p: Point) -> Point:
         """Where the quad goes when it is told to go to p."""
-        return clamp(self._fence, Point(p.x, p.y, max(p.z, self._height)))
+        return clamp(self._room, p)
 
     def news(self) -> list[str]:
         """What went wrong since this was asked last, for the log."""

@@ -112,7 +112,7 @@ class _AutopilotEnd:
 
 def settings(**body: Any) -> Settings:
     peers = (Peer("alice", "127.0.0.1", 47100),)
-    return Settings("app", "alice", 0, 0.1, peers, Origin(*ORIGIN), FENCE, body=body)
+    return Settings("app", "alice", 0, 0.1, peers, Origin(*ORIGIN), FENCE, body=body, planner_budget=0.1)
 
 
 class Rig:
