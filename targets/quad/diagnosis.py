@@ -72,7 +72,8 @@ def _link(url: str, heard: Heard, system: int) -> Finding:
         others = ", ".join(map(str, sorted(heard.link.others))) or str(system)
         hint = "see that only this robot's does; the setting `system` says which of several is this robot's"
         return Finding("link", "fail", f"another autopilot (system {others}) sends to {url}", "one", hint)
-    return Finding("link", "ok", f"autopilot on {url}, system {system}")
+    also = f"; also heard: {', '.join(map(str, sorted(heard.link.others)))}" if heard.link.others else ""
+    return Finding("link", "ok", f"autopilot on {url}, system {system}{also}")
 
 
 def _version(what: str, heard: Heard) -> Finding:

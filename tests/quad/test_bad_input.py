@@ -46,6 +46,9 @@ def test_of_several_vehicles_on_a_link_the_one_asked_for_flies() -> None:
     rig.fly()
     messages = sent(rig, mavlink.MAVLINK_MSG_ID_COMMAND_LONG)
     assert {m.target_system for m in messages} == {1}
+    rig = Rig(system=1)
+    rig.wire.meddle = lambda data, down: data + heartbeat(system=2) if down else data
+    assert rig.quad.diagnose()[0].found.endswith("system 1; also heard: 2")
 
 
 def test_without_a_choice_the_setting_is_named() -> None:
