@@ -67,7 +67,7 @@ class FedRig(Rig):
     def pass_time(self, seconds: float) -> None:
         for _ in range(round(seconds / STEP)):
             super().pass_time(STEP)
-            if self.station is not None and (datagram := self.station.sample(self.now)) is not None:
+            if self.station is not None and (datagram := self.station.sample(self.now, self.now)) is not None:
                 altered = self.alter(datagram)
                 if altered is not None:
                     self.cable.waiting.append(altered)
