@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from koordgen.runtime.platform import Unready
 from koordgen.runtime.values import Point, distance
 from targets.quad.px4 import PX4
+from tests.quad.fed import FedRig
 from tests.quad.rig import SETPOINT, Rig, at, commands, sent, told
 from tests.quad.scripted_px4 import LAND, OFFBOARD, POSITION, ScriptedPx4
 
@@ -111,3 +112,16 @@ def test_what_is_found_of_a_px4() -> None:
 def test_modes_have_names() -> None:
     assert PX4.mode(LAND) == "LAND" and PX4.mode(3 << 16) == "POSITION" and PX4.mode(99) == "mode 99"
     assert PX4.ask_mode(LAND) == (1, 4, 6) and PX4.ask_mode(OFFBOARD) == (1, 6, 0)
+
+
+def test_it_flies_by_vision_and_takes_no_fixes() -> None:
+    rig = FedRig("vision", autopilot=False)
+    rig.autopilot = ScriptedPx4(rig.body, rig.wire.autopilot_end)  # type: ignore[assignment]
+    rig.fly()
+    assert sent(rig, mavlink.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE)
+    rig = FedRig("gps_input", autopilot=False)
+    rig.autopilot = ScriptedPx4(rig.body, rig.wire.autopilot_end)  # type: ignore[assignment]
+    rig.quad.start(rig.now)
+    with pytest.raises(Unready, match="PX4 takes no positioning 'gps_input'") as told:
+        rig.run(5.0)
+    assert "vision" in told.value.hint
