@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from itertools import pairwise
 
 from koordgen.runtime.safety import clamp
 from koordgen.runtime.values import Point, distance
@@ -20,7 +21,13 @@ LONGEST_STEP = 0.5  # s; the reference runs on by no more than that at once
 CREEP = 0.05  # of its rate, below which it stands
 PAUSE = 0.5  # s of running on at most when it is paused: as far as an autopilot needs to brake
 STANDING = 0.25  # m/s, above what a hovering vehicle's estimate shows
-WINDOW = 0.6  # s of a target's last places from which its way is told
+WINDOW = 0.4  # s of a target's last places from which its way is told
+PACE = (
+    0.1  # m/s; a target that is slower, or whose last places lie to and fro, is none in motion: that may be the noise
+)
+STRAIGHT = 0.7  # ... of measured places; this is how far it must have come, of what its steps add up to
+SLOW = 0.1  # m/s; a way that is never faster, a centimetre, is no motion
+SETTLED = 0.5  # s that the vehicle may need to stand, after the reference
 RHYTHM = 0.6  # s between two targets at most for the second to be the first one's motion
 
 
@@ -59,6 +66,9 @@ class Pursuit:
         size = norm(turn)
         self.acceleration = turn * min(1.0, self._limits.acceleration / size) if size > 0 else ZERO
         self.velocity = self._limits.limited(late + self.acceleration * ((t2 - t1) / 2))
+        steps = sum(distance(p, q) for (_, p), (_, q) in pairwise(self._seen))
+        if norm(self.velocity) < PACE or distance(p0, p2) < STRAIGHT * steps:
+            self.velocity = self.acceleration = ZERO
         self.until = now + max(1.6 * (t2 - t0) / (len(self._seen) - 1), 0.1)
 
 
@@ -76,6 +86,7 @@ class Reference:
         self._rate = 1.0  # of its time to ours
         self._time = 0.0
         self.paused = False
+        self.alone = True  # whether a position says all: it is at rest, to hold, or waits
 
     @property
     def started(self) -> bool:
@@ -95,22 +106,17 @@ class Reference:
         return -math.inf if trajectory.end.velocity != ZERO else self._elapsed - trajectory.seconds
 
     @property
-    def peak(self) -> float:
-        """The greatest speed of the way that it is on, m/s."""
-        return 0.0 if self._trajectory is None else self._trajectory.peak
-
-    @property
     def waits(self) -> bool:
         """Whether the vehicle is too far away for it to move."""
         return self._rate == 0.0
 
     def start(self, position: Point, velocity: Point, now: float) -> None:
-        """From where the vehicle is, towards what is still ahead."""
+        """From where the vehicle is, towards what is still ahead; where nothing is, it stays."""
         state = State(clamp(self.limits.box, position), self.limits.limited(velocity))
-        if norm(velocity) < STANDING or not self.limits.safe(state):
+        if not self._points or norm(velocity) < STANDING or not self.limits.safe(state):
             state = State(state.position)
         self._time, self._rate = now, 1.0
-        self._points = self._points or (self.limits.stop(state),)
+        self._points = self._points or (state.position,)
         self._replan(state)
 
     def drop(self, now: float) -> Point | None:
@@ -156,6 +162,8 @@ class Reference:
         if now >= self._pursuit.until > -math.inf:
             self._pursuit.forget()
             self._replan(state)
+        short = self._trajectory is not None and self._trajectory.peak < SLOW
+        self.alone = self.paused or self.waits or self.stood >= SETTLED or (self.alone and short)
 
     def at(self, seconds: float) -> State:
         """The state in so many seconds, as far as is known now. Only when it was started."""

@@ -35,8 +35,6 @@ POSITION_VELOCITY = 0xDC0
 YAW = 0x400  # taken away when a yaw is given
 
 RUN_ON = 3.0  # s for which an autopilot keeps the last velocity (GUID_TIMEOUT)
-SLOW = 0.1  # m/s; a way that is never faster is flown by positions alone: a centimetre
-SETTLED = 0.5  # s that the vehicle may need to stand, after the reference
 
 
 class NotSendable(ValueError):
@@ -72,7 +70,7 @@ def aimed(reference: Reference, shaping: Shaping) -> Aim:
     at rest and for ways so short that they are none: ArduPilot's controller starts anew when the kind of setpoint
     changes, so that is done while the vehicle stands."""
     limits, state = reference.limits, reference.at(shaping.delay)
-    if reference.paused or reference.waits or reference.stood >= SETTLED or reference.peak < SLOW:
+    if reference.alone:
         return Aim(clamp(limits.box, state.position))
     push = (reference.at(shaping.delay + shaping.ahead).velocity - state.velocity) / shaping.ahead
     level, climb = shaping.lead

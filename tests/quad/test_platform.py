@@ -201,3 +201,27 @@ def test_when_the_agent_dies_in_motion_the_vehicle_stays_within_the_fence() -> N
             rig.pass_time(0.1)
             beyond.append(max(rig.body.position[0] - FENCE.hi.x, rig.body.position[1] - FENCE.hi.y))
         assert max(beyond) < 0.0, dead_at
+
+
+def test_it_waits_for_its_first_target_at_the_flight_height() -> None:
+    rig = Rig()
+    rig.fly()
+    rig.run(5.0)
+    assert at(rig).z == pytest.approx(1.5, abs=0.05)
+
+
+def test_targets_that_waver_are_stayed_at_and_the_kind_of_setpoint_does_not_flicker() -> None:
+    """A program may compute its target from measured places in every round; ArduPilot's controller starts anew with
+    each change of kind."""
+    rig = Rig(noise=0.005)
+    rig.fly()
+    rig.go(1.0, -2.0)
+    assert rig.run(5.0, rig.reached)
+    rig.wire.up.clear()
+    far: list[float] = []
+    for i in range(100):
+        rig.go(1.0 + 0.006 * math.sin(2.3 * i), -2.0 + 0.006 * math.cos(1.7 * i))
+        rig.run(0.1)
+        far.append(distance(at(rig), Point(1.0, -2.0, 1.5)))
+    masks = [m.type_mask for m in sent(rig, SETPOINT)]
+    assert max(far) < 0.06 and sum(a != b for a, b in itertools.pairwise(masks)) <= 1
