@@ -144,7 +144,7 @@ class Motion:
             self.followed = False
         if now - self._doubted > UNFOLLOWED and link.alive(now):
             raise Unready(
-                "the autopilot is in GUIDED but does not follow position setpoints",
+                f"the autopilot is in {state.mode_name} but does not follow position setpoints",
                 "does another program command it, or is it set to take commands from another system id only?",
             )
 
