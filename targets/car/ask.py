@@ -1,4 +1,4 @@
-"""Asks the car's planner in its own process: what it is told besides start and goal, and what it answers besides points.
+"""Asks the car's planner in its own process: told a heading besides start and goal, it answers a curve besides points.
 
 No way goes out that was not looked at as it will be driven, along its whole length, whoever planned it.
 """
@@ -10,52 +10,17 @@ import random
 
 import msgspec
 
-from targets.car.curves import Curve, Piece, Triple
-from targets.car.ground import PAD, Ground, Way
-from targets.car.planner import Area, points
+from koordgen.runtime.values import Point
+from targets.car.curves import Curve, Triple
+from targets.car.ground import PAD, Way, ground
+from targets.car.planner import Plan, Wish, points, price
 from targets.car.search import Search, Task
-from targets.car.shapes import Footprint, named, standing
+from targets.car.shapes import named
 from targets.planning.ask import NAMES, finite, within
 from targets.planning.ask import Asked as AskedForPoints
 from targets.planning.limit import Limit
 from targets.planning.pipe import Answer, Question
 from targets.planning.world import World
-from koordgen.runtime.values import Point
-
-MARGIN = 0.05  # metres kept from the arena's edge, for tracking errors
-ENOUGH = 1.05  # a way so little more costly than the shortest curve is long is good enough
-
-
-class Wish(msgspec.Struct, frozen=True, array_like=True):
-    """What a question says besides: radians, seconds."""
-
-    yaw: float = 0.0  # of the car
-    gear: int = 0  # the direction in which it rolls; 0: it stands
-    heading: float | None = None  # wished for at the goal
-    arrival: float | None = None  # one that an earlier way ends with: a way that is planned anew agrees with its begin
-    patience: float = 0.0  # when nothing has been found in the question's seconds, go on until so many
-
-
-class Plan(msgspec.Struct, frozen=True, array_like=True):
-    """What an answer tells besides: the curve. No pieces: the planner was a user's own, which knows points alone."""
-
-    start: Triple
-    pieces: tuple[Piece, ...]
-
-
-def area(world: World, margin: float = MARGIN) -> Area:
-    """Where the reference point may be."""
-    lo, hi = world.arena.lo, world.arena.hi
-    (west, east), (south, north) = sorted((lo.x, hi.x)), sorted((lo.y, hi.y))
-    margin = min(margin, (east - west) / 2, (north - south) / 2)
-    return Area(west + margin, south + margin, east - margin, north - margin)
-
-
-def ground(world: World) -> Ground:
-    """The car and what stands there. Raises ZeroDivisionError for a car that turns on the spot."""
-    body = Footprint(*world.footprint, world.overhang)
-    fixed = standing(world.obstacles, world.height)
-    return Ground(body, 1 / world.turning_radius, area(world), fixed, world.clearance)
 
 
 class Asked:
@@ -125,11 +90,7 @@ class Asked:
             return best
         return self._polished(best, task, way, dice, over, turn)
 
-    def _polished(
-        self, best: Curve, task: Task, way: Way, dice: random.Random, over: Limit, turn: int
-    ) -> Curve:
-        from targets.car.planner import price
-
+    def _polished(self, best: Curve, task: Task, way: Way, dice: random.Random, over: Limit, turn: int) -> Curve:
         best = self._search.shortened(best, task, way, dice, over)
         while not over.spent(turn):
             another = self._search.connected(task, way, over, turn)

@@ -1,9 +1,9 @@
 """The shortest curves of a car: Reeds and Shepp's, which change gears, and Dubins's, which only go forwards.
 
 Formulas: J. A. Reeds and L. A. Shepp, Optimal paths for a car that goes both forwards and backwards, Pacific Journal of
-Mathematics 145 (1990), (8.1) to (8.11), whose misprints are corrected as in OMPL's ReedsSheppStateSpace; A. M. Shkel and
-V. Lumelsky, Classification of the Dubins set (2001). Computed here, not by OMPL, whose Python binding tells a curve's
-length but not its pieces. Metres, radians, local ENU.
+Mathematics 145 (1990), (8.1) to (8.11), whose misprints are corrected as in OMPL's ReedsSheppStateSpace; A. M. Shkel
+and V. Lumelsky, Classification of the Dubins set (2001). Computed here, not by OMPL, whose Python binding tells a
+curve's length but not its pieces. Metres, radians, local ENU.
 """
 
 from __future__ import annotations

@@ -12,13 +12,15 @@ from collections.abc import Callable, Iterable
 
 from targets.car.curves import Curve, Triple
 from targets.car.planner import Area
-from targets.car.shapes import Footprint, Shape
+from targets.car.shapes import Footprint, Shape, standing
+from targets.planning.world import World
 
 FAR = 0.5  # metres of slack: more is not told apart
 CELL = 0.5  # metres: what is near is remembered for squares of this size
 LEAST_STEP = 0.004  # metres between two poses that are looked at
 PAD = 0.006  # metres kept besides on planned ways: the outline moves less than this in a least step
 LEAVING = 0.95  # of the distance that the start has from what is too near: so much is kept on the way out
+MARGIN = 0.05  # metres kept from the arena's edge, for tracking errors
 FENCE_STEP = 0.02  # metres between two looks at the fence: an arc bulges less than 0.1 mm in between
 
 Kept = tuple[float, float, float, float, float, Shape]  # west, south, east, north, distance kept, shape
@@ -53,9 +55,7 @@ class Things:
 class Ground:
     """What does not change: the car, where it may be, and what stands there. Metres, local ENU."""
 
-    def __init__(
-        self, body: Footprint, curvature: float, area: Area, fixed: Iterable[Shape], clearance: float
-    ) -> None:
+    def __init__(self, body: Footprint, curvature: float, area: Area, fixed: Iterable[Shape], clearance: float) -> None:
         """`curvature` is the sharpest, 1/m; `clearance` is kept between the outline and all else."""
         self.body, self.area, self.clearance = body, area, clearance
         self.pace = body.pace(curvature)
@@ -100,7 +100,10 @@ class Way:
         clearance = self._ground.clearance
         west, south, east, north = shape.bounds
         x, y = self._middle(*self._start)
-        if math.hypot(max(west - x, 0.0, x - east), max(south - y, 0.0, y - north)) > self._ground.round + clearance + PAD:
+        if (
+            math.hypot(max(west - x, 0.0, x - east), max(south - y, 0.0, y - north))
+            > self._ground.round + clearance + PAD
+        ):
             return clearance
         away = self._ground.body.distance(*self._start, shape)
         if away < 0:
@@ -157,3 +160,18 @@ class Way:
             if middle + step < end:
                 todo.append((middle + step, end))
         return True
+
+
+def area(world: World, margin: float = MARGIN) -> Area:
+    """Where the reference point may be."""
+    lo, hi = world.arena.lo, world.arena.hi
+    (west, east), (south, north) = sorted((lo.x, hi.x)), sorted((lo.y, hi.y))
+    margin = min(margin, (east - west) / 2, (north - south) / 2)
+    return Area(west + margin, south + margin, east - margin, north - margin)
+
+
+def ground(world: World) -> Ground:
+    """The car and what stands there. Raises ZeroDivisionError for a car that turns on the spot."""
+    body = Footprint(*world.footprint, world.overhang)
+    fixed = standing(world.obstacles, world.height)
+    return Ground(body, 1 / world.turning_radius, area(world), fixed, world.clearance)

@@ -1,14 +1,17 @@
-"""What a planned path is, as the tracker takes it; how it comes from curves; and arcs, which need no planning.
-"""
+"""What a planned path is, as the planner's process tells it and as the tracker takes it; and arcs, which need no
+planning."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import groupby, pairwise
+from itertools import groupby
+
+import msgspec
 
 from targets.car.curves import Curve, Piece, Triple, along, seen_from
 
+JUDGE = "targets.car.ask:Asked"
 SPACING = 0.05  # metres between the poses of a path, at most
 REVERSE_PRICE = 0.5  # a metre driven backwards counts this much more than one forwards
 GEAR_PRICE = 0.5  # a change of gear counts like these metres: the car has to stop for it
@@ -17,6 +20,23 @@ SLIVER = 1e-4  # metres: a shorter piece is left out of a path
 NEAR_POINTS = 0.1  # metres from a path to the straight lines between the points that stand for it
 
 Point2 = tuple[float, float]
+
+
+class Wish(msgspec.Struct, frozen=True, array_like=True):
+    """What a question says besides: radians, seconds."""
+
+    yaw: float = 0.0  # of the car
+    gear: int = 0  # the direction in which it rolls; 0: it stands
+    heading: float | None = None  # wished for at the goal
+    arrival: float | None = None  # one that an earlier way ends with: a way that is planned anew agrees with its begin
+    patience: float = 0.0  # when nothing has been found in the question's seconds, go on until so many
+
+
+class Plan(msgspec.Struct, frozen=True, array_like=True):
+    """What an answer tells besides: the curve. No pieces: the planner was a user's own, which knows points alone."""
+
+    start: Triple
+    pieces: tuple[Piece, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +114,9 @@ def points(curve: Curve) -> list[Point2]:
     places = [curve.at(curve.length * i / steps)[:2] for i in range(steps + 1)]
     kept = [0, steps]
     for begin, end in (todo := [(0, steps)]):
-        off, i = max(((_off(places[begin], places[end], places[i]), i) for i in range(begin + 1, end)), default=(0.0, 0))
+        off, i = max(
+            ((_off(places[begin], places[end], places[i]), i) for i in range(begin + 1, end)), default=(0.0, 0)
+        )
         if off > NEAR_POINTS:
             kept.append(i)
             todo += [(begin, i), (i, end)]
@@ -124,8 +146,3 @@ def arc(
         return None
     curve = Curve(start, ((bend, way),))
     return curve if math.dist(curve.end[:2], goal) <= tolerance else None
-
-
-def length(path: list[Segment]) -> float:
-    """Metres, unsigned, measured along the poses."""
-    return sum(math.dist((a.x, a.y), (b.x, b.y)) for part in path for a, b in pairwise(part.poses))

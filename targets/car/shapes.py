@@ -1,7 +1,7 @@
-"""What stands on the ground, seen from above: convex polygons with a radius, and how far a car's footprint is from them.
+"""What stands on the ground, seen from above: convex polygons with a radius, and how far a car's outline is from them.
 
-A disc is a point with a radius, another robot's way a line with one; a box, a cell or a triangle of a mesh is a polygon.
-Of an obstacle counts what is between the ground and the car's height. Metres, local ENU.
+A disc is a point with a radius, another robot's way a line with one; a box, a cell or a triangle of a mesh is a
+polygon. Of an obstacle counts what is between the ground and the car's height. Metres, local ENU.
 """
 
 from __future__ import annotations

@@ -32,7 +32,11 @@ class Planning(Protocol):
     """A planner as a platform sees it. `start`, then `poll` often, `plan` or `ask` once it is `ready`, `close`."""
 
     ready: bool
-    waiting: bool  # whether something was asked that has not been answered yet
+
+    @property
+    def waiting(self) -> bool:
+        """Whether something was asked that has not been answered yet."""
+        ...
 
     def start(self) -> None: ...
 

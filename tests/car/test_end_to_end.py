@@ -18,6 +18,7 @@ from targets.car import vesc
 from targets.car.links import RealLinks
 from targets.car.platform import Car
 from targets.car.settings import CarSettings
+from targets.planning.process import Inside
 from targets.sim.bodies import Device
 from targets.sim.drive import TIMEOUT, Controller, SimulatedDrive
 from targets.sim.station import SimulatedFeed
@@ -33,7 +34,7 @@ class Bench:
         self.device: Device = SimulatedDrive(self.body, context({}, 0.005))
         self.feed: Device = SimulatedFeed(self.body, context({}, 0.005), "position", lambda: self.now)
         self.overrides = {**self.device.overrides, **self.feed.overrides}
-        self.car = Car(robot_settings(self.overrides), KEY)
+        self.car = Car(robot_settings(self.overrides), KEY, planning=Inside)
         self.ticks = 0
 
     @property

@@ -229,7 +229,7 @@ def test_diagnosis_of_a_missing_package(monkeypatch: pytest.MonkeyPatch) -> None
 
     monkeypatch.setattr(builtins, "__import__", without)
     (found,) = (f for f in World().car.diagnose() if f.state == "fail")
-    assert found.name == "planner" and "casadi" in found.found
+    assert found.name == "controller" and "casadi" in found.found
 
 
 def test_a_flood_of_forged_datagrams_neither_stops_nor_moves_it() -> None:
