@@ -28,6 +28,7 @@ slow: $(STAMP)
 bench: $(STAMP)
 	$(PY) benchmarks/compile.py
 	$(PY) benchmarks/round.py
+	$(PY) benchmarks/sim_autopilot.py
 	$(PY) benchmarks/shared_memory.py
 
 # Parser tables and compiled templates are checked in, because building them at each start costs more than all else.

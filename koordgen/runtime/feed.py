@@ -15,7 +15,7 @@ from koordgen.runtime.seal import POSITION, seal, unseal
 from koordgen.runtime.values import Pose
 
 FARTHEST = 100_000.0  # metres from the origin, and radians of yaw: more is no pose of a robot
-WINDOW = 5.0  # seconds; clocks that drift apart by 100 ppm err by half a millisecond in it
+WINDOW = 2.0  # seconds; clocks that drift apart by 100 ppm err by less than half a millisecond in two of it
 _HINT = "start the base station; check that it knows this robot's name, address and the fleet's key"
 
 

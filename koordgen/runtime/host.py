@@ -20,7 +20,7 @@ from pathlib import Path
 from koordgen.runtime.platform import Finding
 
 SUMS, REQUIREMENTS, SETTINGS = "SHA256SUMS", "requirements.txt", "settings.json"
-ROOM = 100_000_000  # bytes: some hours of a trace
+ROOM = 100_000_000  # bytes: a trace soon fills less
 JUMP = 0.05  # seconds by which the wall clock may leave the monotonic one during a look
 _REQUIREMENT = re.compile(
     r"(?P<name>[A-Za-z0-9._-]+)\s*(?P<relation>==|>=)\s*(?P<version>[0-9][^\s;]*)"

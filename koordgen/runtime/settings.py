@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
+from koordgen.runtime.obstacles import Obstacle
 from koordgen.runtime.values import Point
 
 
@@ -82,6 +83,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     body: dict[str, Any] = {}
     trace: str | None = None  # JSON lines, one a round
     planner_budget: float = 0.01  # seconds that a call of a planner within an event may take; more is counted and told
+    obstacles: tuple[Obstacle, ...] = ()  # what stands there; numbered from 0
     avoid: str = ""  # the allread variable in which robots publish their paths; empty: planners do not look at others
     bind: str = ""  # the address to listen on, when it is not the one that peers send to
     control: Annotated[int, msgspec.Meta(ge=1, le=65535)] | None = None  # UDP port of orders; None: `control_port`

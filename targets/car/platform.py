@@ -26,8 +26,9 @@ from targets.car.links import Links, RealLinks
 from targets.car.mpc import STEP
 from targets.car.navigator import STANDING, Navigator
 from targets.car.settings import decode
-from targets.planning.planner import Planner
+from targets.planning.process import Inside
 from targets.planning.route import Route
+from targets.planning.world import Path, Scene, World
 
 MODULES = ("Motion", "MotionWithScan")  # one body under two names; the second has a lidar
 WAIT_FOR_DRIVE, WAIT_FOR_FEED = 5.0, 60.0  # seconds until Unready; a base station may be started after the robots
@@ -54,7 +55,13 @@ class Car:
         self._drive: Drive | None = None
         self._navigator: Navigator | None = None
         self._route = Route()
-        self._planner: Planner | None = None  # made by `start`: its imports take longer than an event may
+        own = self._settings
+        world = World(
+            self._fence, settings.obstacles, own.clearance, flies=False, wheelbase=own.wheelbase,
+            turning_radius=own.planned_radius,
+        )  # fmt: skip
+        self._planning = Inside("rrt-smoothed", world, settings.planner_budget)
+        self._others: tuple[Path, ...] = ()
         self._now = 0.0
         self._started = 0.0
         self._next_control = -math.inf
@@ -79,7 +86,7 @@ class Car:
     def start(self, now: float) -> None:
         self._open()
         self._navigator = self._build()
-        self._planner = Planner(self._fence, self._settings.clearance)
+        self._planning.start()  # its imports take longer than an event may
         self._now = self._started = now
 
     def _open(self) -> tuple[Drive, DatagramLink]:
@@ -231,17 +238,18 @@ class Car:
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
         """See Platform. The only one is `planner(goal, obstacles)`: a goal that is not on the ground is infeasible."""
         goal, obstacles = args[0], args[1] if len(args) > 1 else ()
-        if self._planner is None or goal.z != 0.0 or not inside(self._fence, goal):
+        if goal.z != 0.0 or not inside(self._fence, goal):
             return ()
         state = self._estimator.state
-        return self._planner.plan(Point(state.x, state.y, 0.0), goal, obstacles)
+        return self._planning.plan(Point(state.x, state.y, 0.0), goal, Scene.of(obstacles, self._others))
 
     def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
-        """See Platform: not looked at yet."""
+        """See Platform."""
+        self._others = tuple(paths.values())
 
     def news(self) -> list[str]:
         """See Platform."""
-        return []
+        return self._planning.news()
 
     def hold(self, on: bool, now: float) -> None:
         self._holding = on

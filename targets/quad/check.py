@@ -36,8 +36,8 @@ SELDOM = (
 @dataclass
 class Heard:
     """What an autopilot has told: of each message the first time, the last time (seconds) and how often since the
-    first, and the last of it; `wall` is our own wall clock (seconds since 1970) at the last SYSTEM_TIME; `seconds`
-    says for how long it was listened to."""
+    first, and the last of it; `wall` is our own wall clock (seconds since 1970) at the last SYSTEM_TIME;
+    from `began` to `ended` it was listened to."""
 
     link: Link
     telemetry: Telemetry
@@ -47,9 +47,9 @@ class Heard:
     newest: dict[int, Message] = field(default_factory=dict)
     parameters: Parameters | None = None
     wall: float = 0.0
-    seconds: float = 0.0
+    began: float = 0.0
+    ended: float = 0.0
     examined: bool = False  # whether it was asked to run its checks, the results of which it says
-    crowded: bool = False
 
     def ask(self) -> None:
         """Ask for what does not come by itself."""
@@ -112,7 +112,7 @@ def listen(
             break
         sleep(_PAUSE)
         now = clock()
-    heard.seconds, heard.crowded = now - begun, link.crowded(now)
+    heard.began, heard.ended = begun, now
     return heard
 
 

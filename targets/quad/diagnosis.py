@@ -44,7 +44,7 @@ def findings(url: str, heard: Heard, frame: LocalFrame, fence: Box, height: floa
     """What there is to say, what is to be repaired first coming first."""
     link = heard.link
     if link.vehicle is None:
-        return [Finding.of("link", unheard(url, link, heard.seconds))]
+        return [Finding.of("link", unheard(url, link, heard.ended - heard.began))]
     found = [_link(url, heard, link.vehicle.system)]
     what, firmware = identified(link)
     if firmware is None:
@@ -66,11 +66,14 @@ def findings(url: str, heard: Heard, frame: LocalFrame, fence: Box, height: floa
 
 
 def _link(url: str, heard: Heard, system: int) -> Finding:
-    if heard.crowded:
+    if not heard.link.alive(heard.ended):
+        return Finding.of("link", unheard(url, heard.link, heard.ended - (heard.link.heard or 0.0)))
+    if heard.link.crowded(heard.ended):
         others = ", ".join(map(str, sorted(heard.link.others))) or str(system)
         hint = "see that only this robot's does; the setting `system` says which of several is this robot's"
         return Finding("link", "fail", f"another autopilot (system {others}) sends to {url}", "one", hint)
-    return Finding("link", "ok", f"autopilot on {url}, system {system}")
+    also = f"; also heard: {', '.join(map(str, sorted(heard.link.others)))}" if heard.link.others else ""
+    return Finding("link", "ok", f"autopilot on {url}, system {system}{also}")
 
 
 def _version(what: str, heard: Heard) -> Finding:

@@ -1,4 +1,4 @@
-"""Where the vehicle is to be: the program's target or path, the pause, the waiting place; steering; `reached`."""
+"""Where the vehicle is to be: the program's target or path, the pause, the waiting place; heading; `reached`."""
 
 from __future__ import annotations
 
@@ -9,54 +9,79 @@ from koordgen.runtime.platform import Unready
 from koordgen.runtime.safety import clamp
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point, distance, transmissible
-from targets.planning.route import Route
 from targets.quad.link import Link
-from targets.quad.setpoint import Carrot, setpoint
+from targets.quad.reference import STANDING, Reference
+from targets.quad.setpoint import ARDUPILOT, Aim, Shaping, aimed, setpoint
 from targets.quad.telemetry import Telemetry
+from targets.quad.trajectory import Limits
 
-STANDING = 0.25  # m/s, above what a hovering vehicle's estimate shows
 UNFOLLOWED = 5.0  # seconds for which the autopilot may show no sign of following the setpoints
 SPACING = 0.04  # seconds between two setpoints at least
+NEAR = 0.3  # metres by which the target that the autopilot tells may differ from what was sent
+HALTING = 1.0  # seconds for which a halt is told
+MARGIN = 0.15  # m from the fence's faces within which nothing is made for: room for the vehicle's own wavering
+TURNING = 0.2  # m/s below which a direction of motion is no heading
+
+
+def heading(text: str) -> str | float:
+    """The setting `yaw`: "keep", "forward", or an angle in radians from east. Raises ValueError."""
+    if text in ("keep", "forward"):
+        return text
+    angle = float(text)
+    if not math.isfinite(angle):
+        raise ValueError(text)
+    return angle
+
+
+def room(fence: Box, height: float) -> Box:
+    """What may be made for: the fence without MARGIN at its sides and above, from the flight height upwards. A fence
+    too narrow for the margin keeps the middle half."""
+    lo, hi = clamp(fence, Point(-math.inf, -math.inf, -math.inf)), clamp(fence, Point(math.inf, math.inf, math.inf))
+    x, y = (min(MARGIN, side / 4) for side in (hi.x - lo.x, hi.y - lo.y))
+    return Box(Point(lo.x + x, lo.y + y, height), Point(hi.x - x, hi.y - y, max(height, hi.z - MARGIN)))
 
 
 class Motion:
-    """Lengths in m, fleet's ENU. Heights are raised to `height`, and everything is brought inside the fence."""
+    """Lengths in m, fleet's ENU. Heights are raised to `height`, and everything is brought inside the fence, by a
+    margin. `climb` is the vertical speed limit; `yaw` is `heading`'s."""
 
     def __init__(
-        self, frame: LocalFrame, fence: Box, height: float, max_speed: float, radius: float, dwell: float
-    ) -> None:
+        self, frame: LocalFrame, fence: Box, height: float, max_speed: float, acceleration: float, climb: float,
+        radius: float, dwell: float, yaw: str | float = "keep", shaping: Shaping = ARDUPILOT,
+    ) -> None:  # fmt: skip
         self._frame, self._fence, self._height = frame, fence, height
         self._radius, self._dwell, self._speed = radius, dwell, max_speed
-        self._carrot = Carrot(max_speed)
-        self._route = Route()  # what was commanded last
-        self._station: Point | None = None  # where to be while nothing was commanded
-        self._pause: Point | None = None  # where to be while holding
-        self._holding = False
+        self._room = room(fence, height)
+        self._reference = Reference(Limits(max_speed, climb, acceleration, self._room))
+        self._shaping = shaping
+        self._policy, self._yaw = yaw, yaw if isinstance(yaw, float) else None
+        self._commanded: tuple[Point, ...] = ()
+        self._goal: Point | None = None  # what `reached` is about
         self._near: float | None = None  # since when the vehicle stands at the goal
         self._sent: float | None = None  # when the last setpoint was sent
         self._doubted: float | None = None  # since when the autopilot has shown no sign of following
+        self._halt: tuple[Point, float] | None = None  # where to, and until when it is told
         self.reached = True
         self.followed = False  # whether the autopilot was seen to follow the setpoints, and still does
         self.refused = 0  # targets that were not finite
 
-    def command(self, points: tuple[Point, ...]) -> None:
+    def command(self, points: tuple[Point, ...], now: float) -> None:
         """Go there, straight from each point to the next; a target is a path of one point, none is: stay here. What
         is being followed already changes nothing."""
         if not transmissible(points):
             self.refused += 1
             return
-        if self._route.take(tuple(map(self._lifted, points))):
-            self._near, self.reached = None, not points
-            if not points:
-                self._station = None
+        lifted = tuple(clamp(self._room, p) for p in points)
+        if lifted == self._commanded and self._goal is not None:
+            return
+        self._commanded, self._goal = lifted, lifted[-1] if lifted else None
+        self._near, self.reached = None, not lifted
+        self._reference.follow(lifted, now)
 
-    def hold(self, on: bool) -> None:
-        """Pause where the vehicle is then, or resume."""
-        if on != self._holding:
-            self._holding, self._pause = on, None
-
-    def _lifted(self, p: Point) -> Point:
-        return clamp(self._fence, Point(p.x, p.y, max(p.z, self._height)))
+    def hold(self, on: bool, now: float) -> None:
+        """Pause where the vehicle can stop, or resume."""
+        if on != self._reference.paused:
+            self._reference.pause(on, now)
 
     def steer(self, link: Link, state: Telemetry, now: float) -> None:
         """Send the next setpoint when one is due, and look whether the autopilot follows the last ones. Raises
@@ -64,45 +89,70 @@ class Motion:
         position = state.position
         if position is None or link.vehicle is None or (self._sent is not None and now - self._sent < SPACING):
             return
-        if self._station is None:
-            self._station = self._lifted(position)
-        if self._holding and self._pause is None:
-            self._pause = self._lifted(position)
-            self._carrot.drop()  # it ran ahead of the vehicle: to walk it back would take as long as the way did
-        seconds = SPACING if self._sent is None else now - self._sent
-        goal = self._pause or self._route.goal or self._station
-        carrot = self._carrot.step(goal, position, seconds)
-        if carrot == self._route.goal and self._pause is None:
-            self._route.passed()
-        link.send(setpoint(link.vehicle, self._frame, self._fence, carrot))
-        self._sent = now
-        self._watch(link, state, carrot, now)
+        if not self._reference.started:
+            self._reference.start(position, state.velocity, now)
+        self._reference.advance(position, now)
+        aim = aimed(self._reference, self._shaping)
+        self._say(link, Aim(aim.position, aim.velocity, self._heading(state)), now)
+        self._watch(link, state, aim, now)
         self._judge(position, state.velocity, now)
 
-    def coast(self) -> None:
-        """Nothing is sent: the autopilot keeps the last position by itself. Nothing is guessed meanwhile."""
-        self._sent = self._doubted = self._near = None
+    def coast(self, now: float) -> None:
+        """Not ours to steer, or not yet: nothing is sent, and nothing is guessed meanwhile."""
+        self._reference.drop(now)
+        self._halt = self._sent = self._doubted = self._near = None
         self.followed = False
 
-    def _watch(self, link: Link, state: Telemetry, carrot: Point, now: float) -> None:
-        # The autopilot tells its target at 5 Hz; of a second's worth, all but one may be lost.
-        near = 0.2 + 1.2 * self._speed
-        if state.followed is not None and now - state.followed_time < 1.0 and distance(state.followed, carrot) < near:
+    def halt(self, link: Link, now: float) -> None:
+        """Ours, but without a fresh position: a position alone, so that the autopilot does not run on with the last
+        velocity; told for a second, because some may be lost. Then as `coast`."""
+        halt = self._reference.drop(now)
+        if halt is not None and self._sent is not None:
+            self._halt = halt, now + HALTING
+        if self._halt is None or now > self._halt[1] or link.vehicle is None:
+            self.coast(now)
+        elif self._sent is None or now - self._sent >= SPACING:
+            self._say(link, Aim(clamp(self._room, self._halt[0]), yaw=self._yaw), now)
+
+    def _say(self, link: Link, aim: Aim, now: float) -> None:
+        if link.vehicle is not None:
+            link.send(setpoint(link.vehicle, self._frame, self._fence, aim))
+            self._sent = now
+
+    def _heading(self, state: Telemetry) -> float | None:
+        """The yaw to send: without one ArduPilot turns to wherever it flies (WP_YAW_BEHAVIOR)."""
+        if self._yaw is None:
+            self._yaw = state.yaw
+        if self._policy == "forward":
+            velocity = self._reference.at(0.0).velocity
+            if math.hypot(velocity.x, velocity.y) > TURNING:
+                self._yaw = math.atan2(velocity.y, velocity.x)
+        return self._yaw
+
+    def _watch(self, link: Link, state: Telemetry, aim: Aim, now: float) -> None:
+        # The autopilot tells its target at 5 Hz; of a second's worth, all but one may be lost. ArduPilot tells it only
+        # while it is a position alone; of one in motion, the vehicle shows by itself whether it is followed.
+        near = NEAR if aim.velocity is None else NEAR + 1.2 * self._speed
+        told = state.followed if now - state.followed_time < 1.0 else None
+        if told is not None and distance(told, aim.position) < near:
             self._doubted, self.followed = None, True
+            return
+        if aim.velocity is not None:
+            self._doubted = None
             return
         self._doubted = now if self._doubted is None else self._doubted
         if now - self._doubted > 1.0:
             self.followed = False
         if now - self._doubted > UNFOLLOWED and link.alive(now):
             raise Unready(
-                "the autopilot is in GUIDED but does not follow position setpoints",
+                f"the autopilot is in {state.mode_name} but does not follow position setpoints",
                 "does another program command it, or is it set to take commands from another system id only?",
             )
 
     def _judge(self, position: Point, velocity: Point, now: float) -> None:
         """`reached`: within the radius and standing still for the dwell; from then on, until a new target comes."""
-        goal = self._route.goal
-        if self.reached or goal is None or not self._route.last:
+        goal = self._goal
+        if self.reached or goal is None or not self._reference.final:
             return
         speed = math.hypot(velocity.x, velocity.y, velocity.z)
         if distance(position, goal) > self._radius or speed > STANDING:

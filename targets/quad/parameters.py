@@ -18,6 +18,7 @@ from targets.quad.link import Link
 
 EVERY = 0.7  # seconds between two requests for the same parameter
 TURNS = 6  # requests after which a parameter counts as one that does not answer
+WAY_OUT = "set it by a ground station; the robot's setting `allow_no_failsafe: true` takes off all the same"
 REREAD = 5.0  # seconds between two looks at what differs
 _INTEGERS = {
     mavlink.MAV_PARAM_TYPE_UINT8: "<B",
@@ -171,8 +172,9 @@ class Review:
 
     @property
     def forbids(self) -> str:
-        """What differs that forbids a take-off, in words."""
-        return "; ".join(str(r) for r in self._differences if r.wanted.vital)
+        """What differs that forbids a take-off, and the way out, in words."""
+        vital = "; ".join(str(r) for r in self._differences if r.wanted.vital)
+        return f"{vital} ({WAY_OUT})" if vital else ""
 
     def news(self) -> str:
         """What differs and was not told yet, in words; it counts as told then."""

@@ -17,21 +17,22 @@ from koordgen.runtime.datagrams import DatagramLink
 from koordgen.runtime.feed import listen_for_poses
 from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.platform import Finding, Sensed, Unready
-from koordgen.runtime.safety import clamp, inside
+from koordgen.runtime.safety import clamp
 from koordgen.runtime.scans import ScanPort
 from koordgen.runtime.settings import BadSettings, Settings
 from koordgen.runtime.values import Point
-from targets.planning.planner import Planner
+from targets.planning.process import Beside
+from targets.quad.avoidance import Avoidance, MakePlanning
 from targets.quad.check import listen
 from targets.quad.diagnosis import findings
 from targets.quad.firmware import Firmware
 from targets.quad.flight import Flight, Phase
 from targets.quad.framing import Message
 from targets.quad.link import Link
-from targets.quad.motion import Motion
+from targets.quad.motion import Motion, heading
 from targets.quad.parameters import Wanted
 from targets.quad.positioning import Positioning
-from targets.quad.setpoint import setpoint
+from targets.quad.setpoint import Aim, setpoint
 from targets.quad.telemetry import Telemetry
 from targets.quad.transport import Transport, opened
 
@@ -44,10 +45,15 @@ class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     autopilot: str = "udpin:127.0.0.1:14550"
     flight_height: Annotated[float, msgspec.Meta(ge=0.3, le=100.0)] = 1.5
     max_speed: Annotated[float, msgspec.Meta(ge=0.1, le=15.0)] = 1.0
+    max_acceleration: Annotated[float, msgspec.Meta(ge=0.1, le=5.0)] = 1.0
+    max_climb: Annotated[float, msgspec.Meta(ge=0.1, le=5.0)] = 0.7
+    yaw: str = "keep"
     reached_radius: Annotated[float, msgspec.Meta(ge=0.01, le=5.0)] = 0.15
     reached_dwell: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 0.3
     scans: str = ""
-    clearance: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.5
+    radius: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.2
+    clearance: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.3
+    planner: str = "rrt-smoothed"
     positioning: Literal["own", "gps_input", "vision", "odometry"] = "own"
     feed: str = "udp:0.0.0.0:47300"
     system: Annotated[int, msgspec.Meta(ge=0, le=255)] = 0
@@ -75,6 +81,7 @@ class Quad:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
         wall: Callable[[], float] = time.time,
+        planning: MakePlanning = Beside,
     ) -> None:
         try:
             body = msgspec.convert(settings.body, Body)
@@ -88,9 +95,16 @@ class Quad:
         self._body, self._fence = body, fence
         self._frame = LocalFrame(origin.latitude, origin.longitude, origin.altitude)
         self._telemetry = Telemetry(self._frame)
+        try:
+            yaw = heading(body.yaw)
+        except ValueError:
+            raise BadSettings(
+                f"settings of {settings.robot}: body: yaw {body.yaw!r} is not keep, forward or an angle"
+            ) from None
         self._motion = Motion(
-            self._frame, fence, body.flight_height, body.max_speed, body.reached_radius, body.reached_dwell
-        )
+            self._frame, fence, body.flight_height, body.max_speed, body.max_acceleration, body.max_climb,
+            body.reached_radius, body.reached_dwell, yaw,
+        )  # fmt: skip
         self._connect, self._clock, self._sleep, self._wall = connect, clock, sleep, wall
         self._lidar = ScanPort(body.scans, settings.robot, key)
         self._positioning: Positioning | None = None  # None: the vehicle's own
@@ -100,15 +114,14 @@ class Quad:
             )
         self._link: Link | None = None
         self._flight: Flight | None = None
-        self._planner: Planner | None = None  # made by `start`: its imports take longer than an event may
-        self._others: Mapping[int, tuple[Point, ...]] = {}
-        self._news: list[str] = []  # what `news` will tell
+        self._avoidance = Avoidance(settings, body.flight_height, body.radius, body.clearance, body.planner, planning)
         self._held = False
         self._now = 0.0
 
     def diagnose(self) -> list[Finding]:
         """See Platform: hears the autopilot, and the feeds that there are; a position feed is passed on meanwhile."""
-        return [*self._diagnose_vehicle(), *self._lidar.diagnose(self._sleep)]
+        vehicle = self._diagnose_vehicle()
+        return [*vehicle, self._avoidance.diagnose(self._sleep), *self._lidar.diagnose(self._sleep)]
 
     def _diagnose_vehicle(self) -> list[Finding]:
         url, positioning = self._body.autopilot, self._positioning
@@ -140,7 +153,7 @@ class Quad:
         """See Platform: opens the links; `poll` then takes off."""
         url = self._body.autopilot
         self._now = now
-        self._planner = Planner(self._fence, self._body.clearance)
+        self._avoidance.start()
         self._lidar.open()
         if self._positioning is not None:
             self._positioning.open(now)
@@ -152,7 +165,7 @@ class Quad:
 
     def _go_to(self, p: Point) -> None:
         if self._link is not None and self._link.vehicle is not None:
-            self._link.send(setpoint(self._link.vehicle, self._frame, self._fence, p))
+            self._link.send(setpoint(self._link.vehicle, self._frame, self._fence, Aim(p)))
 
     def _wanted(self, firmware: Firmware) -> tuple[Wanted, ...]:
         """The parameters that matter on this firmware, with these settings."""
@@ -167,14 +180,17 @@ class Quad:
             raise Unready("the quad was not started")
         self._now = now
         self._lidar.poll(now)
+        self._avoidance.poll()
         self._flight.poll(now)
         if self._positioning is not None:
             self._positioning.poll(self._link, self._flight, self._telemetry, now)
-            self._motion.hold(self._held or self._positioning.held)
-        if self._flight.phase is Phase.FLYING and self._telemetry.fresh(now):
+            self._motion.hold(self._held or self._positioning.held, now)
+        if self._flight.phase is not Phase.FLYING:
+            self._motion.coast(now)
+        elif self._telemetry.fresh(now):
             self._motion.steer(self._link, self._telemetry, now)
         else:
-            self._motion.coast()
+            self._motion.halt(self._link, now)
 
     @property
     def ready(self) -> bool:
@@ -187,6 +203,7 @@ class Quad:
             and self._telemetry.fresh(self._now)
             and self._motion.followed
             and not self._lidar.waiting
+            and not self._avoidance.waiting
             and (self._positioning is None or not self._positioning.held)
         )
 
@@ -196,14 +213,15 @@ class Quad:
         if self._flight is None:
             return "not started"
         refused = f"; {self._motion.refused} targets were not finite" if self._motion.refused else ""
-        waiting = f"; {self._lidar.waiting}" if self._lidar.waiting else ""
+        waiting = "".join(f"; {what}" for what in (self._lidar.waiting, self._avoidance.waiting) if what)
         doubt = f"; {self._positioning.doubt}" if self._positioning is not None and self._positioning.doubt else ""
         return self._flight.progress + doubt + waiting + refused
 
     def sense(self, now: float) -> Sensed:
         """See Platform. Before the first estimate the position is the origin, and `time` is None."""
         state = self._telemetry
-        ports = {"position": state.position or Point(), "velocity": state.velocity, "reached": self._motion.reached}
+        reached = self._motion.reached and not self._avoidance.refusal
+        ports = {"position": state.position or Point(), "velocity": state.velocity, "reached": reached}
         values: dict[str, Any] = {f"{module}.{port}": value for module in MODULES for port, value in ports.items()}
         values["MotionWithScan.pscan"] = self._lidar.scans.recent(now)
         return Sensed(values, self._vouched)
@@ -217,35 +235,37 @@ class Quad:
         return None if self._positioning.vouched is None else min(told, self._positioning.vouched)
 
     def command(self, actuators: Mapping[str, Any], now: float) -> None:
-        """See Platform. What is not finite is refused, counted and shown in `progress`."""
+        """See Platform. What is not finite is refused, counted and shown in `progress`; instead of what leads into an
+        obstacle of the fleet file the quad holds, and says so."""
         for module in MODULES:
             if f"{module}.target" in actuators:
-                self._motion.command((actuators[f"{module}.target"],))
+                self._command((actuators[f"{module}.target"],), now)
             if f"{module}.path" in actuators:
-                self._motion.command(actuators[f"{module}.path"])
+                self._command(actuators[f"{module}.path"], now)
+
+    def _command(self, points: tuple[Point, ...], now: float) -> None:
+        held = self._avoidance.refusal
+        if self._avoidance.admits(self._telemetry.position, points):
+            self._motion.command(points, now)
+        elif not held:
+            self._motion.command((), now)
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
-        """See Platform. The only one is `planner(goal, obstacles)`: a goal on the ground or outside the fence is
-        infeasible."""
-        goal, obstacles = args[0], args[1] if len(args) > 1 else ()
-        position = self._telemetry.position
-        if self._planner is None or position is None or goal.z <= 0.0 or not inside(self._fence, goal):
-            return ()
-        return self._planner.plan(position, goal, obstacles)
+        """See Platform. The only one is `planner(goal, obstacles)`."""
+        return self._avoidance.plan(self._telemetry.position, args[0], args[1] if len(args) > 1 else ())
 
     def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
         """See Platform."""
-        self._others = paths
+        self._avoidance.others(paths)
 
     def news(self) -> list[str]:
         """See Platform."""
-        told, self._news = self._news, []
-        return told
+        return self._avoidance.news()
 
     def hold(self, on: bool, now: float) -> None:
         """See Platform."""
         self._held = on
-        self._motion.hold(on or (self._positioning is not None and self._positioning.held))
+        self._motion.hold(on or (self._positioning is not None and self._positioning.held), now)
         if self._flight is not None:
             self._flight.grounded = on
 
@@ -265,5 +285,6 @@ class Quad:
             self._link.close()
             self._link = None
         self._lidar.close()
+        self._avoidance.close()
         if self._positioning is not None:
             self._positioning.close()

@@ -131,7 +131,7 @@ class Positioning:
             self._track.forget()
             self._carried += 1
         self._judge(state, now)
-        flight.withheld = self.doubt
+        flight.withheld = self.doubt or ("" if self.vouched is not None else "estimate and source are not compared yet")
         if flight.phase in _IN_FLIGHT:
             self._give_up(flight.phase, now)
         elif grounded and self._feed.time is None and now - self._began > PATIENCE:
@@ -143,7 +143,7 @@ class Positioning:
         if track.refused(now) > 0.0:
             self.doubt = f"the position source jumped: {track.jumps} samples refused"
         elif track.pose is not None and now - track.time > STALE:
-            self.doubt = f"no position has come on {self._setting} for {now - track.time:.1f} s"
+            self.doubt = f"the newest position on {self._setting} is {now - track.time:.1f} s old"
         elif (off := self._apart(state)) is not None:
             v = track.velocity
             if off > APART + LAG * math.hypot(v.x, v.y, v.z):

@@ -1,77 +1,137 @@
-"""Position setpoints: what is sent to the autopilot, and how it moves towards the target.
+"""Setpoints: what is sent to the autopilot so that the vehicle has the reference's state when the reference has it.
 
-Why a carrot. The speed limit is kept by moving the point that is sent, at `max_speed`, and by never letting it get
-farther from the vehicle than a leash. The alternatives: DO_CHANGE_SPEED is forgotten by ArduPilot whenever its guided
-mode starts anew, so a lost message means WPNAV_SPEED, 5 to 10 m/s among people; position and velocity together follow
-more closely but run on for 3 s when the link breaks. A position alone is held for ever: a broken link leaves the
-vehicle at most a leash from where it was, and every motion ends with a position-only setpoint of itself.
+An autopilot does not take a setpoint as it comes: ArduPilot shapes it (AC_PosControl, AP_Math's shape_pos_vel_accel)
+with the gains KPv = PSC_JERK_NE / 2 WP_ACC = 1/s and KPa = PSC_JERK_NE / WP_ACC = 2/s, vertically 2.5/s and 5/s:
+
+    x'' = KPa (KPv (p - x) + v - x')      p, v: the setpoint's position and velocity; x: what the vehicle is steered to
+
+A position alone is so followed 1/KPv = 1 s late. With the velocity, x misses what x'' takes: p'' / KPa KPv, 0.16 m on a
+circle of 2 m at 0.8 m/s. The velocity v + p''/KPa gives it back: x = p. What is steered to is reached a lean later (0.1
+s), and a setpoint takes the link's time. So velocity is sent for 1/KPa and the lean ahead, by the mean of p'' over the
+next third of a second, because p'' jumps; and position and velocity both for the link ahead.
+
+KPv p + v is all that counts. So near the fence, velocity is exchanged for position: 1/KPv metres for each m/s. PX4's
+gains come to much the same (MPC_XY_P 0.95/s, MPC_XY_VEL_P_ACC 1.8/s).
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.safety import clamp
 from koordgen.runtime.settings import Box
-from koordgen.runtime.values import Point, distance
+from koordgen.runtime.values import Point
 from targets.quad.framing import Message
 from targets.quad.link import Vehicle
+from targets.quad.reference import Reference
 
 # Bits of the type mask say what to ignore; position, velocity and acceleration are each used whole or not at all.
 POSITION = 0xDF8
-POSITION_YAW = 0x9F8
-VELOCITY = 0xDC7
 POSITION_VELOCITY = 0xDC0
+YAW = 0x400  # taken away when a yaw is given
 
-LEASH_TIME = 1.5  # seconds; ArduPilot follows a moving position about 1.1 s behind
-LEASH_LENGTH = 0.5  # metres, added to it
+RUN_ON = 3.0  # s for which an autopilot keeps the last velocity (GUID_TIMEOUT)
 
 
 class NotSendable(ValueError):
     """A setpoint that is not finite: it would abort the autopilot's process, so it is never sent."""
 
 
-def setpoint(vehicle: Vehicle, frame: LocalFrame, fence: Box, p: Point) -> Message:
-    """A position-only setpoint at p (fleet's ENU), clamped to the fence. Raises NotSendable unless p is finite.
+@dataclass(frozen=True, slots=True)
+class Shaping:
+    """What an autopilot makes of setpoints, in seconds, horizontally and vertically: `late` is 1/KPv, `lead` 1/KPa and
+    the time to lean or to change thrust; `delay` is the link's and half of the setpoints' spacing; `ahead` is over how
+    long the reference's acceleration is averaged."""
+
+    late: tuple[float, float] = (1.0, 0.4)
+    lead: tuple[float, float] = (0.6, 0.25)
+    delay: float = 0.05
+    ahead: float = 0.35
+
+
+ARDUPILOT = Shaping()
+
+
+@dataclass(frozen=True, slots=True)
+class Aim:
+    """A setpoint in the fleet's ENU: position (m), velocity (m/s) or None, yaw (rad from east) or None."""
+
+    position: Point
+    velocity: Point | None = None
+    yaw: float | None = None
+
+
+def aimed(reference: Reference, shaping: Shaping) -> Aim:
+    """What to send now, within the limits and in their box for as long as it may be obeyed. A position alone on hold,
+    at rest and for ways so short that they are none: ArduPilot's controller starts anew when the kind of setpoint
+    changes, so that is done while the vehicle stands."""
+    limits, state = reference.limits, reference.at(shaping.delay)
+    if reference.alone:
+        return Aim(clamp(limits.box, state.position))
+    push = (reference.at(shaping.delay + shaping.ahead).velocity - state.velocity) / shaping.ahead
+    level, climb = shaping.lead
+    velocity = limits.limited(state.velocity + Point(push.x * level, push.y * level, push.z * climb))
+    return _exchanged(state.position, velocity, shaping, limits.box)
+
+
+def _exchanged(position: Point, velocity: Point, shaping: Shaping, box: Box) -> Aim:
+    """The same demand, with as much velocity as leads to no face of the box in RUN_ON."""
+    axes = [
+        _axis(p, v, lo, hi, late)
+        for p, v, lo, hi, late in zip(
+            (position.x, position.y, position.z),
+            (velocity.x, velocity.y, velocity.z),
+            (box.lo.x, box.lo.y, box.lo.z),
+            (box.hi.x, box.hi.y, box.hi.z),
+            (shaping.late[0], *shaping.late),
+            strict=True,
+        )
+    ]
+    return Aim(Point(*(p for p, _ in axes)), Point(*(v for _, v in axes)))
+
+
+def _axis(p: float, v: float, lo: float, hi: float, late: float) -> tuple[float, float]:
+    """One axis: position and velocity with p' + RUN_ON v' within lo to hi, and p' + late v' as it was if that is
+    there."""
+    p = max(lo, min(p, hi))
+    face = hi if v > 0 else lo
+    if (face - p - RUN_ON * v) * (1 if v > 0 else -1) >= 0:
+        return p, v
+    kept = (face - p - late * v) / (RUN_ON - late)
+    if kept * v <= 0:
+        return max(lo, min(p + late * v, hi)), 0.0
+    return p + late * (v - kept), kept
+
+
+def setpoint(vehicle: Vehicle, frame: LocalFrame, fence: Box, aim: Aim) -> Message:
+    """The message for an aim: the position clamped to the fence, the velocity shortened until it leads to no face of it
+    in RUN_ON. Raises NotSendable unless all is finite.
 
     GLOBAL_INT, because robots share no local frame; AMSL (frame 5), because a height above home would be a height
     above where this vehicle happened to arm. Unused fields are zero, never NaN.
     """
-    if not (math.isfinite(p.x) and math.isfinite(p.y) and math.isfinite(p.z)):
-        raise NotSendable(f"({p.x}, {p.y}, {p.z})")
+    p, v, yaw = aim.position, aim.velocity, aim.yaw
+    if not all(map(math.isfinite, (p.x, p.y, p.z, *((v.x, v.y, v.z) if v else ()), yaw or 0.0))):
+        raise NotSendable(f"{aim}")
     q = clamp(fence, p)
     latitude, longitude, altitude = frame.geodetic(q.x, q.y, q.z)
+    mask, north, east, down = POSITION, 0.0, 0.0, 0.0
+    if v is not None:
+        mask = POSITION_VELOCITY
+        end = clamp(fence, q + v * RUN_ON)
+        north, east, down = frame.ned(latitude, longitude, *_vector((end - q) / RUN_ON))
+    heading = 0.0
+    if yaw is not None:
+        mask, heading = mask & ~YAW, math.remainder(math.pi / 2 - yaw, math.tau)
     return mavlink.MAVLink_set_position_target_global_int_message(
-        0, vehicle.system, vehicle.component, mavlink.MAV_FRAME_GLOBAL_INT, POSITION,
-        round(latitude * 1e7), round(longitude * 1e7), altitude, 0, 0, 0, 0, 0, 0, 0, 0,
+        0, vehicle.system, vehicle.component, mavlink.MAV_FRAME_GLOBAL_INT, mask,
+        round(latitude * 1e7), round(longitude * 1e7), altitude, north, east, down, 0, 0, 0, heading, 0,
     )  # fmt: skip
 
 
-class Carrot:
-    """The moving point between the vehicle and its goal. Speeds in m/s, lengths in m."""
-
-    def __init__(self, max_speed: float) -> None:
-        self._speed = max_speed
-        self._leash = LEASH_LENGTH + LEASH_TIME * max_speed
-        self.at: Point | None = None
-
-    def step(self, goal: Point, position: Point, seconds: float) -> Point:
-        """Move for so many seconds towards the goal, and towards the vehicle where that has fallen behind."""
-        at = position if self.at is None else self.at
-        behind = distance(at, position)
-        if behind > self._leash:
-            at = position + (at - position) * (self._leash / behind)
-        self.at = _towards(at, goal, self._speed * min(max(seconds, 0.0), 0.2))
-        return self.at
-
-    def drop(self) -> None:
-        """Begin again at the vehicle's position."""
-        self.at = None
-
-
-def _towards(at: Point, goal: Point, step: float) -> Point:
-    far = distance(at, goal)
-    return goal if far <= step else at + (goal - at) * (step / far)
+def _vector(p: Point) -> tuple[float, float, float]:
+    return p.x, p.y, p.z

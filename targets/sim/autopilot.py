@@ -1,4 +1,4 @@
-"""A simulated ArduPilot copter: speaks MAVLink 2 to a robot's agent and flies a body, as observed on the real one."""
+"""A simulated copter, ArduPilot's or PX4's: speaks MAVLink 2 to a robot's agent and flies a body."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from targets.sim.bodies import DeviceContext, Quadrotor
 from targets.sim.mavlink_copter import ACCEPTED, UNSUPPORTED, Copter
 from targets.sim.mavlink_estimate import Estimator
 from targets.sim.mavlink_params import VERSION, Parameters
+from targets.sim.mavlink_px4 import STREAMS, Px4, Px4Parameters, Px4Reports
 from targets.sim.mavlink_reports import Reports
-from targets.sim.mavlink_setpoints import take_setpoint
+from targets.sim.mavlink_setpoints import reposition, take_setpoint
 from targets.sim.mavlink_telemetry import Message, Telemetry
 from targets.sim.ports import Port, UdpPort
 from targets.sim.scenario import BadScenario
@@ -29,10 +30,10 @@ _HEARTBEATS = {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}  # Hz
 
 
 class SimulatedAutopilot:
-    """A device of the sim harness. Its settings there: `boot` (seconds, or "real"), `version` (of ArduPilot: how the
-    parameters are called), `position_noise` (m, standard deviation of an error that wanders, as that of a real estimate
-    does). The robot's own `positioning` says what its parameters were set for: without a GPS of its own it believes
-    what it is told. `copter` is its inner state, for tests and scenarios to upset."""
+    """A device of the sim harness. Its settings there: `boot` (seconds, or "real"), `firmware`, `version` (of
+    ArduPilot: how the parameters are called), `position_noise` (m, standard deviation of an error that wanders, as that
+    of a real estimate does). The robot's own `positioning` says what its parameters were set for: without a GPS of its
+    own it believes what it is told. `copter` is its inner state, for tests and scenarios to upset."""
 
     def __init__(self, body: Quadrotor, context: DeviceContext, port: Port | None = None) -> None:
         self._body = body
@@ -46,16 +47,26 @@ class SimulatedAutopilot:
         boot = _seconds(harness.get("boot", 3.0))
         positioning = str(context.settings.get("positioning", ""))
         params = Parameters(str(harness.get("version", VERSION)), positioning=positioning)
-        self.copter = Copter(boot, params)
+        self.copter, reports, streams = self._firmware(str(harness.get("firmware", "ardupilot")), boot, params)
         noise, seed = float(harness.get("position_noise", 0.0)), f"{context.seed}/{context.robot}/autopilot"
         self.copter.estimator = self._estimator = Estimator(params, self._frame, boot, noise, seed, self.copter.say)
         self._listed: deque[str] = deque()  # parameters that PARAM_REQUEST_LIST asked for
-        self._telemetry = Telemetry(Reports(self.copter, self._frame).makers, _HEARTBEATS, self.copter.said, self._send)
+        self._telemetry = Telemetry(reports.makers, streams, self.copter.said, self._send)
         self.overrides: Mapping[str, Any] = {}
         if port is None:
             port = udp = UdpPort()
             self.overrides = {"autopilot": f"udpin:127.0.0.1:{udp.number}"}
         self._port = port
+
+    def _firmware(self, name: str, boot: float, params: Parameters) -> tuple[Copter, Reports, Mapping[int, float]]:
+        """The state machine of a firmware, its reports, and what it streams unasked. Raises BadScenario."""
+        if name == "ardupilot":
+            copter = Copter(boot, params)
+            return copter, Reports(copter, self._frame), _HEARTBEATS
+        if name == "px4":
+            px4 = Px4(boot, Px4Parameters(params.positioning), self._frame)
+            return px4, Px4Reports(px4, self._frame), STREAMS
+        raise BadScenario(f"firmware is {name!r}", "there are: ardupilot, px4")
 
     def step(self, now: float) -> None:
         """See Device."""
@@ -118,9 +129,8 @@ class SimulatedAutopilot:
             return
         match message.get_msgId():
             case mavlink.MAVLINK_MSG_ID_HEARTBEAT:
-                if message.get_srcSystem() == self.copter.params.of("MAV_GCS_SYSID"):
-                    self.copter.ground_station = now
-            case mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
+                self.copter.heard_heartbeat(message.get_srcSystem(), now)
+            case mavlink.MAVLINK_MSG_ID_COMMAND_LONG | mavlink.MAVLINK_MSG_ID_COMMAND_INT:
                 self._send(
                     mavlink.MAVLink_command_ack_message(
                         message.command, self._command(message, now), 0, 0,
@@ -142,10 +152,8 @@ class SimulatedAutopilot:
             case mavlink.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE:
                 self._estimator.take_vision((message.x, message.y, message.z), message.yaw, now)
             case mavlink.MAVLINK_MSG_ID_ODOMETRY:
-                if (
-                    message.frame_id == mavlink.MAV_FRAME_LOCAL_FRD
-                    and message.child_frame_id == mavlink.MAV_FRAME_BODY_FRD
-                ):
+                known = message.frame_id in self.copter.odometry_frames
+                if known and message.child_frame_id == mavlink.MAV_FRAME_BODY_FRD:
                     w, x, y, z = message.q
                     yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
                     self._estimator.take_vision((message.x, message.y, message.z), yaw, now)
@@ -170,13 +178,15 @@ class SimulatedAutopilot:
 
     def _command(self, message: Message, now: float) -> int:
         """A MAV_RESULT."""
+        if message.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_INT:
+            if message.command == mavlink.MAV_CMD_DO_REPOSITION:
+                return reposition(message, self.copter, self._frame, now)
+            message.param7 = message.z
         p1, p2 = message.param1, message.param2
-        if not all(map(math.isfinite, (p1, p2, message.param7))):
-            return int(mavlink.MAV_RESULT_DENIED)
         match message.command:
-            case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
+            case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL if math.isfinite(p1):
                 return self._telemetry.ask(int(p1), p2, now)
-            case mavlink.MAV_CMD_REQUEST_MESSAGE:
+            case mavlink.MAV_CMD_REQUEST_MESSAGE if math.isfinite(p1):
                 return self._telemetry.once(int(p1), now)
             case mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
                 self._telemetry.once(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, now)

@@ -7,6 +7,7 @@ only; it lands 5 s after the last heartbeat of its ground station, and when it h
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -30,6 +31,9 @@ class Copter:
     """Modes and arming. `said` collects STATUSTEXTs as (severity, text) for the telemetry to send."""
 
     autopilot: int = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+    refusal = "PreArm"  # how the words begin in which it tells what hinders arming
+    fragile = True  # a position that is not finite aborts it
+    odometry_frames: tuple[int, ...] = (mavlink.MAV_FRAME_LOCAL_FRD,)  # that it takes an ODOMETRY in
 
     def __init__(self, boot: float, params: Parameters) -> None:
         self._boot = boot
@@ -66,8 +70,22 @@ class Copter:
     def landing(self) -> bool:
         return self.mode == LAND
 
+    @property
+    def waits_for_pilot(self) -> bool:
+        """Whether it stays armed after a landing."""
+        return bool(self.params.of("LAND_REPOSITION"))
+
+    def heard_heartbeat(self, system: int, now: float) -> None:
+        """Only its ground station's count."""
+        if system == self.params.of("MAV_GCS_SYSID"):
+            self.ground_station = now
+
     def heard_setpoint(self, now: float) -> None:
-        """ArduPilot does not count them."""
+        """A setpoint came, whatever becomes of it. ArduPilot does not count them."""
+
+    def refuse_setpoint(self, now: float) -> None:
+        """One that makes no sense came: stop."""
+        self.guidance.stop(now, self.position)
 
     def booted(self, now: float) -> bool:
         return self.estimator.started is not None and now - self.estimator.started >= self._boot + MODE_LOST
@@ -84,6 +102,8 @@ class Copter:
     def command(self, message: Any, now: float) -> int | None:
         """DO_SET_MODE, arming and take-off, as a MAV_RESULT; None for any other command."""
         p1, p2, p7 = message.param1, message.param2, message.param7
+        if not all(map(math.isfinite, (p1, p2, p7))):
+            return DENIED
         match message.command:
             case mavlink.MAV_CMD_DO_SET_MODE:
                 if not int(p1) & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
@@ -93,6 +113,8 @@ class Copter:
                 return self.arm(now) if p1 == 1 else self.disarm(force=p2 == 21196)
             case mavlink.MAV_CMD_NAV_TAKEOFF:
                 return self.take_off(p7, now)
+            case mavlink.MAV_CMD_RUN_PREARM_CHECKS:
+                return self.run_checks(now)
             case mavlink.MAV_CMD_NAV_LAND:
                 return self.set_mode(LAND, now)
             case mavlink.MAV_CMD_DO_CHANGE_SPEED:
@@ -142,7 +164,7 @@ class Copter:
             return ACCEPTED
         fault = self.fault(now)
         if fault:
-            self.say(CRITICAL, f"PreArm: {fault}")
+            self.say(CRITICAL, f"{self.refusal}: {fault}")
             return FAILED
         if self.mode == LAND:
             self.say(CRITICAL, "Arm: LAND mode not armable")
@@ -154,6 +176,15 @@ class Copter:
         self.guidance.stop(now, self.position)
         self.guidance.turn(self.estimator.estimate.yaw, 0.0)
         self.say(INFO, "Arming motors")
+        return ACCEPTED
+
+    def run_checks(self, now: float) -> int:
+        """Say what hinders arming, without arming. A MAV_RESULT."""
+        if self.armed:
+            return int(mavlink.MAV_RESULT_TEMPORARILY_REJECTED)
+        fault = self.fault(now)
+        if fault:
+            self.say(CRITICAL, f"{self.refusal}: {fault}")
         return ACCEPTED
 
     def disarm(self, force: bool) -> int:
@@ -176,14 +207,25 @@ class Copter:
         self.guidance.go(Aim.TAKEOFF, now, (x, y, self.home[2] + above_home))
         return ACCEPTED
 
+    def reposition(self, place: Vector, changes_mode: bool, now: float) -> int:
+        """DO_REPOSITION. A MAV_RESULT."""
+        if self.mode != GUIDED and not (changes_mode and self.set_mode(GUIDED, now) == ACCEPTED):
+            return DENIED
+        if not self.following:
+            return FAILED
+        self.guidance.go(Aim.POSITION, now, place)
+        return ACCEPTED
+
     def watch(self, now: float) -> None:
         """What happens by itself: complaints, auto-disarm, touch-down, failsafes."""
         if not self.armed:
             self._complain(now)
         elif self.landed:
-            waits_for_pilot = self.mode == LAND and self.params.of("LAND_REPOSITION")
             delay = 1.0 if self.mode == LAND else self.params.of("DISARM_DELAY")
-            if not waits_for_pilot and now - max(self._armed_at, self.guidance.since) > delay:
+            if (
+                not (self.mode == LAND and self.waits_for_pilot)
+                and now - max(self._armed_at, self.guidance.since) > delay
+            ):
                 self.disarm(force=False)
         elif self.mode == LAND:
             self._touch_down(now)
@@ -197,7 +239,7 @@ class Copter:
             self._complained = now
             fault = self.fault(now)
             if fault:
-                self.say(CRITICAL, f"PreArm: {fault}")
+                self.say(CRITICAL, f"{self.refusal}: {fault}")
 
     def _fail_safe(self, now: float) -> None:
         silent = 0.0 if self.ground_station is None else now - self.ground_station
@@ -218,7 +260,7 @@ class Copter:
         self._still = now if self._still is None else self._still
         if now - self._still > 1.0:
             self.landed = True
-            if not self.params.of("LAND_REPOSITION"):  # else it waits for a pilot who is not there
+            if not self.waits_for_pilot:  # who is not there
                 self.disarm(force=False)
 
     def say(self, severity: int, text: str) -> None:

@@ -70,6 +70,7 @@ class Parameters(dict[str, float]):
     ) -> None:
         major, _, minor = version.partition(".")
         known = int(major), int(minor)
+        self.positioning = positioning  # that they were set for
         prepared = PREPARED.get(positioning, {})
         self._table = {p.name: p for p in table}
         self._kinds: dict[str, int] = {}
@@ -85,6 +86,10 @@ class Parameters(dict[str, float]):
         value = self.get(outside)
         return self._table[name].value if value is None else value / units
 
+    def kind(self, name: str) -> int:
+        """Its MAV_PARAM_TYPE."""
+        return int(self._kinds.get(name, REAL))
+
     def told(self, name: str, index: int = -1) -> mavlink.MAVLink_param_value_message | None:
         """PARAM_VALUE of the parameter of that name, or with that number where one is given. None: there is none."""
         names = list(self)
@@ -92,7 +97,7 @@ class Parameters(dict[str, float]):
             name = names[index] if index < len(names) else ""
         if name not in self:
             return None
-        kind = self._kinds.get(name, REAL)
+        kind = self.kind(name)
         return mavlink.MAVLink_param_value_message(
             name.encode("ascii"), self[name], kind, len(names), names.index(name)
         )
@@ -101,6 +106,6 @@ class Parameters(dict[str, float]):
         """As PARAM_SET asks; False when nothing came of it."""
         if name not in self or not math.isfinite(value):
             return False
-        whole = self._kinds.get(name, REAL) != REAL
+        whole = self.kind(name) != REAL
         self[name] = float(round(max(-32768.0, min(32767.0, value)))) if whole else value
         return True

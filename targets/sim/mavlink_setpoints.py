@@ -12,7 +12,7 @@ import math
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.geodesy import LocalFrame
-from targets.sim.mavlink_copter import Copter
+from targets.sim.mavlink_copter import DENIED, Copter
 from targets.sim.mavlink_guided import STILL, Aim, Vector
 from targets.sim.mavlink_telemetry import Message
 
@@ -35,12 +35,12 @@ def take_setpoint(message: Message, copter: Copter, frame: LocalFrame, now: floa
     uses = _uses(message.type_mask)
     globally = message.get_msgId() == mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT
     if uses is None or message.coordinate_frame not in (AMSL + ABOVE_HOME if globally else LOCAL + OFFSET):
-        copter.guidance.stop(now, estimate.position)
+        copter.refuse_setpoint(now)
         return True
     position, velocity, push = estimate.position, STILL, STILL
     if uses[0]:
         if not all(map(math.isfinite, (message.alt,) if globally else (message.x, message.y, message.z))):
-            return False
+            return not copter.fragile
         position = _global(message, copter, frame) if globally else _local(message, copter, frame, ekf)
     if uses[1]:
         velocity = _turned(message, message.vx, message.vy, message.vz, estimate.yaw)
@@ -55,6 +55,20 @@ def take_setpoint(message: Message, copter: Copter, frame: LocalFrame, now: floa
     return True
 
 
+def reposition(message: Message, copter: Copter, frame: LocalFrame, now: float) -> int:
+    """DO_REPOSITION in a COMMAND_INT: go there and stay. A MAV_RESULT."""
+    if message.frame not in AMSL + ABOVE_HOME or not math.isfinite(message.z) or not math.isfinite(message.param2):
+        return DENIED
+    altitude = message.z + (_home_altitude(copter, frame) if message.frame in ABOVE_HOME else 0.0)
+    place = frame.enu(message.x * 1e-7, message.y * 1e-7, altitude)
+    changes_mode = bool(int(message.param2) & mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE)
+    return copter.reposition(place, changes_mode, now)
+
+
+def _home_altitude(copter: Copter, frame: LocalFrame) -> float:
+    return 0.0 if copter.home is None else frame.geodetic(*copter.home)[2]
+
+
 def _uses(mask: int) -> tuple[bool, bool] | None:
     """Whether position and velocity are used; None when a part of a group is, or acceleration without velocity."""
     ignored = [mask & group for group in (NO_POSITION, NO_VELOCITY, NO_ACCELERATION)]
@@ -65,8 +79,8 @@ def _uses(mask: int) -> tuple[bool, bool] | None:
 
 def _global(message: Message, copter: Copter, frame: LocalFrame) -> Vector:
     altitude = message.alt
-    if message.coordinate_frame in ABOVE_HOME and copter.home is not None:
-        altitude += frame.geodetic(*copter.home)[2]
+    if message.coordinate_frame in ABOVE_HOME:
+        altitude += _home_altitude(copter, frame)
     return frame.enu(message.lat_int * 1e-7, message.lon_int * 1e-7, altitude)
 
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 import random
+import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 from koordgen.runtime.feed import Sample, encode
 from koordgen.runtime.values import Point, Pose
 from targets.sim.bodies import BodyState, DeviceContext
-from targets.sim.ports import Port, UdpPort
+from targets.sim.ports import UdpPort
 
 FEED_PERIOD = 0.02  # seconds
 BASELINE = 0.33  # metres between the two markers that tell a body's yaw
@@ -39,15 +40,15 @@ class BaseStation:
         self._next = -math.inf
         self._measured: deque[tuple[float, Pose]] = deque()
 
-    def sample(self, now: float) -> bytes | None:
-        """The datagram that is due, if one is."""
+    def sample(self, now: float, sent: float) -> bytes | None:
+        """The datagram that is due, if one is; `now` is the world's time, `sent` the sender's clock."""
         if now >= self._next:
             self._next = max(self._next, now - FEED_PERIOD) + FEED_PERIOD
             self._measured.append((now + self._delay, self._measure()))
         if not self._measured or now < self._measured[0][0]:
             return None
         self._sequence += 1
-        return encode(Sample(self._robot, 1, self._sequence, now, self._measured.popleft()[1]), self._key)
+        return encode(Sample(self._robot, 1, self._sequence, sent, self._measured.popleft()[1]), self._key)
 
     def _measure(self) -> Pose:
         state = self._body.state()
@@ -58,19 +59,20 @@ class BaseStation:
 
 class SimulatedFeed:
     """targets.sim.bodies.Device: a base station, and the port to which the agent's `setting` is pointed. One process
-    runs the whole world, so its `session` is 1."""
+    runs the whole world, so its `session` is 1. Samples are stamped by the host's `clock`: to agents, which live by it,
+    a world that cannot keep up with it would seem to send what is old."""
 
-    def __init__(self, body: Carrier, context: DeviceContext, setting: str, port: Port | None = None) -> None:
+    def __init__(
+        self, body: Carrier, context: DeviceContext, setting: str, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._station = BaseStation(body, context)
-        self.overrides: Mapping[str, Any] = {}
-        if port is None:
-            port = udp = UdpPort()
-            self.overrides = {setting: f"udp:127.0.0.1:{udp.number}"}
-        self._port = port
+        self._clock = clock
+        self._port = UdpPort()
+        self.overrides: Mapping[str, Any] = {setting: f"udp:127.0.0.1:{self._port.number}"}
 
     def step(self, now: float) -> None:
         """See Device."""
-        datagram = self._station.sample(now)
+        datagram = self._station.sample(now, self._clock())
         if datagram is not None:
             self._port.send(datagram)
 

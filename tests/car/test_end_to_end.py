@@ -31,7 +31,7 @@ class Bench:
     def __init__(self) -> None:
         self.body = TestBody(-1.0, 0.5, 0.3)
         self.device: Device = SimulatedDrive(self.body, context({}, 0.005))
-        self.feed: Device = SimulatedFeed(self.body, context({}, 0.005), "position")
+        self.feed: Device = SimulatedFeed(self.body, context({}, 0.005), "position", lambda: self.now)
         self.overrides = {**self.device.overrides, **self.feed.overrides}
         self.car = Car(robot_settings(self.overrides), KEY)
         self.ticks = 0

@@ -184,8 +184,8 @@ def test_diagnosis_of_a_feed_that_is_too_slow(every: int, state: str) -> None:
     station, seen = world.station, iter(range(10_000))
 
     class Thin:
-        def sample(self, now: float) -> bytes | None:
-            datagram = station.sample(now)
+        def sample(self, now: float, sent: float) -> bytes | None:
+            datagram = station.sample(now, sent)
             return datagram if datagram is not None and next(seen) % every == 0 else None
 
     world.station = Thin()  # type: ignore[assignment]

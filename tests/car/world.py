@@ -107,7 +107,7 @@ class World:
             if self.controller is not None:
                 received, self.wire.to_drive = self.wire.to_drive, b""
                 self.wire.to_agent += self.controller.step(received, self.now)
-            if self.station is not None and (datagram := self.station.sample(self.now)) is not None:
+            if self.station is not None and (datagram := self.station.sample(self.now, self.now)) is not None:
                 self.wire.datagrams.append(datagram)
             self.body.step(PHYSICS)
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from koordgen.runtime.feed import Sample, encode
 from koordgen.runtime.values import Point, Pose
+from targets.planning.process import Inside
 from targets.quad.platform import Quad
 from targets.sim.bodies import BodyState, DeviceContext
 from targets.sim.station import BaseStation
@@ -60,13 +61,13 @@ class FedRig(Rig):
     def agent(self, **body: Any) -> Quad:
         return Quad(
             settings(**body), KEY, connect=lambda url: self.wire, clock=lambda: self.now, sleep=self.pass_time,
-            bind=lambda setting: self.cable, wall=lambda: WALL + self.now,
+            bind=lambda setting: self.cable, wall=lambda: WALL + self.now, planning=Inside,
         )  # fmt: skip
 
     def pass_time(self, seconds: float) -> None:
         for _ in range(round(seconds / STEP)):
             super().pass_time(STEP)
-            if self.station is not None and (datagram := self.station.sample(self.now)) is not None:
+            if self.station is not None and (datagram := self.station.sample(self.now, self.now)) is not None:
                 altered = self.alter(datagram)
                 if altered is not None:
                     self.cable.waiting.append(altered)

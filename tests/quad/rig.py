@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.settings import Box, Origin, Peer, Settings
 from koordgen.runtime.values import Point
+from targets.planning.process import Inside
 from targets.quad.framing import Framer, Message
 from targets.quad.platform import Quad
 from targets.quad.transport import Address, Chunk
@@ -111,7 +112,7 @@ class _AutopilotEnd:
 
 def settings(**body: Any) -> Settings:
     peers = (Peer("alice", "127.0.0.1", 47100),)
-    return Settings("app", "alice", 0, 0.1, peers, Origin(*ORIGIN), FENCE, body=body)
+    return Settings("app", "alice", 0, 0.1, peers, Origin(*ORIGIN), FENCE, body=body, planner_budget=0.1)
 
 
 class Rig:
@@ -136,7 +137,10 @@ class Rig:
 
     def agent(self, **body: Any) -> Quad:
         """A new agent process on the same wire."""
-        return Quad(settings(**body), None, connect=lambda url: self.wire, clock=lambda: self.now, sleep=self.pass_time)
+        return Quad(
+            settings(**body), None, connect=lambda url: self.wire, clock=lambda: self.now, sleep=self.pass_time,
+            planning=Inside,
+        )  # fmt: skip
 
     def pass_time(self, seconds: float) -> None:
         """The world without the agent."""

@@ -239,3 +239,33 @@ def test_the_estimate_wanders_as_told() -> None:
     deviation = math.sqrt(sum(e * e for e in east) / len(east))
     assert 0.03 < deviation < 0.07
     assert max(abs(b - a) for a, b in pairwise(east)) < 0.1  # it wanders, it does not jump
+
+
+def reposition(bench: Bench, frame: int, altitude: float, flags: float = 1.0) -> int:
+    latitude, longitude, _ = FRAME.geodetic(3.0, 1.0, 0.0)
+    bench.send(
+        mavlink.MAVLink_command_int_message(
+            1, 1, frame, 192, 0, 0, -1, flags, 0, 0, round(latitude * 1e7), round(longitude * 1e7), altitude
+        )
+    )
+    return int(next(m for m in bench.wait(0.02) if m.get_msgId() == 77).result)
+
+
+@pytest.mark.parametrize(("frame", "altitude"), [(0, 490.5), (6, 2.5)])
+def test_reposition_goes_there_and_stays(frame: int, altitude: float) -> None:
+    bench = Bench()
+    bench.fly()
+    assert reposition(bench, frame, altitude) == 0
+    bench.wait(15.0)
+    assert math.dist(bench.at, (3.0, 1.0, 2.5)) < 0.05
+
+
+def test_reposition_on_the_ground_or_to_nowhere_fails() -> None:
+    bench = Bench()
+    bench.wait(3.0)
+    assert reposition(bench, 0, 490.0, flags=0.0) == mavlink.MAV_RESULT_DENIED
+    assert reposition(bench, 0, 490.0) == mavlink.MAV_RESULT_FAILED
+    for frame, altitude, flags in ((1, 490.0, 1.0), (0, math.nan, 1.0), (0, 490.0, math.inf)):
+        assert reposition(bench, frame, altitude, flags) == mavlink.MAV_RESULT_DENIED
+    bench.wait(1.0)
+    assert bench.at == (1.0, -2.0, 0.0)

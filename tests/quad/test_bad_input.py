@@ -35,7 +35,7 @@ def test_another_vehicle_than_the_one_asked_for_is_left_alone() -> None:
         rig.run(40.0)
     assert error.value.hint == "system 7 does: is the setting `system` right?"
     assert not sent(rig, mavlink.MAVLINK_MSG_ID_COMMAND_LONG)
-    (found,) = rig.agent(system=3).diagnose()
+    found, *_ = rig.agent(system=3).diagnose()
     assert found.state == "fail" and found.found.startswith("no autopilot of system 3 answers")
 
 
@@ -46,6 +46,9 @@ def test_of_several_vehicles_on_a_link_the_one_asked_for_flies() -> None:
     rig.fly()
     messages = sent(rig, mavlink.MAVLINK_MSG_ID_COMMAND_LONG)
     assert {m.target_system for m in messages} == {1}
+    rig = Rig(system=1)
+    rig.wire.meddle = lambda data, down: data + heartbeat(system=2) if down else data
+    assert rig.quad.diagnose()[0].found.endswith("system 1; also heard: 2")
 
 
 def test_without_a_choice_the_setting_is_named() -> None:

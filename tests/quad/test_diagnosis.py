@@ -45,7 +45,7 @@ def test_all_is_well_and_nothing_moves() -> None:
 
 def test_a_silent_link() -> None:
     rig = Rig(autopilot=False)
-    (found,) = diagnosed(rig).values()
+    found, *_ = diagnosed(rig).values()
     assert (found.name, found.state) == ("link", "fail") and "no autopilot answers on udpin:" in found.found
     assert rig.now - 1000.0 <= 10.0
 
@@ -54,7 +54,7 @@ def test_a_link_that_cannot_be_opened() -> None:
     def connect(url: str) -> Transport:
         raise Unready(f"cannot open {url}", "free it")
 
-    (found,) = Quad(settings(), None, connect=connect).diagnose()
+    found, *_ = Quad(settings(), None, connect=connect).diagnose()
     assert found == Finding("link", "fail", "cannot open udpin:127.0.0.1:14550", why="free it")
 
 
@@ -134,7 +134,7 @@ def judged(*messages: Message, wall: float = 1.8e9) -> dict[str, Finding]:
         wire.inject(message.pack(mavlink.MAVLink(None, 1, 1)))
         for received in link.receive(1000.0):
             heard.take(received, 1000.0)
-    heard.wall = wall
+    heard.wall, heard.began, heard.ended = wall, 995.0, 1000.0
     return {f.name: f for f in findings("udpin:1", heard, frame, FENCE, 1.5)}
 
 
@@ -222,6 +222,13 @@ def test_its_health() -> None:
         assert not {"checks", "sensors"} & set(fine)
 
 
+def test_a_link_that_falls_silent() -> None:
+    rig = Rig()
+    rig.wire.meddle = lambda data, down: None if rig.now > 1001.9 else data
+    found = diagnosed(rig)["link"]
+    assert found.state == "fail" and "has fallen silent on udpin:127.0.0.1:14550 (" in found.found
+
+
 def test_another_autopilot_on_the_link() -> None:
     rig = Rig()
     pass_time = rig.pass_time
@@ -253,5 +260,13 @@ def test_garbage_on_the_link_is_told() -> None:
         rig.wire.inject(b"\xfdnoise" * 7)
 
     quad = Quad(settings(), None, connect=lambda url: rig.wire, clock=lambda: rig.now, sleep=noisy)
-    (found,) = quad.diagnose()
+    found, *_ = quad.diagnose()
     assert found.state == "fail" and "bytes came that are no MAVLink" in found.why
+
+
+def test_arming_checks_that_fail() -> None:
+    rig = Rig()
+    assert rig.autopilot is not None
+    rig.autopilot.copter.failing_check = "Compass not calibrated"
+    found = diagnosed(rig)["checks"]
+    assert found.state == "fail" and found.why == "the autopilot will refuse to arm"

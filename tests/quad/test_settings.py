@@ -21,6 +21,8 @@ from tests.quad.rig import settings
         ({"flight_height": 30.0}, "flight_height"),
         ({"max_speed": 0.0}, "max_speed"),
         ({"hover": 1}, "hover"),
+        ({"max_climb": 9.0}, "max_climb"),
+        ({"yaw": "north"}, "yaw"),
     ],
 )
 def test_bad_settings_name_the_key(body: dict[str, object], key: str) -> None:

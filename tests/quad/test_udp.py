@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import os
-import signal
 import socket
-import subprocess
-import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -148,61 +144,3 @@ def test_udpout_speaks_first_and_to_its_peer_alone() -> None:
                 got = [chunk for chunk, _ in link.receive(0.0)]
             assert got == [word]
         link.close()
-
-
-ROOT = Path(__file__).parents[2]
-AGENT = """
-import sys, time
-from targets.quad.platform import Quad
-from tests.quad.rig import settings
-quad = Quad(settings(autopilot=sys.argv[1], flight_height=0.5), None)
-quad.start(time.monotonic())
-told = False
-while True:
-    quad.poll(time.monotonic())
-    if quad.ready and not told:
-        told = True
-        print("flying", flush=True)
-    time.sleep(0.02)
-"""
-
-
-def test_an_autopilot_lands_five_seconds_after_its_agent_was_killed() -> None:
-    """SIGKILL: nobody says good-bye. The agent's last heartbeat came at most a second before."""
-    body = PointMass()
-    autopilot = SimulatedAutopilot(body, DeviceContext("alice", {}, {"boot": 0.2}, ORIGIN, 1, b""))
-    agent = subprocess.Popen(
-        [sys.executable, "-c", AGENT, autopilot.overrides["autopilot"]], stdout=subprocess.PIPE, cwd=ROOT
-    )
-    now = begun = time.monotonic()
-
-    def live(seconds: float, until: Callable[[], bool], real: bool) -> bool:
-        nonlocal now
-        end = now + seconds
-        while now < end:
-            if until():
-                return True
-            if not real or now < time.monotonic():
-                now += STEP
-                body.step(STEP)
-                autopilot.step(now)
-            else:
-                time.sleep(0.002)
-        return False
-
-    try:
-        assert agent.stdout is not None
-        os.set_blocking(agent.stdout.fileno(), False)
-        assert live(20.0, lambda: agent.stdout is not None and bool(agent.stdout.read(100)), real=True)
-        agent.send_signal(signal.SIGKILL)
-        agent.wait()
-        killed, place = now, body.position[:2]
-        assert live(7.0, lambda: autopilot.copter.mode == 9, real=False)
-        assert autopilot.copter.ground_station is not None and now - killed < 5.2
-        assert 5.0 < now - autopilot.copter.ground_station < 5.1
-        assert live(10.0, lambda: not autopilot.copter.armed, real=False) and body.position[2] == 0.0
-        assert body.position[:2] == pytest.approx(place, abs=0.1) and time.monotonic() - begun < 20.0
-    finally:
-        agent.kill()
-        agent.communicate()
-        autopilot.close()

@@ -97,6 +97,15 @@ def test_a_senders_clock_may_drift() -> None:
         assert worst < 0.001 + 2.1 * WINDOW * 2e-4
 
 
+@pytest.mark.parametrize("rate", [0.95, 1.05])
+def test_a_clock_that_is_quite_wrong_makes_no_fresh_sample_old(rate: float) -> None:
+    """That of a simulated world, say, which cannot keep up."""
+    feed = Feed("bert", KEY)
+    for i in range(3000):
+        feed.take(datagram(i, sent=i * 0.02 * rate), 100.0 + i * 0.02)
+        assert feed.time is not None and 100.0 + i * 0.02 - feed.time < 0.25
+
+
 def test_no_sample_is_of_the_future() -> None:
     feed = Feed("bert", KEY)
     for i, sent in enumerate((5.0, 50.0, 1e300, -1e300, 5.1)):
@@ -167,3 +176,11 @@ def test_a_sender_needs_nothing_of_ours() -> None:
     sealed = payload + hashlib.blake2s(payload, digest_size=16, key=KEY, person=b"k-pose").digest()
     feed = Feed("bert", KEY)
     assert feed.take(sealed, 10.0) and feed.pose == POSE
+
+
+def test_a_new_session_has_a_clock_of_its_own() -> None:
+    feed = Feed("bert", KEY)
+    for i in range(5):
+        feed.take(datagram(i, sent=90_000.0 + i), 10.0 + i)
+    assert feed.take(datagram(1, session=2, sent=3.0), 15.0) and feed.time == pytest.approx(15.0)
+    assert feed.take(datagram(2, session=2, sent=3.5), 15.6) and feed.time == pytest.approx(15.5)

@@ -31,7 +31,7 @@ def run(seconds: float, body: Moving, station: BaseStation) -> list[tuple[float,
     told = []
     for i in range(round(seconds * 240) + 1):
         body.now = i / 240
-        if (datagram := station.sample(body.now)) is not None:
+        if (datagram := station.sample(body.now, body.now)) is not None:
             told.append((body.now, datagram))
     return told
 

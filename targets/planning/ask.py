@@ -1,0 +1,114 @@
+"""Asks a planner, and believes nothing: what is infeasible is not asked for, and no path goes out that was not checked
+against all obstacles, exactly, whoever planned it."""
+
+from __future__ import annotations
+
+import math
+from importlib import import_module
+from itertools import pairwise
+from typing import Any
+
+from koordgen.runtime.settings import Box
+from koordgen.runtime.values import Point
+from targets.planning.room import Room, fixed, room
+from targets.planning.world import Path, Planner, Scene, World
+
+MOST_POINTS = 1000
+ROUNDING = 1e-9  # metres
+
+NAMES = ("rrt", "rrt-smoothed", "rrt-star", "straight")  # besides a user's own, as "module:Class"
+
+
+class BadPlanner(Exception):
+    """A planner that cannot be made; the message says why."""
+
+
+def make(name: str, world: World) -> Planner:
+    """The planner of that name. Raises BadPlanner."""
+    if name in NAMES:
+        from targets.planning.rrt import PLANNERS  # its packages are loaded by who plans alone
+
+        return PLANNERS[name](world)
+    module, _, member = name.partition(":")
+    try:
+        found: Any = getattr(import_module(module), member)(world)
+    except Exception as error:
+        raise BadPlanner(f"the planner {name} cannot be made: {type(error).__name__}: {error}") from None
+    if not callable(getattr(found, "plan", None)):
+        raise BadPlanner(f"the planner {name} has no method plan")
+    planner: Planner = found
+    return planner
+
+
+class Asked:
+    """A planner behind its judge. `answer` never raises for what a planner does. Raises BadPlanner."""
+
+    def __init__(self, name: str, world: World) -> None:
+        self._world = world
+        self._standing = fixed(world.obstacles)
+        self._planner = make(name, world)
+
+    def answer(self, start: Point, goal: Point, scene: Scene, seconds: float) -> tuple[Path, str]:
+        """A path, or () and, unless there simply is no way, the reason for people."""
+        world = self._world
+        if not world.flies:
+            start, goal = Point(start.x, start.y, 0.0), goal
+        here = room(world, self._standing, scene, start)
+        reason = infeasible(world, here, start, goal)
+        if reason:
+            return (), reason
+        try:
+            path = self._planner.plan(start, goal, scene, seconds)
+        except Exception as error:
+            return (), f"the planner failed: {type(error).__name__}: {error}"
+        if path == ():
+            return (), ""
+        reason = misled(world, here, start, goal, path)
+        return ((), f"the planner's path was refused: {reason}") if reason else (tuple(path), "")
+
+
+def infeasible(world: World, here: Room, start: Point, goal: Point) -> str:
+    """Why there can be no path, in words; "" when there may be one."""
+    if not finite(start) or not finite(goal):
+        return "start or goal is not finite"
+    if world.flies and goal.z <= 0.0:
+        return "the goal is not above the ground"
+    if not world.flies and goal.z != 0.0:
+        return "the goal is not on the ground"
+    if not within(world.arena, goal):
+        return "the goal is outside the arena"
+    if here.inside:
+        return f"the robot is in {here.inside}"
+    if not here.clear(goal, goal):
+        return f"the goal is too near to {here.nearest(goal, goal)[1]}"
+    return ""
+
+
+def misled(world: World, here: Room, start: Point, goal: Point, path: Any) -> str:
+    """What is wrong with an answer, in words; "" when it may be followed."""
+    if not isinstance(path, (tuple, list)) or not all(isinstance(p, Point) and finite(p) for p in path):
+        return "it is no tuple of finite Points"
+    if not 2 <= len(path) <= MOST_POINTS:
+        return f"it has {len(path)} points"
+    if path[0] != start or path[-1] != goal:
+        return "it does not lead from start to goal"
+    outside = [p for p in path[1:] if not within(world.arena, p)]
+    if outside:
+        return f"({outside[0].x:.2f}, {outside[0].y:.2f}, {outside[0].z:.2f}) is outside the arena"
+    for a, b in pairwise(path):
+        away, name = here.nearest(a, b)
+        if name:
+            return f"it comes within {away:.3f} m of {name}"
+    return ""
+
+
+def finite(p: Point) -> bool:
+    return all(map(math.isfinite, (p.x, p.y, p.z)))
+
+
+def within(arena: Box, p: Point) -> bool:
+    lo, hi = arena.lo, arena.hi
+    return all(
+        min(a, b) - ROUNDING <= v <= max(a, b) + ROUNDING
+        for a, v, b in ((lo.x, p.x, hi.x), (lo.y, p.y, hi.y), (lo.z, p.z, hi.z))
+    )

@@ -1,0 +1,65 @@
+"""The planner's own process: `python child.py FOLDER...`, started by `process.py`. FOLDERs are where modules are.
+
+It is told which planner to be, then answers one question after the other, until its standard input ends, which the end
+of the agent, however it comes, brings about. A planner that does not return is ended by the system's own alarm, also
+when it lets no other thread run and the agent is gone.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+
+HANGING = 2.0  # seconds beyond its time after which a call ends the process
+
+
+def main() -> None:
+    """Serve the agent. Returns when it is gone."""
+    answers = os.dup(1)
+    os.dup2(2, 1)  # what a user's planner prints goes elsewhere
+    import msgspec
+
+    from targets.planning.ask import Asked, BadPlanner
+    from targets.planning.pipe import Answer, Order, Question, Unframed, framed
+
+    def say(answer: Answer) -> None:
+        left = memoryview(framed(answer))
+        while left:
+            left = left[os.write(answers, left) :]
+
+    def ordered(message: bytes) -> Asked | None:
+        order = msgspec.msgpack.decode(message, type=Order)
+        try:
+            asked = Asked(order.name, order.world)
+        except BadPlanner as error:
+            say(Answer(0, (), str(error)))
+            return None
+        say(Answer(0, (), ""))
+        return asked
+
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    incoming, asked = Unframed(), None
+    while data := os.read(0, 1 << 16):
+        for message in incoming.take(data):
+            if asked is None:
+                asked = ordered(message)
+                if asked is None:
+                    return
+                continue
+            question = msgspec.msgpack.decode(message, type=Question)
+            signal.setitimer(signal.ITIMER_REAL, question.seconds + HANGING)
+            path, reason = asked.answer(question.start, question.goal, question.scene, question.seconds)
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            say(Answer(question.number, path, reason))
+
+
+if __name__ == "__main__":
+    sys.path[:1] = sys.argv[1:]  # instead of this file's own folder
+    try:
+        main()
+    except BrokenPipeError:
+        pass
+    finally:
+        sys.stderr.flush()
+        os._exit(0)  # not a user's threads and exit handlers

@@ -1,0 +1,110 @@
+"""How far a straight line is from a surface of triangles: all of them at once, in closed form, to rounding.
+
+The least distance of a segment from a triangle is 0 where it goes through, or lies between the segment and one of the
+three sides, or between one of its ends and the triangle's inside, square above. Each of these is the distance of two
+points that do lie on the two, as in `koordgen.runtime.geometry`, whose way of two segments is taken here for many.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koordgen.runtime.obstacles import Mesh
+from koordgen.runtime.values import Point
+
+Array = NDArray[np.float64]
+
+
+class Surface:
+    """A mesh, made ready: `low` and `high` are the corners of the box around it."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        vertices = np.array([(p.x, p.y, p.z) for p in mesh.vertices])
+        self._corners: Array = vertices[np.array(mesh.faces, dtype=np.intp)]  # (faces, 3 corners, 3)
+        self._low, self._high = self._corners.min(axis=1), self._corners.max(axis=1)
+        self.low = Point(*map(float, self._low.min(axis=0)))
+        self.high = Point(*map(float, self._high.max(axis=0)))
+
+    def distance(self, a: Point, b: Point, within: float = math.inf) -> float:
+        """The least distance of the segment ab from the surface, in metres; some value above `within`, which may be
+        infinite, when it is more than that."""
+        start, end = np.array((a.x, a.y, a.z)), np.array((b.x, b.y, b.z))
+        low, high = np.minimum(start, end) - within, np.maximum(start, end) + within
+        near = ((self._low <= high) & (self._high >= low)).all(axis=1)
+        if not near.any():
+            return math.inf
+        return _least(self._corners[near], start, end - start)
+
+
+def _least(corners: Array, start: Array, d: Array) -> float:
+    """Of triangles (n, 3, 3) from the segment start + t d."""
+    first, sides = corners, np.roll(corners, -1, axis=1) - corners
+    best = float(_segments(start, d, first.reshape(-1, 3), sides.reshape(-1, 3)).min())
+    normal = np.cross(sides[:, 0], sides[:, 1])
+    square = _dot(normal, normal)
+    flat = square > 0  # one without area is nothing but its sides
+    if not flat.any():
+        return math.sqrt(best)
+    corners, sides, normal, square = corners[flat], sides[flat], normal[flat], square[flat]
+    heights = [_dot(end - corners[:, 0], normal) for end in (start, start + d)]  # times the normal's length
+    for height, end in zip(heights, (start, start + d), strict=True):
+        over = _inside(corners, sides, normal, end - (height / square)[:, None] * normal)
+        if over.any():
+            best = min(best, float((height[over] ** 2 / square[over]).min()))
+    rise = heights[0] - heights[1]
+    through = (heights[0] * heights[1] <= 0) & (rise != 0)
+    if through.any():
+        share = heights[0][through] / rise[through]
+        if _inside(corners[through], sides[through], normal[through], start + share[:, None] * d).any():
+            return 0.0
+    return math.sqrt(best)
+
+
+def _inside(corners: Array, sides: Array, normal: Array, places: Array) -> NDArray[np.bool_]:
+    """Whether each place, which lies in the plane of its triangle, lies in the triangle."""
+    offset = places[:, None, :] - corners
+    turned = np.einsum("nij,nj->ni", np.cross(sides, offset), normal)
+    found: NDArray[np.bool_] = (turned >= 0).all(axis=1)
+    return found
+
+
+def _segments(start: Array, d: Array, first: Array, e: Array) -> Array:
+    """The squared distances of one segment, start + s d, from many, first + t e: see `koordgen.runtime.geometry`."""
+    w = first - start
+    n = np.cross(d, e)
+    square = _dot(n, n)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s = np.clip(np.where(square > 0, _dot(np.cross(w, e), n) / square, 0.0), 0.0, 1.0)
+    inside = s[:, None] * d
+    opposite = _foot(inside - w, e)[:, None] * e
+    candidates = (
+        _beyond(-w, e),
+        _beyond(start + d - first, e),
+        _beyond(w, d),
+        _beyond(first + e - start, d),
+        _beyond(w + opposite, d),
+    )
+    least: Array = np.minimum.reduce(candidates)
+    return least
+
+
+def _beyond(x: Array, d: Array) -> Array:
+    """The squared distances of places x from the segment from the origin to d."""
+    gap = x - _foot(x, d)[:, None] * d
+    return _dot(gap, gap)
+
+
+def _foot(x: Array, d: Array) -> Array:
+    square = np.sum(d * d, axis=-1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.where(square > 0, _dot(x, d) / square, 0.0)
+    found: Array = np.clip(share, 0.0, 1.0)
+    return found
+
+
+def _dot(a: Array, b: Array) -> Array:
+    found: Array = np.sum(a * b, axis=-1)
+    return found

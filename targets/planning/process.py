@@ -1,0 +1,269 @@
+"""Planning beside the agent: the interface that platforms use, and the two who serve it, in a process of their own or
+in this one."""
+
+from __future__ import annotations
+
+import os
+import select
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path as FilePath
+from typing import Protocol
+
+import msgspec
+
+from koordgen.runtime.platform import Unready
+from koordgen.runtime.values import Point, transmissible
+from targets.planning.ask import Asked, BadPlanner
+from targets.planning.pipe import Answer, Order, Question, Unframed, framed
+from targets.planning.world import Path, Scene, World
+
+SHARE = 0.7  # of the budget that a planner is given: the rest is for pipes and for the check of its path
+PATIENCE = 1.0  # seconds after which a planner that has not answered is ended and begun anew
+STARTING = 30.0  # seconds that a planner may take to be made: a slow board loads its packages for some
+PAUSE = 1.0  # seconds between two starts of a process, at least
+
+
+class Planning(Protocol):
+    """A planner as a platform sees it. `start`, then `poll` often, `plan` once it is `ready`, `close`."""
+
+    ready: bool
+
+    def start(self) -> None: ...
+
+    def poll(self) -> None:
+        """Never waits. Raises Unready when the planner could not be made at the start."""
+        ...
+
+    def plan(self, start: Point, goal: Point, scene: Scene) -> Path:
+        """The path, or (): there is none, or the planner is late or gone; then `news` says so."""
+        ...
+
+    def news(self) -> list[str]:
+        """What went wrong since this was asked last, for the log."""
+        ...
+
+    def close(self) -> None: ...
+
+
+def made(planning: Planning, sleep: Callable[[float], None]) -> None:
+    """Start it and wait until it is ready. Raises Unready."""
+    planning.start()
+    for _ in range(round(STARTING / 0.05)):
+        planning.poll()
+        if planning.ready:
+            return
+        sleep(0.05)
+    raise Unready(f"the planner was not made within {STARTING:.0f} s")
+
+
+class Inside:
+    """In the agent's own process: for a simulator that owns time, with `iterations` in its World, and for tests."""
+
+    def __init__(self, name: str, world: World, budget: float) -> None:
+        self._name, self._world, self._budget = name, world, budget
+        self._asked: Asked | None = None
+        self._news: list[str] = []
+        self.ready = False
+
+    def start(self) -> None:
+        try:
+            self._asked = Asked(self._name, self._world)
+        except BadPlanner as error:
+            raise Unready(str(error)) from None
+        self.ready = True
+
+    def poll(self) -> None:
+        """Nothing goes on between calls."""
+
+    def plan(self, start: Point, goal: Point, scene: Scene) -> Path:
+        if self._asked is None:
+            return ()
+        path, reason = self._asked.answer(start, goal, scene, SHARE * self._budget)
+        if reason:
+            self._news.append(f"no path: {reason}")
+        return path
+
+    def news(self) -> list[str]:
+        told, self._news = self._news, []
+        return told
+
+    def close(self) -> None:
+        self.ready = False
+
+
+class Beside:
+    """In a child process. A call waits for `budget` seconds at most; an answer that comes later is dropped. The child
+    is begun anew when it has died, or has not answered for PATIENCE. `folders` are where it finds modules."""
+
+    def __init__(
+        self,
+        name: str,
+        world: World,
+        budget: float,
+        folders: tuple[FilePath, ...] = (FilePath(__file__).resolve().parents[2],),
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._order, self._budget = Order(name, world), budget
+        self._folders, self._clock = folders, clock
+        self._child: subprocess.Popen[bytes] | None = None
+        self._incoming = Unframed()
+        self._outgoing = b""  # what the child has not taken yet
+        self._into = self._from = -1  # its standard input, and what it answers on
+        self._begun = 0.0  # when the present child was started
+        self._made = False  # whether a planner was made once: then a child that dies is replaced
+        self._number = 0
+        self._asked_at: float | None = None  # when the question was asked that has not been answered yet
+        self._answer: Answer | None = None
+        self._news: list[str] = []
+        self.ready = False
+
+    @property
+    def pid(self) -> int:
+        """Of the child; 0: there is none."""
+        return self._child.pid if self._child is not None else 0
+
+    def start(self) -> None:
+        """Start the process; it is ready when it has loaded its packages."""
+        child = FilePath(__file__).with_name("child.py")
+        command = [sys.executable, "-B", str(child), *map(str, self._folders)]
+        self._begun = self._clock()
+        try:
+            # A session of its own: Ctrl-C in the agent's terminal is the agent's business.
+            self._child = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True, bufsize=0
+            )
+        except OSError as error:
+            self._lose(f"cannot be started: {error.strerror or error}")
+            return
+        self._incoming, self._asked_at = Unframed(), None
+        assert self._child.stdin is not None and self._child.stdout is not None
+        self._into, self._from = self._child.stdin.fileno(), self._child.stdout.fileno()
+        for end in (self._into, self._from):
+            os.set_blocking(end, False)
+        self._outgoing = framed(self._order)
+        self._send()
+
+    def poll(self) -> None:
+        """See Planning."""
+        if self._child is None:
+            if self._made and self._clock() - self._begun > PAUSE:
+                self.start()
+            return
+        self._send()
+        self._receive()
+        now = self._clock()
+        if self._asked_at is not None and now - self._asked_at > PATIENCE:
+            self._lose(f"has not answered for {PATIENCE:g} s")
+        elif self.pid and not self.ready and now - self._begun > STARTING:
+            self._lose(f"was not made within {STARTING:.0f} s")
+
+    def plan(self, start: Point, goal: Point, scene: Scene) -> Path:
+        """See Planning."""
+        self.poll()
+        if not self.ready or self._asked_at is not None:
+            self._tell("no path: the planner is " + ("still at the last question" if self.ready else "not there"))
+            return ()
+        began = self._clock()
+        deadline = began + self._budget
+        self._number += 1
+        self._answer, self._asked_at = None, began
+        try:
+            self._outgoing = framed(Question(self._number, start, goal, scene, SHARE * self._budget))
+            self._send()
+            while self._waiting() and (left := deadline - self._clock()) > 0:
+                select.select([self._from], [self._into] if self._outgoing else [], [], left)
+                self._send()
+                self._receive()
+        except BaseException:  # an event that is out of time is ended wherever it is: half a message may be gone
+            self._lose("was interrupted in a call")
+            raise
+        return self._judged(self._answer, start, goal)
+
+    def _judged(self, answer: Answer | None, start: Point, goal: Point) -> Path:
+        if answer is None:
+            if self._child is not None:
+                self._tell(f"no path: the planner did not answer within {self._budget * 1e3:.0f} ms")
+            return ()
+        path = answer.path
+        if answer.reason:
+            self._tell(f"no path: {answer.reason}")
+        elif path and not (transmissible(path) and len(path) > 1 and path[0] == start and path[-1] == goal):
+            self._tell("no path: the planner answered with what is no path from here to the goal")
+            return ()
+        return path
+
+    def news(self) -> list[str]:
+        """See Planning."""
+        told, self._news = self._news, []
+        return told
+
+    def close(self) -> None:
+        """End the child. Idempotent."""
+        self._end()
+
+    def _waiting(self) -> bool:
+        return self._asked_at is not None and self._answer is None
+
+    def _tell(self, line: str) -> None:
+        if line not in self._news:
+            self._news.append(line)
+
+    def _send(self) -> None:
+        """Write what the child takes at once of what it has not yet got."""
+        while self._outgoing:
+            try:
+                self._outgoing = self._outgoing[os.write(self._into, self._outgoing) :]
+            except BlockingIOError:
+                return
+            except OSError:
+                self._lose("ended by itself")
+
+    def _receive(self) -> None:
+        """Take what has come, without waiting."""
+        while self._child is not None:
+            try:
+                data = os.read(self._from, 1 << 16)
+            except BlockingIOError:
+                return
+            if not data:
+                self._lose("ended by itself")
+                return
+            try:
+                for message in self._incoming.take(data):
+                    self._take(msgspec.msgpack.decode(message, type=Answer))
+            except (ValueError, RecursionError):  # msgspec's errors are ValueErrors
+                self._lose("answered with what is no message")
+
+    def _take(self, answer: Answer) -> None:
+        if answer.number == 0 and not self.ready:
+            if answer.reason:
+                self._lose(answer.reason)
+            else:
+                self.ready = self._made = True
+        elif answer.number == self._number:
+            self._answer, self._asked_at = answer, None
+
+    def _lose(self, why: str) -> None:
+        """The child is of no use any more. The first of all must have come to be a planner; later ones are replaced."""
+        self._end()
+        if not self._made:
+            raise Unready(why if "planner" in why else f"the planner {self._order.name} {why}")
+        self._tell(f"the planner {why}; it is begun anew")
+
+    def _end(self) -> None:
+        self.ready, self._asked_at, self._outgoing = False, None, b""
+        child, self._child = self._child, None
+        if child is None:
+            return
+        with suppress(OSError):
+            child.kill()
+        for end in (child.stdin, child.stdout):
+            if end is not None:
+                with suppress(OSError):
+                    end.close()
+        with suppress(subprocess.TimeoutExpired):
+            child.wait(timeout=0.2)  # a process that was killed is gone within a moment

@@ -1,0 +1,60 @@
+"""What planners are made from and asked: see docs/planners.md, which is for those who write their own.
+
+Metres, local ENU. All of it is frozen and goes through a pipe as MessagePack.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import msgspec
+
+from koordgen.runtime.obstacles import Obstacle
+from koordgen.runtime.settings import Box
+from koordgen.runtime.values import Grid, Point
+
+Path = tuple[Point, ...]
+
+
+class World(msgspec.Struct, frozen=True):
+    """What does not change: where the body may be, what stands there, and facts of the body. Planned paths are those of
+    its reference point."""
+
+    arena: Box  # the reference point stays inside
+    obstacles: tuple[Obstacle, ...] = ()  # those of the fleet file
+    clearance: float = 0.0  # kept between the body and all else
+    radius: float = 0.0  # of the ball around the reference point in which the body is
+    flies: bool = True  # False: it moves in the plane z = 0
+    footprint: tuple[float, float] = (0.0, 0.0)  # length and width of a vehicle on the ground
+    wheelbase: float = 0.0
+    turning_radius: float = 0.0  # the smallest; 0: it turns on the spot
+    seed: int | None = None  # with `iterations`, an answer depends on nothing but the question
+    iterations: int | None = None  # bounds the work instead of `seconds`
+
+    @property
+    def kept(self) -> float:
+        """The least distance of the reference point from obstacles."""
+        return self.radius + self.clearance
+
+
+class Scene(msgspec.Struct, frozen=True):
+    """What stands there at the moment of a call. Grids and points are as high as anything."""
+
+    grids: tuple[Grid, ...] = ()
+    points: tuple[Point, ...] = ()
+    others: tuple[Path, ...] = ()  # the paths that other robots have published; a single point stays there
+
+    @classmethod
+    def of(cls, named: tuple[Grid, ...] | tuple[Point, ...], others: tuple[Path, ...]) -> Scene:
+        """What a program names as obstacles, all Grids or all Points, and the others' paths."""
+        grids = tuple(g for g in named if isinstance(g, Grid))
+        return cls(grids, tuple(p for p in named if isinstance(p, Point)), others)
+
+
+class Planner(Protocol):
+    """A planner of the user's own needs no more than this; it is made once, with a World, and asked again and again."""
+
+    def plan(self, start: Point, goal: Point, scene: Scene, seconds: float) -> Path:
+        """A path from `start` to `goal`, both included, straight from each point to the next, within about `seconds`;
+        () when there is none. It is checked before anybody follows it."""
+        ...

@@ -1,0 +1,95 @@
+"""Keeps the quad clear of what stands in the fleet file: plans ways around it, and refuses ways through it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from koordgen.runtime.platform import Finding, Unready
+from koordgen.runtime.safety import clamp, inside
+from koordgen.runtime.settings import Settings
+from koordgen.runtime.values import Point, transmissible
+from targets.planning.guard import Guard
+from targets.planning.process import Planning, made
+from targets.planning.world import Path, Scene, World
+from targets.quad.motion import room
+
+MakePlanning = Callable[[str, World, float], Planning]
+
+
+class Avoidance:
+    """Metres. `height` is that which targets are raised to: the quad plans where it flies, from there upwards."""
+
+    def __init__(
+        self, settings: Settings, height: float, radius: float, clearance: float, planner: str, planning: MakePlanning
+    ) -> None:
+        self._fence, self._room = settings.geofence, room(settings.geofence, height)
+        self._name = planner
+        world = World(self._room, settings.obstacles, clearance, radius)
+        self._planning = planning(planner, world, settings.planner_budget)
+        self._guard = Guard(settings.obstacles, radius)
+        self._others: tuple[Path, ...] = ()
+        self._admitted: Path | None = None  # what was commanded last and may be flown
+        self._news: list[str] = []
+        self.refusal = ""  # why what was commanded last is not flown, in words
+
+    def start(self) -> None:
+        """Begin to make the planner. Raises Unready."""
+        self._planning.start()
+
+    def poll(self) -> None:
+        """Raises Unready when there is no such planner."""
+        self._planning.poll()
+
+    @property
+    def waiting(self) -> str:
+        """What is not there yet, in words; "" when all is."""
+        return "" if self._planning.ready else "waiting for the planner"
+
+    def others(self, paths: Mapping[int, Path]) -> None:
+        """What the other robots have published."""
+        self._others = tuple(paths.values())
+
+    def plan(self, position: Point | None, goal: Point, named: Any) -> Path:
+        """A way from `position` to `goal` around the fleet file's obstacles, those that the program names, and the
+        others; () when there is none: a goal on the ground or outside the fence is infeasible. What is planned is what
+        would be flown: a way to a goal below the flight height, say, ends above it."""
+        if position is None or goal.z <= 0.0 or not inside(self._fence, goal):
+            return ()
+        path = self._planning.plan(position, self._lifted(goal), Scene.of(named, self._others))
+        return (*path[:-1], goal) if path else ()
+
+    def admits(self, position: Point | None, points: Path) -> bool:
+        """Whether the way from `position` along commanded points may be flown; if not, `refusal` and `news` say why.
+        Points that are not finite are another's business."""
+        if points == self._admitted or position is None or not transmissible(points):
+            self.refusal = ""
+            return True
+        trouble = self._guard.trouble(position, tuple(map(self._lifted, points)))
+        if trouble and not self.refusal:
+            self._news.append(f"not flown, holding instead: {trouble}")
+        self.refusal, self._admitted = trouble, None if trouble else points
+        return not trouble
+
+    def _lifted(self, p: Point) -> Point:
+        """Where the quad goes when it is told to go to p."""
+        return clamp(self._room, p)
+
+    def news(self) -> list[str]:
+        """What went wrong since this was asked last, for the log."""
+        told, self._news = [*self._news, *self._planning.news()], []
+        return told
+
+    def diagnose(self, sleep: Callable[[float], None]) -> Finding:
+        """Makes the planner and ends it again."""
+        try:
+            made(self._planning, sleep)
+        except Unready as error:
+            return Finding.of("planner", error)
+        finally:
+            self._planning.close()
+        return Finding("planner", "ok", f"{self._name} is ready")
+
+    def close(self) -> None:
+        """End the planner's process. Idempotent."""
+        self._planning.close()

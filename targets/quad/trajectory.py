@@ -1,0 +1,268 @@
+"""The reference trajectory: straight from waypoint to waypoint, within limits of speed, climb and acceleration.
+
+A trajectory is a chain of pieces of constant acceleration; so its velocity is continuous, its acceleration and speed
+are those of the pieces' ends, and it can be told for any moment ahead. A corner is passed on a parabola: speeds in and
+out are equal, the velocity turns at the acceleration limit. The parabola begins as far before the corner as it ends
+behind it, d = v^2 |du| / 2a, and passes the corner at v^2 |du|^2 / 8a, where du is the difference of the unit vectors
+of the two legs (L. Biagiotti, C. Melchiorri, "Trajectory Planning for Automatic Machines and Robots", section 3.2.2 and
+chapter 8).
+
+Metres and seconds; any Cartesian frame whose z is up.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+
+from koordgen.runtime.safety import inside
+from koordgen.runtime.settings import Box
+from koordgen.runtime.values import Point, distance
+
+CORNER = 0.1  # m by which a corner is cut at most, and by which braking amid it leaves the polyline at most
+CLOSE = 1e-3  # m; a waypoint nearer than that to the one behind it is the same
+_STILL = 1e-9
+_BISECTIONS = 10
+ZERO = Point()
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Speed (m/s, in space), vertical speed (m/s, up or down), acceleration (m/s^2, in space), and the box that is
+    never left, whatever the trajectory is changed to: neither by a position nor by braking from there."""
+
+    speed: float
+    climb: float
+    acceleration: float
+    box: Box
+
+    def top(self, direction: Point, drift: Point = ZERO) -> float:
+        """The largest s, not negative, at which the velocity s * direction + drift is within the limits. `direction` is
+        a unit vector, `drift` itself within the limits."""
+        along = _dot(direction, drift)
+        room = self.speed**2 - _dot(drift, drift)
+        s = math.sqrt(max(0.0, along * along + room)) - along
+        if direction.z > _STILL:
+            s = min(s, (self.climb - drift.z) / direction.z)
+        elif direction.z < -_STILL:
+            s = min(s, (-self.climb - drift.z) / direction.z)
+        return max(0.0, s)
+
+    def limited(self, velocity: Point) -> Point:
+        """The velocity, shortened until it is within the limits."""
+        size = norm(velocity)
+        return velocity if size < _STILL else velocity * min(1.0, self.top(velocity / size) / size)
+
+    def stop(self, state: State) -> Point:
+        """Where braking from this state ends."""
+        return state.position + state.velocity * (norm(state.velocity) / (2 * self.acceleration))
+
+    def safe(self, state: State) -> bool:
+        """Whether braking from this state ends within the box."""
+        return inside(self.box, self.stop(state))
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """Position (m) and velocity (m/s) at a moment."""
+
+    position: Point
+    velocity: Point = ZERO
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """So many seconds of constant acceleration. `ahead` is the index of the waypoint that comes next."""
+
+    seconds: float
+    start: State
+    acceleration: Point
+    ahead: int
+
+    def at(self, t: float) -> State:
+        """The state t seconds after the piece's beginning."""
+        v = self.start.velocity
+        return State(self.start.position + v * t + self.acceleration * (t * t / 2), v + self.acceleration * t)
+
+
+class Trajectory:
+    """Pieces one after the other, then `end`: a state whose velocity is kept, zero unless the goal drifts."""
+
+    def __init__(self, pieces: Sequence[Piece], end: State, waypoints: int) -> None:
+        self.pieces = tuple(pieces)
+        self.end = end
+        self._waypoints = waypoints
+        self._ends = tuple(accumulate(p.seconds for p in self.pieces))
+        self.seconds = self._ends[-1] if self._ends else 0.0
+        self.peak = max(norm(s.velocity) for s in (end, *(p.start for p in self.pieces)))  # m/s, its greatest speed
+
+    def at(self, t: float) -> State:
+        """The state t seconds after the beginning, t not negative."""
+        i = bisect_right(self._ends, t)
+        if i == len(self.pieces):
+            return State(self.end.position + self.end.velocity * (t - self.seconds), self.end.velocity)
+        return self.pieces[i].at(t - self._ends[i] + self.pieces[i].seconds)
+
+    def ahead(self, t: float) -> int:
+        """The index of the waypoint that comes next, or the number of waypoints at the end."""
+        i = bisect_right(self._ends, t)
+        return self.pieces[i].ahead if i < len(self.pieces) else self._waypoints
+
+
+def standing(at: Point, waypoints: int = 0) -> Trajectory:
+    """Nothing moves, and the waypoints are behind."""
+    return Trajectory((), State(at), waypoints)
+
+
+def plan(start: State, waypoints: Sequence[Point], limits: Limits, drift: Point = ZERO) -> Trajectory:
+    """From a state, by the waypoints (at least one), to rest at the last. `start`'s velocity must be within the limits.
+
+    With a drift (m/s, within the limits) the last waypoint, which must be the only one, goes on with that velocity from
+    the trajectory's beginning on, and is met and accompanied: the plan is made in its frame, where limits of
+    acceleration are the same and those of speed are `Limits.top`'s. Waypoints and start must be finite."""
+    ahead = [i for i, p in enumerate(waypoints) if i + 1 == len(waypoints) or distance(p, waypoints[i + 1]) > CLOSE]
+    pieces = _entered(State(start.position, start.velocity - drift), waypoints[ahead[0]], limits, drift, ahead[0])
+    entry = pieces[-1].at(pieces[-1].seconds) if pieces else State(start.position)
+    if len(ahead) > 1 and norm(entry.velocity) < _STILL and distance(entry.position, waypoints[ahead[0]]) <= CLOSE:
+        ahead = ahead[1:]  # there already
+    nodes = [entry.position, *(waypoints[i] for i in ahead)]
+    pieces += _legs(nodes, [ahead[0], *ahead], norm(entry.velocity), limits, drift)
+    goal = waypoints[-1]
+    if drift == ZERO:
+        return Trajectory(pieces, State(goal), len(waypoints))
+    moved, t = [], 0.0
+    for p in pieces:
+        moved.append(
+            Piece(p.seconds, State(p.start.position + drift * t, p.start.velocity + drift), p.acceleration, p.ahead)
+        )
+        t += p.seconds
+    return Trajectory(moved, State(goal + drift * t, drift), len(waypoints))
+
+
+def _entered(start: State, goal: Point, limits: Limits, drift: Point, ahead: int) -> list[Piece]:
+    """The first piece: from the velocity that there is to one towards the goal, as fast as allows to stop there;
+    braking when nothing better stays within the limits. No piece when nothing moves yet."""
+    speed = norm(start.velocity)
+    if speed < _STILL:
+        return []
+    brake = Piece(speed / limits.acceleration, start, start.velocity * (-limits.acceleration / speed), ahead)
+    best, low, high = brake, 0.0, limits.speed + norm(drift)
+    for trial in range(_BISECTIONS):
+        s = high if trial == 0 else (low + high) / 2
+        found = _turned(start, goal, s, limits, drift, ahead)
+        if found is None:
+            high = s
+        else:
+            best, low = found, s
+            if trial == 0:
+                break
+    return [best]
+
+
+def _turned(start: State, goal: Point, fast: float, limits: Limits, drift: Point, ahead: int) -> Piece | None:
+    """A piece at whose end the velocity is towards the goal, `fast` or what the limits allow; None when the way is too
+    short for that, or braking amid it would lead out of the box.
+
+    With T = |s u - v| / a the piece ends at p + (v + s u) T / 2, so u must point from c = p + v T / 2 to the goal: a
+    fixed point, found by iteration from where braking would end.
+    """
+    a, v = limits.acceleration, start.velocity
+    u = goal - limits.stop(start)
+    far = norm(u)
+    if far < CLOSE:
+        return None
+    u = u / far
+    for _ in range(25):
+        s = min(fast, limits.top(u, drift))
+        seconds = norm(u * s - v) / a
+        way = goal - start.position - v * (seconds / 2)
+        far = norm(way)
+        if far < CLOSE:
+            return None
+        before, u = u, way / far
+        if distance(before, u) < 1e-11:
+            break
+    else:
+        return None
+    if far - s * seconds / 2 < s * s / (2 * a):
+        return None
+    push = (u * s - v) / seconds if seconds > _STILL else ZERO
+    piece = Piece(seconds, start, push, ahead)
+    for i in range(9):
+        state = piece.at(seconds * i / 8)
+        moved = State(state.position + drift * (seconds * i / 8), state.velocity + drift)
+        if not limits.safe(moved):
+            return None
+    return piece
+
+
+def _legs(nodes: list[Point], ahead: list[int], entry: float, limits: Limits, drift: Point) -> list[Piece]:
+    """Straight legs from node to node and parabolas at the nodes between, entered with that speed, ending in rest."""
+    a, last = limits.acceleration, len(nodes) - 1
+    lengths = [distance(nodes[i], nodes[i + 1]) for i in range(last)]
+    if lengths[0] < _STILL:
+        return []  # the only leg left, and there already
+    units = [(nodes[i + 1] - nodes[i]) / lengths[i] for i in range(last)]
+    tops = [limits.top(u, drift) for u in units]
+    bends = [0.0, *(distance(units[i], units[i + 1]) for i in range(last - 1)), 0.0]
+    squares = _speeds(lengths, tops, bends, entry, a)
+    pieces: list[Piece] = []
+    for i, u in enumerate(units):
+        cut, cut_next = (squares[k] * bends[k] / (2 * a) for k in (i, i + 1))
+        pieces += _straight(
+            nodes[i] + u * cut, u, max(0.0, lengths[i] - cut - cut_next), squares[i], squares[i + 1], tops[i], a,
+            ahead[i + 1],
+        )  # fmt: skip
+        speed = math.sqrt(squares[i + 1])
+        if bends[i + 1] > _STILL and speed > _STILL:
+            seconds = speed * bends[i + 1] / a
+            turn = (units[i + 1] - u) * (speed / seconds)
+            pieces.append(Piece(seconds, State(nodes[i + 1] - u * cut_next, u * speed), turn, ahead[i + 2]))
+    return pieces
+
+
+def _speeds(lengths: list[float], tops: list[float], bends: list[float], entry: float, a: float) -> list[float]:
+    """The squares of the speeds at the nodes: each corner's own limits, then one pass back and one forth, which make
+    each straight long enough: |w' - w| <= 2 a (length - cut - cut'), where cut = w * bend / 2a."""
+    last = len(lengths)
+    w = [entry * entry, *(0.0 for _ in range(last))]
+    for i in range(1, last):
+        # Cutting the corner, and braking amid it towards its outside, which a gentle bend at high speed makes worse.
+        within = 8 * a * CORNER / max(bends[i] ** 2, min(1.0, 4 * bends[i]), _STILL)
+        halves = a * min(lengths[i - 1], lengths[i]) / max(bends[i], _STILL)
+        w[i] = min(tops[i - 1] ** 2, tops[i] ** 2, within, halves)
+    for i in range(last - 1, 0, -1):
+        w[i] = min(w[i], (2 * a * lengths[i] + w[i + 1] * (1 - bends[i + 1])) / (1 + bends[i]))
+    if bends[1] > 1.0:  # slower there, the parabola begins later and leaves more room to brake
+        w[1] = min(w[1], max(0.0, (2 * a * lengths[0] - w[0]) / (bends[1] - 1)))
+    for i in range(last):
+        w[i + 1] = min(w[i + 1], (2 * a * lengths[i] + w[i] * (1 - bends[i])) / (1 + bends[i + 1]))
+    return w
+
+
+def _straight(
+    start: Point, u: Point, length: float, w: float, w_end: float, top: float, a: float, ahead: int
+) -> list[Piece]:
+    """Speed up, keep on, brake: from speed sqrt(w) to sqrt(w_end) over a length, at `top` or slower."""
+    first, final = math.sqrt(w), math.sqrt(w_end)
+    peak = max(first, final, min(top, math.sqrt(max(0.0, (w + w_end) / 2 + a * length))))
+    up, down = (peak**2 - w) / (2 * a), (peak**2 - w_end) / (2 * a)
+    flat = max(0.0, length - up - down)
+    parts = (
+        ((peak - first) / a, 0.0, first, a),
+        (flat / max(peak, _STILL), up, peak, 0.0),
+        ((peak - final) / a, length - down, peak, -a),
+    )
+    return [Piece(t, State(start + u * s, u * v), u * push, ahead) for t, s, v, push in parts if t > 0.0]
+
+
+def norm(v: Point) -> float:
+    """The length of a vector."""
+    return math.hypot(v.x, v.y, v.z)
+
+
+def _dot(p: Point, q: Point) -> float:
+    return p.x * q.x + p.y * q.y + p.z * q.z

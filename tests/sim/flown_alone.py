@@ -1,0 +1,32 @@
+"""A simulated autopilot as a process of its own. `python -m tests.sim.flown_alone FIRMWARE SPEED` prints the UDP port
+to which it sends, and flies so many times faster than real time until its standard input ends."""
+
+from __future__ import annotations
+
+import select
+import sys
+import time
+
+from targets.sim.autopilot import SimulatedAutopilot
+from targets.sim.bodies import DeviceContext
+from targets.sim.ports import UdpPort
+from tests.quad.rig import ORIGIN, STEP, PointMass
+
+
+def main(firmware: str, speed: float) -> None:
+    port = UdpPort()
+    body = PointMass((0.0, 0.0, 0.0))
+    context = DeviceContext("alice", {}, {"boot": 1.0, "firmware": firmware}, ORIGIN, 7, b"")
+    autopilot = SimulatedAutopilot(body, context, port)
+    print(port.number, flush=True)
+    begun, steps, ahead = time.monotonic(), 0, 0.0
+    while not select.select([sys.stdin], [], [], max(0.0, ahead))[0]:
+        steps += 1
+        body.step(STEP)
+        autopilot.step(steps * STEP)
+        ahead = begun + steps * STEP / speed - time.monotonic()
+    autopilot.close()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], float(sys.argv[2]))
