@@ -69,7 +69,7 @@ class Room:
                     self.inside = self.inside or thing.name
             if margin > 0.0:
                 self._kept.append((bounds, margin, thing))
-        self._boxes = np.array([bounds for bounds, _, _ in self._kept]) if len(self._kept) > MANY else None
+        self._boxes = None
 
     def clear(self, a: Point, b: Point) -> bool:
         """Whether every place of the straight line from a to b keeps its distance from all of them."""
@@ -84,11 +84,13 @@ class Room:
         west, east = (a.x, b.x) if a.x < b.x else (b.x, a.x)
         south, north = (a.y, b.y) if a.y < b.y else (b.y, a.y)
         bottom, top = (a.z, b.z) if a.z < b.z else (b.z, a.z)
-        if self._boxes is None:
+        if len(self._kept) <= MANY:
             for bounds, kept, thing in self._kept:
                 if _overlap(bounds, west, east, south, north, bottom, top):
                     yield kept, thing
             return
+        if self._boxes is None:
+            self._boxes = np.array([bounds for bounds, _, _ in self._kept])
         boxes = self._boxes
         low = boxes[:, :3] < (east, north, top)
         high = boxes[:, 3:] > (west, south, bottom)
