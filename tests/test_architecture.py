@@ -34,8 +34,11 @@ FLOORS = {
     "emit": BASE | {"ir"},
     "manifest": {"node", "resources"},
     "mocap": {"node", "located"},
-    "fleet": BASE | {"located", "manifest", "mocap"},
-    "bundle": BASE | {"ir", "emit", "manifest", "fleet"},
+    "mesh": {"node"},
+    "obstacles": BASE | {"located", "mesh"},
+    "medium": BASE | {"located"},
+    "fleet": BASE | {"located", "manifest", "medium", "obstacles", "mocap"},
+    "bundle": BASE | {"ir", "emit", "manifest", "medium", "fleet"},
     "estop": BASE | {"fleet", "runtime"},  # what people and agents say to one another
     "basestation": BASE | {"fleet", "manifest", "mocap", "runtime"},
     "doctor": BASE,

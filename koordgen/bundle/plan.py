@@ -149,7 +149,7 @@ def _facts(program: Program, fleet: Fleet, functions: bytes = b"") -> dict[str, 
 def settings(program: Program, fleet: Fleet, robot: Robot) -> dict[str, Any]:
     """One robot's `settings.json`, as koordgen/runtime/settings.py reads it."""
     facts = _facts(program, fleet)
-    shared = {k: facts[k] for k in ("app", "application_id", "delta", "origin", "geofence", "peers")}
+    shared = {k: facts[k] for k in ("app", "application_id", "delta", "origin", "geofence", "obstacles", "peers")}
     return {
         "robot": robot.name,
         "pid": robot.pid,
@@ -160,6 +160,7 @@ def settings(program: Program, fleet: Fleet, robot: Robot) -> dict[str, Any]:
         "control": robot.control,
         "planner_budget": fleet.planner_budget,
         "safety": fleet.safety,
+        "avoid": fleet.avoid,
         "body": robot.settings,
     }
 

@@ -104,7 +104,7 @@ class Stage:
         self.actors: list[Actor] = []
         self.watch = Watch(scenario.number("min_separation", 0.0))
         try:
-            self._obstacles = {self.world.obstacle(box.lo, box.hi): k for k, box in enumerate(scenario.obstacles)}
+            self._obstacles = {self.world.obstacle(o): k for k, o in enumerate(scenario.obstacles)}
             for robot in scenario.robots:
                 self.actors.append(_actor(self.world, scenario, robot, seed, key))
         except BaseException:

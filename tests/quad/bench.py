@@ -63,10 +63,13 @@ class Bench:
             )
         )  # fmt: skip
 
-    def local_setpoint(self, mask: int, frame: int, north: float, east: float, down: float, *velocity: float) -> None:
+    def local_setpoint(
+        self, mask: int, frame: int, north: float, east: float, down: float, *velocity: float,
+        push: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> None:  # fmt: skip
         self.send(
             mavlink.MAVLink_set_position_target_local_ned_message(
-                0, 1, 1, frame, mask, north, east, down, *(velocity or (0, 0, 0)), 0, 0, 0, 0, 0
+                0, 1, 1, frame, mask, north, east, down, *(velocity or (0, 0, 0)), *push, 0, 0
             )
         )
 

@@ -162,6 +162,10 @@ def test_vision_needs_an_origin_first(kind: str) -> None:
     assert fed.wait(5.0, lambda: fed.bench.copter.estimator.ready)
     assert fed.bench.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 33) == 0
     assert fed.bench.of(33)[0].lat == pytest.approx(FRAME.geodetic(1.0, -2.0, 0.0)[0] * 1e7, abs=2)
+    assert fed.bench.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 1) == 0
+    (status,) = fed.bench.of(1)
+    vision, gps = mavlink.MAV_SYS_STATUS_SENSOR_VISION_POSITION, mavlink.MAV_SYS_STATUS_SENSOR_GPS
+    assert status.onboard_control_sensors_health & vision and not status.onboard_control_sensors_present & gps
     fed.fly()
     assert fed.circle(10.0) < 0.02  # 0.013 m were observed
 
