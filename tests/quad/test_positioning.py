@@ -259,6 +259,18 @@ def test_no_take_off_where_estimate_and_source_differ() -> None:
     assert not rig.body._on and re.search(r"(0\.9|1\.0)\d m from the position source", rig.quad.progress)
 
 
+def test_no_take_off_once_the_feed_is_gone_again() -> None:
+    rig = FedRig("vision")
+    rig.quad.hold(True, rig.now)
+    rig.quad.start(rig.now)
+    assert rig.run(30.0, lambda: "waiting for the fleet" in rig.quad.progress), rig.progress
+    rig.station = None
+    rig.run(1.0)
+    rig.quad.hold(False, rig.now)
+    rig.run(3.0)
+    assert not rig.body._on and "not taking off: the newest position" in rig.quad.progress
+
+
 @MODES
 def test_a_feed_that_ends_while_climbing_lands_at_once(mode: str) -> None:
     rig = FedRig(mode)
