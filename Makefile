@@ -37,6 +37,7 @@ generated: $(STAMP)
 	$(PY) -m koordgen.syntax.generate
 	$(PY) -m koordgen.syntax.page
 	$(PY) -m koordgen.emit.generate
+	$(PY) -m targets.car.solver.generate
 
 $(STAMP): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' || \

@@ -132,12 +132,16 @@ def _thing(obstacle: Obstacle, name: str) -> Thing:
             low, high = Point(c.x - r, c.y - r, c.z), Point(c.x + r, c.y + r, c.z + h)
         case Mesh():
             surface = Surface(obstacle)
-            return Thing(surface.low, surface.high, surface.distance, name)
+            return Thing(surface.low, surface.high, partial(_surface, surface, Block(surface.low, surface.high)), name)
     return Thing(low, high, partial(_solid, obstacle), name)
 
 
 def _solid(body: Solid, a: Point, b: Point, within: float) -> float:
     return solid_distance(body, a, b)
+
+
+def _surface(surface: Surface, around: Block, a: Point, b: Point, within: float) -> float:
+    return math.inf if solid_distance(around, a, b) > within else surface.distance(a, b, within)
 
 
 def _columns(scene: Scene, kept: float, start: Point) -> Iterator[Thing]:
