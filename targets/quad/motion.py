@@ -9,7 +9,7 @@ from koordgen.runtime.platform import Unready
 from koordgen.runtime.safety import clamp
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point, distance, transmissible
-from targets.quad.link import Link
+from targets.mavlink.link import Link
 from targets.quad.reference import STANDING, Reference
 from targets.quad.setpoint import ARDUPILOT, Aim, Shaping, aimed, setpoint
 from targets.quad.telemetry import Telemetry

@@ -16,12 +16,12 @@ from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.values import Pose, distance
+from targets.mavlink.framing import Message
+from targets.mavlink.link import Link
 from targets.quad.check import coordinates
 from targets.quad.external import gps_input, odometry, vision
 from targets.quad.firmware import Firmware
 from targets.quad.flight import Flight, Phase
-from targets.quad.framing import Message
-from targets.quad.link import Link
 from targets.quad.origin import Origin
 from targets.quad.parameters import Wanted
 from targets.quad.telemetry import Telemetry
