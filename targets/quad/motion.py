@@ -49,7 +49,7 @@ class Motion:
         self, frame: LocalFrame, fence: Box, height: float, max_speed: float, acceleration: float, climb: float,
         radius: float, dwell: float, yaw: str | float = "keep", shaping: Shaping = ARDUPILOT,
     ) -> None:  # fmt: skip
-        self._frame, self._fence, self._height = frame, fence, height
+        self._frame, self._fence = frame, fence
         self._radius, self._dwell, self._speed = radius, dwell, max_speed
         self._room = room(fence, height)
         self._reference = Reference(Limits(max_speed, climb, acceleration, self._room))
