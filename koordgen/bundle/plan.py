@@ -211,4 +211,6 @@ def _target_files(target: Target) -> Files:
 
 
 def _folder(folder: Path, prefix: str) -> Files:
-    return {f"{prefix}/{p.name}": p.read_bytes() for p in sorted(folder.glob("*.py"))}
+    """Python, and C that is compiled on the robot."""
+    found = (p for kind in ("*.py", "*.c") for p in sorted(folder.rglob(kind)))
+    return {f"{prefix}/{p.relative_to(folder).as_posix()}": p.read_bytes() for p in found}

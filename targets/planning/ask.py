@@ -12,7 +12,7 @@ from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point
 from targets.planning.pipe import Answer, Question
 from targets.planning.room import Room, fixed, room
-from targets.planning.world import Path, Planner, Scene, World
+from targets.planning.world import InRoom, Path, Planner, Scene, World
 
 MOST_POINTS = 1000
 ROUNDING = 1e-9  # metres
@@ -33,7 +33,10 @@ class Judge(Protocol):
 def judging(judge: str, name: str, world: World) -> Judge:
     """The judge `module:Class` with the planner of that name. Raises BadPlanner."""
     module, _, member = judge.partition(":")
-    made: Judge = getattr(import_module(module), member)(name, world)
+    try:
+        made: Judge = getattr(import_module(module), member)(name, world)
+    except ImportError as error:
+        raise BadPlanner(f"a package is missing: {error}; install the bundle's requirements.txt") from None
     return made
 
 
@@ -77,13 +80,18 @@ class Asked:
         if reason:
             return (), reason
         try:
-            path = self._planner.plan(start, goal, scene, seconds)
+            path = self._planned(here, start, goal, scene, seconds)
         except Exception as error:
             return (), f"the planner failed: {type(error).__name__}: {error}"
         if path == ():
             return (), ""
         reason = misled(world, here, start, goal, path)
         return ((), f"the planner's path was refused: {reason}") if reason else (tuple(path), "")
+
+    def _planned(self, here: Room, start: Point, goal: Point, scene: Scene, seconds: float) -> Any:
+        if isinstance(self._planner, InRoom):  # one that comes along: what a large scene takes is spent once
+            return self._planner.plan_in(here, start, goal, seconds)
+        return self._planner.plan(start, goal, scene, seconds)
 
 
 def infeasible(world: World, here: Room, start: Point, goal: Point) -> str:

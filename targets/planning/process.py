@@ -4,6 +4,7 @@ in this one."""
 from __future__ import annotations
 
 import os
+import re
 import select
 import subprocess
 import sys
@@ -74,6 +75,31 @@ def made(planning: Planning, sleep: Callable[[float], None]) -> None:
     raise Unready(f"the planner was not made within {STARTING:.0f} s")
 
 
+class News:
+    """Lines for the log. What keeps a call from its path is told once, until another call gets one; numbers in it make
+    no other reason of it."""
+
+    def __init__(self) -> None:
+        self._lines: list[str] = []
+        self._known: set[str] = set()
+
+    def tell(self, line: str) -> None:
+        self._lines.append(line)
+
+    def called(self, reason: str) -> None:
+        """How a call went; "": well."""
+        kind = re.sub(r"[-\d.]+", "", reason)
+        if not reason:
+            self._known.clear()
+        elif kind not in self._known:
+            self._known.add(kind)
+            self._lines.append(f"no path: {reason}")
+
+    def take(self) -> list[str]:
+        told, self._lines = self._lines, []
+        return told
+
+
 class Inside:
     """In the agent's own process: for a simulator that owns time, with `iterations` in its World, and for tests."""
 
@@ -81,7 +107,7 @@ class Inside:
         self._name, self._world, self._budget, self._judge = name, world, budget, judge
         self._asked: Judge | None = None
         self._answer: Answer | None = None
-        self._news: list[str] = []
+        self._news = News()
         self.ready = self.waiting = False
 
     def start(self) -> None:
@@ -97,8 +123,7 @@ class Inside:
     def plan(self, start: Point, goal: Point, scene: Scene, more: bytes = b"") -> Path:
         if not self.ask(start, goal, scene, more, SHARE * self._budget) or self._answer is None:
             return ()
-        if self._answer.reason:
-            self._news.append(f"no path: {self._answer.reason}")
+        self._news.called(self._answer.reason)
         return self._answer.path
 
     def ask(self, start: Point, goal: Point, scene: Scene, more: bytes, seconds: float) -> bool:
@@ -112,8 +137,7 @@ class Inside:
         return told
 
     def news(self) -> list[str]:
-        told, self._news = self._news, []
-        return told
+        return self._news.take()
 
     def close(self) -> None:
         self.ready = False
@@ -135,6 +159,7 @@ class Beside:
         self._order, self._budget = Order(name, world, judge), budget
         self._folders, self._clock = folders, clock
         self._child: subprocess.Popen[bytes] | None = None
+        self._killed: list[subprocess.Popen[bytes]] = []  # until they have ended
         self._incoming = Unframed()
         self._outgoing = b""  # what the child has not taken yet
         self._into = self._from = -1  # its standard input, and what it answers on
@@ -143,7 +168,7 @@ class Beside:
         self._number = 0
         self._asked_at: float | None = None  # when the question was asked that has not been answered yet
         self._answer: Answer | None = None
-        self._news: list[str] = []
+        self._news = News()
         self.ready = False
 
     @property
@@ -179,6 +204,7 @@ class Beside:
 
     def poll(self) -> None:
         """See Planning."""
+        self._killed = [child for child in self._killed if child.poll() is None]
         if self._child is None:
             if self._made and self._clock() - self._begun > PAUSE:
                 self.start()
@@ -196,8 +222,7 @@ class Beside:
         deadline = self._clock() + self._budget
         try:
             if not self.ask(start, goal, scene, more, SHARE * self._budget):
-                why = "still at the last question" if self.ready else "not there"
-                self._tell(f"no path: the planner is {why}")
+                self._news.called("the planner is " + ("still at the last question" if self.ready else "not there"))
                 return ()
             while self._unanswered() and (left := deadline - self._clock()) > 0:
                 select.select([self._from], [self._into] if self._outgoing else [], [], left)
@@ -227,31 +252,29 @@ class Beside:
     def _judged(self, answer: Answer | None, start: Point, goal: Point) -> Path:
         if answer is None:
             if self._child is not None:
-                self._tell(f"no path: the planner did not answer within {self._budget * 1e3:.0f} ms")
+                self._news.called(f"the planner did not answer within {self._budget * 1e3:.0f} ms")
             return ()
         path = answer.path
-        if answer.reason:
-            self._tell(f"no path: {answer.reason}")
-        elif path and not (transmissible(path) and len(path) > 1 and path[0] == start and path[-1] == goal):
-            self._tell("no path: the planner answered with what is no path from here to the goal")
+        if path and not (transmissible(path) and len(path) > 1 and path[0] == start and path[-1] == goal):
+            self._news.called("the planner answered with what is no path from here to the goal")
             return ()
+        self._news.called(answer.reason)
         return path
 
     def news(self) -> list[str]:
         """See Planning."""
-        told, self._news = self._news, []
-        return told
+        return self._news.take()
 
     def close(self) -> None:
         """End the child. Idempotent."""
         self._end()
+        for child in self._killed:
+            with suppress(subprocess.TimeoutExpired):
+                child.wait(timeout=0.5)
+        self._killed.clear()
 
     def _unanswered(self) -> bool:
         return self._asked_at is not None and self._answer is None
-
-    def _tell(self, line: str) -> None:
-        if line not in self._news:
-            self._news.append(line)
 
     def _send(self) -> None:
         """Write what the child takes at once of what it has not yet got."""
@@ -293,7 +316,7 @@ class Beside:
         self._end()
         if not self._made:
             raise Unready(why if "planner" in why else f"the planner {self._order.name} {why}")
-        self._tell(f"the planner {why}; it is begun anew")
+        self._news.tell(f"the planner {why}; it is begun anew")
 
     def _end(self) -> None:
         self.ready, self._asked_at, self._outgoing = False, None, b""
@@ -306,5 +329,4 @@ class Beside:
             if end is not None:
                 with suppress(OSError):
                     end.close()
-        with suppress(subprocess.TimeoutExpired):
-            child.wait(timeout=0.2)  # a process that was killed is gone within a moment
+        self._killed.append(child)  # to wait for its end, some milliseconds, would keep the agent

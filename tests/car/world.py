@@ -40,6 +40,9 @@ class TestBody:
     def drive(self, speed: float, steering: float) -> None:
         self.asked = (speed, steering)
 
+    def brake(self, deceleration: float) -> None:
+        self.asked = (0.0, self.asked[1])
+
     def state(self) -> BodyState:
         s = self.truth
         velocity = (s.speed * math.cos(s.yaw), s.speed * math.sin(s.yaw), 0.0)

@@ -19,6 +19,7 @@ from targets.sim.lidar import MAX_RANGE, PERIOD, RAYS, SimulatedLidar
 from targets.sim.quadrotor import SimulatedQuadrotor
 from targets.sim.scenario import Robot, Scenario, Start
 from targets.sim.stage import Stage
+from targets.sim.station import SimulatedFeed
 from targets.sim.world import STEP, World
 
 KEY = bytes(range(32))
@@ -176,6 +177,9 @@ def test_a_car_in_a_walled_room_gets_scans_of_its_walls() -> None:
     fence = Box(Point(-4.0, -4.0, -1.0), Point(4.0, 4.0, 2.0))
     peers = (Peer("alice", "127.0.0.1", 47101),)
     body = stage.actors[0].overrides
+    feed = stage.actors[0].sensors[-1]
+    assert isinstance(feed, SimulatedFeed)
+    feed._clock = lambda: stage.world.time  # as the car's below
     car = Car(Settings("map", "alice", 0, 0.1, peers, Origin(47.0, 8.0, 400.0), fence, body=body), KEY)
     truth: dict[int, Vector] = {}
     seen: dict[Point, tuple[int, Scan]] = {}  # by where it was measured: the tick at which it came
