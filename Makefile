@@ -27,6 +27,7 @@ slow: $(STAMP)
 
 bench: $(STAMP)
 	$(PY) benchmarks/compile.py
+	$(PY) benchmarks/quad_tracking.py
 	$(PY) benchmarks/round.py
 	$(PY) benchmarks/sim_autopilot.py
 	$(PY) benchmarks/shared_memory.py
@@ -36,6 +37,7 @@ generated: $(STAMP)
 	$(PY) -m koordgen.syntax.generate
 	$(PY) -m koordgen.syntax.page
 	$(PY) -m koordgen.emit.generate
+	$(PY) -m targets.car.solver.generate
 
 $(STAMP): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' || \

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from ipaddress import AddressValueError, IPv4Address
+from pathlib import Path
 from typing import Any
 
 import yaml
 
 from koordgen.located import Reader, Report, YamlNode
 from koordgen.manifest import SETTING_TYPES, Setting, Target
+from koordgen.medium import Link, read_link, read_network
 from koordgen.mocap import Mocap, read_mocap
 from koordgen.node import Node
+from koordgen.obstacles import Obstacle, read_box, read_obstacles
 from koordgen.source import Source
 
 _NAME = re.compile(r"[a-z][a-z0-9_-]{0,31}")
 _DRIVER = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", re.ASCII)
-_ENDPOINT = re.compile(r"[a-z_]+/\S+")
 _ADDRESS = re.compile(r"([A-Za-z0-9.-]+|\[[0-9A-Fa-f:.]+\]):(\d{1,5})")
-_EXPONENT = re.compile(r"\d+(\.\d*)?[eE]\+?\d+", re.ASCII)
 # Thresholds of the safety layer, with the defaults of koordgen/runtime/settings.py (a test compares them).
 SAFETY: dict[str, Any] = {
     "position_stale": 0.5,
@@ -33,15 +33,6 @@ MISSED_ACTIONS = ("hold", "rest")  # as there (a test compares them)
 LEAST_TIMEOUT = 3  # rounds: what is lost is asked for in the round after, and some of that is lost again
 GOING_ON = 5  # rounds after `peer_timeout` by which the others have gone on
 MOST_ROBOTS = 128  # as koordgen/runtime/wire.py allows (a test compares them)
-MOST_OBSTACLES = 1000
-# What may be said of each transport, as koordgen/runtime/settings.py reads it (a test compares them).
-NETWORK: dict[str, tuple[str, ...]] = {
-    "unicast": (),
-    "broadcast": ("group", "port"),
-    "multicast": ("group", "port", "interface"),
-    "zenoh": ("mode", "listen", "connect"),
-}
-ZENOH_MODES = ("peer", "router", "client")
 
 
 # What is wrong with a value for one param of the program; "" for one that fits.
@@ -72,13 +63,20 @@ class Driver(Node):
         return f"{self.module.replace('.', '/')}.py"
 
 
-class Link(Node):
-    """The medium that all robots share: what it carries (bits a second), the part of the datagrams that it loses, the
-    most bytes of a packet."""
+def _anything(value: Any) -> str:
+    return ""
 
-    rate: float = 6e6  # the slowest of 802.11a/g, at which broadcast and multicast go
-    loss: float = 0.1
-    mtu: int = 1500
+
+def _any_class(driver: Driver, methods: tuple[str, ...]) -> str:
+    return ""
+
+
+class Known(Node):
+    """What the file's names must fit: `avoid` tells of a variable's name, `own_class` of a class with these methods,
+    made with one argument, what is wrong with it, or ""."""
+
+    avoid: Fits = _anything
+    own_class: Callable[[Driver, tuple[str, ...]], str] = _any_class
 
 
 class Fleet(Node):
@@ -89,7 +87,8 @@ class Fleet(Node):
     delta: float
     origin: dict[str, float]
     geofence: dict[str, list[float]]
-    obstacles: tuple[dict[str, list[float]], ...]
+    obstacles: tuple[Obstacle, ...]
+    avoid: str  # the allread variable in which robots publish their paths; empty without one
     key: str  # file name; empty without one
     insecure: bool
     params: dict[str, Any]
@@ -104,7 +103,11 @@ class Fleet(Node):
 
 
 def read(
-    source: Source, targets: Mapping[str, Target], params: Mapping[str, Fits] | None, report: Report
+    source: Source,
+    targets: Mapping[str, Target],
+    params: Mapping[str, Fits] | None,
+    report: Report,
+    known: Known = Known(),  # noqa: B008  (it does not change)
 ) -> Fleet | None:
     """Check a fleet file against the targets there are and the program's params (None: whatever they are); None after
     anything was reported."""
@@ -118,7 +121,7 @@ def read(
     reader = Reader(source, counted)
     harnesses = sorted(name for name, t in targets.items() if t.kind == "harness")
     optional = ["application_id", "key", "insecure", "params", "safety", "obstacles", "modules"]
-    optional += ["planner_budget", "link", "network", "mocap", *harnesses]
+    optional += ["planner_budget", "avoid", "link", "network", "mocap", *harnesses]
     top = reader.table(reader.document(), "the fleet file", ["delta", "origin", "geofence", "robots"], optional)
     origin = reader.table(top.get("origin"), "origin", ["latitude", "longitude", "altitude"], [])
     insecure = bool(reader.scalar(top.get("insecure"), "insecure", bool))
@@ -130,18 +133,19 @@ def read(
             "longitude": reader.number(origin.get("longitude"), "longitude (degrees)", -180, 180),
             "altitude": reader.number(origin.get("altitude"), "altitude (metres)", -1000, 10000),
         },
-        geofence=_box(reader, top.get("geofence"), "geofence"),
-        obstacles=_obstacles(reader, top.get("obstacles")),
+        geofence=read_box(reader, top.get("geofence"), "geofence"),
+        obstacles=read_obstacles(reader, top.get("obstacles"), Path(source.path).parent),
+        avoid=_avoid(reader, top.get("avoid"), known.avoid),
         key=_key(reader, top.get("key"), insecure),
         insecure=insecure,
         params={} if params is None else _params(reader, top.get("params"), params),
         safety=_safety(reader, top.get("safety")),
         planner_budget=reader.number(top.get("planner_budget"), "planner_budget (seconds)", 0.0005, 1.0) or 0.01,
         drivers=_drivers(reader, top.get("modules")),
-        robots=_robots(reader, top.get("robots"), targets),
-        harness={n: _settings(reader, top[n], n, targets[n].settings) for n in harnesses if n in top},
-        link=_link(reader, top.get("link")),
-        network=_network(reader, top.get("network")),
+        robots=_robots(reader, top.get("robots"), targets, known),
+        harness={n: _settings(reader, top[n], n, targets[n].settings, known) for n in harnesses if n in top},
+        link=read_link(reader, top.get("link")),
+        network=read_network(reader, top.get("network")),
         mocap=read_mocap(reader, top.get("mocap")),
     )
     return None if mistakes else fleet
@@ -160,21 +164,6 @@ def control_port(port: int) -> int:
     return port + 1000 if port + 1000 <= 65535 else port - 1000
 
 
-def _box(reader: Reader, node: YamlNode | None, what: str) -> dict[str, list[float]]:
-    corner = reader.table(node, what, ["lo", "hi"], [])
-    lo, hi = reader.vector(corner.get("lo"), f"{what}.lo"), reader.vector(corner.get("hi"), f"{what}.hi")
-    if lo and hi and any(a >= b for a, b in zip(lo, hi, strict=True)):
-        reader.report("F005", f"{what}.lo must be below {what}.hi on every axis", corner["hi"])
-    return {"lo": lo or [], "hi": hi or []}
-
-
-def _obstacles(reader: Reader, node: YamlNode | None) -> tuple[dict[str, list[float]], ...]:
-    entries = reader.items(node, "obstacles")
-    if node is not None and len(entries) > MOST_OBSTACLES:
-        reader.report("F005", f"obstacles lists {len(entries)}; there may be at most {MOST_OBSTACLES}", node)
-    return tuple(_box(reader, entry, f"obstacle {i}") for i, entry in enumerate(entries))
-
-
 def _key(reader: Reader, node: YamlNode | None, insecure: bool) -> str:
     """The key's file name; the key itself is put beside the settings by hand and never enters a bundle."""
     name: str | None = reader.scalar(node, "key", str)
@@ -183,6 +172,15 @@ def _key(reader: Reader, node: YamlNode | None, insecure: bool) -> str:
     if insecure and node is not None:
         reader.report("F005", "a fleet has a key or is insecure, not both", node, "leave one of the two out")
     return "" if insecure else name or "fleet.key"
+
+
+def _avoid(reader: Reader, node: YamlNode | None, fits: Fits) -> str:
+    name: str | None = reader.scalar(node, "avoid", str)
+    if name is None or node is None:
+        return ""
+    if misfit := fits(name):
+        reader.report("F005", misfit, node)
+    return name
 
 
 def _params(reader: Reader, node: YamlNode | None, known: Mapping[str, Fits]) -> dict[str, Any]:
@@ -200,10 +198,11 @@ def _drivers(reader: Reader, node: YamlNode | None) -> dict[str, Driver]:
     named = [key.value for key, _ in node.value] if isinstance(node, yaml.MappingNode) else []
     for module, value in reader.table(node, "modules", [], named).items():
         text: str = reader.scalar(value, f"the driver of {module}", str) or "a:A"
-        if not _DRIVER.fullmatch(text):
+        driver = as_driver(text)
+        if driver is None:
             reader.report("F005", f"{text!r} names no driver class", value, "for example drivers.hvac:Hvac")
-        path, _, name = text.partition(":")
-        found[module] = Driver(path, name)
+        else:
+            found[module] = driver
     return found
 
 
@@ -213,7 +212,7 @@ def _safety(reader: Reader, node: YamlNode | None) -> dict[str, Any]:
         what = f"safety.{key}"
         match key:
             case "missed_action":
-                found[key] = _choice(reader, value, what, MISSED_ACTIONS)
+                found[key] = reader.choice(value, what, MISSED_ACTIONS)
             case "missed_rounds":
                 found[key] = reader.number(value, f"{what} (rounds)", 1, 10000, int)
             case "peer_timeout":
@@ -233,77 +232,7 @@ def _safety(reader: Reader, node: YamlNode | None) -> dict[str, Any]:
     return found
 
 
-def _link(reader: Reader, node: YamlNode | None) -> Link | None:
-    if node is None:
-        return None
-    given = reader.table(node, "link", [], ["rate", "loss", "mtu"])
-    rate = reader.number(_decimal(given.get("rate")), "link.rate (bits a second)", 1e3, 1e12)
-    loss = reader.number(given.get("loss"), "link.loss (a part of 1)", 0.0, 0.9)
-    mtu = reader.number(given.get("mtu"), "link.mtu (bytes)", 576, 65535, int)
-    default = Link()
-    return Link(rate or default.rate, default.loss if loss is None else loss, mtu or default.mtu)
-
-
-def _decimal(node: YamlNode | None) -> YamlNode | None:
-    """6e6, which YAML 1.1 takes for a text, as the number that it says."""
-    unquoted = isinstance(node, yaml.ScalarNode) and not node.style
-    if node is not None and unquoted and _EXPONENT.fullmatch(node.value):
-        return yaml.ScalarNode("tag:yaml.org,2002:float", node.value, node.start_mark, node.end_mark)
-    return node
-
-
-def _network(reader: Reader, node: YamlNode | None) -> dict[str, Any]:
-    keys = {key for of_transport in NETWORK.values() for key in of_transport}
-    given = reader.table(node, "network", [], ["transport", *sorted(keys)])
-    named = given.pop("transport", None)
-    transport = _choice(reader, named, "network.transport", tuple(NETWORK)) or "unicast"
-    found: dict[str, Any] = {"transport": transport}
-    if named is not None and transport != getattr(named, "value", None):
-        return found  # told already; what the other keys mean depends on it
-    for key, value in given.items():
-        if key not in NETWORK[transport]:
-            takes = f"it takes: {', '.join(NETWORK[transport])}" if NETWORK[transport] else "say which `transport`"
-            reader.report("F005", f"network.{key} means nothing to transport {transport}", value, takes)
-        elif key == "port":
-            found[key] = reader.number(value, "network.port", 1, 65535, int)
-        elif key == "mode":
-            found[key] = _choice(reader, value, "network.mode", ZENOH_MODES)
-        elif key in ("listen", "connect"):
-            found[key] = [_endpoint(reader, entry, key) for entry in reader.items(value, f"network.{key}")]
-        else:
-            found[key] = reader.scalar(value, f"network.{key}", str)
-    if node is not None and "group" in NETWORK[transport] and found.get("group", "") is not None:
-        _group(reader, transport, found.get("group", ""), given.get("group", node))
-    return found
-
-
-def _choice(reader: Reader, node: YamlNode | None, what: str, known: tuple[str, ...]) -> str | None:
-    text: str | None = reader.scalar(node, what, str)
-    if text is None or node is None or text in known:
-        return text
-    reader.report("F005", f"{what} is {text!r}", node, f"there are: {', '.join(known)}")
-    return None
-
-
-def _group(reader: Reader, transport: str, text: str, node: YamlNode) -> None:
-    try:
-        right = IPv4Address(text).is_multicast == (transport == "multicast")
-    except AddressValueError:
-        right = False
-    if not right:
-        example = "239.255.71.1" if transport == "multicast" else "192.168.1.255"
-        reader.report("F005", f"transport {transport} needs a group: an IPv4 {transport} address", node,
-                      f"for example `group: {example}`")  # fmt: skip
-
-
-def _endpoint(reader: Reader, node: YamlNode, key: str) -> str:
-    text: str = reader.scalar(node, f"an endpoint of network.{key}", str) or ""
-    if text and not _ENDPOINT.fullmatch(text):
-        reader.report("F005", f"{text!r} is no endpoint of Zenoh", node, "for example udp/192.168.1.20:7447")
-    return text
-
-
-def _robots(reader: Reader, node: YamlNode | None, targets: Mapping[str, Target]) -> tuple[Robot, ...]:
+def _robots(reader: Reader, node: YamlNode | None, targets: Mapping[str, Target], known: Known) -> tuple[Robot, ...]:
     entries = reader.items(node, "robots")
     if node is not None and not 1 <= len(entries) <= MOST_ROBOTS:
         reader.report("F005", f"robots lists {len(entries)}; a fleet has 1 to {MOST_ROBOTS}", node)
@@ -325,7 +254,9 @@ def _robots(reader: Reader, node: YamlNode | None, targets: Mapping[str, Target]
                 help = "" if key in keys else "`control: PORT` sets another port for emergency stop and status"
                 reader.report("F006", f"{key} {shown} is already {seen[value]}", keys.get(key, entry), help)
         target = _target(reader, keys.get("target"), targets)
-        settings = _settings(reader, keys.get("settings"), f"{what}'s settings", target.settings) if target else {}
+        settings = {}
+        if target:
+            settings = _settings(reader, keys.get("settings"), f"{what}'s settings", target.settings, known)
         start = _start(reader, keys.get("start"), what)
         robots.append(Robot(name or "", pid, target.name if target else "", host, port, control, start, settings))
     return tuple(robots)
@@ -377,18 +308,51 @@ def _start(reader: Reader, node: YamlNode | None, what: str) -> dict[str, Any]:
     return {"position": position or [0.0, 0.0, 0.0], "yaw": yaw or 0.0}
 
 
-def _settings(reader: Reader, node: YamlNode | None, what: str, known: Mapping[str, Setting]) -> dict[str, Any]:
+def _settings(
+    reader: Reader, node: YamlNode | None, what: str, offered: Mapping[str, Setting], known: Known
+) -> dict[str, Any]:
     """All settings of a target: what the file says over the manifest's defaults."""
-    given = reader.table(node, what, [], known)
-    values: dict[str, Any] = {key: setting.default for key, setting in known.items()}
+    given = reader.table(node, what, [], offered)
+    values: dict[str, Any] = {key: setting.default for key, setting in offered.items()}
     for key, value in given.items():
-        setting, kind = known[key], SETTING_TYPES[known[key].type]
+        setting, kind = offered[key], SETTING_TYPES[offered[key].type]
         if isinstance(value, yaml.ScalarNode) and value.value in setting.words:
             found = value.value
         elif kind in (int, float):
             found = reader.number(value, key, setting.least, setting.most, kind)
         else:
             found = reader.scalar(value, key, kind)
+            if setting.words and found is not None:
+                _strange(reader, value, key, found, setting, known)
         if found is not None:
             values[key] = found
     return values
+
+
+def _strange(reader: Reader, node: YamlNode, key: str, text: str, setting: Setting, known: Known) -> None:
+    """None of the setting's words: a class of the user's own, where it takes one."""
+    driver = as_driver(text) if setting.methods else None
+    if driver is None:
+        own = ", or module:Class of your own" if setting.methods else ""
+        reader.report("F005", f"{key} is {text!r}", node, f"there are: {', '.join(setting.words)}{own}")
+    elif misfit := known.own_class(driver, setting.methods):
+        reader.report("F005", misfit, node)
+
+
+def as_driver(text: str) -> Driver | None:
+    """The class that `module:Class` names; None for what does not."""
+    if not _DRIVER.fullmatch(text):
+        return None
+    module, _, name = text.partition(":")
+    return Driver(module, name)
+
+
+def own_classes(fleet: Fleet, targets: Mapping[str, Target]) -> dict[str, Driver]:
+    """The classes of the user's own that settings of robots name, by their file."""
+    found: dict[str, Driver] = {}
+    for robot in fleet.robots:
+        for key, setting in targets[robot.target].settings.items():
+            driver = as_driver(str(robot.settings[key])) if setting.methods else None
+            if driver is not None:
+                found[driver.path] = driver
+    return found

@@ -126,6 +126,14 @@ class Reader:
             return None
         return value
 
+    def choice(self, node: YamlNode | None, what: str, known: tuple[str, ...]) -> str | None:
+        """One of these texts."""
+        text: str | None = self.scalar(node, what, str)
+        if text is None or node is None or text in known:
+            return text
+        self.report("F005", f"{what} is {text!r}", node, f"there are: {', '.join(known)}")
+        return None
+
     def vector(self, node: YamlNode | None, what: str) -> list[float] | None:
         """Three metres, [x, y, z] in local ENU."""
         if node is None:

@@ -18,14 +18,16 @@ class ManifestError(Exception):
 
 
 class Setting(Node):
-    """One key that `settings:` of a robot, or the harness's section, may have in the fleet file."""
+    """One key that `settings:` of a robot, or the harness's section, may have in the fleet file. `words` may stand for
+    a number, or are all that a text may be; with `methods` a text may also name a user's class that has these."""
 
     type: Literal["string", "float", "int", "bool"]
     default: str | float | int | bool
     least: float | None
     most: float | None
     doc: str
-    words: tuple[str, ...] = ()  # that may stand for a number
+    words: tuple[str, ...] = ()
+    methods: tuple[str, ...] = ()
 
 
 class Feed(Node):
@@ -116,4 +118,5 @@ def _setting(key: str, raw: dict[str, Any]) -> Setting:
     if raw["type"] not in SETTING_TYPES:
         raise ValueError(f"settings.{key}: type {raw['type']!r} is none of {', '.join(SETTING_TYPES)}")
     default = SETTING_TYPES[raw["type"]](raw["default"])
-    return Setting(raw["type"], default, raw.get("min"), raw.get("max"), raw["doc"], tuple(raw.get("words", ())))
+    words, methods = tuple(raw.get("words", ())), tuple(raw.get("methods", ()))
+    return Setting(raw["type"], default, raw.get("min"), raw.get("max"), raw["doc"], words, methods)

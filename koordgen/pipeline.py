@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from koordgen.check import check
 from koordgen.diagnostics import Diagnostic, in_order, together
 from koordgen.ir.decl import Program
+from koordgen.ir.types import POINT, list_of
 from koordgen.ir.verify import verify
 from koordgen.node import Node, replace
 from koordgen.source import Source, Span
@@ -19,7 +20,7 @@ if TYPE_CHECKING:  # what `check` does not need is imported where it is: pathlib
 
     from koordgen.bundle.plan import Files
     from koordgen.check.params import Value
-    from koordgen.fleet import Driver, Fleet
+    from koordgen.fleet import Driver, Fleet, Known
     from koordgen.manifest import Target
 
 
@@ -108,7 +109,7 @@ def plan_file(
     given = dict(params)
     if fleet_path is not None:
         targets = {name: manifest.load(name) for name in manifest.available()}
-        fleet, from_file = read_fleet(fleet_path, targets, checked.program)
+        fleet, from_file = read_fleet(fleet_path, targets, checked.program, path)
         given = {**from_file, **given}
         needed = {r.target for r in fleet.robots}.union(wanted)
     else:
@@ -121,6 +122,7 @@ def plan_file(
     sending = _check_sending(program, fleet) if fleet else []
     wrong = [*check_ports(program, used, drivers), *(d for d in sending if d.severity == "error")]
     own, missing = _beside(program, path, fleet_path, drivers, used, functions)
+    own |= _own_classes(path, fleet_path, fleet, targets) if fleet and fleet_path else {}
     if wrong or missing:
         raise Rejected([(checked.source, d) for d in (*wrong, *missing)])
     if fleet:
@@ -165,8 +167,22 @@ def _beside(
     return own, wrong
 
 
-def read_fleet(path: str, targets: Mapping[str, Target], program: Program | None) -> tuple[Fleet, dict[str, Value]]:
-    """The fleet and its params as values; without a program nothing is known of those. Raises Rejected."""
+def _own_classes(path: str, fleet_path: str, fleet: Fleet, targets: Mapping[str, Target]) -> dict[str, Path]:
+    """The files of classes that settings of robots name, by their path in bundles."""
+    from pathlib import Path
+
+    from koordgen.bundle.drivers import find
+    from koordgen.fleet import own_classes
+
+    folders = [Path(fleet_path).parent, Path(path).parent]
+    return {file: find(file, folders) for file in own_classes(fleet, targets)}
+
+
+def read_fleet(
+    path: str, targets: Mapping[str, Target], program: Program | None, program_path: str = ""
+) -> tuple[Fleet, dict[str, Value]]:
+    """The fleet and its params as values; without a program nothing is known of those. Beside the fleet file and the
+    program stand the classes that settings name. Raises Rejected."""
     from koordgen import fleet
 
     source = read_source(path)
@@ -176,10 +192,36 @@ def read_fleet(path: str, targets: Mapping[str, Target], program: Program | None
         found.append((source, Diagnostic(code, "error", message, span, help=help)))
 
     params = {p.name: _fits(program, p.name) for p in program.params} if program is not None else None
-    read = fleet.read(source, targets, params, report)
+    known = _known(program, path, program_path or path) if program is not None else fleet.Known()
+    read = fleet.read(source, targets, params, report, known)
     if read is None:
         raise Rejected(found)
     return read, read.params
+
+
+def _known(program: Program, fleet_path: str, program_path: str) -> Known:
+    from functools import cache
+    from pathlib import Path
+
+    from koordgen.bundle.drivers import own_class
+    from koordgen.fleet import Driver, Known
+
+    folders = [Path(fleet_path).parent, Path(program_path).parent]
+
+    def unpublished(name: str) -> str:
+        known = [s.name for s in program.shared if s.kind == "allread" and s.type in (POINT, list_of(POINT))]
+        if name in known:
+            return ""
+        there = f"; there are: {', '.join(known)}" if known else ""
+        return (
+            f"avoid is {name!r}: the program has no allread variable of that name that is a Point or List<Point>{there}"
+        )
+
+    @cache  # all robots name the same class, mostly, and it takes a process to look at one
+    def unfit(module: str, name: str, methods: tuple[str, ...]) -> str:
+        return own_class(Driver(module, name), methods, program, folders)
+
+    return Known(unpublished, lambda driver, methods: unfit(driver.module, driver.name, methods))
 
 
 def _fits(program: Program, name: str) -> Callable[[Value], str]:

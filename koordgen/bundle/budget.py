@@ -16,7 +16,7 @@ from koordgen.ir.types import ExternType, MapOf, PerRobot, RecordType, Scalar, S
 from koordgen.node import Node, replace
 
 if TYPE_CHECKING:
-    from koordgen.fleet import Link
+    from koordgen.medium import Link
 
 # As koordgen/runtime/layout.py, bounds.py and wire.py have them (tests compare): MessagePack's longest forms.
 DATAGRAM = 1200

@@ -19,7 +19,7 @@ def driver_files(drivers: Mapping[str, Driver], program: Program, folders: list[
     """Where each module's driver stands: the first of these folders that has it. Modules that the program does not use
     need none."""
     used = [m.name for m in program.modules if m.name in drivers]
-    return {name: _find(drivers[name].path, folders) for name in used}
+    return {name: find(drivers[name].path, folders) for name in used}
 
 
 def check_drivers(
@@ -30,7 +30,46 @@ def check_drivers(
     return [d for m in used for d in _module(m, drivers[m.name], files[m.name], program, targets)]
 
 
-def _find(path: str, folders: list[Path]) -> Path:
+def own_class(driver: Driver, methods: tuple[str, ...], program: Program, folders: list[Path]) -> str:
+    """What is wrong with a class of the user's own that is made with one argument and must have these methods, in
+    words; "" for one that fits."""
+    file = find(driver.path, folders)
+    reason = _unfit(driver, file, program)
+    if reason:
+        return reason
+    from koordgen.bundle.probe import Unusable, look
+
+    try:
+        found = look(file, _root(driver, file), [driver.name])[driver.name]
+    except Unusable as error:
+        return f"{driver.path} cannot be imported: {error}"
+    if found is None or not found["class"]:
+        return f"{driver.path} has no class {driver.name}"
+    lacking = [method for method in methods if method not in found["methods"]]
+    if lacking:
+        return f"the class {driver.name} in {driver.path} has no method {lacking[0]}"
+    if found["required"] > 1 or not (found["parameters"] or found["any"]):
+        return f"{driver.name} in {driver.path} cannot be made with one argument"
+    return ""
+
+
+def _unfit(driver: Driver, file: Path, program: Program) -> str:
+    """Why a file cannot be copied into bundles, in words."""
+    if driver.module.split(".")[0] in (*_OURS, functions_module(program)):
+        return f"a file of yours cannot be called {driver.path}: every bundle has one of that name"
+    if not file.is_file():
+        return f"{file}, which should have the class {driver.name}, is not there"
+    if not file.resolve().is_relative_to(_root(driver, file).resolve()):
+        return f"{file} leads out of its folder: bundles hold copies of what stands beside fleet file or program"
+    return ""
+
+
+def _root(driver: Driver, file: Path) -> Path:
+    return Path(str(file)[: -len(driver.path)])
+
+
+def find(path: str, folders: list[Path]) -> Path:
+    """The file of the first folder that has it; else that which is missing in the first."""
     found = (folder / path for folder in folders)
     return next((file for file in found if file.is_file()), folders[0] / path)
 

@@ -149,7 +149,7 @@ def _facts(program: Program, fleet: Fleet, functions: bytes = b"") -> dict[str, 
 def settings(program: Program, fleet: Fleet, robot: Robot) -> dict[str, Any]:
     """One robot's `settings.json`, as koordgen/runtime/settings.py reads it."""
     facts = _facts(program, fleet)
-    shared = {k: facts[k] for k in ("app", "application_id", "delta", "origin", "geofence", "peers")}
+    shared = {k: facts[k] for k in ("app", "application_id", "delta", "origin", "geofence", "obstacles", "peers")}
     return {
         "robot": robot.name,
         "pid": robot.pid,
@@ -160,6 +160,7 @@ def settings(program: Program, fleet: Fleet, robot: Robot) -> dict[str, Any]:
         "control": robot.control,
         "planner_budget": fleet.planner_budget,
         "safety": fleet.safety,
+        "avoid": fleet.avoid,
         "body": robot.settings,
     }
 
@@ -210,4 +211,6 @@ def _target_files(target: Target) -> Files:
 
 
 def _folder(folder: Path, prefix: str) -> Files:
-    return {f"{prefix}/{p.name}": p.read_bytes() for p in sorted(folder.glob("*.py"))}
+    """Python, and C that is compiled on the robot."""
+    found = (p for kind in ("*.py", "*.c") for p in sorted(folder.rglob(kind)))
+    return {f"{prefix}/{p.relative_to(folder).as_posix()}": p.read_bytes() for p in found}

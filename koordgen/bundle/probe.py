@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import Any
 
 TIMEOUT = 10.0  # seconds
+METHODS = ("sense", "command", "call", "plan")  # of a class, that are asked about
+METHODS = ("sense", "command", "call", "plan")  # of a class, that are asked about
 
 
 class Unusable(Exception):
@@ -89,7 +91,7 @@ def _described(thing: Any) -> dict[str, Any] | None:
             ports = getattr(thing, table, {})
             usable = isinstance(ports, dict) and all(isinstance(x, str) for pair in ports.items() for x in pair)
             found[table] = ports if usable else None
-        found["methods"] = [name for name in ("sense", "command", "call") if callable(getattr(thing, name, None))]
+        found["methods"] = [name for name in METHODS if callable(getattr(thing, name, None))]
         found["flaw"] = _flaw(thing)
     return found
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from itertools import pairwise
 
 from koordgen.runtime.datagrams import waiting
@@ -9,9 +10,10 @@ from koordgen.runtime.feed import Feed
 from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.safety import inside
 from koordgen.runtime.settings import Box
-from targets.car.drive import Drive
+from targets.car.drive import opened
 from targets.car.links import Links
 from targets.car.settings import CarSettings
+from targets.car.watchdog import LATE
 
 STALE = 0.3  # seconds without a sample of the position feed: brake
 _STEP, _STEPS = 0.05, 60  # seconds; the look ends earlier when all is there
@@ -19,12 +21,6 @@ _WATCHED = 1.0  # seconds for which a feed is watched
 LEAST_RATE = 10.0  # Hz
 LEAST_STEERING = 0.8  # of max_steering, that the servo's range must allow
 MOST_ERPM = 100_000.0  # l_max_erpm of the VESC firmware as delivered
-
-
-def silent_drive(setting: str, seconds: float) -> Unready:
-    """No answer of the motor controller."""
-    hint = "switch its supply on; check that `drive` names the VESC and that its USB or UART app is enabled"
-    return Unready(f"the motor controller on {setting} has not answered for {seconds:.0f} s", hint)
 
 
 def limits(settings: CarSettings, fence: Box) -> Finding:
@@ -46,30 +42,47 @@ def limits(settings: CarSettings, fence: Box) -> Finding:
 
 
 def drive_findings(settings: CarSettings, links: Links) -> list[Finding]:
-    """Whether the motor controller answers, and what it says of itself; it is opened and closed."""
+    """Whether the drive answers, and what it says of itself; it is opened and closed."""
     try:
-        drive = Drive(settings, links.drive(settings.drive))
+        drive = opened(settings, links)
     except Unready as error:
         return [Finding.of("drive", error)]
     try:
-        for i in range(_STEPS):
+        i = 0
+        while not drive.heard:  # or until it counts as silent
             drive.ask(i * _STEP)
             links.wait(_STEP)
             drive.read(i * _STEP)
-            if drive.heard and drive.version:
-                break
+            i += 1
     except Unready as error:
         return [Finding.of("drive", error)]
     finally:
         drive.close()
-    if not drive.heard:
-        return [Finding.of("drive", silent_drive(settings.drive, _STEPS * _STEP))]
-    version = f"VESC firmware {drive.version}" if drive.version else "a VESC that does not tell its firmware"
-    found = f"{version} answers on {settings.drive}, supply {drive.voltage:.1f} V"
     if drive.fault:
         hint = "it brakes while this lasts; the VESC tool tells what the fault means"
-        return [Finding("drive", "fail", f"{found}, fault {drive.fault}", "no fault", hint)]
-    return [Finding("drive", "ok", found)]
+        return [Finding("drive", "fail", f"{drive.about}, {drive.fault}", "no fault", hint)]
+    if drive.doubt:
+        return [Finding("drive", "warn", drive.about, why=drive.doubt)]
+    return [Finding("drive", "ok", drive.about)]
+
+
+def watchdog_finding(links: Links) -> Finding:
+    """Whether a watchdog can be started and answers; what it holds meanwhile is nothing."""
+    watch = links.watchdog()
+    nothing = os.open(os.devnull, os.O_WRONLY)
+    try:
+        watch.hold(nothing, b"")
+        for _ in range(_STEPS):
+            watch.beat()
+            links.wait(_STEP)
+            watch.poll()
+            if not watch.trouble:
+                return Finding("watchdog", "ok", f"answers; it brakes {LATE:g} s after the last command")
+    finally:
+        watch.close()
+        os.close(nothing)
+    hint = "; ".join(watch.news()) or "is the computer overloaded?"
+    return Finding("watchdog", "fail", f"does not answer within {_STEPS * _STEP:g} s", "an answer", hint)
 
 
 def feed_findings(settings: CarSettings, fence: Box, feed: Feed, links: Links) -> list[Finding]:

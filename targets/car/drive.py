@@ -1,79 +1,74 @@
-"""The motor controller as the car's platform sees it: speeds and angles out, a measured speed and faults in."""
+"""What drives the car, as its platform sees it: speeds and angles out, a measured speed and troubles in."""
 
 from __future__ import annotations
 
+from typing import Protocol
+
 from koordgen.runtime.platform import Unready
-from targets.car import vesc
-from targets.car.links import ByteLink
+from targets.car.links import Links
 from targets.car.mpc import Command
 from targets.car.settings import CarSettings
-
-STUCK = 1.0  # seconds for which the device may take no bytes
-SILENT = 2.0  # seconds without an answer after which the controller counts as lost
+from targets.car.vesc_drive import VescDrive
 
 
-class Drive:
-    """One VESC. Speeds in m/s, steering in radians, times in seconds on the agent's clock."""
+class Drive(Protocol):
+    """One drive, open. Speeds in m/s, steering in radians, times in seconds on the agent's clock."""
 
-    def __init__(self, settings: CarSettings, link: ByteLink) -> None:
-        self._settings = settings
-        self._link = link
-        self._decoder = vesc.Decoder()
-        self._unsent = b""
-        self._stuck_since: float | None = None
-        self._unanswered_since: float | None = None
-        self.heard = False  # whether it has answered since the link was opened
-        self.fault = 0
-        self.voltage = 0.0
-        self.version = ""
+    @property
+    def heard(self) -> bool:
+        """Whether it has told, since its link was opened, all that must be known before the car moves."""
+        ...
+
+    @property
+    def fault(self) -> str:
+        """What of it is broken, in words; "" when nothing is."""
+        ...
+
+    @property
+    def blocked(self) -> str:
+        """Why the car must not be driven now, in words; "" when it may."""
+        ...
+
+    @property
+    def about(self) -> str:
+        """What it is and says of itself, for the doctor."""
+        ...
+
+    @property
+    def doubt(self) -> str:
+        """What of that is not as it should be, and why; "" when all is."""
+        ...
 
     def read(self, now: float) -> float | None:
-        """Take what arrived; a newly measured speed, or None. Raises Unready when the controller has fallen silent."""
-        speed = None
-        for message in self._decoder.feed(self._link.read()):
-            if isinstance(message, vesc.Values):
-                self.heard, self._unanswered_since = True, None
-                self.fault, self.voltage = message.fault, message.voltage
-                speed = message.erpm / self._settings.speed_to_erpm_gain
-            elif isinstance(message, vesc.Version):
-                self.version = f"{message.major}.{message.minor}"
-        since = self._unanswered_since
-        if self.heard and since is not None and now - since > SILENT:
-            raise Unready(
-                f"the motor controller at {self._settings.drive} has not answered for {now - since:.1f} s",
-                "check its supply and cable; it brakes by itself when commands stop",
-            )
-        return speed
+        """Take what arrived; a newly measured speed, or None. Raises Unready when it has been gone or silent for too
+        long; it may come back, so go on calling it."""
+        ...
 
     def ask(self, now: float) -> None:
-        """Ask for its values, and for its version until that is known; moves nothing."""
-        self._send(b"" if self.version else vesc.encode(vesc.AskVersion()), now)
+        """Ask for what it tells; moves nothing."""
+        ...
 
     def go(self, command: Command, now: float) -> None:
-        """Drive like this until the next command; without one the VESC's own time-out brakes (set it to 0.5 s, and its
-        time-out brake current, which is 0 as delivered, to `brake_current`)."""
-        settings = self._settings
-        servo = settings.steering_to_servo_offset + settings.steering_to_servo_gain * command.steering
-        erpm = settings.speed_to_erpm_gain * command.speed
-        self._send(vesc.encode(vesc.SetServo(servo)) + vesc.encode(vesc.SetErpm(erpm)), now)
+        """Drive like this until the next command, which the watchdog expects within its time."""
+        ...
 
     def brake(self, now: float) -> None:
         """Brake; at standstill: neutral."""
-        self._send(vesc.encode(vesc.Brake(self._settings.brake_current)), now)
+        ...
 
-    def _send(self, commands: bytes, now: float) -> None:
-        """Send commands and ask for the values."""
-        if self._unanswered_since is None:
-            self._unanswered_since = now
-        # What is left of a frame goes first, or its first half would spoil the next; a queue would only age.
-        data = self._unsent or commands + vesc.encode(vesc.AskValues())
-        self._unsent = data[self._link.write(data) :]
-        if not self._unsent:
-            self._stuck_since = None
-        elif self._stuck_since is None:
-            self._stuck_since = now
-        elif now - self._stuck_since > STUCK:
-            raise Unready(f"the motor controller at {self._settings.drive} takes no commands", "check its cable")
+    def news(self) -> list[str]:
+        """What happened since this was asked last, for the log."""
+        ...
 
     def close(self) -> None:
-        self._link.close()
+        """Give back the device. Idempotent."""
+        ...
+
+
+def opened(settings: CarSettings, links: Links) -> Drive:
+    """Open the drive that the settings name. Raises Unready, saying what to do."""
+    kind, _, place = settings.drive.partition(":")
+    if kind != "vesc" or not place:
+        hint = "write `drive: vesc:DEVICE`, as in vesc:/dev/ttyACM0"
+        raise Unready(f"drive {settings.drive!r} is not understood", hint)
+    return VescDrive(place, settings, links)

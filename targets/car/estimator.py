@@ -1,7 +1,7 @@
-"""Where the car is between two samples of the position feed: the bicycle runs on, samples pull it back.
+"""Where the car is between two samples of its position source: the bicycle runs on, samples pull it back.
 
-A complementary filter: cheap, without a noise model to tune, and the drive's own speed makes it free of lag.
-Frame: local ENU; the point is the middle of the rear axle.
+A complementary filter: cheap, without a noise model to tune, and the drive's own speed makes it free of lag. Samples
+that no motion explains are refused. Frame: local ENU; the point is the middle of the rear axle.
 """
 
 from __future__ import annotations
@@ -10,24 +10,35 @@ import math
 from dataclasses import replace
 
 from koordgen.runtime.values import Pose
-from targets.car.bicycle import State, advance, wrap
+from targets.car.bicycle import State, advance, turning_radius, wrap
 
-POSITION_GAIN, YAW_GAIN = 0.3, 0.3  # at the feed's 50 Hz: time constants of about 60 ms
+SMOOTHING = 0.056  # seconds, the time constant of place and heading: a gain of 0.3 at a feed's 50 Hz
 SPEED_SMOOTHING = 0.15  # seconds, when speed has to be taken from positions
-JUMP = 0.5  # metres: a sample farther off is believed at once; the filter has been wrong
+# A sample is a jump when it is farther from where the car should be than these, and what a car that slides or is
+# pushed goes and turns in the time since the last believed one. Of a silence no more than WHILE counts.
+JUMP, YAW_JUMP = 0.3, 0.5  # metres, radians
+SLIDE, SPIN = 1.0, 2.0  # m/s, rad/s
+WHILE = 0.5  # seconds
 WHEEL_FRESH = 0.25  # seconds for which a speed of the drive is used
 
 
 class Estimator:
-    """One car's estimate. Times are seconds on the agent's clock."""
+    """One car's estimate; at most `speed_limit` m/s and `steering_limit` radians are driven. Times are seconds on the
+    agent's clock. `time` is when the last believed sample was true, None: there has been none."""
 
-    def __init__(self, wheelbase: float) -> None:
+    def __init__(self, wheelbase: float, speed_limit: float = 1.0, steering_limit: float = 0.4) -> None:
         self._wheelbase = wheelbase
+        self._speed_limit = speed_limit
+        self._turning_limit = speed_limit / turning_radius(steering_limit, wheelbase)
         self._state = State(0.0, 0.0, 0.0)
-        self._time: float | None = None
+        self._predicted: float | None = None
         self._wheel: tuple[float, float] | None = None  # speed, when
         self._sample: tuple[Pose, float] | None = None
         self._slope = 0.0  # speed from positions, m/s
+        self._refusing: float | None = None  # when the first of the present row of jumps was true
+        self._anew = False
+        self.jumped = 0.0  # metres that the last refused sample was off
+        self.time: float | None = None
 
     @property
     def state(self) -> State:
@@ -36,7 +47,8 @@ class Estimator:
 
     def wheels(self, speed: float, now: float) -> None:
         """Take a speed that the drive reports, m/s."""
-        self._wheel = (speed, now)
+        if math.isfinite(speed):
+            self._wheel = (speed, now)
 
     def speed(self, now: float) -> float | None:
         """The measured speed, m/s, signed: the drive's, or else from recent positions; None: nobody knows."""
@@ -50,24 +62,44 @@ class Estimator:
         """Run on to `now`."""
         speed = self.speed(now) or 0.0
         self._state = replace(self._state, speed=speed, steering=steering)
-        if self._time is not None and now > self._time:
-            self._state = advance(self._state, now - self._time, self._wheelbase)
-        self._time = now
+        if self._predicted is not None and now > self._predicted:
+            self._state = advance(self._state, now - self._predicted, self._wheelbase)
+        self._predicted = now
 
-    def correct(self, pose: Pose, measured: float, now: float) -> None:
-        """Take a pose that was true at `measured`, after predicting to `now`."""
-        first = self._sample is None
-        self._differentiate(pose, measured)
+    def correct(self, pose: Pose, measured: float, now: float) -> bool:
+        """Take a finite pose that was true at `measured`, after predicting to `now`; False: it is a jump, and
+        refused."""
         state = self._state
         # What was true then is brought to now by the motion since.
         since = State(pose.position.x, pose.position.y, pose.yaw, state.speed, state.steering)
         here = advance(since, max(0.0, now - measured), self._wheelbase)
         dx, dy, turned = here.x - state.x, here.y - state.y, wrap(here.yaw - state.yaw)
-        lost = first or math.hypot(dx, dy) > JUMP
-        gain, yaw_gain = (1.0, 1.0) if lost else (POSITION_GAIN, YAW_GAIN)
-        yaw = wrap(state.yaw + yaw_gain * turned)
+        seconds = math.inf if self.time is None or self._anew else max(0.0, measured - self.time)
+        if seconds < math.inf and self._is_jump(math.hypot(dx, dy), turned, seconds):
+            self._refusing = measured if self._refusing is None else self._refusing
+            return False
+        self._refusing, self.time, self._anew = None, measured, False
+        self._differentiate(pose, measured)
+        gain = 1.0 - math.exp(-seconds / SMOOTHING)
+        yaw = wrap(state.yaw + gain * turned)
         self._state = replace(state, x=state.x + gain * dx, y=state.y + gain * dy, yaw=yaw)
-        self._time = now
+        self._predicted = now
+        return True
+
+    def _is_jump(self, off: float, turned: float, seconds: float) -> bool:
+        seconds = min(seconds, WHILE)
+        self.jumped = off
+        far = off > JUMP + (self._speed_limit + SLIDE) * seconds
+        return far or abs(turned) > YAW_JUMP + (self._turning_limit + SPIN) * seconds
+
+    def refused(self, now: float) -> float:
+        """For how many seconds nothing but jumps has come; 0 while samples are believed."""
+        return 0.0 if self._refusing is None else max(0.0, now - self._refusing)
+
+    def begin_anew(self) -> None:
+        """Believe the next sample, wherever it is: the car was carried there."""
+        self._sample = self._refusing = None
+        self._slope, self._anew = 0.0, True
 
     def _differentiate(self, pose: Pose, measured: float) -> None:
         if self._sample is not None:

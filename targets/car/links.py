@@ -1,4 +1,4 @@
-"""The car's links, never blocking: the motor controller's serial device and the position feed's UDP port."""
+"""The car's links, never blocking: the drive's serial device, the position feed's UDP port, the watchdog's process."""
 
 from __future__ import annotations
 
@@ -11,30 +11,35 @@ from typing import Protocol
 from koordgen.runtime.datagrams import DatagramLink
 from koordgen.runtime.feed import listen_for_poses
 from koordgen.runtime.platform import Unready
+from targets.car.watched import Watch, WatchdogProcess
 
 BAUD = 115_200
 
 
 class ByteLink(Protocol):
     """A stream of bytes both ways. `read` gives what is there, `write` takes what fits and says how many bytes it
-    took. Both raise Unready when the device is gone."""
+    took. Both raise Unready when the device is gone. `fileno` is for the watchdog, which holds it as well."""
 
     def read(self) -> bytes: ...
 
     def write(self, data: bytes) -> int: ...
 
+    def fileno(self) -> int: ...
+
     def close(self) -> None: ...
 
 
 class Links(Protocol):
-    """Opens links by their setting ("vesc:DEVICE", "udp:HOST:PORT"); raises Unready, saying what to do."""
+    """Opens links; raises Unready, saying what to do."""
 
-    def drive(self, setting: str) -> ByteLink: ...
+    def serial(self, device: str) -> ByteLink: ...
 
     def position(self, setting: str) -> DatagramLink: ...
 
+    def watchdog(self) -> Watch: ...
+
     def wait(self, seconds: float) -> None:
-        """Let time pass. Used by `check` only, the one call that may."""
+        """Let time pass. Used by `diagnose` only, the one call that may."""
         ...
 
 
@@ -45,7 +50,7 @@ class SerialLink:
         import serial
 
         self._device = device
-        self._gone: tuple[type[Exception], ...] = (OSError, termios.error, serial.SerialException)
+        self._gone: tuple[type[Exception], ...] = (OSError, TypeError, termios.error, serial.SerialException)
         try:
             self._port = serial.Serial(device, BAUD, timeout=0, write_timeout=0, exclusive=True)
         except (*self._gone, ValueError) as error:
@@ -68,6 +73,9 @@ class SerialLink:
         except self._gone as error:
             raise self._lost(error) from None
 
+    def fileno(self) -> int:
+        return int(self._port.fileno())
+
     def _lost(self, error: Exception) -> Unready:
         return Unready(f"the motor controller at {self._device} is gone: {error}", "check its cable and supply")
 
@@ -79,14 +87,14 @@ class SerialLink:
 class RealLinks:
     """Links to real devices."""
 
-    def drive(self, setting: str) -> ByteLink:
-        kind, _, device = setting.partition(":")
-        if kind != "vesc" or not device:
-            raise Unready(f"drive {setting!r} is not understood", "write `drive: vesc:DEVICE`, as in vesc:/dev/ttyACM0")
+    def serial(self, device: str) -> ByteLink:
         return SerialLink(device)
 
     def position(self, setting: str) -> DatagramLink:
         return listen_for_poses("position", setting)
+
+    def watchdog(self) -> Watch:
+        return WatchdogProcess()
 
     def wait(self, seconds: float) -> None:
         select.select([], [], [], seconds)

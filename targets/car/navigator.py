@@ -76,6 +76,7 @@ class Navigator:
         mpc = Mpc(limits)
         mpc.warm_up()
         self._tracker = Tracker(limits, mpc)
+        self.note = mpc.note  # for the log: why the controller is the slower one, or ""
         self._target: tuple[float, float] | None = None
         self._planned_for: tuple[float, float] | None = None
         self._considered: tuple[float, float] | None = None  # for this one, that path was found good enough
@@ -160,7 +161,7 @@ class Navigator:
         x, y = state.x + extra * math.cos(state.yaw), state.y + extra * math.sin(state.yaw)
         command = self._tracker.step(State(x, y, state.yaw, speed, self._last.steering))
         if self._tracker.failures > BLIND_STEPS:
-            self.progress = "braking: the controller finds no way to follow the path"
+            self.progress = f"braking: {self._tracker.trouble}"
             return None
         return None if self._tracker.done else command
 

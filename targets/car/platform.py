@@ -19,11 +19,12 @@ from koordgen.runtime.safety import inside
 from koordgen.runtime.scans import ScanPort
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.values import Point, Pose
-from targets.car.diagnosis import STALE, drive_findings, feed_findings, limits, silent_drive
-from targets.car.drive import Drive
+from targets.car.diagnosis import STALE, drive_findings, feed_findings, limits, watchdog_finding
+from targets.car.drive import Drive, opened
 from targets.car.estimator import Estimator
+from targets.car.fence import stops_inside
 from targets.car.links import Links, RealLinks
-from targets.car.mpc import STEP
+from targets.car.mpc import STEP, Command
 from targets.car.navigator import STANDING, Navigator
 from targets.car.settings import decode
 from targets.planning.process import Inside
@@ -31,7 +32,8 @@ from targets.planning.route import Route
 from targets.planning.world import Path, Scene, World
 
 MODULES = ("Motion", "MotionWithScan")  # one body under two names; the second has a lidar
-WAIT_FOR_DRIVE, WAIT_FOR_FEED = 5.0, 60.0  # seconds until Unready; a base station may be started after the robots
+WAIT_FOR_FEED = 60.0  # seconds until Unready: a base station may be started after the robots
+JUMPED = 1.0  # seconds of nothing but jumps after which the position source is no longer waited for
 BLIND_BRAKING = 1.5  # seconds of braking after which a car whose speed nobody measures counts as standing
 STILL = 0.3  # seconds at standstill that make a rest
 PASSED = 0.4  # metres from a point on the way at which the car makes for the next: the last alone is met exactly
@@ -39,7 +41,7 @@ SLACK = 0.005  # seconds: polls that come at the period's pace, but for jitter, 
 
 
 class Car:
-    """koordgen.runtime.platform.Platform for an F1/10-class car: VESC over serial, position feed over UDP."""
+    """koordgen.runtime.platform.Platform for an F1/10-class car: drive and watchdog, position feed over UDP."""
 
     period = STEP
 
@@ -50,12 +52,12 @@ class Car:
         self._robot, self._key = settings.robot, key
         self._feed = Feed(settings.robot, key)
         self._lidar = ScanPort(self._settings.scans, settings.robot, key)
-        self._estimator = Estimator(self._settings.wheelbase)
+        own = self._settings
+        self._estimator = Estimator(own.wheelbase, own.max_speed, own.steering_limit)
         self._datagrams: DatagramLink | None = None
         self._drive: Drive | None = None
         self._navigator: Navigator | None = None
         self._route = Route()
-        own = self._settings
         world = World(
             self._fence, settings.obstacles, own.clearance, flies=False, wheelbase=own.wheelbase,
             turning_radius=own.planned_radius,
@@ -69,10 +71,12 @@ class Car:
         self._resting_since: float | None = None
         self._holding = False
         self._blocked = ""  # why the car brakes, in words; "" when it does not
+        self._stood = False  # whether it stood when the position source began to jump
+        self._news: list[str] = []
 
     def diagnose(self) -> list[Finding]:
         """See Platform."""
-        found = drive_findings(self._settings, self._links)
+        found = [*drive_findings(self._settings, self._links), watchdog_finding(self._links)]
         found += feed_findings(self._settings, self._fence, Feed(self._robot, self._key), self._links)
         return [*found, limits(self._settings, self._fence), self._loaded(), *self._lidar.diagnose(self._links.wait)]
 
@@ -95,7 +99,7 @@ class Car:
             self._datagrams = self._links.position(self._settings.position)
         self._lidar.open()
         if self._drive is None:
-            self._drive = Drive(self._settings, self._links.drive(self._settings.drive))
+            self._drive = opened(self._settings, self._links)
         return self._drive, self._datagrams
 
     def _build(self) -> Navigator:
@@ -129,8 +133,8 @@ class Car:
         self._estimator.predict(now, steering)
         for datagram in waiting(datagrams):
             if self._feed.take(datagram, now) and self._feed.pose is not None and self._feed.time is not None:
-                self._estimator.correct(self._feed.pose, self._feed.time, now)
-        self._wait_for_links(drive, now)
+                self._locate(self._feed.pose, self._feed.time, now)
+        self._wait_for_positions(now)
         moving = self._estimator.speed(now)
         if moving is None or abs(moving) > STANDING:
             self._still_since = None
@@ -143,12 +147,32 @@ class Car:
             raise Unready("the car's links are closed")
         return self._drive, self._datagrams
 
-    def _wait_for_links(self, drive: Drive, now: float) -> None:
+    def _locate(self, pose: Pose, measured: float, now: float) -> None:
+        """Take a sample of the position source; what jumps is refused and counted."""
+        believed = self._estimator.refused(now) == 0.0
+        if self._estimator.correct(pose, measured, now):
+            return
+        self._feed.reject("jumped")
+        if believed:
+            self._stood = self._still_since is not None and now - self._still_since >= JUMPED
+
+    def _wait_for_positions(self, now: float) -> None:
         waited = now - self._started
-        if not drive.heard and waited > WAIT_FOR_DRIVE:
-            raise silent_drive(self._settings.drive, waited)
-        if self._feed.time is None and waited > WAIT_FOR_FEED and self._resting_since is None:
+        if self._resting_since is not None:
+            return
+        if self._feed.time is None and waited > WAIT_FOR_FEED:
             raise Unready(*self._feed.silent(self._settings.position, waited))
+        if self._estimator.refused(now) <= JUMPED:
+            return
+        if not self._stood:
+            hint = "does the motion capture system take another body, or its mirror image, for this one?"
+            raise Unready(f"position source jumped: {self._jump} and nothing else came for {JUMPED:g} s", hint)
+        self._estimator.begin_anew()
+        self._news.append(f"the car stood, and the position source jumped by {self._estimator.jumped:.1f} m: believed")
+
+    @property
+    def _jump(self) -> str:
+        return f"a sample was {self._estimator.jumped:.1f} m off{self._feed.dropped}"
 
     def _control(self, drive: Drive, now: float) -> None:
         navigator = self._navigator
@@ -165,8 +189,16 @@ class Car:
         command = navigator.step(self._estimator.state, standing, now)
         if command is None:
             drive.brake(now)
+        elif not self._stops_inside(command):
+            self._blocked = "braking: the geofence is ahead"
+            navigator.pause()
+            drive.brake(now)
         else:
             drive.go(command, now)
+
+    def _stops_inside(self, command: Command) -> bool:
+        own = self._settings
+        return stops_inside(self._fence, self._estimator.state, command, own.braking, own.wheelbase)
 
     def _follow(self, navigator: Navigator) -> None:
         """Make for the next point of a path when one on the way has been passed."""
@@ -180,22 +212,23 @@ class Car:
         """What forbids driving now, in words; "" when nothing does."""
         if self._resting_since is not None:
             return "at rest" if self.rested else "braking to rest"
-        if not drive.heard:
-            return f"waiting for the motor controller on {self._settings.drive}"
-        if self._feed.time is None:
+        if drive.blocked:
+            return drive.blocked
+        if self._estimator.time is None:
             return f"waiting for the position feed on {self._settings.position}{self._feed.dropped}"
         if not self._fresh(now):
-            return f"braking: the position is {now - self._feed.time:.1f} s old"
-        if drive.fault:
-            return f"braking: the motor controller reports fault {drive.fault}"
+            if self._estimator.refused(now):
+                return f"braking: the position source jumped: {self._jump}"
+            return f"braking: the position is {now - self._estimator.time:.1f} s old{self._feed.dropped}"
         return "holding" if self._holding else ""
 
     def _fresh(self, now: float) -> bool:
-        return self._feed.time is not None and now - self._feed.time <= STALE
+        time = self._estimator.time
+        return time is not None and now - time <= STALE
 
     @property
     def ready(self) -> bool:
-        if self._drive is None or not self._drive.heard or self._drive.fault:
+        if self._drive is None or self._drive.blocked:
             return False
         return self._fresh(self._now) and not self._lidar.waiting
 
@@ -218,7 +251,7 @@ class Car:
         }
         values: dict[str, Any] = {f"{module}.{port}": value for module in MODULES for port, value in ports.items()}
         values["MotionWithScan.pscan"] = self._lidar.scans.recent(now)
-        return Sensed(values, self._feed.time)
+        return Sensed(values, self._estimator.time)
 
     def command(self, actuators: Mapping[str, Any], now: float) -> None:
         if self._navigator is None:
@@ -249,7 +282,8 @@ class Car:
 
     def news(self) -> list[str]:
         """See Platform."""
-        return self._planning.news()
+        told, self._news = self._news + self._planning.news(), []
+        return told + (self._drive.news() if self._drive is not None else [])
 
     def hold(self, on: bool, now: float) -> None:
         self._holding = on

@@ -33,6 +33,7 @@ class CarSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     steering_to_servo_offset: Annotated[float, msgspec.Meta(ge=0.1, le=0.9)] = 0.5304
     clearance: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.3
     brake_current: Annotated[float, msgspec.Meta(ge=0.5, le=60.0)] = 10.0
+    braking: Annotated[float, msgspec.Meta(ge=0.2, le=20.0)] = 3.0
 
     @property
     def steering_limit(self) -> float:

@@ -66,17 +66,17 @@ class Track:
                 best, self.error = begin + along * (end - begin), away
         self.station = best
 
-    def reference(self, speed: float, yaw: float) -> list[State]:
-        """The states to be in after 1 to 20 steps, gathering speed from `speed` (m/s, signed) as the limits allow.
-        Yaw runs on from the car's own."""
-        station = self.station
+    def reference(self, speed: float, yaw: float, clear: float = math.inf) -> list[State]:
+        """The states to be in after 1 to 20 steps, gathering speed from `speed` (m/s, signed) as the limits allow, and
+        losing it so as to stand before `clear` metres on. Yaw runs on from the car's own."""
+        station, halt = self.station, min(self.length, self.station + max(0.0, clear))
         direction = self.segment.direction
         pace = max(0.0, direction * speed)
         wished = []
         for _ in range(STEPS):
             pace = min(pace + self._limits.acceleration * STEP, self._allowed(station))
-            rest = max(0.0, self.length - station)
-            pace = min(pace, APPROACH * rest)
+            rest = max(0.0, halt - station)
+            pace = min(pace, APPROACH * rest, math.sqrt(2 * BRAKING * self._limits.acceleration * rest))
             station += pace * STEP
             wished.append(self._state(station, direction * pace, yaw))
         return wished
@@ -140,11 +140,18 @@ class Tracker:
 
     @property
     def failures(self) -> int:
-        """How many solves in a row gave nothing usable."""
+        """How many control steps in a row had no new plan."""
         return self._mpc.failures
 
-    def step(self, state: State) -> Command:
-        """The command of the next step; only while not `done`. Speed and steering are those last commanded."""
+    @property
+    def trouble(self) -> str:
+        """Why the last step had no new plan, in words; "" when it had."""
+        return self._mpc.trouble
+
+    def step(self, state: State, clear: float = math.inf) -> Command:
+        """The command of the next step; only while not `done`. Speed and steering are those last commanded. `clear` is
+        how many metres of the path, from the car's reference point on, are free: it slows down so as to stand before
+        they end, and goes on when there are more."""
         track = self._tracks[0]
         track.locate(state)
         if track.length - track.station < NEAR and abs(state.speed) < SLOW:
@@ -154,4 +161,4 @@ class Tracker:
                 track.locate(state)
             else:
                 self.done = True
-        return self._mpc.follow(state, track.reference(state.speed, state.yaw))
+        return self._mpc.follow(state, track.reference(state.speed, state.yaw, clear))

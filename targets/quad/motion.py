@@ -9,7 +9,7 @@ from koordgen.runtime.platform import Unready
 from koordgen.runtime.safety import clamp
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point, distance, transmissible
-from targets.quad.link import Link
+from targets.mavlink.link import Link
 from targets.quad.reference import STANDING, Reference
 from targets.quad.setpoint import ARDUPILOT, Aim, Shaping, aimed, setpoint
 from targets.quad.telemetry import Telemetry
@@ -17,6 +17,7 @@ from targets.quad.trajectory import Limits
 
 UNFOLLOWED = 5.0  # seconds for which the autopilot may show no sign of following the setpoints
 SPACING = 0.04  # seconds between two setpoints at least
+NEAR = 0.3  # metres by which the target that the autopilot tells may differ from what was sent
 HALTING = 1.0  # seconds for which a halt is told
 MARGIN = 0.15  # m from the fence's faces within which nothing is made for: room for the vehicle's own wavering
 TURNING = 0.2  # m/s below which a direction of motion is no heading
@@ -48,7 +49,7 @@ class Motion:
         self, frame: LocalFrame, fence: Box, height: float, max_speed: float, acceleration: float, climb: float,
         radius: float, dwell: float, yaw: str | float = "keep", shaping: Shaping = ARDUPILOT,
     ) -> None:  # fmt: skip
-        self._frame, self._fence, self._height = frame, fence, height
+        self._frame, self._fence = frame, fence
         self._radius, self._dwell, self._speed = radius, dwell, max_speed
         self._room = room(fence, height)
         self._reference = Reference(Limits(max_speed, climb, acceleration, self._room))
@@ -131,7 +132,7 @@ class Motion:
     def _watch(self, link: Link, state: Telemetry, aim: Aim, now: float) -> None:
         # The autopilot tells its target at 5 Hz; of a second's worth, all but one may be lost. ArduPilot tells it only
         # while it is a position alone; of one in motion, the vehicle shows by itself whether it is followed.
-        near = 0.2 + 1.2 * self._speed
+        near = NEAR if aim.velocity is None else NEAR + 1.2 * self._speed
         told = state.followed if now - state.followed_time < 1.0 else None
         if told is not None and distance(told, aim.position) < near:
             self._doubted, self.followed = None, True

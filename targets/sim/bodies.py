@@ -49,6 +49,10 @@ class Car(Protocol):
         """Ask for a speed (m/s, negative is reverse) and a steering angle (rad, positive to the left)."""
         ...
 
+    def brake(self, deceleration: float) -> None:
+        """Brake the wheels with so much (m/s^2) until `drive` is asked for; the steering stays as it is."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class DeviceContext:

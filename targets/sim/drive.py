@@ -30,7 +30,8 @@ class Controller:
         self._body = body
         self._settings = settings
         self._decoder = vesc.Decoder()
-        self._speed = 0.0
+        self._speed: float | None = None  # None: it brakes
+        self._braking = settings.braking
         self._steering = 0.0
         self._commanded = -math.inf
 
@@ -41,8 +42,9 @@ class Controller:
             match message:
                 case vesc.SetErpm(erpm):
                     self._speed, self._commanded = erpm / self._settings.speed_to_erpm_gain, now
-                case vesc.Brake():
-                    self._speed, self._commanded = 0.0, now
+                case vesc.Brake(current):
+                    self._speed, self._commanded = None, now
+                    self._braking = self._settings.braking * current / self._settings.brake_current
                 case vesc.SetServo(position):
                     off = min(1.0, max(0.0, position)) - self._settings.steering_to_servo_offset
                     angle = off / self._settings.steering_to_servo_gain
@@ -54,8 +56,10 @@ class Controller:
                 case vesc.Values() | vesc.Version():
                     pass  # an answer is no question
         if now - self._commanded > TIMEOUT:
-            self._speed = 0.0
-        self._body.drive(self._speed, self._steering)
+            self._speed, self._braking = None, self._settings.braking
+        self._body.drive(self._speed or 0.0, self._steering)
+        if self._speed is None:
+            self._body.brake(self._braking)
         return answers
 
     def _wheel_speed(self) -> float:

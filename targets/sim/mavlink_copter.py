@@ -31,6 +31,7 @@ class Copter:
     """Modes and arming. `said` collects STATUSTEXTs as (severity, text) for the telemetry to send."""
 
     autopilot: int = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+    refusal = "PreArm"  # how the words begin in which it tells what hinders arming
     fragile = True  # a position that is not finite aborts it
     odometry_frames: tuple[int, ...] = (mavlink.MAV_FRAME_LOCAL_FRD,)  # that it takes an ODOMETRY in
 
@@ -112,6 +113,8 @@ class Copter:
                 return self.arm(now) if p1 == 1 else self.disarm(force=p2 == 21196)
             case mavlink.MAV_CMD_NAV_TAKEOFF:
                 return self.take_off(p7, now)
+            case mavlink.MAV_CMD_RUN_PREARM_CHECKS:
+                return self.run_checks(now)
             case mavlink.MAV_CMD_NAV_LAND:
                 return self.set_mode(LAND, now)
             case mavlink.MAV_CMD_DO_CHANGE_SPEED:
@@ -161,7 +164,7 @@ class Copter:
             return ACCEPTED
         fault = self.fault(now)
         if fault:
-            self.say(CRITICAL, f"PreArm: {fault}")
+            self.say(CRITICAL, f"{self.refusal}: {fault}")
             return FAILED
         if self.mode == LAND:
             self.say(CRITICAL, "Arm: LAND mode not armable")
@@ -173,6 +176,15 @@ class Copter:
         self.guidance.stop(now, self.position)
         self.guidance.turn(self.estimator.estimate.yaw, 0.0)
         self.say(INFO, "Arming motors")
+        return ACCEPTED
+
+    def run_checks(self, now: float) -> int:
+        """Say what hinders arming, without arming. A MAV_RESULT."""
+        if self.armed:
+            return int(mavlink.MAV_RESULT_TEMPORARILY_REJECTED)
+        fault = self.fault(now)
+        if fault:
+            self.say(CRITICAL, f"{self.refusal}: {fault}")
         return ACCEPTED
 
     def disarm(self, force: bool) -> int:
@@ -227,7 +239,7 @@ class Copter:
             self._complained = now
             fault = self.fault(now)
             if fault:
-                self.say(CRITICAL, f"PreArm: {fault}")
+                self.say(CRITICAL, f"{self.refusal}: {fault}")
 
     def _fail_safe(self, now: float) -> None:
         silent = 0.0 if self.ground_station is None else now - self.ground_station

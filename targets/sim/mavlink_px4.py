@@ -95,6 +95,7 @@ class Px4(Copter):
     """Modes and arming, PX4's way. Modes are numbers as `custom_mode` packs them."""
 
     autopilot: int = mavlink.MAV_AUTOPILOT_PX4
+    refusal = "Preflight Fail"
     fragile = False
     odometry_frames = (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_LOCAL_FRD)
 
@@ -152,6 +153,8 @@ class Px4(Copter):
                     ground = self._frame.geodetic(*self.position)[2]
                     self.params["MIS_TAKEOFF_ALT"] = max(1.0, message.param7 - ground)
                 return self.set_mode(TAKEOFF, now)
+            case mavlink.MAV_CMD_RUN_PREARM_CHECKS:
+                return self.run_checks(now)
             case mavlink.MAV_CMD_NAV_LAND:
                 return self.set_mode(LAND, now)
         return None
@@ -193,7 +196,7 @@ class Px4(Copter):
             return ACCEPTED
         fault = self.fault(now)
         if fault:
-            self.say(CRITICAL, f"Arming denied: {fault}")
+            self.say(CRITICAL, f"{self.refusal}: {fault}")
             return REJECTED
         self.armed, self._armed_at, self.home = True, now, self.position
         self.guidance.turn(self.estimator.estimate.yaw, 0.0)

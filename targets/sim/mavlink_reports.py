@@ -31,7 +31,11 @@ SENSORS = (
     | mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG | mavlink.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
     | mavlink.MAV_SYS_STATUS_SENSOR_BATTERY | mavlink.MAV_SYS_STATUS_AHRS
 )  # fmt: skip
-POSITIONED = mavlink.MAV_SYS_STATUS_SENSOR_GPS
+POSITIONED = {
+    "own": mavlink.MAV_SYS_STATUS_SENSOR_GPS,
+    "gps_input": mavlink.MAV_SYS_STATUS_SENSOR_GPS,
+    "vision": mavlink.MAV_SYS_STATUS_SENSOR_VISION_POSITION,
+}
 ARMABLE = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 
 
@@ -46,6 +50,7 @@ class Reports:
         self.makers: dict[int, Maker] = {
             mavlink.MAVLINK_MSG_ID_HEARTBEAT: self.heartbeat,
             mavlink.MAVLINK_MSG_ID_SYS_STATUS: self._status,
+            mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: self._time,
             mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: self._gps,
             mavlink.MAVLINK_MSG_ID_ATTITUDE: self._attitude,
             mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: self._quaternion,
@@ -80,17 +85,20 @@ class Reports:
         )
 
     def _status(self, now: float) -> Message:
-        copter = self.copter
-        health = SENSORS
+        copter, positioned = self.copter, POSITIONED.get(self.copter.estimator.source, 0)
+        present, health = SENSORS | positioned | ARMABLE, SENSORS
         if copter.estimator.ready:
-            health |= POSITIONED
+            health |= positioned
         if copter.armed or not copter.fault(now):
             health |= ARMABLE
-        present = SENSORS | POSITIONED | ARMABLE
         return mavlink.MAVLink_sys_status_message(
             present, present, health, 200, self._millivolts, round(self._current * 100), round(self.battery * 100),
             0, 0, 0, 0, 0, 0,
         )  # fmt: skip
+
+    def _time(self, now: float) -> Message:
+        """It does not know the time of day: the world's clock begins at 0."""
+        return mavlink.MAVLink_system_time_message(0, self.clock(now))
 
     @property
     def _millivolts(self) -> int:

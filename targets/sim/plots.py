@@ -11,11 +11,13 @@ import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 
+from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from targets.sim.trace import End, Header, Pose, Record, Violation
 
 matplotlib.use("Agg")
 
 from matplotlib import pyplot as plt
+from matplotlib.collections import PolyCollection
 
 # Okabe and Ito, Color Universal Design (2008), without the yellow that vanishes on white.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -166,8 +168,8 @@ def _top(found: Tracks, path: Path) -> Path:
         (x0, y0, _), (x1, y1, _) = fence
         axes.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color=GREY, linewidth=1.2, linestyle=(0, (5, 3)))
         axes.text(x0, y1, " geofence", color=GREY, fontsize=9, va="bottom")
-    for (x0, y0, _), (x1, y1, _) in found.header.obstacles:
-        axes.add_patch(plt.Rectangle((x0, y0), x1 - x0, y1 - y0, facecolor=STONE, edgecolor=GREY, linewidth=0.8))
+    for obstacle in found.header.obstacles:
+        axes.add_artist(_seen_from_above(obstacle))
     for pid, (times, places) in enumerate(zip(found.times, found.places, strict=True)):
         if not len(times):
             continue
@@ -188,6 +190,18 @@ def _top(found: Tracks, path: Path) -> Path:
     axes.set_title(f"{found.header.app}: top view", loc="left")
     _legend(axes, found)
     return _save(figure, path)
+
+
+def _seen_from_above(obstacle: Obstacle) -> Any:
+    look = {"facecolor": STONE, "edgecolor": GREY, "linewidth": 0.8}
+    match obstacle:
+        case Block(lo, hi):
+            return plt.Rectangle((lo.x, lo.y), hi.x - lo.x, hi.y - lo.y, **look)
+        case Sphere(centre, radius) | Cylinder(centre, radius):
+            return plt.Circle((centre.x, centre.y), radius, **look)
+        case Mesh(vertices, faces):
+            flat = [[(vertices[i].x, vertices[i].y) for i in face] for face in faces]
+            return PolyCollection(flat, facecolor=STONE, edgecolor=STONE, linewidth=0.8)
 
 
 def _legend(axes: Any, found: Tracks) -> None:

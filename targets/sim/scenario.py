@@ -9,6 +9,8 @@ from typing import Any
 
 import msgspec
 
+from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
+from koordgen.runtime.values import Point, distance, transmissible
 from targets.sim.bodies import Vector
 
 FILE = "scenario.json"
@@ -71,7 +73,7 @@ class Scenario(msgspec.Struct, frozen=True):
     origin: Origin
     geofence: Box
     robots: tuple[Robot, ...]
-    obstacles: tuple[Box, ...] = ()  # what stands in the world; numbered from 0
+    obstacles: tuple[Obstacle, ...] = ()  # what stands in the world; numbered from 0
     harness: dict[str, Any] = {}
 
     def number(self, setting: str, default: float) -> float:
@@ -117,9 +119,9 @@ def _check(path: Path, root: Path, scenario: Scenario) -> None:
         raise BadScenario(f"{path}: delta is {scenario.delta}")
     if len(scenario.obstacles) > MOST_OBSTACLES:
         raise BadScenario(f"{path}: {len(scenario.obstacles)} obstacles; there may be at most {MOST_OBSTACLES}")
-    for number, box in enumerate(scenario.obstacles):
-        if not all(-math.inf < lo < hi < math.inf for lo, hi in zip(box.lo, box.hi, strict=True)):
-            raise BadScenario(f"{path}: obstacle {number} is no box: {box.lo} is not below {box.hi}")
+    for number, obstacle in enumerate(scenario.obstacles):
+        if not _solid(obstacle):
+            raise BadScenario(f"{path}: obstacle {number} is none: {obstacle}")
     for robot in scenario.robots:
         bundle = (root / robot.bundle).resolve()
         if not bundle.is_relative_to(root.resolve()) or not (bundle / "__main__.py").is_file():
@@ -139,12 +141,40 @@ def _check_starts(scenario: Scenario) -> None:
         shown = f"({', '.join(f'{v:g}' for v in place)})"
         if not _inside(scenario.geofence, place):
             raise BadScenario(f"{robot.name} starts at {shown}, outside the geofence", hint)
-        for number, box in enumerate(scenario.obstacles):
-            if _inside(box, place):
+        for number, obstacle in enumerate(scenario.obstacles):
+            if _within(obstacle, Point(*place)):
                 raise BadScenario(f"{robot.name} starts at {shown}, inside obstacle {number}", hint)
         other = taken.setdefault(place, robot.name)
         if other != robot.name:
             raise BadScenario(f"{robot.name} starts where {other} does, at {shown}", hint)
+
+
+def _solid(obstacle: Obstacle) -> bool:
+    """Whether an obstacle is one: finite, with an extent, its faces among its vertices."""
+    if not transmissible(obstacle):
+        return False
+    match obstacle:
+        case Block(lo, hi):
+            return lo.x < hi.x and lo.y < hi.y and lo.z < hi.z
+        case Sphere(_, radius):
+            return radius > 0
+        case Cylinder(_, radius, height):
+            return radius > 0 and height > 0
+        case Mesh(vertices, faces):
+            return bool(faces) and all(0 <= i < len(vertices) for face in faces for i in face)
+
+
+def _within(obstacle: Obstacle, p: Point) -> bool:
+    """Whether a place is in a solid; a mesh is a surface, which nothing is in."""
+    match obstacle:
+        case Block(lo, hi):
+            return lo.x <= p.x <= hi.x and lo.y <= p.y <= hi.y and lo.z <= p.z <= hi.z
+        case Sphere(centre, radius):
+            return distance(centre, p) <= radius
+        case Cylinder(base, radius, height):
+            return math.hypot(p.x - base.x, p.y - base.y) <= radius and base.z <= p.z <= base.z + height
+        case Mesh():
+            return False
 
 
 def _inside(box: Box, place: Vector) -> bool:

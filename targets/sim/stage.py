@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from targets.sim.bodies import BodyState, Device, DeviceContext, Vector
-from targets.sim.car import SimulatedCar
+from targets.sim.car import Running, SimulatedCar
 from targets.sim.lidar import SETTING, SimulatedLidar
 from targets.sim.quadrotor import SimulatedQuadrotor
 from targets.sim.scenario import BadScenario, Robot, Scenario
@@ -28,18 +28,18 @@ class Body(Protocol):
     def step(self) -> None: ...
 
 
-def _quadrotor(world: World, robot: Robot) -> Body:
+def _quadrotor(world: World, robot: Robot, harness: Mapping[str, Any]) -> Body:
     return SimulatedQuadrotor(world, robot.start.position, robot.start.yaw)
 
 
-def _car(world: World, robot: Robot) -> Body:
+def _car(world: World, robot: Robot, harness: Mapping[str, Any]) -> Body:
     wheelbase = float(robot.settings.get("wheelbase", 0.33))
     max_steering = float(robot.settings.get("max_steering", 0.4))
-    return SimulatedCar(world, robot.start.position, robot.start.yaw, wheelbase, max_steering)
+    return SimulatedCar(world, robot.start.position, robot.start.yaw, wheelbase, max_steering, Running.of(harness))
 
 
 # What a target's [simulation] table may name. Devices are imported when a robot needs them.
-BODIES: dict[str, Callable[[World, Robot], Body]] = {"quadrotor": _quadrotor, "car": _car}
+BODIES: dict[str, Callable[[World, Robot, Mapping[str, Any]], Body]] = {"quadrotor": _quadrotor, "car": _car}
 DEVICES: dict[str, str] = {
     "autopilot": "targets.sim.autopilot:SimulatedAutopilot",
     "drive": "targets.sim.drive:SimulatedDrive",
@@ -104,7 +104,7 @@ class Stage:
         self.actors: list[Actor] = []
         self.watch = Watch(scenario.number("min_separation", 0.0))
         try:
-            self._obstacles = {self.world.obstacle(box.lo, box.hi): k for k, box in enumerate(scenario.obstacles)}
+            self._obstacles = {self.world.obstacle(o): k for k, o in enumerate(scenario.obstacles)}
             for robot in scenario.robots:
                 self.actors.append(_actor(self.world, scenario, robot, seed, key))
         except BaseException:
@@ -165,9 +165,9 @@ def check(scenario: Scenario) -> None:
 
 def _actor(world: World, scenario: Scenario, robot: Robot, seed: int, key: bytes) -> Actor:
     make = device_class(robot.device)
-    body = BODIES[robot.body](world, robot)
     origin = scenario.origin
     harness: Mapping[str, Any] = scenario.harness
+    body = BODIES[robot.body](world, robot, harness)
     own_seed = random.Random(f"{seed}/{robot.pid}").getrandbits(32)
     place = (origin.latitude, origin.longitude, origin.altitude)
     context = DeviceContext(robot.name, robot.settings, harness, place, own_seed, key)

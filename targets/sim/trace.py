@@ -14,6 +14,7 @@ from typing import IO, Any
 
 import msgspec
 
+from koordgen.runtime.obstacles import Obstacle
 from targets.sim.bodies import BodyState, Vector
 
 FORMAT = "koord-trace/1"
@@ -28,7 +29,7 @@ class RobotName(msgspec.Struct, frozen=True):
 
 class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
     """The merged file's first record. `started` tells whether there was a round 1; without one, t counts from the
-    agents' launch. `geofence` are the two corners, `obstacles` those of each obstacle."""
+    agents' launch. `geofence` are the two corners."""
 
     format: str
     app: str
@@ -40,7 +41,7 @@ class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
     started: bool = True
     min_separation: float = 0.0  # asked for, metres
     geofence: tuple[Vector, Vector] | None = None
-    obstacles: tuple[tuple[Vector, Vector], ...] = ()
+    obstacles: tuple[Obstacle, ...] = ()
 
 
 class Pose(msgspec.Struct, frozen=True, tag_field="kind", tag="pose"):

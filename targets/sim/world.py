@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
+from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
+from koordgen.runtime.values import Point
 from targets.sim.bodies import Vector
 
 STEP = 1 / 240  # seconds
@@ -62,6 +64,10 @@ class Motion:
         """The body's own z axis."""
         x, y, z, w = self.orientation
         return (2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y))
+
+
+def _vector(p: Point) -> Vector:
+    return p.x, p.y, p.z
 
 
 class Rigid:
@@ -119,12 +125,25 @@ class World:
         )
         return self._body(shape, mass, centre, yaw, friction, inertia)
 
-    def obstacle(self, lo: Vector, hi: Vector) -> int:
-        """A box that nothing moves, between two corners (m); its number, as in `contacts`."""
-        half = [(b - a) / 2 for a, b in zip(lo, hi, strict=True)]
-        centre = [(a + b) / 2 for a, b in zip(lo, hi, strict=True)]
-        shape = self.bullet.createCollisionShape(self.bullet.GEOM_BOX, halfExtents=half, physicsClientId=self.client)
-        number: int = self.bullet.createMultiBody(0, shape, -1, centre, physicsClientId=self.client)
+    def obstacle(self, obstacle: Obstacle) -> int:
+        """Something that nothing moves; its number, as in `contacts`."""
+        kinds, client = self.bullet, {"physicsClientId": self.client}
+        match obstacle:
+            case Block(lo, hi):
+                middle, half = (lo + hi) / 2, (hi - lo) / 2
+                shape = kinds.createCollisionShape(kinds.GEOM_BOX, halfExtents=_vector(half), **client)
+            case Sphere(middle, radius):
+                shape = kinds.createCollisionShape(kinds.GEOM_SPHERE, radius=radius, **client)
+            case Cylinder(base, radius, height):
+                middle = Point(base.x, base.y, base.z + height / 2)
+                shape = kinds.createCollisionShape(kinds.GEOM_CYLINDER, radius=radius, height=height, **client)
+            case Mesh(vertices, faces):
+                middle = Point()
+                shape = kinds.createCollisionShape(
+                    kinds.GEOM_MESH, vertices=[_vector(p) for p in vertices], indices=[i for f in faces for i in f],
+                    flags=kinds.GEOM_FORCE_CONCAVE_TRIMESH, **client,
+                )  # fmt: skip
+        number: int = kinds.createMultiBody(0, shape, -1, _vector(middle), **client)
         self._group(number, OBSTACLE, ROBOT)
         return number
 

@@ -172,7 +172,7 @@ def test_values_tell_the_speed_along_the_car() -> None:
 
 def test_a_device_that_takes_nothing_blocks_nobody() -> None:
     with terminal() as (master, path):
-        link = RealLinks().drive(f"vesc:{path}")
+        link = RealLinks().serial(path)
         written = [link.write(bytes(60)) for _ in range(2000)]
         assert written[0] == 60 and written[-1] == 0
         assert os.read(master, 60) == bytes(60)

@@ -38,14 +38,38 @@ def pose(x: float, y: float, yaw: float) -> Pose:
     return Pose(Point(x, y, 0.0), yaw)
 
 
-def test_the_first_sample_is_believed_and_a_jump_too() -> None:
+def test_the_first_sample_is_believed_and_a_jump_is_not() -> None:
     estimator = Estimator(WHEELBASE)
     estimator.predict(1.0, 0.0)
-    estimator.correct(pose(3.0, 4.0, 1.0), 1.0, 1.0)
+    assert estimator.correct(pose(3.0, 4.0, 1.0), 1.0, 1.0)
     assert (estimator.state.x, estimator.state.y, estimator.state.yaw) == (3.0, 4.0, 1.0)
-    estimator.predict(1.02, 0.0)
-    estimator.correct(pose(-3.0, 4.0, 1.0), 1.02, 1.02)
-    assert estimator.state.x == -3.0
+    for now in (1.02, 1.1, 2.0):
+        estimator.predict(now, 0.0)
+        assert not estimator.correct(pose(-3.0, 4.0, 1.0), now, now)
+    assert estimator.state.x == 3.0 and estimator.time == 1.0
+    assert estimator.refused(2.0) == pytest.approx(0.98) and estimator.jumped == pytest.approx(6.0)
+    estimator.begin_anew()
+    assert estimator.time == 1.0, "until a sample has come, the last believed is the last known"
+    assert estimator.correct(pose(-3.0, 4.0, 1.0), 2.02, 2.02)
+    assert estimator.state.x == -3.0 and estimator.refused(2.02) == 0.0
+
+
+def test_a_heading_that_flips_is_a_jump() -> None:
+    estimator = Estimator(WHEELBASE)
+    estimator.correct(pose(0.0, 0.0, 0.1), 0.0, 0.0)
+    assert not estimator.correct(pose(0.0, 0.0, 0.1 + math.pi), 0.02, 0.02)
+    assert estimator.correct(pose(0.0, 0.0, 0.3), 0.04, 0.04)
+
+
+@pytest.mark.parametrize("speed", [0.5, 1.0, 3.0])
+def test_no_motion_that_a_car_can_make_is_a_jump(speed: float) -> None:
+    """Not even after the longest gap that does not brake it, without a word from its wheels."""
+    estimator = Estimator(WHEELBASE, speed)
+    truth = State(0.0, 0.0, 0.0, speed, 0.4)
+    for i in range(40):
+        truth = advance(truth, 0.3, WHEELBASE)
+        estimator.predict(0.3 * i, 0.0)
+        assert estimator.correct(pose(truth.x, truth.y, wrap(truth.yaw)), 0.3 * i, 0.3 * i)
 
 
 def test_noise_is_smoothed_without_lag_while_driving() -> None:
@@ -88,3 +112,9 @@ def test_without_wheels_speed_comes_from_positions_and_ends_with_them() -> None:
     estimator.wheels(-0.5, now)
     assert estimator.speed(now + 0.2) == -0.5
     assert estimator.speed(now + 0.4) is None
+
+
+def test_a_speed_that_is_no_number_is_no_speed() -> None:
+    estimator = Estimator(WHEELBASE)
+    estimator.wheels(math.nan, 0.0)
+    assert estimator.speed(0.0) is None

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import math
+import random
+import re
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from koordgen.runtime.feed import Sample, encode
 from koordgen.runtime.platform import Unready
+from koordgen.runtime.values import Point, Pose
 from targets.car import vesc
 from targets.car.diagnosis import limits
-from targets.car.platform import WAIT_FOR_DRIVE, WAIT_FOR_FEED, Car
+from targets.car.platform import WAIT_FOR_FEED, Car
 from targets.car.settings import decode
+from targets.car.vesc_drive import STARTING
 from tests.car.world import FENCE, KEY, NoLinks, TestBody, World, datagram, robot_settings, standing
 
 
@@ -120,7 +127,7 @@ def test_a_silent_motor_controller_is_unready() -> None:
     world.run(1.0)
     assert "waiting for the motor controller" in world.car.progress
     with pytest.raises(Unready, match="has not answered"):
-        world.run(WAIT_FOR_DRIVE + 1)
+        world.run(STARTING + 1)
 
 
 def test_a_motor_controller_that_falls_silent_is_unready() -> None:
@@ -211,19 +218,23 @@ def test_diagnosis_of_a_car_outside_the_fence() -> None:
     assert found["place"].state == "fail" and "(9.0" in found["place"].found and found["position"].state == "ok"
 
 
-def test_diagnosis_of_a_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("package", ["ompl", "casadi"])
+def test_diagnosis_of_a_missing_package(package: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     import builtins
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))  # CasADi drives only where the solver is not compiled
+    monkeypatch.setenv("PATH", "")
 
     real = builtins.__import__
 
     def without(name: str, *rest: Any) -> Any:
-        if name == "casadi":
-            raise ImportError("No module named 'casadi'")
+        if name == package:
+            raise ImportError(f"No module named '{package}'")
         return real(name, *rest)
 
     monkeypatch.setattr(builtins, "__import__", without)
     (found,) = (f for f in World().car.diagnose() if f.state == "fail")
-    assert found.name == "planner" and "casadi" in found.found
+    assert found.name == "planner" and package in found.found
 
 
 def test_a_flood_of_forged_datagrams_neither_stops_nor_moves_it() -> None:
@@ -251,3 +262,162 @@ def test_no_position_waits_behind_forged_ones_and_is_then_taken_for_new() -> Non
     world.physics(0.05)
     world.car.poll(world.now)
     assert world.car.sense(world.now).time == world.now
+
+
+def test_a_position_that_jumps_for_a_moment_is_passed_over() -> None:
+    world = World().begin()
+    world.go(5.0, 0.0)
+    world.run(2.0)
+    world.wire.datagrams.append(again(world, -3.0))
+    world.run(0.05)
+    assert world.value("position").x > 0.5 and world.body.truth.speed > 0.7
+    world.run(7.0)
+    assert world.value("reached") is True
+
+
+def again(world: World, x: float, yaw: float = 0.0) -> bytes:
+    """The next sample of the base station, but from elsewhere."""
+    assert world.station is not None
+    world.station._sequence += 1
+    sequence = world.station._sequence
+    return encode(Sample("bert", 1, sequence, world.now, Pose(Point(x, 0.0, 0.0), yaw)), KEY)
+
+
+def elsewhere(world: World, seconds: float, x: float) -> None:
+    """All samples come from there from now on."""
+    for _ in range(round(seconds / 0.05)):
+        world.physics(0.05)
+        world.wire.datagrams.clear()
+        world.wire.datagrams.append(again(world, x))
+        world.car.poll(world.now)
+
+
+def test_a_position_source_that_has_jumped_brakes_it_for_good_and_says_so() -> None:
+    world = World(max_speed=2.0).begin()
+    world.go(5.0, 0.0)
+    world.run(2.0)
+    assert world.body.truth.speed > 1.0
+    elsewhere(world, 0.9, -3.0)
+    assert standing(world) and re.match(
+        r"braking: the position source jumped: a sample was \d\.\d m off; dropped: \d+ jumped", world.car.progress
+    )
+    assert world.car.sense(world.now).values["Motion.position"].x > 0.5
+    with pytest.raises(Unready, match="position source jumped") as lost:
+        elsewhere(world, 0.3, -3.0)
+    assert lost.value.hint
+    world.car.rest(world.now)
+    elsewhere(world, 1.0, -3.0)
+    assert world.car.rested
+
+
+def test_a_car_that_stood_and_was_carried_is_believed_after_a_second() -> None:
+    world = World().begin()
+    world.run(2.0)
+    elsewhere(world, 0.9, -3.0)
+    assert "jumped" in world.car.progress
+    elsewhere(world, 0.4, -3.0)
+    assert world.car.ready and world.value("position").x == pytest.approx(-3.0, abs=0.01)
+    assert any("jumped by 3.0 m: believed" in line for line in world.car.news())
+
+
+def test_positions_that_are_no_numbers_are_dropped_and_brake_it() -> None:
+    world = World().begin()
+    world.go(5.0, 0.0)
+    world.run(2.0)
+    for _ in range(16):
+        world.physics(0.05)
+        world.wire.datagrams.clear()
+        world.wire.datagrams.append(again(world, math.nan))
+        world.car.poll(world.now)
+    assert standing(world) and re.match(
+        r"braking: the position is 0\.\d s old; dropped: 16 not finite", world.car.progress
+    )
+
+
+def test_unplugged_while_driving_and_plugged_in_again_within_two_seconds_it_goes_on() -> None:
+    world = World().begin()
+    world.go(4.0, 0.0)
+    world.run(2.0)
+    world.wire.unplugged = True
+    world.run(1.5)
+    assert standing(world), "the VESC's own time-out has braked it"
+    assert world.car.progress == "braking: /dev/ttyACM0 is gone" and not world.car.ready
+    world.wire.unplugged = False
+    world.run(8.0)
+    assert world.value("reached") is True
+    assert world.car.news() == ["/dev/ttyACM0 is gone: braking", "the motor controller at /dev/ttyACM0 is there again"]
+
+
+def test_unplugged_for_longer_it_is_unready_and_brakes_when_it_is_back() -> None:
+    world = World().begin()
+    world.go(4.0, 0.0)
+    world.run(2.0)
+    world.wire.unplugged = True
+    with pytest.raises(Unready, match="/dev/ttyACM0 is gone") as lost:
+        world.run(2.5)
+    assert lost.value.hint
+    world.car.rest(world.now)
+    for _ in range(20):
+        world.physics(0.05)
+        with pytest.raises(Unready):
+            world.car.poll(world.now)
+    world.wire.unplugged = False
+    for _ in range(40):
+        world.physics(0.05)
+        with suppress(Unready):
+            world.car.poll(world.now)
+    assert world.car.rested
+
+
+@pytest.mark.parametrize("major", [1, 2])
+def test_a_firmware_for_which_the_servo_command_means_something_else_is_never_driven(major: int) -> None:
+    world = World()
+    assert world.controller is not None
+    answer = vesc.encode(vesc.Version(major, 18)) + vesc.encode(vesc.Values(0.0, 11.0))
+    sent: list[vesc.Message] = []
+
+    def old(received: bytes, now: float) -> bytes:
+        sent.extend(vesc.Decoder().feed(received))
+        return answer if received else b""
+
+    world.controller.step = old  # type: ignore[method-assign]
+    world.car.start(world.now)
+    with pytest.raises(Unready, match=rf"firmware {major}\.18 is too old"):
+        world.run(1.0)
+    assert sent and not any(isinstance(m, vesc.SetServo | vesc.SetErpm) for m in sent)
+    (found,) = (f for f in world.car.diagnose() if f.name == "drive")
+    assert found.state == "fail" and "too old" in found.found
+
+
+def test_garbage_between_its_answers_does_not_keep_it_from_driving() -> None:
+    dice = random.Random(7)
+    world = World().begin()
+    world.go(3.0, 0.5)
+
+    def noise() -> None:
+        world.wire.to_agent += dice.randbytes(40)
+
+    world.run(8.0, noise)
+    assert world.value("reached") is True
+
+
+def test_nothing_but_garbage_is_a_silent_motor_controller() -> None:
+    dice = random.Random(8)
+    world = World()
+    world.controller = None
+    world.car.start(world.now)
+
+    def noise() -> None:
+        world.wire.to_agent += dice.randbytes(100)
+
+    with pytest.raises(Unready, match=r"has not answered for 5\.\d s"):
+        world.run(STARTING + 1, noise)
+
+
+@pytest.mark.parametrize(("volts", "state"), [(11.1, "ok"), (8.4, "ok"), (12.6, "ok"), (9.6, "warn"), (6.6, "warn")])
+def test_diagnosis_of_an_empty_battery(volts: float, state: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World()
+    assert world.controller is not None
+    answer = vesc.encode(vesc.Version(6, 5)) + vesc.encode(vesc.Values(0.0, volts))
+    monkeypatch.setattr(world.controller, "step", lambda received, now: answer)
+    assert world.car.diagnose()[0].state == state

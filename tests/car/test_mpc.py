@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from targets.car.bicycle import State, advance, turning_radius
-from targets.car.mpc import BLIND_STEPS, STEP, STEPS, Command, Limits, Mpc, build
+from targets.car.mpc import BLIND_STEPS, STEP, STEPS, Command, Limits, Mpc, choose
 from targets.car.planner import PathPose, Segment
 from targets.car.tracker import Track, Tracker
 from tests.car.world import TestBody
@@ -147,47 +147,86 @@ def test_whatever_it_is_told_its_commands_are_finite_and_within_limits(
         assert math.isfinite(command.steering) and abs(command.steering) <= LIMITS.steering
 
 
-def test_a_failing_solver_is_bridged_by_the_plan_before_then_the_car_brakes() -> None:
-    real = build(LIMITS)
-    failing: list[tuple[list[float], float]] = []
-    mpc = Mpc(LIMITS, lambda p, start: failing[0] if failing else real(p, start))
-    state = State(0.0, 0.0, 0.0, 0.8, 0.0)
-    reference = [State(0.04 * (k + 1), 0.0, 0.0, 0.8, 0.0) for k in range(STEPS)]
-    mpc.follow(state, reference)
-    planned = [mpc._plan[7 * (k + 1) + 3] for k in range(STEPS)]
-    failing.append(([math.nan] * len(mpc._plan), math.nan))
-    for k in range(BLIND_STEPS):
-        assert mpc.follow(state, reference).speed == pytest.approx(planned[k + 1])
-    assert mpc.failures == BLIND_STEPS
-    speed = state.speed
-    for _ in range(12):
-        command = mpc.follow(State(0.0, 0.0, 0.0, speed, 0.1), reference)
-        assert command.speed == pytest.approx(max(0.0, speed - LIMITS.acceleration * STEP))
-        assert command.steering == 0.1
-        speed = command.speed
-    assert speed == 0.0
-    failing.clear()
-    assert mpc.follow(State(0.0, 0.0, 0.0), reference).speed > 0 and mpc.failures == 0
+def straight(speed: float) -> list[State]:
+    return [State(speed * STEP * (k + 1), 0.0, 0.0, speed, 0.0) for k in range(STEPS)]
 
 
-@pytest.mark.parametrize("what", ["defect", "leap", "infinite"])
-def test_a_plan_that_the_car_cannot_drive_is_refused(what: str) -> None:
-    length = 5 + 7 * STEPS
-    plans = {
-        "defect": ([0.0] * length, 0.5),
-        "leap": ([0.0] * 10 + [1.0] + [0.0] * (length - 11), 0.0),  # 0 to 1 m/s within a step
-        "infinite": ([math.inf] * length, 0.0),
-    }
-    mpc = Mpc(LIMITS, lambda parameters, start: plans[what])
-    assert mpc.follow(State(0.0, 0.0, 0.0), [State(1.0, 0.0, 0.0)] * STEPS) == Command(0.0, 0.0)
-    assert mpc.failures == 1
+class Flaky:
+    """A solver that answers as told, otherwise rightly."""
+
+    def __init__(self) -> None:
+        self._real, _ = choose(LIMITS)
+        self.answer: list[float] | None = None
+        self.failing = False
+        self.seconds = 0.0
+        self.time = 0.0
+
+    def clock(self) -> float:
+        return self.time
+
+    def __call__(
+        self, present: Sequence[float], wished: Sequence[float], inputs: Sequence[float]
+    ) -> list[float] | None:
+        self.time += self.seconds
+        return self.answer if self.failing else self._real(present, wished, inputs)
 
 
-def test_a_solver_that_raises_has_failed() -> None:
-    def broken(parameters: list[float], start: list[float]) -> tuple[list[float], float]:
-        raise RuntimeError("NaN detected")
+@pytest.mark.parametrize(
+    ("answer", "seconds", "reason"),
+    [
+        (None, 0.0, "the solver finds no way to follow the path"),
+        ([math.nan] * 2 * STEPS, 0.0, "the solver finds no way to follow the path"),
+        ([0.0] * 2 * STEPS, 0.08, "the solver took 80 ms, 50 ms are allowed"),
+    ],
+)
+def test_ten_failed_or_late_solves_are_bridged_by_the_plan_before_then_the_car_brakes(
+    answer: list[float] | None, seconds: float, reason: str
+) -> None:
+    solver = Flaky()
+    mpc = Mpc(LIMITS, solver, solver.clock)
+    state = State(0.0, 0.0, 0.0, 0.5, 0.0)
+    mpc.follow(state, straight(0.9))
+    planned = list(mpc._plan)
+    assert planned[1].speed > planned[0].speed > 0.5 and mpc.trouble == ""
+    solver.failing, solver.answer, solver.seconds = True, answer, seconds
+    last = planned[0]
+    for k in range(10):
+        command = mpc.follow(State(0.0, 0.0, 0.0, last.speed, last.steering), straight(0.9))
+        assert (mpc.failures, mpc.trouble) == (k + 1, reason)
+        if k < BLIND_STEPS:
+            assert command.speed == pytest.approx(planned[k + 1].speed), "the shifted plan"
+        else:
+            assert command.speed == pytest.approx(max(0.0, last.speed - LIMITS.acceleration * STEP)), "braking"
+        assert command.steering == pytest.approx(0.0, abs=1e-6)
+        last = command
+    solver.failing, solver.seconds = False, 0.0
+    assert mpc.follow(State(0.0, 0.0, 0.0), straight(0.9)).speed > 0
+    assert (mpc.failures, mpc.trouble) == (0, "")
 
-    assert Mpc(LIMITS, broken).follow(State(0.0, 0.0, 0.0), [State(1.0, 0.0, 0.0)] * STEPS) == Command(0.0, 0.0)
+
+@pytest.mark.parametrize("what", ["state", "speed", "path", "short"])
+def test_what_is_no_number_is_refused_and_the_plan_before_stands_in(mpc: Mpc, what: str) -> None:
+    mpc.reset()
+    first = mpc.follow(State(0.0, 0.0, 0.0, 0.5, 0.0), straight(0.9))
+    second = mpc._plan[1]
+    nan = State(0.0, math.nan, 0.0, first.speed, 0.0)
+    state = {"state": nan, "speed": State(0.0, 0.0, 0.0, math.nan, 0.0)}.get(what, State(0.02, 0, 0, first.speed, 0))
+    path = {"path": [*straight(0.9)[:-1], nan], "short": straight(0.9)[:-1]}.get(what, straight(0.9))
+    assert mpc.follow(state, path) == second
+    wrong = "the car's state is no number" if what in ("state", "speed") else "the path holds what is no number"
+    assert mpc.trouble == wrong
+
+
+@pytest.mark.parametrize("wild", [1e6, -1e6])
+def test_a_command_is_in_reach_of_the_one_before_whatever_the_solver_says(wild: float) -> None:
+    mpc = Mpc(LIMITS, lambda present, wished, inputs: [wild] * 2 * STEPS)
+    speed, steering = 0.0, 0.0
+    for _ in range(40):
+        command = mpc.follow(State(0.0, 0.0, 0.0, speed, steering), straight(0.9))
+        assert abs(command.speed - speed) <= LIMITS.acceleration * STEP + 1e-12
+        assert abs(command.steering - steering) <= LIMITS.steering_rate * STEP + 1e-12
+        speed, steering = command.speed, command.steering
+    assert (abs(speed), abs(steering)) == (LIMITS.speed, LIMITS.steering)
 
 
 def test_it_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:

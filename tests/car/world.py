@@ -15,6 +15,7 @@ from koordgen.runtime.values import Point, Pose
 from targets.car.bicycle import State, advance
 from targets.car.platform import Car
 from targets.car.settings import decode
+from targets.car.watched import Unwatched
 from targets.sim.bodies import BodyState, DeviceContext
 from targets.sim.drive import Controller
 from targets.sim.station import BaseStation
@@ -38,6 +39,9 @@ class TestBody:
     def drive(self, speed: float, steering: float) -> None:
         self.asked = (speed, steering)
 
+    def brake(self, deceleration: float) -> None:
+        self.asked = (0.0, self.asked[1])
+
     def state(self) -> BodyState:
         s = self.truth
         velocity = (s.speed * math.cos(s.yaw), s.speed * math.sin(s.yaw), 0.0)
@@ -60,22 +64,36 @@ class Wire:
         self.to_agent = b""
         self.datagrams: deque[bytes] = deque()
         self.closed = 0
+        self.unplugged = False
         self.idle: Callable[[float], None] = lambda seconds: None
 
-    def drive(self, setting: str) -> Wire:
+    def serial(self, device: str) -> Wire:
+        self._plugged()
         return self
+
+    def _plugged(self) -> None:
+        if self.unplugged:
+            raise Unready("/dev/ttyACM0 is gone", "check its cable")
 
     def position(self, setting: str) -> Wire:
         return self
+
+    def watchdog(self) -> Unwatched:
+        return Unwatched()
+
+    def fileno(self) -> int:
+        return -1
 
     def wait(self, seconds: float) -> None:
         self.idle(seconds)
 
     def read(self) -> bytes:
+        self._plugged()
         data, self.to_agent = self.to_agent, b""
         return data
 
     def write(self, data: bytes) -> int:
+        self._plugged()
         self.to_drive += data
         return len(data)
 
@@ -139,7 +157,7 @@ class World:
 class NoLinks(Wire):
     """Links of which one cannot be opened."""
 
-    def drive(self, setting: str) -> Wire:
+    def serial(self, device: str) -> Wire:
         raise Unready("cannot open it", "plug it in")
 
 

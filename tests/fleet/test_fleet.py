@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from koordgen import fleet, manifest
+from koordgen import fleet, manifest, medium
 from koordgen.runtime.settings import Network, Safety, Settings
 from koordgen.source import Source, Span
 
@@ -72,11 +72,11 @@ def test_safety_is_what_robots_read(text: str, safety: Safety) -> None:
 
 
 def test_network_keys_are_the_runtimes() -> None:
-    known = {"transport"}.union(*fleet.NETWORK.values())
+    known = {"transport"}.union(*medium.NETWORK.values())
     assert known == set(Network.__struct_fields__)
     hints = get_type_hints(Network)
-    assert tuple(fleet.NETWORK) == get_args(hints["transport"])
-    assert get_args(hints["mode"]) == fleet.ZENOH_MODES
+    assert tuple(medium.NETWORK) == get_args(hints["transport"])
+    assert get_args(hints["mode"]) == medium.ZENOH_MODES
 
 
 GOOD = """\
@@ -170,13 +170,13 @@ def test_each_mistake_at_its_place(change: tuple[str, str], code: str, line: int
     ("text", "link"),
     [
         ("", None),
-        ("link: {}\n", fleet.Link(6e6, 0.1, 1500)),
-        ("link: {rate: 6e6, loss: 0, mtu: 576}\n", fleet.Link(6e6, 0.0, 576)),
-        ("link: {rate: 54000000}\n", fleet.Link(54e6, 0.1, 1500)),
-        ("link: {rate: 1.5E+7, loss: 0.25}\n", fleet.Link(15e6, 0.25, 1500)),
+        ("link: {}\n", medium.Link(6e6, 0.1, 1500)),
+        ("link: {rate: 6e6, loss: 0, mtu: 576}\n", medium.Link(6e6, 0.0, 576)),
+        ("link: {rate: 54000000}\n", medium.Link(54e6, 0.1, 1500)),
+        ("link: {rate: 1.5E+7, loss: 0.25}\n", medium.Link(15e6, 0.25, 1500)),
     ],
 )
-def test_the_link(text: str, link: fleet.Link | None) -> None:
+def test_the_link(text: str, link: medium.Link | None) -> None:
     read_fleet, found = read(text + GOOD)
     assert found == []
     assert read_fleet is not None

@@ -8,7 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.geodesy import LocalFrame
-from targets.quad.framing import Framer, Message
+from targets.mavlink.framing import Framer, Message
 from tests.quad.rig import ORIGIN, Rig
 
 ARM, TAKEOFF, MODE = mavlink.MAV_CMD_COMPONENT_ARM_DISARM, mavlink.MAV_CMD_NAV_TAKEOFF, mavlink.MAV_CMD_DO_SET_MODE
@@ -63,10 +63,13 @@ class Bench:
             )
         )  # fmt: skip
 
-    def local_setpoint(self, mask: int, frame: int, north: float, east: float, down: float, *velocity: float) -> None:
+    def local_setpoint(
+        self, mask: int, frame: int, north: float, east: float, down: float, *velocity: float,
+        push: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> None:  # fmt: skip
         self.send(
             mavlink.MAVLink_set_position_target_local_ned_message(
-                0, 1, 1, frame, mask, north, east, down, *(velocity or (0, 0, 0)), 0, 0, 0, 0, 0
+                0, 1, 1, frame, mask, north, east, down, *(velocity or (0, 0, 0)), *push, 0, 0
             )
         )
 

@@ -65,6 +65,18 @@ def test_a_remote_control_that_is_wanted_in_flight_brings_it_down() -> None:
     assert bench.copter.mode == 9 and "Radio Failsafe" in [m.text for m in bench.of(253)]
 
 
+def test_the_checks_are_run_on_request() -> None:
+    bench = Bench()
+    bench.wait(3.0)
+    assert bench.command(401) == 0 and not bench.of(253)
+    bench.copter.failing_check = "Compass not calibrated"
+    assert bench.command(401) == 0
+    assert [m.text for m in bench.of(253)] == ["PreArm: Compass not calibrated"]
+    bench.copter.failing_check = ""
+    bench.command(ARM, 1)
+    assert bench.command(401) == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+
+
 def test_what_hinders_arming_is_told_every_thirty_seconds() -> None:
     bench = Bench()
     bench.copter.failing_check = "Compass not calibrated"

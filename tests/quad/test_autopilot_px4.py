@@ -121,7 +121,7 @@ def test_it_does_not_arm_without_a_position() -> None:
     bench = Bench(harness=PX4, boot=5.0)
     bench.wait(1.0)
     assert bench.command(ARM, 1) == REJECTED
-    assert "Arming denied: no valid position estimate" in [m.text for m in bench.of(253)]
+    assert "Preflight Fail: no valid position estimate" in [m.text for m in bench.of(253)]
 
 
 def test_it_disarms_by_itself_on_the_ground() -> None:

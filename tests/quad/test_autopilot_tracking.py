@@ -58,6 +58,21 @@ def test_a_circle_of_positions_and_velocities_is_left_by_a_quarter_of_a_metre() 
     assert mean(followed(0xDC0, circle, 20, 32)) == pytest.approx(0.26, rel=0.15)
 
 
+def test_an_acceleration_that_is_told_is_not_learnt_from_the_error() -> None:
+    """The circle's, with position and velocity: what is left is the body's own lag and the telemetry's age."""
+    bench = Bench()
+    bench.fly()
+    errors: list[float] = []
+    for tick in range(400):
+        x, y, vx, vy = circle(tick * 0.05)
+        errors.append(math.hypot(bench.at[0] - x, bench.at[1] - y))
+        ax, ay = -0.16 * (x + 1), -0.16 * (y + 2)
+        north, east = y + 2.0, x - 1.0
+        bench.local_setpoint(0xC00, 1, north, east, -2.0, vy, vx, 0.0, push=(ay, ax, 0.0))
+        bench.wait(0.05)
+    assert mean(errors[-200:]) < 0.12
+
+
 def test_a_step_is_shaped_within_acceleration_and_jerk() -> None:
     """1 m: slowly to begin with, two seconds in all, and a few centimetres too far: the integral does that."""
     bench = Bench()

@@ -8,10 +8,10 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from koordgen.runtime.platform import Platform
+from koordgen.runtime.platform import Platform, Unready
 from koordgen.runtime.values import Point, distance
 from targets.quad.motion import MARGIN
-from tests.quad.rig import FENCE, SETPOINT, Rig, at, commands, sent
+from tests.quad.rig import FENCE, SETPOINT, Rig, at, commands, sent, told
 
 
 def test_a_whole_life() -> None:
@@ -225,3 +225,13 @@ def test_targets_that_waver_are_stayed_at_and_the_kind_of_setpoint_does_not_flic
         far.append(distance(at(rig), Point(1.0, -2.0, 1.5)))
     masks = [m.type_mask for m in sent(rig, SETPOINT)]
     assert max(far) < 0.06 and sum(a != b for a, b in itertools.pairwise(masks)) <= 1
+
+
+def test_a_vehicle_that_does_not_follow_is_noticed_also_in_motion() -> None:
+    """The reference waits for it, at a position alone."""
+    rig = Rig()
+    rig.fly()
+    rig.wire.meddle = lambda data, down: None if not down and told(data) == SETPOINT else data
+    rig.go(5.0, 3.0)
+    with pytest.raises(Unready, match="does not follow"):
+        rig.run(15.0)

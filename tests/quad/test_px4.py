@@ -12,6 +12,7 @@ from koordgen.runtime.platform import Unready
 from koordgen.runtime.values import Point, distance
 from targets.quad.px4 import LAND, OFFBOARD, PX4, custom_mode
 from targets.sim.mavlink_copter import Copter
+from tests.quad.fed import FedRig
 from tests.quad.rig import SETPOINT, Rig, at, commands, sent, told
 
 HOLD = custom_mode(4, 3)
@@ -62,7 +63,7 @@ def test_a_refused_arming_shows_its_words_and_setpoints_flow_on() -> None:
     copter.failing_check = "Compass not calibrated"
     rig.quad.start(rig.now)
     rig.run(15.0)
-    assert rig.quad.progress == "arming: rejected for now: Arming denied: Compass not calibrated"
+    assert rig.quad.progress == "arming: rejected for now: Preflight Fail: Compass not calibrated"
     assert copter.mode == OFFBOARD and rig.body.position[2] == 0.0
     copter.failing_check = ""
     assert rig.run(20.0, lambda: rig.quad.ready)
@@ -127,3 +128,14 @@ def test_what_is_found_of_a_px4() -> None:
 def test_modes_have_names() -> None:
     assert PX4.mode(LAND) == "LAND" and PX4.mode(custom_mode(3)) == "POSITION" and PX4.mode(99) == "mode 99"
     assert PX4.ask_mode(LAND) == (1, 4, 6) and PX4.ask_mode(OFFBOARD) == (1, 6, 0)
+
+
+def test_it_flies_by_vision_and_takes_no_fixes() -> None:
+    rig = FedRig("vision", harness={"firmware": "px4"})
+    rig.fly()
+    assert sent(rig, mavlink.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE)
+    rig = FedRig("gps_input", harness={"firmware": "px4"})
+    rig.quad.start(rig.now)
+    with pytest.raises(Unready, match="PX4 takes no positioning 'gps_input'") as told:
+        rig.run(5.0)
+    assert "vision" in told.value.hint

@@ -176,3 +176,18 @@ def test_a_sender_needs_nothing_of_ours() -> None:
     sealed = payload + hashlib.blake2s(payload, digest_size=16, key=KEY, person=b"k-pose").digest()
     feed = Feed("bert", KEY)
     assert feed.take(sealed, 10.0) and feed.pose == POSE
+
+
+def test_large_counts_are_told_roughly() -> None:
+    feed = fed(*[b"x"] * 99)
+    assert feed.dropped == "; dropped: 99 not authentic"
+    feed.take(b"x", 10.0)
+    assert feed.dropped == "; dropped: 100+ not authentic"
+
+
+def test_a_new_session_has_a_clock_of_its_own() -> None:
+    feed = Feed("bert", KEY)
+    for i in range(5):
+        feed.take(datagram(i, sent=90_000.0 + i), 10.0 + i)
+    assert feed.take(datagram(1, session=2, sent=3.0), 15.0) and feed.time == pytest.approx(15.0)
+    assert feed.take(datagram(2, session=2, sent=3.5), 15.6) and feed.time == pytest.approx(15.5)

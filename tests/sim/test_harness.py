@@ -15,6 +15,8 @@ from typing import Any
 
 import pytest
 
+from koordgen.runtime.obstacles import Block
+from koordgen.runtime.values import Point
 from targets.sim import folder, harness, run, trace
 from targets.sim.scenario import load
 from targets.sim.stage import Stage
@@ -110,7 +112,7 @@ def test_robots_that_are_too_close_or_touch_fail_the_run(tmp_path: Path) -> None
 def with_obstacles(root: Path, *boxes: tuple[list[float], list[float]]) -> Path:
     """The same bundle with obstacles in its world."""
     path = root / "scenario.json"
-    obstacles = [{"lo": lo, "hi": hi} for lo, hi in boxes]
+    obstacles = [{"shape": "box", "lo": lo, "hi": hi} for lo, hi in boxes]
     path.write_text(json.dumps({**json.loads(path.read_text()), "obstacles": obstacles}))
     return root
 
@@ -123,16 +125,16 @@ def test_a_robot_that_touches_an_obstacle_fails_the_run(tmp_path: Path) -> None:
     assert (violation["what"], violation["robots"]) == ("collision", ["r1"])
     assert violation["detail"] == "touched obstacle 1"
     assert summary(out)["collisions"] == 1
-    assert read(out / "trace.jsonl")[0].obstacles[1] == ((2.17, -1.0, 0.0), (3.0, 1.0, 1.0))
+    assert read(out / "trace.jsonl")[0].obstacles[1] == Block(Point(2.17, -1.0, 0.0), Point(3.0, 1.0, 1.0))
 
 
 @pytest.mark.parametrize(
     ("box", "said"),
     [
         (([1.5, -1.0, -0.1], [3.0, 1.0, 1.0]), "r1 starts at (2, 0, 0), inside obstacle 0"),
-        (([1.5, -1.0, 0.0], [1.5, 1.0, 1.0]), "obstacle 0 is no box"),
-        (([1.5, -1.0, 0.0], [math.inf, 1.0, 1.0]), "obstacle 0 is no box"),
-        (([1.5, -1.0], [3.0, 1.0]), "obstacles[0].lo"),
+        (([1.5, -1.0, 0.0], [1.5, 1.0, 1.0]), "obstacle 0 is none"),
+        (([1.5, -1.0, 0.0], [math.inf, 1.0, 1.0]), "obstacle 0 is none"),
+        (([1.5, -1.0], [3.0, 1.0]), "obstacle 0 is none"),
     ],
 )
 def test_an_obstacle_that_cannot_be_is_refused_at_once(

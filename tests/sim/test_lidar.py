@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from koordgen.runtime.obstacles import Block
 from koordgen.runtime.scans import Scans
 from koordgen.runtime.settings import Box, Origin, Peer, Settings
 from koordgen.runtime.values import Point, Scan
@@ -18,6 +19,7 @@ from targets.sim.lidar import MAX_RANGE, PERIOD, RAYS, SimulatedLidar
 from targets.sim.quadrotor import SimulatedQuadrotor
 from targets.sim.scenario import Robot, Scenario, Start
 from targets.sim.stage import Stage
+from targets.sim.station import SimulatedFeed
 from targets.sim.world import STEP, World
 
 KEY = bytes(range(32))
@@ -60,7 +62,7 @@ def settle(world: World, *bodies: SimulatedCar | SimulatedQuadrotor) -> None:
 @pytest.mark.parametrize("yaw", [0.0, 0.3, 1.1, 2.0, -2.8])
 def test_it_sees_the_walls_to_a_millimetre_and_never_itself(world: World, yaw: float) -> None:
     for lo, hi in WALLS:
-        world.obstacle(lo, hi)
+        world.obstacle(Block(Point(*lo), Point(*hi)))
     car = SimulatedCar(world, (0.4, -0.3, 0.0), yaw, 0.33, 0.4)
     settle(world, car)
     seeing = lidar(world, car)
@@ -72,8 +74,8 @@ def test_it_sees_the_walls_to_a_millimetre_and_never_itself(world: World, yaw: f
 
 
 def test_it_sees_other_robots_but_not_the_floor_nor_what_is_lower_or_farther(world: World) -> None:
-    world.obstacle((-3.0, -1.0, 0.0), (-2.0, 1.0, 0.05))  # lower than the middle of a car
-    world.obstacle((MAX_RANGE + 0.01, -1.0, 0.0), (9.0, 1.0, 1.0))
+    world.obstacle(Block(Point(-3.0, -1.0, 0.0), Point(-2.0, 1.0, 0.05)))  # lower than the middle of a car
+    world.obstacle(Block(Point(MAX_RANGE + 0.01, -1.0, 0.0), Point(9.0, 1.0, 1.0)))
     car = SimulatedCar(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4)
     quad = SimulatedQuadrotor(world, (0.0, 2.0, 0.0), 0.0)
     settle(world, car, quad)
@@ -113,7 +115,7 @@ def test_looking_moves_nothing(world: World) -> None:
 def turns(seed: int, noise: float) -> list[tuple[Point, Scan]]:
     """What a receiver makes of the turns of two seconds, each seen once."""
     world = World()
-    world.obstacle((2.0, -1.0, 0.0), (2.5, 1.0, 1.0))
+    world.obstacle(Block(Point(2.0, -1.0, 0.0), Point(2.5, 1.0, 1.0)))
     car = SimulatedCar(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4)
     settle(world, car)
     seeing, feed = lidar(world, car, noise, seed), Scans("alice", KEY)
@@ -165,7 +167,7 @@ def room() -> Scenario:
     start = Start((-1.5, 0.2, 0.0), 0.4)
     robot = Robot("alice", 0, "car", "agents/alice", "car", "drive", start, settings)
     fence = scenario.Box((-4.0, -4.0, -1.0), (4.0, 4.0, 2.0))
-    walls = tuple(scenario.Box(lo, hi) for lo, hi in WALLS)
+    walls = tuple(Block(Point(*lo), Point(*hi)) for lo, hi in WALLS)
     place = scenario.Origin(47.0, 8.0, 400.0)
     return Scenario("map", "map.koord", "0", 0.1, place, fence, (robot,), walls, {"position_noise": 0.003})
 
@@ -175,6 +177,9 @@ def test_a_car_in_a_walled_room_gets_scans_of_its_walls() -> None:
     fence = Box(Point(-4.0, -4.0, -1.0), Point(4.0, 4.0, 2.0))
     peers = (Peer("alice", "127.0.0.1", 47101),)
     body = stage.actors[0].overrides
+    feed = stage.actors[0].sensors[-1]
+    assert isinstance(feed, SimulatedFeed)
+    feed._clock = lambda: stage.world.time  # as the car's below
     car = Car(Settings("map", "alice", 0, 0.1, peers, Origin(47.0, 8.0, 400.0), fence, body=body), KEY)
     truth: dict[int, Vector] = {}
     seen: dict[Point, tuple[int, Scan]] = {}  # by where it was measured: the tick at which it came

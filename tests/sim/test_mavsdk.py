@@ -22,7 +22,7 @@ from mavsdk.plugins.offboard import Offboard, PositionNedYaw, VelocityNedYaw
 from mavsdk.plugins.telemetry import LandedState, Telemetry
 
 FRAME = LocalFrame(*ORIGIN)
-SPEED = 4.0  # times faster than real time
+SPEED = 2.0  # times faster than real time
 PATIENCE = 10.0  # seconds
 
 

@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Sphere
+from koordgen.runtime.values import Point
 from targets.sim import quadrotor
 from targets.sim.bodies import Vector
 from targets.sim.car import SimulatedCar
@@ -154,7 +156,7 @@ def test_a_car_on_its_side_has_no_wheels_on_the_floor(world: World) -> None:
 
 def test_obstacles_are_no_work_for_the_physics(world: World) -> None:
     for k in range(3):
-        world.obstacle((0.5 * k, 0.0, 0.0), (0.5 * k + 0.7, 1.0, 1.0))  # on the floor, into one another
+        world.obstacle(Block(Point(0.5 * k, 0.0, 0.0), Point(0.5 * k + 0.7, 1.0, 1.0)))  # into one another
     run(world, 0.1)
     assert not world.bullet.getContactPoints(physicsClientId=world.client)
 
@@ -162,7 +164,7 @@ def test_obstacles_are_no_work_for_the_physics(world: World) -> None:
 def test_rays_end_at_obstacles_and_robots_but_not_at_the_floor(world: World) -> None:
     looking = SimulatedQuadrotor(world, (0.0, 0.0, 2.0), 0.0)
     SimulatedQuadrotor(world, (3.0, 0.0, 2.0), 0.0)
-    world.obstacle((-1.0, -1.0, 0.0), (-0.5, 1.0, 1.5))
+    world.obstacle(Block(Point(-1.0, -1.0, 0.0), Point(-0.5, 1.0, 1.5)))
     ends = [(0.0, 0.0, -1.0), (6.0, 0.0, 2.06), (-0.75, 0.0, 0.06), (0.0, 6.0, 2.06)]
     down, robot, obstacle, nothing = world.rays((0.0, 0.0, 2.06), ends, looking.rigid)
     assert down is None and nothing is None
@@ -171,8 +173,8 @@ def test_rays_end_at_obstacles_and_robots_but_not_at_the_floor(world: World) -> 
 
 
 def test_a_car_does_not_drive_through_an_obstacle(world: World) -> None:
-    wall = world.obstacle((1.0, -1.0, 0.0), (1.1, 1.0, 1.0))
-    beside = world.obstacle((-1.0, 0.15, 0.0), (1.05, 1.0, 1.0))  # overlaps the wall; 1 cm beside the car
+    wall = world.obstacle(Block(Point(1.0, -1.0, 0.0), Point(1.1, 1.0, 1.0)))
+    beside = world.obstacle(Block(Point(-1.0, 0.15, 0.0), Point(1.05, 1.0, 1.0)))  # 1 cm beside the car
     car = SimulatedCar(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4)
     car.drive(1.0, 0.0)
     run(world, 0.3, car.step)
@@ -180,3 +182,15 @@ def test_a_car_does_not_drive_through_an_obstacle(world: World) -> None:
     run(world, 2.0, car.step)
     assert (wall, car.rigid.number) in world.contacts() and beside < car.rigid.number
     assert car.state().position[0] + 0.415 == pytest.approx(1.0, abs=0.01)
+
+
+def test_obstacles_of_every_shape_stand_where_they_are_said_to(world: World) -> None:
+    """A ray from above meets each at its height; beside it nothing."""
+    world.obstacle(Block(Point(-0.5, -0.5, 0.0), Point(0.5, 0.5, 1.0)))
+    world.obstacle(Sphere(Point(3.0, 0.0, 1.0), 0.5))
+    world.obstacle(Cylinder(Point(6.0, 0.0, 0.5), 0.5, 2.0))
+    world.obstacle(Mesh((Point(8, -1, 1), Point(10, -1, 1), Point(9, 1, 1)), ((0, 1, 2),)))
+    looking = SimulatedCar(world, (-9.0, 0.0, 0.0), 0.0, 0.33, 0.4)
+    for x, height in ((0.0, 1.0), (3.0, 1.5), (6.0, 2.5), (9.0, 1.0), (1.0, 0.0), (3.6, 0.0), (6.6, 0.0), (10.5, 0.0)):
+        (share,) = world.rays((x, 0.0, 5.0), [(x, 0.0, 0.0)], looking.rigid)
+        assert (0.0 if share is None else 5.0 * (1 - share)) == pytest.approx(height, abs=0.01), x
