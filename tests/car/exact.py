@@ -55,6 +55,22 @@ def gap(corners: Sequence[Place], body: Obstacle) -> float:
     raise AssertionError(body)
 
 
+def near(p: Place, body: Obstacle) -> float:
+    """Of a place from an obstacle; 0 within it."""
+    match body:
+        case Block(lo, hi):
+            return math.hypot(max(lo.x - p[0], 0.0, p[0] - hi.x), max(lo.y - p[1], 0.0, p[1] - hi.y))
+        case Cylinder(centre, radius, _) | Sphere(centre, radius):
+            return max(0.0, math.dist(p, (centre.x, centre.y)) - radius)
+    raise AssertionError(body)
+
+
+def collides(world: World, x: float, y: float, yaw: float) -> bool:
+    """Whether the car, standing there, is nearer to something than it may be."""
+    corners = outline(world, x, y, yaw)
+    return any(gap(corners, body) < world.clearance - ROUNDING for body in world.obstacles)
+
+
 def collisions(world: World, path: Sequence[Segment]) -> list[str]:
     """What is wrong with a path, in words."""
     found = []

@@ -17,6 +17,7 @@ from targets.car.planner import Plan, Wish
 from targets.car.settings import CarSettings
 from targets.planning.pipe import Answer, Question
 from targets.planning.world import Scene, World
+from tests.car.exact import gap, outline
 
 ROOM = Box(Point(0.0, 0.0, -1.0), Point(7.0, 8.0, 3.0))
 CAR = CarSettings()
@@ -46,20 +47,20 @@ def world(
 
 
 def case(seed: int) -> Case:
-    """From one corner of the room to the opposite one, either pose turned anyhow."""
+    """From one corner of the room to the opposite one, either pose turned anyhow and free by 2 cm more than it must."""
     dice = random.Random(seed)
     start = (0.7, 0.7, dice.uniform(-math.pi, math.pi))
     goal = (6.3, 7.3, dice.uniform(-math.pi, math.pi))
+    empty = world()
     bodies: list[Obstacle] = []
-    for _ in range(dice.randint(8, 20)):
-        while True:
-            x, y, size = dice.uniform(0.0, 7.0), dice.uniform(0.0, 8.0), dice.uniform(0.15, 0.5)
-            if min(math.dist((x, y), start[:2]), math.dist((x, y), goal[:2])) > size + 0.9:
-                break
+    count = dice.randint(8, 20)
+    while len(bodies) < count:
+        x, y, size = dice.uniform(0.0, 7.0), dice.uniform(0.0, 8.0), dice.uniform(0.15, 0.5)
+        body: Obstacle = Cylinder(Point(x, y, 0.0), size, 1.0)
         if dice.random() < 0.5:
-            bodies.append(Cylinder(Point(x, y, 0.0), size, 1.0))
-        else:
-            bodies.append(Block(Point(x - size, y - size, 0.0), Point(x + size, y + size, 1.0)))
+            body = Block(Point(x - size, y - size, 0.0), Point(x + size, y + size, 1.0))
+        if min(gap(outline(empty, *pose), body) for pose in (start, goal)) > CAR.clearance + 0.02:
+            bodies.append(body)
     return Case(start, goal, tuple(bodies))
 
 

@@ -1,0 +1,199 @@
+"""Planning for a car in 60 seeded scenes of 7 x 8 m, 8 to 20 boxes and cylinders: success, time, length, collisions.
+
+`python benchmarks/car_planning.py [--quick] [--json FILE] [--pythonrobotics PATH]`. PATH is a checkout of
+github.com/AtsushiSakai/PythonRobotics, whose RRT with Dubins paths and RRT* with Reeds-Shepp paths then plan from the
+same pose to the same pose among the same obstacles, to their first path, with at most 200 iterations. They know discs
+only: a box is for them the disc within it, and the car a disc as wide as it is, so they have more room than it has.
+
+A scene counts as solvable when an exhaustive search of a state lattice finds a way. Paths are judged by the exact
+checker of tests/car/exact.py, the outline each centimetre against every obstacle, and by their curvature. Times are of
+the planner as its process runs it, without the pipe; "of CPU" is what a run on an idle machine would take. Ends with 1
+when a solvable scene is not solved, or a path is infeasible or collides; nothing of time is asserted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import json
+import math
+import random
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import pairwise
+from pathlib import Path as FilePath
+from statistics import mean, median
+from typing import Any
+
+sys.path.insert(0, str(FilePath(__file__).parents[1]))
+
+from koordgen.runtime.obstacles import Block, Cylinder, Obstacle
+from koordgen.runtime.values import Point
+from targets.car.ask import Asked
+from targets.car.planner import segments
+from tests.car.exact import collides, collisions, infeasible
+from tests.car.lattice import Lattice
+from tests.car.scenes import CAR, Case, ask, case, curve
+
+SCENES, QUICK = 60, 10
+BUDGET, PATIENCE = 0.040, 2.0  # seconds: for a short way; until which one is looked for at all
+ITERATIONS = 200
+
+
+@dataclass
+class Row:
+    """What one planner came to: lengths in metres by scene, seconds that passed and of CPU."""
+
+    name: str
+    lengths: dict[int, float] = field(default_factory=dict)
+    passed: list[float] = field(default_factory=list)
+    cpu: list[float] = field(default_factory=list)
+    infeasible: int = 0
+    colliding: int = 0
+
+    def timed(self, call: Callable[[], Any]) -> Any:
+        begun, worked = time.perf_counter(), time.process_time()
+        found = call()
+        self.passed.append(time.perf_counter() - begun)
+        self.cpu.append(time.process_time() - worked)
+        return found
+
+
+def ours(row: Row, number: int, scene: Case, seconds: float, reverse: bool = True) -> None:
+    world = scene.world(reverse, seed=None)
+    asked = Asked("rrt" if seconds == 0.0 else "rrt-smoothed", world)
+    goal = Point(scene.goal[0], scene.goal[1], 0.0)
+    answer = row.timed(
+        lambda: ask(asked, scene.start, goal, seconds=seconds, heading=scene.goal[2], patience=PATIENCE)
+    )
+    if answer.path:
+        found = curve(answer)
+        path = segments(found)
+        row.lengths[number] = found.length
+        row.infeasible += bool(infeasible(world, path))
+        row.colliding += bool(collisions(world, path))
+
+
+def peers(path: str) -> dict[str, Any]:
+    """PythonRobotics' two planners."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    sys.path[:0] = [path, f"{path}/PathPlanning"]
+    from PathPlanning.RRTDubins.rrt_dubins import RRTDubins  # type: ignore[import-not-found]
+    from PathPlanning.RRTStarReedsShepp.rrt_star_reeds_shepp import RRTStarReedsShepp  # type: ignore[import-not-found]
+
+    return {"PythonRobotics, Dubins RRT": RRTDubins, "PythonRobotics, Reeds-Shepp RRT*": RRTStarReedsShepp}
+
+
+def discs(bodies: tuple[Obstacle, ...]) -> list[tuple[float, float, float]]:
+    found = []
+    for body in bodies:
+        match body:
+            case Block(lo, hi):
+                found.append(((lo.x + hi.x) / 2, (lo.y + hi.y) / 2, (hi.x - lo.x) / 2))
+            case Cylinder(base, radius, _):
+                found.append((base.x, base.y, radius))
+    return found
+
+
+def theirs(row: Row, kind: Any, number: int, scene: Case) -> None:
+    """Its poses are a step apart, 0.2 m at most: they are what is looked at."""
+    random.seed(number)
+    lo, hi = scene.world().arena.lo, scene.world().arena.hi
+    planner = kind(
+        list(scene.start), list(scene.goal), discs(scene.obstacles), [lo.x, hi.y], max_iter=ITERATIONS,
+        robot_radius=CAR.width / 2 + CAR.clearance,
+    )  # fmt: skip
+    planner.curvature = 1 / CAR.planned_radius
+    with contextlib.redirect_stdout(io.StringIO()):
+        found = row.timed(lambda: planner.planning(animation=False, search_until_max_iter=False))
+    if not found:
+        return
+    row.lengths[number] = sum(math.dist(a[:2], b[:2]) for a, b in pairwise(found))
+    row.colliding += any(collides(scene.world(), *pose) for pose in headed(found))
+
+
+def headed(path: list[list[float]]) -> Iterator[list[float]]:
+    """Poses of a path that is told from its end to its begin, where only places are told of one that goes forwards."""
+    for after, at in pairwise(path):
+        if len(at) > 2:
+            yield at
+        elif at[:2] != after[:2]:
+            yield [*at[:2], math.atan2(after[1] - at[1], after[0] - at[0])]
+
+
+def table(rows: list[Row], count: int) -> None:
+    print(f"{'':34} found  median ms (CPU)     p90 ms (CPU)   mean m  infeasible  colliding")
+    for row in rows:
+        late = sorted(zip(row.passed, row.cpu, strict=True))[int(0.9 * len(row.cpu))]
+        length = mean(row.lengths.values()) if row.lengths else math.nan
+        middle = f"{median(row.passed) * 1e3:8.1f} ({median(row.cpu) * 1e3:6.1f})"
+        print(
+            f"{row.name:34} {len(row.lengths):2d}/{count:2d} {middle}"
+            f" {late[0] * 1e3:8.1f} ({late[1] * 1e3:6.1f}) {length:7.2f} {row.infeasible:8d} {row.colliding:10d}"
+        )
+
+
+def ratios(rows: list[Row], against: Row) -> dict[str, float]:
+    """Mean lengths over another's, in the scenes that both solve."""
+    found = {}
+    for row in rows:
+        both = row.lengths.keys() & against.lengths.keys()
+        if row is not against and both:
+            found[row.name] = sum(row.lengths[i] for i in both) / sum(against.lengths[i] for i in both)
+            print(f"length of {row.name} over {against.name}: {found[row.name]:.3f} ({len(both)} scenes)")
+    return found
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="fewer scenes")
+    parser.add_argument("--json", metavar="FILE")
+    parser.add_argument("--pythonrobotics", metavar="PATH")
+    options = parser.parse_args()
+    count = QUICK if options.quick else SCENES
+    scenes = {seed: case(seed) for seed in range(count)}
+    first, short, forward = Row("ours, first path"), Row(f"ours, {BUDGET * 1e3:.0f} ms"), Row("ours, without reverse")
+    rows = [first, short, forward]
+    lattice = Row("exhaustive lattice")
+    kinds = peers(options.pythonrobotics) if options.pythonrobotics else {}
+    strangers = [Row(name) for name in kinds]
+    for number, scene in scenes.items():
+        ours(first, number, scene, 0.0)
+        ours(short, number, scene, BUDGET)
+        ours(forward, number, scene, BUDGET, reverse=False)
+        pieces = lattice.timed(partial(Lattice(scene.world()).solved, scene.start, scene.goal))
+        if pieces is not None:
+            lattice.lengths[number] = sum(abs(way) for _, way in pieces)
+        for row, kind in zip(strangers, kinds.values(), strict=True):
+            theirs(row, kind, number, scene)
+    rows += [lattice, *strangers]
+    table(rows, count)
+    solvable = set(lattice.lengths)
+    missed = sorted(solvable - set(first.lengths)) + sorted(solvable - set(short.lengths))
+    print(f"the lattice solves {len(solvable)} of {count}; of these, not solved by ours: {missed or 'none'}")
+    found = {row.name: ratios([first, short, lattice], row) for row in [*strangers, lattice]}
+    if options.json:
+        told = {
+            "rows": [
+                {
+                    "name": row.name, "found": len(row.lengths), "median_s": median(row.passed),
+                    "median_cpu_s": median(row.cpu), "infeasible": row.infeasible, "colliding": row.colliding,
+                }
+                for row in rows
+            ],
+            "ratios": found,
+            "missed": missed,
+        }  # fmt: skip
+        FilePath(options.json).write_text(json.dumps(told, indent=1), encoding="utf-8")
+    wrong = sum(row.infeasible + row.colliding for row in (first, short, forward))
+    return 1 if missed or wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
