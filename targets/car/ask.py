@@ -22,6 +22,9 @@ from targets.planning.limit import Limit
 from targets.planning.pipe import Answer, Question
 from targets.planning.world import World
 
+TREES = 0.02  # seconds for a tree, before a lattice is explored
+LATTICE = 0.6  # of the time for a good way is for the lattice at first
+
 
 class Asked:
     """The car's judge: see `targets.planning.ask.Judge`."""
@@ -52,7 +55,7 @@ class Asked:
             return Answer(question.number, (), f"the goal is too near to {blocker}")
         task = Task(start, (goal.x, goal.y), free, wish.gear)
         curve = self._found(task, way, question.seconds, max(question.seconds, wish.patience))
-        if curve is None or not way.clear(curve, PAD / 2):
+        if curve is None or not way.clear(curve, 0.0):
             return Answer(question.number, (), "")
         middle = (Point(x, y, 0.0) for x, y in points(curve)[1:-1])
         path = (question.start, *middle, goal)
@@ -72,31 +75,44 @@ class Asked:
         return found if wish.arrival is None else (*found, wish.arrival)
 
     def _found(self, task: Task, way: Way, seconds: float, patience: float) -> Curve | None:
-        search, iterations = self._search, self._world.iterations
+        """`seconds` are for a good way, `patience` for any."""
         if math.dist(task.start[:2], task.goal) < 1e-3:
             return None
-        over, end = Limit(seconds, iterations), Limit(patience, iterations)
-        if (curve := search.direct(task, way)) is not None or self._name == "straight":
+        search, name = self._search, self._name
+        if (curve := search.direct(task, way)) is not None or name == "straight":
             return curve
-        if self._name == "rrt-star":
+        over, end = self._limit(seconds), self._limit(patience)
+        if name == "rrt-star":
             return search.connected(task, way, over, 0, star=True)
-        dice = random.Random(self._world.seed)
-        turn = 0
-        best: Curve | None = None
-        while best is None and not end.late and (turn == 0 or not end.spent(turn)):
-            best = search.connected(task, way, end, turn)
+        best = None
+        if name != "rrt" and seconds > TREES:  # what the lattice holds is shorter, but not always found as soon
+            best = search.explored(task, way, self._limit(LATTICE * seconds))
+        if best is None:
+            best = search.connected(task, way, self._limit(min(patience, TREES)), 0)
+        if best is None:
+            best = search.explored(task, way, self._limit(patience - TREES))
+        turn = 1
+        while best is None and not (end.late or end.spent(turn)):
+            best = search.connected(task, way, end, turn)  # rarely, what a tree found is not clear after all
             turn += 1
-        if best is None or self._name == "rrt":
-            return best
-        return self._polished(best, task, way, dice, over, turn)
+        return best if best is None or name == "rrt" else self._polished(best, task, way, over)
 
-    def _polished(self, best: Curve, task: Task, way: Way, dice: random.Random, over: Limit, turn: int) -> Curve:
-        best = self._search.shortened(best, task, way, dice, over)
+    def _limit(self, seconds: float) -> Limit:
+        return Limit(seconds, self._world.iterations)
+
+    def _polished(self, best: Curve, task: Task, way: Way, over: Limit) -> Curve:
+        """Short cuts, also of what other trees find, for as long as there is time."""
+        search, dice = self._search, random.Random(self._world.seed)
+        best = search.shortened(best, task, way, dice, over)
+        turn = 2
         while not over.spent(turn):
-            another = self._search.connected(task, way, over, turn)
+            best = search.shortened(best, task, way, dice, over)
+            another = search.connected(task, way, over, turn)
             if another is not None:
-                another = self._search.shortened(another, task, way, dice, over)
-                best = min(best, another, key=lambda curve: price(curve.pieces, task.gear))
-            best = self._search.shortened(best, task, way, dice, over)
+                best = _cheaper(best, search.shortened(another, task, way, dice, over), task)
             turn += 1
         return best
+
+
+def _cheaper(a: Curve, b: Curve, task: Task) -> Curve:
+    return min(a, b, key=lambda curve: price(curve.pieces, task.gear))

@@ -22,6 +22,7 @@ from ompl import base, geometric, util
 from targets.car.bicycle import wrap
 from targets.car.curves import Curve, Piece, Triple, dubins, reeds_shepp
 from targets.car.ground import PAD, Way
+from targets.car.lattice import Aim, Lattice
 from targets.car.planner import Area, Point2, price
 from targets.planning.limit import STARTS, Limit
 
@@ -30,6 +31,7 @@ DETOUR = 1.6  # a single curve that is so much longer than the shortest is not w
 RANGE = 2.0  # metres: the longest edge of a tree
 GOAL_BIAS = 0.2  # of a forward tree's samples
 TRIES = 60  # short cuts of one path before another is looked for
+SHOTS = 3  # curves to a place that are tried from a pose of the lattice
 LEAST_CUT = 0.1  # metres: a way between two poses that is shorter is left alone
 GAIN = 1e-3  # metres of price that make a short cut one
 FORWARDS = 0.3  # of the short cuts are tried without reverse gear, which may be cheaper
@@ -152,6 +154,22 @@ class Search:
             pieces += curve.pieces
             at = curve.end
         return Curve(start, merged(pieces))
+
+    def explored(self, task: Task, way: Way, over: Limit) -> Curve | None:
+        """What a lattice holds."""
+        goals = [(*task.goal, heading) for heading in task.headings]
+        distance, single = self._space.distance, len(goals) == 1
+
+        def left(at: Triple) -> float:
+            return distance(at, goals[0]) if single else math.dist(at[:2], task.goal)
+
+        def shots(at: Triple) -> Iterator[Curve]:
+            for length, goal in sorted((distance(at, goal), goal) for goal in goals)[:SHOTS]:
+                yield self._space.curve(at, goal, length)
+
+        lattice = Lattice(task.start, self._radius, self._space.reverse, way)
+        pieces = lattice.explored(Aim(task.goal, left, shots), over)
+        return None if pieces is None else Curve(task.start, merged(pieces))
 
     def shortened(self, curve: Curve, task: Task, way: Way, dice: random.Random, over: Limit) -> Curve:
         """The same way with short cuts, as far as they are clear and cheaper."""

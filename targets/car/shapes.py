@@ -24,11 +24,13 @@ OVERLAP = -1.0  # metres: the distance of what has a point in common with the fo
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """All that is no farther than `radius` from a convex core, and the box around it. `name` is for people."""
+    """All that is no farther than `radius` from a convex core, and the box around it. `name` is for people; `upright`
+    is a core that is its own box."""
 
     core: Core
     radius: float
     name: str
+    upright: bool = False
     bounds: Bounds = field(init=False)
 
     def __post_init__(self) -> None:
@@ -60,9 +62,42 @@ class Footprint:
     def distance(self, x: float, y: float, yaw: float, shape: Shape) -> float:
         """From the outline at a pose to a shape, exactly; below 0 when they have a point in common."""
         c, s = math.cos(yaw), math.sin(yaw)
-        local = [(c * (px - x) + s * (py - y), c * (py - y) - s * (px - x)) for px, py in shape.core]
-        gap = _to_point(self, *local[0]) if len(local) == 1 else _to_polygon(self, local)
+        if shape.upright:
+            gap = _to_box(self, x, y, c, s, shape.bounds)
+        else:
+            local = [(c * (px - x) + s * (py - y), c * (py - y) - s * (px - x)) for px, py in shape.core]
+            gap = _to_point(self, *local[0]) if len(local) == 1 else _to_polygon(self, local)
         return gap - shape.radius if gap > 0 else OVERLAP
+
+
+def _to_box(body: Footprint, x: float, y: float, c: float, s: float, bounds: Bounds) -> float:
+    """As `_to_polygon` for a box along the axes: written out, as most of the time is spent here."""
+    west, south, east, north = bounds
+    front, back, half = body.front, -body.overhang, body.width / 2
+    best = math.inf
+    before = behind = left = right = True
+    for px, py in ((west, south), (east, south), (east, north), (west, north)):
+        rx, ry = px - x, py - y
+        ahead, aside = c * rx + s * ry, c * ry - s * rx
+        dx = ahead - front if ahead > front else back - ahead if ahead < back else 0.0
+        dy = aside - half if aside > half else -half - aside if aside < -half else 0.0
+        before, behind = before and ahead > front, behind and ahead < back
+        left, right = left and aside > half, right and aside < -half
+        square = dx * dx + dy * dy
+        if square < best:
+            best = square
+    apart = before or behind or left or right
+    before = behind = left = right = True
+    for ahead, aside in ((back, -half), (front, -half), (front, half), (back, half)):
+        px, py = x + c * ahead - s * aside, y + s * ahead + c * aside
+        dx = west - px if px < west else px - east if px > east else 0.0
+        dy = south - py if py < south else py - north if py > north else 0.0
+        before, behind = before and px > east, behind and px < west
+        left, right = left and py > north, right and py < south
+        square = dx * dx + dy * dy
+        if square < best:
+            best = square
+    return math.sqrt(best) if apart or before or behind or left or right else 0.0
 
 
 def _to_point(body: Footprint, px: float, py: float) -> float:
@@ -118,7 +153,7 @@ def _ways(path: Path, reach: float) -> Iterator[Shape]:
 
 
 def _box(west: float, south: float, east: float, north: float, name: str) -> Shape:
-    return Shape(((west, south), (east, south), (east, north), (west, north)), 0.0, name)
+    return Shape(((west, south), (east, south), (east, north), (west, north)), 0.0, name, True)
 
 
 def _shapes(body: Obstacle, height: float, name: str) -> Iterator[Shape]:

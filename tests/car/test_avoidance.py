@@ -1,0 +1,206 @@
+"""The car among obstacles: targets around them, planned paths driven as planned, others refused, planning beside it."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import pytest
+
+from koordgen.runtime.obstacles import Block, Obstacle
+from koordgen.runtime.platform import Unready
+from koordgen.runtime.values import Point
+from targets.car.avoidance import MakePlanning
+from targets.car.platform import Car
+from targets.planning.pipe import Answer
+from targets.planning.process import JUDGE, Inside
+from targets.planning.world import Scene
+from targets.planning.world import World as PlannerWorld
+from tests.car import scenes
+from tests.car.exact import gap, outline
+from tests.car.world import KEY, TestBody, World, robot_settings, standing
+
+BOX = Block(Point(1.2, -0.6, 0.0), Point(1.8, 0.6, 1.0))
+WALL = Block(Point(1.4, -9.0, 0.0), Point(1.6, 9.0, 1.0))
+BODY = scenes.world()  # whose outline is the car's
+
+
+def among(
+    *obstacles: Obstacle, body: TestBody | None = None, planning: MakePlanning = Inside, **settings: object
+) -> World:
+    world = World(body)
+    made = msgspec.structs.replace(robot_settings(settings), obstacles=obstacles)
+    world.car = Car(made, KEY, world.wire, planning)
+    return world.begin()
+
+
+def nearest(world: World, body: Obstacle) -> float:
+    truth = world.body.truth
+    return gap(outline(BODY, truth.x, truth.y, truth.yaw), body)
+
+
+def drive(world: World, seconds: float, *bodies: Obstacle) -> float:
+    """Run; how near the car came."""
+    gaps: list[float] = [math.inf]
+    world.run(seconds, lambda: gaps.extend(nearest(world, body) for body in bodies))
+    return min(gaps)
+
+
+def test_a_target_behind_an_obstacle_is_driven_to_around_it() -> None:
+    world = among(BOX)
+    world.go(3.0, 0.0)
+    assert drive(world, 12.0, BOX) > 0.05, "half the clearance is left for errors"
+    assert world.value("reached") is True and world.distance(3.0, 0.0) < 0.1
+
+
+def test_the_planners_path_is_driven_as_it_was_planned() -> None:
+    world = among(BOX)
+    path = world.car.call("Motion.planner", (Point(3.0, 0.0, 0.0),))
+    assert path[-1] == Point(3.0, 0.0, 0.0) and 3 <= len(path) <= 8
+    plan = world.car._avoidance.planned(world.car._estimator.state, path)
+    assert plan is not None
+    way = [plan.at(plan.length * i / 500)[:2] for i in range(501)]
+    world.car.command({"Motion.path": path}, world.now)
+    off: list[float] = []
+
+    def look() -> None:
+        truth = world.body.truth
+        off.append(min(math.dist((truth.x, truth.y), place) for place in way))
+        world.car.command({"Motion.path": path}, world.now)  # written anew in every round: nothing changes
+
+    world.run(12.0, look)
+    assert max(off) < 0.08 and world.value("reached") is True and world.distance(3.0, 0.0) < 0.1
+
+
+def test_the_planners_path_from_elsewhere_is_driven_point_by_point() -> None:
+    world = among(BOX)
+    path = world.car.call("Motion.planner", (Point(3.0, 0.0, 0.0),))
+    world.go(0.0, 1.5)
+    world.run(8.0)
+    world.car.command({"Motion.path": path}, world.now)
+    assert drive(world, 15.0, BOX) > 0.05
+    assert world.value("reached") is True and world.distance(3.0, 0.0) < 0.1
+
+
+def test_a_path_through_an_obstacle_is_refused_and_told_once() -> None:
+    world = among(BOX)
+    through = (Point(0.5, 0.0, 0.0), Point(3.0, 0.0, 0.0))
+    for _ in range(3):
+        world.car.command({"Motion.path": through}, world.now)
+        world.run(1.0)
+    assert standing(world) and world.distance(0.0, 0.0) < 0.02 and world.value("reached") is False
+    (line,) = world.car.news()
+    assert line.startswith("not driven, holding instead: the way from (0.50, 0.00, 0.00)") and "obstacle 0" in line
+    assert "comes within 0.00 m of obstacle 0" in world.car.progress
+    world.car.command({"Motion.path": (Point(0.5, 0.0, 0.0), Point(0.8, 2.0, 0.0))}, world.now)
+    world.run(10.0)
+    assert world.value("reached") is True and world.distance(0.8, 2.0) < 0.1 and world.car.news() == []
+
+
+@pytest.mark.parametrize(
+    ("obstacle", "x", "said"),
+    [
+        (BOX, 1.5, "standing: the goal is too near to obstacle 0: (1.50, 0.00)"),
+        (WALL, 3.0, "standing: no path inside the geofence leads there: (3.00, 0.00)"),
+        (Block(Point(0.1, -0.1, 0.0), Point(0.3, 0.1, 1.0)), 3.0, "standing: the car is in obstacle 0: (3.00, 0.00)"),
+    ],
+)
+def test_where_no_way_leads_the_car_stands_and_says_why(
+    obstacle: Obstacle, x: float, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("targets.car.avoidance.PATIENCE", 0.05)
+    world = among(obstacle)
+    world.go(x, 0.0)
+    world.run(2.0)
+    assert world.car.progress == said
+    assert standing(world) and world.distance(0.0, 0.0) < 0.02 and world.value("reached") is False
+
+
+@pytest.mark.parametrize(
+    ("goal", "said"),
+    [
+        (Point(3.0, 0.0, 0.5), "no path: the goal is not on the ground"),
+        (Point(9.0, 0.0, 0.0), "no path: the goal is outside the arena"),
+        (Point(1.5, 0.0, 0.0), "no path: the goal is too near to obstacle 0"),
+    ],
+)
+def test_what_the_program_asks_for_in_vain_is_told(goal: Point, said: str) -> None:
+    world = among(BOX)
+    assert world.car.call("Motion.planner", (goal,)) == () and world.car.news() == [said]
+
+
+def test_other_robots_paths_are_driven_around() -> None:
+    world = among()
+    theirs = (Point(1.5, -2.0, 0.0), Point(1.5, 1.0, 0.0))
+    world.car.others({1: theirs})
+    line = Block(Point(1.5, -2.0, 0.0), Point(1.5 + 1e-9, 1.0, 1.0))
+    path = world.car.call("Motion.planner", (Point(3.0, 0.0, 0.0),))
+    assert len(path) > 2
+    world.go(3.0, 0.0)
+    assert drive(world, 14.0, line) > 0.4, "the others' length"
+    assert world.value("reached") is True
+
+
+class Late(Inside):
+    """One whose answers take some polls."""
+
+    polls = 6  # 0.3 s
+
+    def __init__(self, name: str, world: PlannerWorld, budget: float, judge: str = JUDGE) -> None:
+        super().__init__(name, world, budget, judge)
+        self._left = 0
+
+    def ask(self, start: Point, goal: Point, scene: Scene, more: bytes, seconds: float) -> bool:
+        if self.waiting:
+            return False
+        self._left, self.waiting = self.polls, True
+        return super().ask(start, goal, scene, more, seconds)
+
+    def poll(self) -> None:
+        self._left = max(0, self._left - 1)
+
+    def answer(self) -> Answer | None:
+        if self._left:
+            return None
+        self.waiting = False
+        return super().answer()
+
+
+def test_while_a_way_is_planned_the_car_goes_on_and_does_not_stop() -> None:
+    world = among(body=TestBody(-4.0, 0.0, 0.0), planning=Late)
+    slowest = math.inf
+    for k in range(100):
+        world.go(-2.5 + 0.06 * k, 0.5 * math.sin(0.06 * k))
+        world.run(0.1)
+        if k > 20:
+            slowest = min(slowest, world.body.truth.speed)
+    assert slowest > 0.25 and world.distance(-2.5 + 0.06 * 99, 0.5 * math.sin(0.06 * 99)) < 1.6
+
+
+def test_until_the_first_way_is_planned_the_car_stands() -> None:
+    world = among(BOX, planning=Late)
+    world.go(3.0, 0.0)
+    world.run(0.15)
+    assert world.car.progress == "standing until a way is planned" and standing(world)
+    assert drive(world, 12.0, BOX) > 0.05 and world.value("reached") is True
+
+
+def test_a_planner_of_the_users_own_answers_points_that_are_driven_one_by_one() -> None:
+    world = among(BOX, planner="tests.car.own:Aside")
+    path = world.car.call("Motion.planner", (Point(3.0, 0.0, 0.0),))
+    assert path[1] == Point(1.5, 1.5, 0.0)
+    world.car.command({"Motion.path": path}, world.now)
+    assert drive(world, 15.0, BOX) > 0.05 and world.value("reached") is True
+    world = among(planner="tests.planning.own:Raises")
+    assert world.car.call("Motion.planner", (Point(3.0, 0.0, 0.0),)) == ()
+    assert world.car.news() == ["no path: the planner failed: RuntimeError: no map"]
+    with pytest.raises(Unready, match="no licence"):
+        among(planner="tests.planning.own:Refuses")
+
+
+def test_without_reverse_it_never_goes_backwards() -> None:
+    world = among(BOX, reverse=False)
+    world.go(-1.0, 0.5)
+    speeds: list[float] = []
+    world.run(12.0, lambda: speeds.append(world.body.truth.speed))
+    assert min(speeds) > -0.02 and world.value("reached") is True, world.car.progress
