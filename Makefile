@@ -27,6 +27,7 @@ slow: $(STAMP)
 
 bench: $(STAMP)
 	$(PY) benchmarks/compile.py
+	$(PY) benchmarks/quad_tracking.py
 	$(PY) benchmarks/round.py
 	$(PY) benchmarks/sim_autopilot.py
 	$(PY) benchmarks/shared_memory.py

@@ -30,12 +30,12 @@ from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.platform import Unready
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point
+from targets.mavlink.link import Link
+from targets.mavlink.transport import opened
 from targets.quad.flight import Flight, Phase
-from targets.quad.link import Link
 from targets.quad.motion import Motion
 from targets.quad.setpoint import ARDUPILOT, Aim, Shaping, setpoint
 from targets.quad.telemetry import Telemetry
-from targets.quad.transport import opened
 
 HEIGHT, ROOM = 2.0, 12.0
 TICK = 0.05

@@ -104,12 +104,17 @@ class Feed:
     @property
     def dropped(self) -> str:
         """What was dropped, in words, to follow a message; "" when nothing was."""
-        told = ", ".join(f"{n} {why}" for why, n in self.rejected.items())
+        told = ", ".join(f"{_about(n)} {why}" for why, n in self.rejected.items())
         return f"; dropped: {told}" if told else ""
 
     def silent(self, setting: str, seconds: float) -> tuple[str, str]:
         """Message and hint of the Unready when nothing has come on `setting` for so long."""
         return f"no position has arrived on {setting} for {seconds:.0f} s{self.dropped}", _HINT
+
+
+def _about(n: int) -> str:
+    """Large counts roughly: a text that is told when it changes must not change with each datagram of a flood."""
+    return str(n) if n < 100 else f"{10 ** (len(str(n)) - 1)}+"
 
 
 def listen_for_poses(key: str, setting: str) -> UdpLink:

@@ -48,13 +48,14 @@ class Watchdog:
     def run(self) -> None:
         """Until the agent has closed its end and the car has been braked for long enough."""
         while (now := time.monotonic()) < self._end:
-            if now >= self._due:
-                self._write(now)
-            wait = max(0.0, min(self._due, self._end) - time.monotonic())
+            wait = max(0.0, min(self._due, self._end) - now)
             if self._end < math.inf:
                 time.sleep(wait)
             elif select.select([self._agent], [], [], None if wait == math.inf else wait)[0]:
                 self._take()
+                continue  # all that has been said counts before it brakes: it may have been kept from running, too
+            if (now := time.monotonic()) >= self._due:
+                self._write(now)
 
     def _take(self) -> None:
         try:

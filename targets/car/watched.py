@@ -18,6 +18,7 @@ STARTING = 2.0  # seconds that a new one may take to answer: a slow board loads 
 SILENT = 0.5  # seconds without an answer after which the car is braked
 HUNG = 1.0  # ... and after which the process is ended and begun anew
 PAUSE = 1.0  # seconds between two starts, at least
+OFTEN = 5.0  # seconds between two lines that tell of its braking, at least
 
 
 class Watch(Protocol):
@@ -67,7 +68,8 @@ class WatchdogProcess:
         self._asked: float | None = None  # when it was told of the first command that it has not answered
         self._answering = False  # whether it has answered since it was begun
         self._news: list[str] = []
-        self.answered: float | None = None  # seconds that its last answer took
+        self._told = -math.inf  # when its braking was told of last
+        self._braked = 0  # how often it has braked since
 
     @property
     def pid(self) -> int:
@@ -167,11 +169,18 @@ class WatchdogProcess:
             if not data:
                 self._lose("ended")
             elif data[:1] == b"L":
-                late = struct.unpack("d", data[1:])[0]
-                self._tell(f"the watchdog braked: no command had come for {late:.2f} s; the agent was stuck or starved")
+                self._tell_braked(struct.unpack("d", data[1:])[0], now)
             else:
                 self._answering, self._asked = True, None
-                self.answered = now - struct.unpack("d", data[1:])[0]
+
+    def _tell_braked(self, late: float, now: float) -> None:
+        """Told every OFTEN seconds at most: on an overloaded computer it happens again and again."""
+        self._braked += 1
+        if now - self._told < OFTEN:
+            return
+        times = f"{self._braked} times, the last because" if self._braked > 1 else "because"
+        self._tell(f"the watchdog braked {times} no command had come for {late:.2f} s: the agent was stuck or starved")
+        self._told, self._braked = now, 0
 
     def _lose(self, why: str) -> None:
         self._end(kill=True)

@@ -11,7 +11,7 @@ from typing import Any
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point
 from targets.planning.room import Room, fixed, room
-from targets.planning.world import Path, Planner, Scene, World
+from targets.planning.world import InRoom, Path, Planner, Scene, World
 
 MOST_POINTS = 1000
 ROUNDING = 1e-9  # metres
@@ -58,13 +58,18 @@ class Asked:
         if reason:
             return (), reason
         try:
-            path = self._planner.plan(start, goal, scene, seconds)
+            path = self._planned(here, start, goal, scene, seconds)
         except Exception as error:
             return (), f"the planner failed: {type(error).__name__}: {error}"
         if path == ():
             return (), ""
         reason = misled(world, here, start, goal, path)
         return ((), f"the planner's path was refused: {reason}") if reason else (tuple(path), "")
+
+    def _planned(self, here: Room, start: Point, goal: Point, scene: Scene, seconds: float) -> Any:
+        if isinstance(self._planner, InRoom):  # one that comes along: what a large scene takes is spent once
+            return self._planner.plan_in(here, start, goal, seconds)
+        return self._planner.plan(start, goal, scene, seconds)
 
 
 def infeasible(world: World, here: Room, start: Point, goal: Point) -> str:

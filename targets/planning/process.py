@@ -4,6 +4,7 @@ in this one."""
 from __future__ import annotations
 
 import os
+import re
 import select
 import subprocess
 import sys
@@ -60,13 +61,38 @@ def made(planning: Planning, sleep: Callable[[float], None]) -> None:
     raise Unready(f"the planner was not made within {STARTING:.0f} s")
 
 
+class News:
+    """Lines for the log. What keeps a call from its path is told once, until another call gets one; numbers in it make
+    no other reason of it."""
+
+    def __init__(self) -> None:
+        self._lines: list[str] = []
+        self._known: set[str] = set()
+
+    def tell(self, line: str) -> None:
+        self._lines.append(line)
+
+    def called(self, reason: str) -> None:
+        """How a call went; "": well."""
+        kind = re.sub(r"[-\d.]+", "", reason)
+        if not reason:
+            self._known.clear()
+        elif kind not in self._known:
+            self._known.add(kind)
+            self._lines.append(f"no path: {reason}")
+
+    def take(self) -> list[str]:
+        told, self._lines = self._lines, []
+        return told
+
+
 class Inside:
     """In the agent's own process: for a simulator that owns time, with `iterations` in its World, and for tests."""
 
     def __init__(self, name: str, world: World, budget: float) -> None:
         self._name, self._world, self._budget = name, world, budget
         self._asked: Asked | None = None
-        self._news: list[str] = []
+        self._news = News()
         self.ready = False
 
     def start(self) -> None:
@@ -83,13 +109,11 @@ class Inside:
         if self._asked is None:
             return ()
         path, reason = self._asked.answer(start, goal, scene, SHARE * self._budget)
-        if reason:
-            self._news.append(f"no path: {reason}")
+        self._news.called(reason)
         return path
 
     def news(self) -> list[str]:
-        told, self._news = self._news, []
-        return told
+        return self._news.take()
 
     def close(self) -> None:
         self.ready = False
@@ -110,6 +134,7 @@ class Beside:
         self._order, self._budget = Order(name, world), budget
         self._folders, self._clock = folders, clock
         self._child: subprocess.Popen[bytes] | None = None
+        self._killed: list[subprocess.Popen[bytes]] = []  # until they have ended
         self._incoming = Unframed()
         self._outgoing = b""  # what the child has not taken yet
         self._into = self._from = -1  # its standard input, and what it answers on
@@ -118,7 +143,7 @@ class Beside:
         self._number = 0
         self._asked_at: float | None = None  # when the question was asked that has not been answered yet
         self._answer: Answer | None = None
-        self._news: list[str] = []
+        self._news = News()
         self.ready = False
 
     @property
@@ -149,6 +174,7 @@ class Beside:
 
     def poll(self) -> None:
         """See Planning."""
+        self._killed = [child for child in self._killed if child.poll() is None]
         if self._child is None:
             if self._made and self._clock() - self._begun > PAUSE:
                 self.start()
@@ -165,7 +191,7 @@ class Beside:
         """See Planning."""
         self.poll()
         if not self.ready or self._asked_at is not None:
-            self._tell("no path: the planner is " + ("still at the last question" if self.ready else "not there"))
+            self._news.called("the planner is " + ("still at the last question" if self.ready else "not there"))
             return ()
         began = self._clock()
         deadline = began + self._budget
@@ -186,31 +212,29 @@ class Beside:
     def _judged(self, answer: Answer | None, start: Point, goal: Point) -> Path:
         if answer is None:
             if self._child is not None:
-                self._tell(f"no path: the planner did not answer within {self._budget * 1e3:.0f} ms")
+                self._news.called(f"the planner did not answer within {self._budget * 1e3:.0f} ms")
             return ()
         path = answer.path
-        if answer.reason:
-            self._tell(f"no path: {answer.reason}")
-        elif path and not (transmissible(path) and len(path) > 1 and path[0] == start and path[-1] == goal):
-            self._tell("no path: the planner answered with what is no path from here to the goal")
+        if path and not (transmissible(path) and len(path) > 1 and path[0] == start and path[-1] == goal):
+            self._news.called("the planner answered with what is no path from here to the goal")
             return ()
+        self._news.called(answer.reason)
         return path
 
     def news(self) -> list[str]:
         """See Planning."""
-        told, self._news = self._news, []
-        return told
+        return self._news.take()
 
     def close(self) -> None:
         """End the child. Idempotent."""
         self._end()
+        for child in self._killed:
+            with suppress(subprocess.TimeoutExpired):
+                child.wait(timeout=0.5)
+        self._killed.clear()
 
     def _waiting(self) -> bool:
         return self._asked_at is not None and self._answer is None
-
-    def _tell(self, line: str) -> None:
-        if line not in self._news:
-            self._news.append(line)
 
     def _send(self) -> None:
         """Write what the child takes at once of what it has not yet got."""
@@ -252,7 +276,7 @@ class Beside:
         self._end()
         if not self._made:
             raise Unready(why if "planner" in why else f"the planner {self._order.name} {why}")
-        self._tell(f"the planner {why}; it is begun anew")
+        self._news.tell(f"the planner {why}; it is begun anew")
 
     def _end(self) -> None:
         self.ready, self._asked_at, self._outgoing = False, None, b""
@@ -265,5 +289,4 @@ class Beside:
             if end is not None:
                 with suppress(OSError):
                     end.close()
-        with suppress(subprocess.TimeoutExpired):
-            child.wait(timeout=0.2)  # a process that was killed is gone within a moment
+        self._killed.append(child)  # to wait for its end, some milliseconds, would keep the agent

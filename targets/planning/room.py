@@ -69,7 +69,7 @@ class Room:
                     self.inside = self.inside or thing.name
             if margin > 0.0:
                 self._kept.append((bounds, margin, thing))
-        self._boxes = np.array([bounds for bounds, _, _ in self._kept]) if len(self._kept) > MANY else None
+        self._boxes = None
 
     def clear(self, a: Point, b: Point) -> bool:
         """Whether every place of the straight line from a to b keeps its distance from all of them."""
@@ -84,11 +84,13 @@ class Room:
         west, east = (a.x, b.x) if a.x < b.x else (b.x, a.x)
         south, north = (a.y, b.y) if a.y < b.y else (b.y, a.y)
         bottom, top = (a.z, b.z) if a.z < b.z else (b.z, a.z)
-        if self._boxes is None:
+        if len(self._kept) <= MANY:
             for bounds, kept, thing in self._kept:
                 if _overlap(bounds, west, east, south, north, bottom, top):
                     yield kept, thing
             return
+        if self._boxes is None:
+            self._boxes = np.array([bounds for bounds, _, _ in self._kept])
         boxes = self._boxes
         low = boxes[:, :3] < (east, north, top)
         high = boxes[:, 3:] > (west, south, bottom)
@@ -132,12 +134,16 @@ def _thing(obstacle: Obstacle, name: str) -> Thing:
             low, high = Point(c.x - r, c.y - r, c.z), Point(c.x + r, c.y + r, c.z + h)
         case Mesh():
             surface = Surface(obstacle)
-            return Thing(surface.low, surface.high, surface.distance, name)
+            return Thing(surface.low, surface.high, partial(_surface, surface, Block(surface.low, surface.high)), name)
     return Thing(low, high, partial(_solid, obstacle), name)
 
 
 def _solid(body: Solid, a: Point, b: Point, within: float) -> float:
     return solid_distance(body, a, b)
+
+
+def _surface(surface: Surface, around: Block, a: Point, b: Point, within: float) -> float:
+    return math.inf if solid_distance(around, a, b) > within else surface.distance(a, b, within)
 
 
 def _columns(scene: Scene, kept: float, start: Point) -> Iterator[Thing]:

@@ -50,11 +50,13 @@ class Rrt:
 
     def plan(self, start: Point, goal: Point, scene: Scene, seconds: float) -> Path:
         """See Planner."""
-        over = _Limit(seconds, self._world.iterations)
-        here = room(self._world, self._standing, scene, start)
+        return self.plan_in(room(self._world, self._standing, scene, start), start, goal, seconds)
+
+    def plan_in(self, here: Room, start: Point, goal: Point, seconds: float) -> Path:
+        """See InRoom."""
         if here.clear(start, goal):
             return start, goal
-        return self._planned(here, start, goal, over)
+        return self._planned(here, start, goal, _Limit(seconds, self._world.iterations))
 
     def _planned(self, here: Room, start: Point, goal: Point, over: _Limit) -> Path:
         return self._search(geometric.RRTConnect, here, start, goal, over, 0)
@@ -131,7 +133,11 @@ class Straight:
 
     def plan(self, start: Point, goal: Point, scene: Scene, seconds: float) -> Path:
         """See Planner."""
-        return (start, goal) if room(self._world, self._standing, scene, start).clear(start, goal) else ()
+        return self.plan_in(room(self._world, self._standing, scene, start), start, goal, seconds)
+
+    def plan_in(self, here: Room, start: Point, goal: Point, seconds: float) -> Path:
+        """See InRoom."""
+        return (start, goal) if here.clear(start, goal) else ()
 
 
 PLANNERS: dict[str, Callable[[World], Planner]] = {

@@ -13,9 +13,9 @@ from koordgen.runtime.platform import Unready
 from koordgen.runtime.safety import clamp
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point
+from targets.mavlink.framing import Message
+from targets.mavlink.link import GROUND_STATION, Link
 from targets.quad.firmware import Firmware
-from targets.quad.framing import Message
-from targets.quad.link import GROUND_STATION, Link
 from targets.quad.parameters import Parameters, Wanted
 from targets.quad.telemetry import Streams, Telemetry
 from targets.quad.vehicles import identified

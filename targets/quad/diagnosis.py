@@ -9,8 +9,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.platform import Finding, State
 from koordgen.runtime.settings import Box
+from targets.mavlink.framing import Message
 from targets.quad.check import DEADLINE, RIVAL, Heard, coordinates, misplaced, stranger, unheard
-from targets.quad.framing import Message
 from targets.quad.vehicles import identified
 
 CHARGE, LEAST_CHARGE = 50, 20  # percent

@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.values import Point, Pose
-from targets.quad.framing import Message
+from targets.mavlink.framing import Message
 
 GPS_EPOCH, LEAP_SECONDS, WEEK = 315_964_800, 18, 604_800  # seconds; 1980-01-06 in Unix time
 HORIZONTAL, VERTICAL, SPEED = 0.02, 0.02, 0.1  # metres, m/s: what a motion capture system errs by, generously

@@ -16,10 +16,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from koordgen.runtime.platform import Unready
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point
+from targets.mavlink.framing import Message
+from targets.mavlink.link import RESULTS, Link
 from targets.quad.check import RIVAL, misplaced, stranger, unheard
 from targets.quad.firmware import Firmware
-from targets.quad.framing import Message
-from targets.quad.link import RESULTS, Link
 from targets.quad.parameters import Review, Wanted
 from targets.quad.telemetry import Streams, Telemetry
 from targets.quad.vehicles import identified

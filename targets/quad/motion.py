@@ -9,7 +9,7 @@ from koordgen.runtime.platform import Unready
 from koordgen.runtime.safety import clamp
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point, distance, transmissible
-from targets.quad.link import Link
+from targets.mavlink.link import Link
 from targets.quad.reference import STANDING, Reference
 from targets.quad.setpoint import ARDUPILOT, Aim, Shaping, aimed, setpoint
 from targets.quad.telemetry import Telemetry
@@ -49,7 +49,7 @@ class Motion:
         self, frame: LocalFrame, fence: Box, height: float, max_speed: float, acceleration: float, climb: float,
         radius: float, dwell: float, yaw: str | float = "keep", shaping: Shaping = ARDUPILOT,
     ) -> None:  # fmt: skip
-        self._frame, self._fence, self._height = frame, fence, height
+        self._frame, self._fence = frame, fence
         self._radius, self._dwell, self._speed = radius, dwell, max_speed
         self._room = room(fence, height)
         self._reference = Reference(Limits(max_speed, climb, acceleration, self._room))

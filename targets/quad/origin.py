@@ -12,9 +12,9 @@ import math
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.geodesy import LocalFrame
+from targets.mavlink.framing import Message
+from targets.mavlink.link import Link
 from targets.quad.external import Ned
-from targets.quad.framing import Message
-from targets.quad.link import Link
 
 EVERY = 1.0  # seconds between two askings
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from targets.quad.framing import Message
-from targets.quad.link import Link
+from targets.mavlink.framing import Message
+from targets.mavlink.link import Link
 
 EVERY = 0.7  # seconds between two requests for the same parameter
 TURNS = 6  # requests after which a parameter counts as one that does not answer

@@ -21,20 +21,20 @@ from koordgen.runtime.safety import clamp
 from koordgen.runtime.scans import ScanPort
 from koordgen.runtime.settings import BadSettings, Settings
 from koordgen.runtime.values import Point
+from targets.mavlink.framing import Message
+from targets.mavlink.link import Link
+from targets.mavlink.transport import Transport, opened
 from targets.planning.process import Beside
 from targets.quad.avoidance import Avoidance, MakePlanning
 from targets.quad.check import listen
 from targets.quad.diagnosis import findings
 from targets.quad.firmware import Firmware
 from targets.quad.flight import Flight, Phase
-from targets.quad.framing import Message
-from targets.quad.link import Link
 from targets.quad.motion import Motion, heading
 from targets.quad.parameters import Wanted
 from targets.quad.positioning import Positioning
 from targets.quad.setpoint import Aim, setpoint
 from targets.quad.telemetry import Telemetry
-from targets.quad.transport import Transport, opened
 
 MODULES = ("Motion", "MotionWithScan")  # one body under two names; the second has a lidar
 

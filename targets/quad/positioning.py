@@ -16,12 +16,12 @@ from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.values import Pose, distance
+from targets.mavlink.framing import Message
+from targets.mavlink.link import Link
 from targets.quad.check import coordinates
 from targets.quad.external import gps_input, odometry, vision
 from targets.quad.firmware import Firmware
 from targets.quad.flight import Flight, Phase
-from targets.quad.framing import Message
-from targets.quad.link import Link
 from targets.quad.origin import Origin
 from targets.quad.parameters import Wanted
 from targets.quad.telemetry import Telemetry
@@ -141,13 +141,13 @@ class Positioning:
         track = self._track
         self.doubt = self._waiting() if track.pose is None else ""
         if track.refused(now) > 0.0:
-            self.doubt = f"the position source jumped: {track.jumps} samples refused"
+            self.doubt = "the position source jumped"
         elif track.pose is not None and now - track.time > STALE:
-            self.doubt = f"the newest position on {self._setting} is {now - track.time:.1f} s old"
+            self.doubt = f"no fresh position has come on {self._setting}"
         elif (off := self._apart(state)) is not None:
             v = track.velocity
             if off > APART + LAG * math.hypot(v.x, v.y, v.z):
-                self.doubt = f"the autopilot's estimate is {off:.2f} m from the position source"
+                self.doubt = f"the autopilot's estimate is {off:.1f} m from the position source"
             else:
                 self.vouched = track.time
         self.held = self.vouched is None or now - self.vouched > STALE
@@ -164,7 +164,10 @@ class Positioning:
             raise Unready(f"position source jumped: nothing else has come for {jumped:.1f} s", hint)
         unsure = now - (self._began if self.vouched is None else self.vouched)
         if unsure > (CLIMBING if phase is Phase.CLIMBING else self._lost) and self.doubt:
-            raise Unready(self.doubt, "look at the base station, its network, and the autopilot's parameters")
+            raise Unready(
+                f"{self.doubt} for {unsure:.1f} s",
+                "look at the base station, its network, and the autopilot's parameters",
+            )
 
     def _waiting(self) -> str:
         return f"waiting for the position feed on {self._setting}{self._feed.dropped}"

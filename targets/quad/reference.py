@@ -22,8 +22,8 @@ CREEP = 0.05  # of its rate, below which it stands
 PAUSE = 0.5  # s of running on at most when it is paused: as far as an autopilot needs to brake
 STANDING = 0.25  # m/s, above what a hovering vehicle's estimate shows
 WINDOW = 0.4  # s of a target's last places from which its way is told
-# What is slower, or goes to and fro, is the noise of measured places and no motion: m/s, and the share of what its steps
-# add up to by which it must have come further.
+# What is slower, or goes to and fro, is the noise of measured places and no motion: m/s, and the share of what its
+# steps add up to by which it must have come further.
 PACE, STRAIGHT = 0.1, 0.7
 SLOW = 0.1  # m/s; a way that is never faster, a centimetre, is no motion
 SETTLED = 0.5  # s that the vehicle may need to stand, after the reference

@@ -25,8 +25,8 @@ from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.safety import clamp
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point
-from targets.quad.framing import Message
-from targets.quad.link import Vehicle
+from targets.mavlink.framing import Message
+from targets.mavlink.link import Vehicle
 from targets.quad.reference import Reference
 
 # Bits of the type mask say what to ignore; position, velocity and acceleration are each used whole or not at all.

@@ -13,10 +13,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.values import Point, transmissible
+from targets.mavlink.framing import Message
+from targets.mavlink.link import Link
 from targets.quad.ardupilot import ARDUPILOT
 from targets.quad.firmware import Firmware
-from targets.quad.framing import Message
-from targets.quad.link import Link
 
 VOUCHED = 2.0  # seconds for which a report of the estimate's state holds
 _NO_POSITION = 0x007  # bits of a type mask

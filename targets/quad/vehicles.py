@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from targets.mavlink.link import Link
 from targets.quad.ardupilot import ARDUPILOT
 from targets.quad.firmware import Firmware
-from targets.quad.link import Link
 from targets.quad.px4 import PX4
 
 COPTERS = {

@@ -46,7 +46,7 @@ class SimulatedAutopilot:
         harness = context.harness
         boot = _seconds(harness.get("boot", 3.0))
         positioning = str(context.settings.get("positioning", ""))
-        params = Parameters(str(harness.get("version", VERSION)), positioning=positioning)
+        params = Parameters(_version(str(harness.get("version", VERSION))), positioning=positioning)
         self.copter, reports, streams = self._firmware(str(harness.get("firmware", "ardupilot")), boot, params)
         noise, seed = float(harness.get("position_noise", 0.0)), f"{context.seed}/{context.robot}/autopilot"
         self.copter.estimator = self._estimator = Estimator(params, self._frame, boot, noise, seed, self.copter.say)
@@ -193,6 +193,14 @@ class SimulatedAutopilot:
                 return ACCEPTED
         result = self.copter.command(message, now)
         return UNSUPPORTED if result is None else result
+
+
+def _version(text: str) -> str:
+    """What the setting `version` says. Raises BadScenario."""
+    major, _, minor = text.partition(".")
+    if not (major.isdecimal() and minor.isdecimal()):
+        raise BadScenario(f"version is {text!r}", "give ArduPilot's major and minor version, such as 4.7")
+    return text
 
 
 def _seconds(boot: Any) -> float:

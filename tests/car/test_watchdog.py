@@ -104,7 +104,10 @@ def test_an_agent_that_falls_silent_is_braked_for_within_a_fifth_of_a_second_at_
     agent.drive(line, 0.5)
     assert not line.times(vesc.Brake), "it leaves the car to the agent again"
     (told,) = agent.dog.news()
-    assert told.startswith("the watchdog braked: no command had come for 0.1")
+    assert told.startswith("the watchdog braked because no command had come for 0.1")
+    line.watch(0.4)
+    agent.drive(line, 0.2)
+    assert not agent.dog.news(), "not told again within 5 s"
 
 
 def test_commands_are_no_later_for_it(line: Line, agent: Agent) -> None:

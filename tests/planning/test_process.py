@@ -108,7 +108,7 @@ def test_one_that_hangs_is_ended_and_begun_anew(monkeypatch: pytest.MonkeyPatch)
         pid = planning.pid
         assert planning.plan(START, GONE, Scene()) == ()
         until(planning, lambda: not planning.ready)
-        assert not alive(pid)
+        until(planning, lambda: not alive(pid))
         assert planning.news()[-1] == "the planner has not answered for 0.3 s; it is begun anew"
         until(planning, lambda: planning.ready)
         assert planning.plan(START, EASY, Scene()) == (START, EASY)
@@ -150,6 +150,7 @@ def test_one_that_cannot_be_made_keeps_the_robot_from_starting(name: str, said: 
     with pytest.raises(Unready, match=said):
         made(planning, time.sleep)
     assert planning.pid == 0
+    planning.close()
     with pytest.raises(Unready, match=said):
         Inside(name, WORLD, 0.05).start()
 
@@ -205,3 +206,15 @@ def test_the_end_of_the_agent_ends_it(state: str) -> None:
     while alive(child) and time.monotonic() < end:
         time.sleep(0.05)
     assert not alive(child)
+
+
+def test_a_reason_is_told_once_until_there_is_a_path_again() -> None:
+    inside = Inside("straight", WORLD, 0.05)
+    inside.start()
+    for x in (-0.1, 0.0, 0.1):
+        assert inside.plan(START, Point(x, 0.0, 1.5), Scene()) == ()
+    assert inside.news() == ["no path: the goal is too near to obstacle 0"]
+    assert inside.plan(START, Point(9.0, 0.0, 1.5), Scene()) == ()
+    assert inside.news() == ["no path: the goal is outside the arena"]
+    assert inside.plan(START, EASY, Scene()) == (START, EASY)
+    assert inside.plan(START, Point(0.0, 0.0, 1.5), Scene()) == () and len(inside.news()) == 1

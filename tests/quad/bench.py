@@ -8,7 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.geodesy import LocalFrame
-from targets.quad.framing import Framer, Message
+from targets.mavlink.framing import Framer, Message
 from tests.quad.rig import ORIGIN, Rig
 
 ARM, TAKEOFF, MODE = mavlink.MAV_CMD_COMPONENT_ARM_DISARM, mavlink.MAV_CMD_NAV_TAKEOFF, mavlink.MAV_CMD_DO_SET_MODE

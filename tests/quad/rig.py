@@ -10,10 +10,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.settings import Box, Origin, Peer, Settings
 from koordgen.runtime.values import Point
+from targets.mavlink.framing import Framer, Message
+from targets.mavlink.transport import Address, Chunk
 from targets.planning.process import Inside
-from targets.quad.framing import Framer, Message
 from targets.quad.platform import Quad
-from targets.quad.transport import Address, Chunk
 from targets.sim.autopilot import SimulatedAutopilot
 from targets.sim.bodies import BodyState, DeviceContext, Vector
 from targets.sim.quadrotor import DRAG

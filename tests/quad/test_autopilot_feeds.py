@@ -17,7 +17,7 @@ GPS, VISION = "gps_input", "vision"
 class Fed:
     """A bench whose test is its position feed as well: the pose of `lag` seconds ago at `rate` Hz, with an offset."""
 
-    def __init__(self, positioning: str, rate: float, lag: float = 0.0, boot: float = 1.0) -> None:
+    def __init__(self, positioning: str, rate: float, lag: float = 0.0, boot: float | str = 1.0) -> None:
         self.bench = Bench(boot=boot, prepared=positioning)
         self.rate, self.lag = rate, lag
         self.feeding = True
@@ -168,6 +168,15 @@ def test_vision_needs_an_origin_first(kind: str) -> None:
     assert status.onboard_control_sensors_health & vision and not status.onboard_control_sensors_present & gps
     fed.fly()
     assert fed.circle(10.0) < 0.02  # 0.013 m were observed
+
+
+def test_vision_is_ready_in_half_of_a_real_boot() -> None:
+    fed = Fed("vision", 20.0, 0.01, boot="real")
+    fed.send = fed.vision
+    assert fed.wait(20.0, lambda: "EKF3 IMU0 initialised" in fed.said)
+    fed.origin()
+    assert fed.wait(40.0, lambda: fed.bench.copter.estimator.ready)
+    assert fed.bench.rig.now - 1000.0 == pytest.approx(23.0, abs=1.0)
 
 
 def test_vision_is_ignored_unless_it_is_configured() -> None:

@@ -7,6 +7,7 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from targets.sim.scenario import BadScenario
 from tests.quad.bench import Bench
 
 
@@ -20,6 +21,22 @@ def write(bench: Bench, name: str, value: float) -> list[tuple[str, float]]:
     bench.send(mavlink.MAVLink_param_set_message(1, 1, name.encode(), value, mavlink.MAV_PARAM_TYPE_REAL32))
     bench.wait(0.5)
     return [(m.param_id, m.param_value) for m in bench.of(22)]
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"),
+    [
+        ("boot", "soon"),
+        ("boot", "nan"),
+        ("boot", -1.0),
+        ("version", "four"),
+        ("version", "4"),
+        ("firmware", "betaflight"),
+    ],
+)
+def test_a_setting_that_makes_no_sense_is_refused(setting: str, value: object) -> None:
+    with pytest.raises(BadScenario, match=f"{setting} is"):
+        Bench(harness={setting: value})
 
 
 def test_an_unknown_parameter_never_answers() -> None:

@@ -7,13 +7,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.platform import Finding, Unready
+from targets.mavlink.framing import Message
+from targets.mavlink.link import Link
+from targets.mavlink.transport import Transport
 from targets.quad.check import Heard
 from targets.quad.diagnosis import findings
-from targets.quad.framing import Message
-from targets.quad.link import Link
 from targets.quad.platform import Quad
 from targets.quad.telemetry import Telemetry
-from targets.quad.transport import Transport
 from tests.quad.rig import FENCE, ORIGIN, Rig, Wire, commands, sent, settings, told
 
 HARMLESS = {

@@ -14,8 +14,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.values import Point, Pose
+from targets.mavlink.framing import Framer
 from targets.quad.external import Ned, gps_input, odometry, vision
-from targets.quad.framing import Framer
 from tests.quad.rig import ORIGIN
 
 FRAME = LocalFrame(*ORIGIN)

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.platform import Unready
-from targets.quad.framing import Framer
-from targets.quad.link import Link, Vehicle
-from targets.quad.transport import opened
+from targets.mavlink.framing import Framer
+from targets.mavlink.link import Link, Vehicle
+from targets.mavlink.transport import opened
 from tests.quad.rig import Wire
 
 

@@ -10,8 +10,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.values import Point
-from targets.quad.framing import Framer, Message
-from targets.quad.link import Link, Vehicle
+from targets.mavlink.framing import Framer, Message
+from targets.mavlink.link import Link, Vehicle
 from targets.quad.origin import Origin
 from tests.quad.rig import ORIGIN, Wire
 

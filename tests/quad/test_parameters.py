@@ -7,8 +7,8 @@ import struct
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from targets.quad.framing import Framer
-from targets.quad.link import Link
+from targets.mavlink.framing import Framer
+from targets.mavlink.link import Link
 from targets.quad.parameters import Parameters, Wanted
 from tests.quad.rig import Rig, Wire, commands, sent
 from tests.quad.test_link import heartbeat

@@ -15,9 +15,9 @@ from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.safety import clamp, inside
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point, distance
+from targets.mavlink.framing import Message
+from targets.mavlink.link import Link, Vehicle
 from targets.quad import setpoint as setpoints
-from targets.quad.framing import Message
-from targets.quad.link import Link, Vehicle
 from targets.quad.motion import MARGIN, Motion, heading, room
 from targets.quad.reference import Reference
 from targets.quad.setpoint import Aim, NotSendable, Shaping, aimed, setpoint

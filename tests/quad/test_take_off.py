@@ -6,7 +6,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.platform import Unready
-from targets.quad.framing import Framer
+from targets.mavlink.framing import Framer
 from tests.quad.rig import SETPOINT, Rig, at, commands, sent, told
 from tests.quad.test_link import heartbeat
 

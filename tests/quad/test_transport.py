@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import pytest
 
-from targets.quad.transport import FIRST_WAIT, LONGEST_WAIT, SILENT, Tcp
+from targets.mavlink.transport import FIRST_WAIT, LONGEST_WAIT, SILENT, Tcp
 
 
 class Peer:

@@ -11,8 +11,8 @@ import pytest
 
 from koordgen.runtime.platform import Unready
 from koordgen.runtime.values import Point
+from targets.mavlink.transport import opened
 from targets.quad.platform import Quad
-from targets.quad.transport import opened
 from targets.sim.autopilot import SimulatedAutopilot
 from targets.sim.bodies import DeviceContext
 from tests.quad.rig import ORIGIN, STEP, PointMass, settings

@@ -178,6 +178,13 @@ def test_a_sender_needs_nothing_of_ours() -> None:
     assert feed.take(sealed, 10.0) and feed.pose == POSE
 
 
+def test_large_counts_are_told_roughly() -> None:
+    feed = fed(*[b"x"] * 99)
+    assert feed.dropped == "; dropped: 99 not authentic"
+    feed.take(b"x", 10.0)
+    assert feed.dropped == "; dropped: 100+ not authentic"
+
+
 def test_a_new_session_has_a_clock_of_its_own() -> None:
     feed = Feed("bert", KEY)
     for i in range(5):

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from targets.quad.framing import Framer, Message
-from targets.quad.transport import Transport
+from targets.mavlink.framing import Framer, Message
+from targets.mavlink.transport import Transport
 
 GROUND_STATION = 255  # MAV_GCS_SYSID: only from this system do heartbeats hold off the autopilot's GCS failsafe
 COMPONENT = mavlink.MAV_COMP_ID_MISSIONPLANNER

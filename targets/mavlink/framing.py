@@ -6,6 +6,7 @@ the v2.0 dialect it needs no MAVLINK20 in the environment: only mavutil reads th
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -14,6 +15,7 @@ Message = Any  # one of the dialect's generated classes
 
 _HEADER = {0xFD: 10, 0xFE: 6}
 _SIGNED = 0x01
+_MARKER = re.compile(rb"[\xfd\xfe]")
 
 
 class Framer:
@@ -45,8 +47,10 @@ class Framer:
                 size = None
             message = None if size is None else self._decoded(data[at : at + size])
             if message is None or size is None:
-                at += 1
-                skipped += 1
+                marker = _MARKER.search(data, at + 1)
+                onwards = end if marker is None else marker.start()
+                skipped += onwards - at
+                at = onwards
             else:
                 messages.append(message)
                 at += size
@@ -55,13 +59,14 @@ class Framer:
         return messages, data[at:]
 
     def _decoded(self, frame: bytes) -> Message | None:
+        number = frame[5] if frame[0] == 0xFE else int.from_bytes(frame[7:10], "little")
+        if number not in mavlink.mavlink_map:
+            self._count("unknown")
+            return None
         try:
             message = self._mavlink.decode(bytearray(frame))
         except Exception:  # generated code on hostile bytes: whatever it raises, the frame is bad
             self._count("frames")
-            return None
-        if message.get_msgId() < 0 or isinstance(message, mavlink.MAVLink_unknown):
-            self._count("unknown")
             return None
         return message
 
