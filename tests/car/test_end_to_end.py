@@ -21,7 +21,7 @@ from targets.car.settings import CarSettings
 from targets.sim.bodies import Device
 from targets.sim.drive import TIMEOUT, Controller, SimulatedDrive
 from targets.sim.station import SimulatedFeed
-from tests.car.world import KEY, PHYSICS, TestBody, context, robot_settings
+from tests.car.world import KEY, PHYSICS, OwnTime, TestBody, context, robot_settings
 from tests.terminal import terminal
 
 
@@ -33,7 +33,7 @@ class Bench:
         self.device: Device = SimulatedDrive(self.body, context({}, 0.005))
         self.feed: Device = SimulatedFeed(self.body, context({}, 0.005), "position", lambda: self.now)
         self.overrides = {**self.device.overrides, **self.feed.overrides}
-        self.car = Car(robot_settings(self.overrides), KEY)
+        self.car = Car(robot_settings(self.overrides), KEY, OwnTime())
         self.ticks = 0
 
     @property
