@@ -21,7 +21,7 @@ from koordgen.runtime.machine import Agent
 from koordgen.runtime.memory import Memory
 from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.opening import open_transport
-from koordgen.runtime.platform import Sensed
+from koordgen.runtime.platform import Finding, Sensed
 from koordgen.runtime.program import Cell, Event, Frame, Program, Slots, Transaction, Variable
 from koordgen.runtime.rounds import PUBLISH
 from koordgen.runtime.settings import Box, Network, Origin, Peer, Settings
@@ -88,7 +88,7 @@ class Still:
     rested = True
     progress = "standing"
 
-    def check(self) -> list[str]:
+    def diagnose(self) -> list[Finding]:
         return []
 
     def start(self, now: float) -> None: ...

@@ -241,10 +241,11 @@ class Replica:
         return Word(self.views.view.number, self._said, self.memory is not None or self._spare is not None)
 
     def _holds(self, value: View) -> bool:
-        """Whether this robot's vote helps the view to last: who would lose its store by it gives none."""
+        """Whether this robot's vote helps the view to last: who would lose its store by it gives none, nor who has none
+        and is not let in. Else what such a view begins with could be in the hands of one robot alone."""
         memory = self.memory
         if memory is None:
-            return self._spare is None or value.members[self._pid] >= 0
+            return value.members[self._pid] >= 0
         stays = value.number == memory.view.number + 1 and value.members[self._pid] >= 0
         return stays and memory.holds(value.since - 1)
 

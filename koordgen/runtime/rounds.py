@@ -24,6 +24,7 @@ from koordgen.runtime.trace import Observe, Record
 PUBLISH = 0.5  # of delta: when a round's closing leaves at the latest
 FIRST_SLOT = 3  # the first of a round's SLOTS in which its own closings are asked for, before it the last round's
 PUNCTUAL = 0.5  # of a slot: who wakes later is late
+PATIENCE = 1  # rounds for which who is late asks for nothing
 GATHER = 20e-6  # seconds that the closing of one more robot may take to come after another's
 MOST_GATHER = 0.03  # of a round, for all of them
 LINGER = 20  # rounds after all have stopped
@@ -91,6 +92,7 @@ class Rounds:
         self._present = _Present()
         self._published = 0
         self._wake = 0.0
+        self._asked = 0  # the last round in which this robot asked
         self._left = False
         self._outbox = Outbox(lives[0])
         self._outbox.lives = list(lives)
@@ -172,7 +174,7 @@ class Rounds:
             if not fresh:
                 return self._wake
             if memory.view.number == self._view:
-                self._wake = self._ask(slot, timely)
+                self._wake = self._ask(slot, fresh, timely)
                 return self._wake
         current = False
         if memory is not None:
@@ -193,7 +195,7 @@ class Rounds:
             self._confirm(memory.applied)
         if ripe:  # only now: all others wait for the closing
             self._replica.poll((present.round - 1) * SLOTS + slot, present.round)
-        self._wake = self._ask(slot, timely)
+        self._wake = self._ask(slot, fresh, timely)
         return self._wake
 
     def _calm(self, memory: Memory) -> bool:
@@ -365,9 +367,9 @@ class Rounds:
             present.confirmed = True
             self._replica.confirm(present.round)
 
-    def _ask(self, slot: int, timely: bool) -> float:
+    def _ask(self, slot: int, fresh: bool, timely: bool) -> float:
         """Ask for what should have come by now; returns the next moment at which there may be something to do. Who
-        woke late asks nothing: the others may be as late, and would have the more to do."""
+        woke late asks nothing for a while: the others may be as late, and would have the more to do."""
         present, memory = self._present, self._replica.memory
         following = self._tick((slot + 1) / SLOTS)
         if memory is None:
@@ -376,8 +378,10 @@ class Rounds:
         missing = [p for p in memory.missing(through) if p != self._replica.pid]
         waited = self._outbox.first
         unaware = memory.unaware(waited) if waited is not None and (waited < through or slot >= 1) else []
-        if timely and (missing or unaware):
+        patient = not timely and present.round <= self._asked + PATIENCE
+        if fresh and (missing or unaware) and not patient:
             self._replica.ask(missing, unaware, through)
+            self._asked = present.round
             self.counters.asked += 1
         if present.open:
             return min(self._tick(PUBLISH), following)

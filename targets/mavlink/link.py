@@ -17,6 +17,7 @@ from targets.mavlink.transport import Transport
 
 GROUND_STATION = 255  # MAV_GCS_SYSID: only from this system do heartbeats hold off the autopilot's GCS failsafe
 COMPONENT = mavlink.MAV_COMP_ID_MISSIONPLANNER
+GREETING = 0.4  # seconds between two heartbeats of ours: the autopilot lands after 5 s without one, and some are lost
 LOST = 2.0  # seconds without a heartbeat
 GONE = 5.0  # seconds without one of another autopilot's
 RESULTS = {
@@ -160,8 +161,8 @@ class Link:
         return "; ".join(dict.fromkeys(said[-4:]))
 
     def greet(self, now: float) -> None:
-        """Send our heartbeat when one is due, once a second."""
-        if now - self._greeted >= 1.0:
+        """Send our heartbeat when one is due."""
+        if now - self._greeted >= GREETING:
             self._greeted = now
             self.send(
                 mavlink.MAVLink_heartbeat_message(

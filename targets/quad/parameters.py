@@ -18,7 +18,11 @@ from targets.mavlink.link import Link
 
 EVERY = 0.7  # seconds between two requests for the same parameter
 TURNS = 6  # requests after which a parameter counts as one that does not answer
-WAY_OUT = "set it by a ground station; the robot's setting `allow_no_failsafe: true` takes off all the same"
+WAY_OUT = (
+    "set it by a ground station, or switch on a pilot's remote control; the robot's setting `allow_no_failsafe: true` "
+    "takes off all the same"
+)
+PILOT = "it takes off because a remote control is there: should the agent die, its pilot must land it"
 REREAD = 5.0  # seconds between two looks at what differs
 _INTEGERS = {
     mavlink.MAV_PARAM_TYPE_UINT8: "<B",
@@ -148,18 +152,22 @@ class Parameters:
 
 class Review:
     """The parameters before a take-off: read, again as long as some differ, for somebody who mends them, and told of
-    once."""
+    once. What is vital forbids the take-off only where there is no remote control either: somebody or something must
+    be able to land the vehicle when the agent is dead."""
 
     def __init__(self, wanted: tuple[Wanted, ...], bytewise: bool) -> None:
         self._parameters = Parameters(wanted, bytewise)
         self._differences: tuple[Reading, ...] = ()
         self._reread = -math.inf
         self._told: tuple[str, ...] = ()
+        self._piloted = False  # whether the autopilot hears a remote control
         self.known = False  # whether all were read, or do not answer
 
     def take(self, message: Message) -> None:
         """Take one of the vehicle's messages."""
         self._parameters.take(message)
+        if message.get_msgId() == mavlink.MAVLINK_MSG_ID_RC_CHANNELS:
+            self._piloted = message.chancount > 0
 
     def poll(self, link: Link, now: float) -> None:
         """Ask for what is missing."""
@@ -169,16 +177,23 @@ class Review:
             if self._differences and now - self._reread >= REREAD:
                 self._reread = now
                 self._parameters.again()
+                link.tell(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_RC_CHANNELS)
 
     @property
     def forbids(self) -> str:
         """What differs that forbids a take-off, and the way out, in words."""
-        vital = "; ".join(str(r) for r in self._differences if r.wanted.vital)
-        return f"{vital} ({WAY_OUT})" if vital else ""
+        vital = self._vital
+        return f"{vital} ({WAY_OUT})" if vital and not self._piloted else ""
+
+    @property
+    def _vital(self) -> str:
+        return "; ".join(str(r) for r in self._differences if r.wanted.vital)
 
     def news(self) -> str:
         """What differs and was not told yet, in words; it counts as told then."""
         differences = tuple(map(str, self._differences))
+        if self._vital and self._piloted:
+            differences = (*differences, PILOT)
         if differences == self._told:
             return ""
         self._told = differences

@@ -124,15 +124,19 @@ class Generated:
         return rt.Frame(pid, N_SYS, locals_, shared, ports, ports, lambda port, args: answer(pid, port, args))
 
     def event(self, state: State, pid: int) -> tuple[str | None, int | None, Outcome]:
-        frame = self.frame(state, pid)
-        chosen = rt.choose(self.program, frame)
+        transaction = self.program.begin(self.frame(state, pid))
+        chosen = rt.choose(self.program, transaction)
         if chosen is None or isinstance(chosen, rt.Fault):
             return None, None, "none" if chosen is None else "discarded"
-        return chosen.name, chosen.lock, self.done(rt.run(self.program, chosen.effect, frame))
+        return chosen.name, chosen.lock, self.done(rt.run(self.program, chosen.effect, transaction))
 
     def init(self, state: State, pid: int) -> Outcome:
         init = self.program.init
-        return "none" if init is None else self.done(rt.run(self.program, init, self.frame(state, pid)))
+        return (
+            "none"
+            if init is None
+            else self.done(rt.run(self.program, init, self.program.begin(self.frame(state, pid))))
+        )
 
     def done(self, done: rt.Effects | rt.Fault) -> Outcome:
         if isinstance(done, rt.Fault):

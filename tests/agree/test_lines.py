@@ -50,10 +50,10 @@ class Numbering:
 
 def told(generated: Generated, state: State, pid: int) -> int | None:
     """The line of the fault on a robot, None when there is none."""
-    frame = generated.frame(state, pid)
-    chosen = rt.choose(generated.program, frame)
+    transaction = generated.program.begin(generated.frame(state, pid))
+    chosen = rt.choose(generated.program, transaction)
     if isinstance(chosen, rt.Event):
-        done = rt.run(generated.program, chosen.effect, frame, chosen.line)
+        done = rt.run(generated.program, chosen.effect, transaction, chosen.line)
         return done.line if isinstance(done, rt.Fault) else None
     return None if chosen is None else chosen.line
 

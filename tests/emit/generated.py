@@ -71,12 +71,12 @@ def frame(program: rt.Program, pid: int = 0, n_sys: int = 3, call: Any = rt.no_p
 
 def step(program: rt.Program, given: rt.Frame | None = None) -> rt.Effects | rt.Fault:
     """What the first enabled event does."""
-    given = given or frame(program)
-    event = rt.choose(program, given)
+    state = program.begin(given or frame(program))
+    event = rt.choose(program, state)
     if isinstance(event, rt.Fault):
         return event
     assert event is not None
-    return rt.run(program, event.effect, given, event.line)
+    return rt.run(program, event.effect, state, event.line)
 
 
 def locals_after(text: str, functions: str = "", **changed: Any) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from koordgen.runtime.memory import Memory
 from koordgen.runtime.views import Word, choose
-from koordgen.runtime.wire import Closing, Decided, Prepare, Promise, Round, StatePiece, View, Want
+from koordgen.runtime.wire import Accept, Accepted, Closing, Decided, Prepare, Promise, Round, StatePiece, View, Want
 from tests.model.lab import Fleet
 
 BEGIN = View(0, 1, (0, 0, 0))
@@ -254,3 +254,21 @@ def test_who_is_left_out_keeps_its_store_aside_for_the_case_that_all_others_lose
     assert replica.memory is not None and replica.memory.applied == 3
     replica.views.adopt(View(4, 9, (2, -1, 2)))  # what it then has is of a view that it does not know
     assert replica.out and not replica._own_word().state
+
+
+def test_who_has_no_store_votes_for_no_view_that_leaves_it_out() -> None:
+    """View 1 goes on without robot 2, which has no store. Robot 1 alone has applied round 5, robot 0 is not heard: with
+    robot 2's vote, view 2 of robots 0 and 1 would begin with round 6, in robot 1's hands alone."""
+    fleet = Fleet(3)
+    rounds_of_all(fleet, 3)
+    replica = fleet.robots[2].replica
+    replica.views.adopt(View(1, 6, (0, 0, -1)))
+    assert replica.out
+    fleet.flights.clear()
+
+    def votes(ballot: int, value: View) -> bool:
+        replica.take(Accept(fleet.robots[1].wire._head, ballot, value), 6)
+        return any(isinstance(f.message, Accepted) for f in fleet.to(1))
+
+    assert not votes(129, View(2, 6, (0, 0, -1)))
+    assert votes(257, View(2, 6, (0, 0, 2)))

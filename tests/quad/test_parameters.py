@@ -117,7 +117,8 @@ def test_no_take_off_with_an_autopilot_that_would_not_land_when_the_agent_dies()
     rig.run(12.0)
     assert rig.quad.progress == (
         "not taking off: FS_GCS_ENABLE is 0, wanted 5: else it does not land when the agent dies (set it by a ground "
-        "station; the robot's setting `allow_no_failsafe: true` takes off all the same)"
+        "station, or switch on a pilot's remote control; the robot's setting `allow_no_failsafe: true` takes off all "
+        "the same)"
     )
     assert not commands(rig, mavlink.MAV_CMD_COMPONENT_ARM_DISARM) and not sent(rig, SET)
     (found,) = (f for f in rig.agent().diagnose() if f.name == "FS_GCS_ENABLE")
@@ -135,6 +136,22 @@ def test_no_take_off_while_a_vital_parameter_does_not_answer() -> None:
     assert "not taking off: MAV_GCS_SYSID does not answer, wanted 255" in rig.quad.progress
     rig.autopilot.copter.params["SYSID_MYGCS"] = 255.0
     assert rig.run(20.0, lambda: rig.quad.ready)
+
+
+def test_with_a_pilot_s_remote_control_it_takes_off_and_says_who_must_land_it() -> None:
+    rig = Rig()
+    assert rig.autopilot is not None
+    rig.autopilot.copter.params["FS_GCS_ENABLE"] = 0.0
+    rig.quad.start(rig.now)
+    rig.run(8.0)
+    assert "not taking off" in rig.quad.progress
+    requests = [
+        c for c in commands(rig, mavlink.MAV_CMD_REQUEST_MESSAGE) if c.param1 == mavlink.MAVLINK_MSG_ID_RC_CHANNELS
+    ]
+    assert requests  # it asks whether there is one
+    rig.autopilot._send(mavlink.MAVLink_rc_channels_message(0, 16, *[1500] * 18, 255))
+    assert rig.run(30.0, lambda: rig.quad.ready)
+    assert any("should the agent die, its pilot must land it" in said for said in rig.progress)
 
 
 def test_what_does_not_forbid_a_take_off_is_told_once() -> None:
