@@ -32,7 +32,13 @@ class CarSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     speed_to_erpm_gain: Annotated[float, msgspec.Meta(ge=-100_000.0, le=100_000.0)] = 4614.0
     steering_to_servo_gain: Annotated[float, msgspec.Meta(ge=-10.0, le=10.0)] = -1.2135
     steering_to_servo_offset: Annotated[float, msgspec.Meta(ge=0.1, le=0.9)] = 0.5304
-    clearance: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.3
+    length: Annotated[float, msgspec.Meta(ge=0.05, le=10.0)] = 0.5
+    width: Annotated[float, msgspec.Meta(ge=0.02, le=5.0)] = 0.28
+    overhang: Annotated[float, msgspec.Meta(ge=0.0, le=5.0)] = 0.085
+    height: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.25
+    clearance: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.1
+    planner: str = "rrt-smoothed"
+    reverse: bool = True
     brake_current: Annotated[float, msgspec.Meta(ge=0.5, le=60.0)] = 10.0
     braking: Annotated[float, msgspec.Meta(ge=0.2, le=20.0)] = 3.0
     full_speed: Annotated[float, msgspec.Meta(ge=0.2, le=20.0)] = 3.0

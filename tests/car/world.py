@@ -18,6 +18,7 @@ from targets.car.platform import Car
 from targets.car.rover import Route
 from targets.car.settings import decode
 from targets.car.watched import Unwatched
+from targets.planning.process import Inside
 from targets.sim.bodies import BodyState, DeviceContext
 from targets.sim.drive import Controller
 from targets.sim.station import BaseStation
@@ -122,7 +123,7 @@ class World:
     def __init__(self, body: TestBody | None = None, noise: float = 0.005, **settings: Any) -> None:
         self.body = body if body is not None else TestBody()
         self.wire = Wire()
-        self.car = Car(robot_settings(settings), KEY, self.wire)
+        self.car = Car(robot_settings(settings), KEY, self.wire, Inside)
         self.controller: Controller | None = Controller(self.body, decode(settings))
         self.station: BaseStation | None = BaseStation(self.body, context(settings, noise))
         self.now = 0.0
@@ -180,7 +181,9 @@ def context(settings: Mapping[str, Any], noise: float) -> DeviceContext:
 def robot_settings(body: Mapping[str, Any]) -> Settings:
     """The settings of the robot that the tests drive."""
     peer = Peer("bert", "127.0.0.1", 47101)
-    return Settings("app", "bert", 0, 0.1, (peer,), Origin(47.0, 8.0, 488.0), FENCE, body=dict(body))
+    return Settings(
+        "app", "bert", 0, 0.1, (peer,), Origin(47.0, 8.0, 488.0), FENCE, body=dict(body), planner_budget=0.2
+    )
 
 
 def datagram(x: float, y: float, yaw: float, sequence: int) -> bytes:
