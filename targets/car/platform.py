@@ -19,25 +19,16 @@ from koordgen.runtime.platform import Finding, Sensed, Unready
 from koordgen.runtime.scans import ScanPort
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.values import Point, Pose
-<<<<<<< HEAD
-from targets.car.diagnosis import STALE, drive_findings, feed_findings, fix_findings, limits, watchdog_finding
-=======
 from targets.car.avoidance import Avoidance, MakePlanning
-from targets.car.diagnosis import STALE, drive_findings, feed_findings, limits, watchdog_finding
->>>>>>> main
+from targets.car.diagnosis import STALE, drive_findings, feed_findings, fix_findings, limits, watchdog_finding
 from targets.car.drive import Drive, opened
 from targets.car.estimator import Estimator
 from targets.car.fence import stops_inside
 from targets.car.links import Links, RealLinks
 from targets.car.mpc import STEP, Command
 from targets.car.navigator import STANDING, Navigator
-<<<<<<< HEAD
 from targets.car.settings import FROM_DRIVE, decode
-from targets.planning.process import Inside
-=======
-from targets.car.settings import decode
 from targets.planning.process import Beside
->>>>>>> main
 from targets.planning.route import Route
 
 MODULES = ("Motion", "MotionWithScan")  # one body under two names; the second has a lidar
@@ -83,19 +74,13 @@ class Car:
 
     def diagnose(self) -> list[Finding]:
         """See Platform."""
-<<<<<<< HEAD
         found = [*drive_findings(self._settings, self._links, self._frame), watchdog_finding(self._links)]
         if self._settings.position == FROM_DRIVE:
             found += fix_findings(self._settings, self._fence, self._links, self._frame)
         else:
             found += feed_findings(self._settings, self._fence, Feed(self._robot, self._key), self._links)
-        return [*found, limits(self._settings, self._fence), self._loaded(), *self._lidar.diagnose(self._links.wait)]
-=======
-        found = [*drive_findings(self._settings, self._links), watchdog_finding(self._links)]
-        found += feed_findings(self._settings, self._fence, Feed(self._robot, self._key), self._links)
         found += [limits(self._settings, self._fence), self._loaded(), self._avoidance.diagnose(self._links.wait)]
         return [*found, *self._lidar.diagnose(self._links.wait)]
->>>>>>> main
 
     def _loaded(self) -> Finding:
         try:

@@ -34,11 +34,7 @@ class Bench:
         self.device: Device = SimulatedDrive(self.body, context({}, 0.005))
         self.feed: Device = SimulatedFeed(self.body, context({}, 0.005), "position", lambda: self.now)
         self.overrides = {**self.device.overrides, **self.feed.overrides}
-<<<<<<< HEAD
-        self.car = Car(robot_settings(self.overrides), KEY, OwnTime())
-=======
-        self.car = Car(robot_settings(self.overrides), KEY, planning=Inside)
->>>>>>> main
+        self.car = Car(robot_settings(self.overrides), KEY, OwnTime(), Inside)
         self.ticks = 0
 
     @property

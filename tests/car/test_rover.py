@@ -24,6 +24,7 @@ from targets.car.throttle import SpeedLoop, channel
 from targets.car.watched import WatchdogProcess
 from targets.mavlink.framing import Framer
 from targets.mavlink.transport import Address, Chunk, Way, opened
+from targets.planning.process import Inside
 from targets.sim.rover import HOLD, SimulatedRover
 from tests.car import world as bench
 from tests.car.world import FENCE, KEY, TestBody, context, robot_settings, standing
@@ -102,7 +103,7 @@ class World(bench.World):
         self.radio = Radio()
         self.wire = Links(self.radio)
         self.wire.idle = self.physics
-        self.car = Car(robot_settings(settings), KEY, self.wire)
+        self.car = Car(robot_settings(settings), KEY, self.wire, Inside)
         where = context(settings, 0.0)
         self.rover: SimulatedRover | None = SimulatedRover(
             self.body, where.__class__("bert", settings, {"boot": boot}, where.origin, 7, KEY), RoverEnd(self.radio)
