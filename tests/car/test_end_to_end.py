@@ -18,10 +18,11 @@ from targets.car import vesc
 from targets.car.links import RealLinks
 from targets.car.platform import Car
 from targets.car.settings import CarSettings
+from targets.planning.process import Inside
 from targets.sim.bodies import Device
 from targets.sim.drive import TIMEOUT, Controller, SimulatedDrive
 from targets.sim.station import SimulatedFeed
-from tests.car.world import KEY, PHYSICS, TestBody, context, robot_settings
+from tests.car.world import KEY, PHYSICS, OwnTime, TestBody, context, robot_settings
 from tests.terminal import terminal
 
 
@@ -33,7 +34,7 @@ class Bench:
         self.device: Device = SimulatedDrive(self.body, context({}, 0.005))
         self.feed: Device = SimulatedFeed(self.body, context({}, 0.005), "position", lambda: self.now)
         self.overrides = {**self.device.overrides, **self.feed.overrides}
-        self.car = Car(robot_settings(self.overrides), KEY)
+        self.car = Car(robot_settings(self.overrides), KEY, OwnTime(), Inside)
         self.ticks = 0
 
     @property
@@ -50,13 +51,13 @@ class Bench:
                 self.car.poll(self.now)
 
     def begin(self) -> None:
-        """Start the agent and run until it is ready. Its watchdog is a process and starts in a time of its own."""
+        """The watchdog is a real process: until it answers, real time passes, too."""
         self.car.start(self.now)
-        patience = time.monotonic() + 10.0
+        late = time.monotonic() + 10.0
         while not self.car.ready:
-            assert time.monotonic() < patience, self.car.progress
+            assert time.monotonic() < late, self.car.progress
             self.run(0.05)
-            time.sleep(0.005)
+            time.sleep(0.01)
 
     def until(self, said: str, seconds: float) -> None:
         begin = self.now

@@ -10,7 +10,7 @@ import pytest
 
 from koordgen.runtime.geometry import path_distance
 from koordgen.runtime.obstacles import Block
-from koordgen.runtime.platform import Unready
+from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.values import Grid, Point, distance
 from targets.planning.process import Inside
 from targets.quad.platform import Quad
@@ -115,3 +115,13 @@ def test_a_quad_waits_for_its_planner_and_does_not_start_without_one() -> None:
     rig = rig_with(WALL, planner="nowhere:Nobody")
     with pytest.raises(Unready, match="the planner nowhere:Nobody cannot be made"):
         rig.quad.start(rig.now)
+
+
+def test_the_doctor_makes_the_planner() -> None:
+    def finding(**body: Any) -> Finding:
+        quad = rig_with(WALL, **body).quad
+        return next(found for found in quad.diagnose() if found.name == "planner")
+
+    assert finding(planner="rrt-star") == Finding("planner", "ok", "rrt-star is ready")
+    bad = finding(planner="nowhere:Nobody")
+    assert bad.state == "fail" and "nowhere:Nobody cannot be made: ModuleNotFoundError" in bad.found
