@@ -12,9 +12,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from targets.car.bicycle import State, turning_radius, wrap
+from targets.car.curves import Triple, reeds_shepp
 from targets.car.mpc import STEP, Command, Limits, Mpc
 from targets.car.navigator import LAG
-from targets.car.planner import Area, Planner, Segment, Triple
+from targets.car.planner import Segment, segments
 from targets.car.tracker import Tracker
 from targets.sim.car import SimulatedCar
 from targets.sim.world import STEP as PHYSICS
@@ -46,23 +47,6 @@ class Parked:
     turned: float
     gear_changes: int
     finished: bool
-
-
-class PosePlanner(Planner):
-    """The target's planner, held to one heading at the goal."""
-
-    def to_pose(self, start: Triple, goal: Triple) -> list[Segment]:
-        """The Reeds-Shepp curve, or the Dubins one when that has a piece too short to be told from its neighbours;
-        [] when both have."""
-        for kind in (1, 0):
-            begin, end, _ = self._states[kind]
-            for state, (x, y, yaw) in ((begin, start), (end, goal)):
-                state.setXY(x, y)
-                state.setYaw(yaw)
-            path = self._sample(kind, start, goal, self._spaces[kind].distance(begin, end))
-            if path:
-                return path
-        return []
 
 
 def drive(
@@ -122,10 +106,7 @@ def parked(seed: int) -> Parked:
     """Park at the origin, heading east."""
     dice = random.Random(seed)
     radius = turning_radius(0.9 * PARKING.steering, PARKING.wheelbase)
-    planner = PosePlanner(radius, Area(-10.0, -10.0, 10.0, 10.0))
-    path: list[Segment] = []
-    while not path:
-        start = (dice.uniform(-2.5, 2.5), dice.uniform(-2.5, 2.5), dice.uniform(-math.pi, math.pi))
-        path = planner.to_pose(start, (0.0, 0.0, 0.0))
+    start = (dice.uniform(-2.5, 2.5), dice.uniform(-2.5, 2.5), dice.uniform(-math.pi, math.pi))
+    path = segments(reeds_shepp(start, (0.0, 0.0, 0.0), radius))
     end, finished = drive(path, start, PARKING, seed)
     return Parked(start, math.hypot(end.x, end.y), abs(wrap(end.yaw)), len(path) - 1, finished)
