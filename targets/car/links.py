@@ -6,12 +6,16 @@ import os
 import select
 import termios
 from contextlib import suppress
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from koordgen.runtime.datagrams import DatagramLink
 from koordgen.runtime.feed import listen_for_poses
 from koordgen.runtime.platform import Unready
+from targets.car.settings import FROM_DRIVE
 from targets.car.watched import Watch, WatchdogProcess
+
+if TYPE_CHECKING:
+    from targets.car.rover import Route
 
 BAUD = 115_200
 
@@ -33,6 +37,8 @@ class Links(Protocol):
     """Opens links; raises Unready, saying what to do."""
 
     def serial(self, device: str) -> ByteLink: ...
+
+    def mavlink(self, url: str) -> Route: ...
 
     def position(self, setting: str) -> DatagramLink: ...
 
@@ -84,14 +90,29 @@ class SerialLink:
             self._port.close()
 
 
+class Nowhere:
+    """A position feed on which nothing comes: the drive knows where it is."""
+
+    def receive(self) -> bytes | None:
+        return None
+
+    def close(self) -> None:
+        pass
+
+
 class RealLinks:
     """Links to real devices."""
 
     def serial(self, device: str) -> ByteLink:
         return SerialLink(device)
 
+    def mavlink(self, url: str) -> Route:
+        from targets.mavlink.transport import opened
+
+        return opened(url)
+
     def position(self, setting: str) -> DatagramLink:
-        return listen_for_poses("position", setting)
+        return Nowhere() if setting == FROM_DRIVE else listen_for_poses("position", setting)
 
     def watchdog(self) -> Watch:
         return WatchdogProcess()

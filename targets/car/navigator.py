@@ -1,18 +1,19 @@
-"""Brings the car to a point that may move: when to plan, when to drive, when to stand, and what counts as reached."""
+"""Brings the car to a point that may move: when to have a way planned, when to drive, when to stand, and what counts as
+reached. Planning goes on beside it; until an answer comes, the car goes on along the way that it has."""
 
 from __future__ import annotations
 
 import math
 
-from koordgen.runtime.settings import Box
+from targets.car.avoidance import Avoidance
 from targets.car.bicycle import State
+from targets.car.curves import Curve
 from targets.car.mpc import BLIND_STEPS, Command, Limits, Mpc
-from targets.car.planner import Area, Planner
+from targets.car.planner import Area, arc, segments
 from targets.car.settings import CarSettings
 from targets.car.tracker import Tracker
 
 STANDING = 0.05  # m/s or slower is standing
-FENCE_MARGIN = 0.05  # metres kept from the geofence, for tracking errors
 MOVED, MOVED_SHARE = 0.02, 0.05  # a target that moved by these metres and this share of its distance needs a new path
 # A manoeuvre that has begun is ended, if its goal is off by no more than this share of the distance: planned anew each
 # time the target moves, its changes of gear would recede for ever.
@@ -22,6 +23,7 @@ STANDING_BY, FOLLOWING = 0.4, 1.5  # radii: as close as an arc has to come, from
 LOOKAHEAD = 0.4  # metres at which a moving target is steered for: pure pursuit of a nearer point sways
 TRAIL = 0.3  # metres of a target's way that tell where it is heading
 OFF_PATH = 0.25  # metres from the path that call for a new one
+BEHIND = 0.5  # metres that the car may have gone on from where an answer's way begins
 RETRY = 1.0  # seconds until a plan that failed is tried again
 STAY, LEAVE = 0.9, 1.5  # radii from the target within which an arrived car stays, beyond which it goes on at once
 SETTLE = 1.0  # seconds between these two after which it goes on, too
@@ -60,7 +62,8 @@ class Trail:
 class Navigator:
     """One car's way to its target. Positions are of the rear axle's middle, metres, local ENU."""
 
-    def __init__(self, settings: CarSettings, fence: Box) -> None:
+    def __init__(self, settings: CarSettings, area: Area, avoidance: Avoidance) -> None:
+        """Targets are brought inside the area."""
         limits = Limits(
             settings.wheelbase,
             settings.max_speed,
@@ -69,15 +72,13 @@ class Navigator:
             settings.max_steering_rate,
         )
         self._settings = settings
-        margin = min(FENCE_MARGIN, settings.reached_radius / 2)
-        (west, east), (south, north) = sorted((fence.lo.x, fence.hi.x)), sorted((fence.lo.y, fence.hi.y))
-        self._area = Area(west + margin, south + margin, east - margin, north - margin)
-        self._planner = Planner(settings.planned_radius, self._area)
+        self._area, self._avoidance = area, avoidance
         mpc = Mpc(limits)
         mpc.warm_up()
         self._tracker = Tracker(limits, mpc)
         self.note = mpc.note  # for the log: why the controller is the slower one, or ""
         self._target: tuple[float, float] | None = None
+        self._asked_for: tuple[float, float] | None = None
         self._planned_for: tuple[float, float] | None = None
         self._considered: tuple[float, float] | None = None  # for this one, that path was found good enough
         self._failed_for: tuple[float, float] | None = None
@@ -98,6 +99,11 @@ class Navigator:
         """The angle commanded last, radians."""
         return self._last.steering
 
+    @property
+    def gear(self) -> int:
+        """The direction in which it drives; 0: it stands."""
+        return self._tracker.gear
+
     def go_to(self, target: tuple[float, float]) -> None:
         """Take a target; it is brought inside the margin to the geofence, which is smaller than the radius."""
         area = self._area
@@ -106,6 +112,19 @@ class Navigator:
         if self._near_target is None or math.dist(self._near_target, self._target) > self._settings.reached_radius / 10:
             self.reached = False
             self._near_since = None
+
+    def follow(self, curve: Curve) -> None:
+        """Drive a way that has been planned, to its end, which is the target."""
+        self.go_to(curve.end[:2])
+        self._asked_for = None
+        if self._target is not None:
+            self._take(curve, self._target)
+
+    def _take(self, curve: Curve, target: tuple[float, float]) -> None:
+        self._planned_for = self._considered = target
+        self._failed_for, self._arrived = None, False
+        self._arrival = curve.end[2]
+        self._tracker.take(segments(curve))
 
     def pause(self) -> None:
         """The car is being braked by others: drop the path, keep the target."""
@@ -182,40 +201,70 @@ class Navigator:
         return False
 
     def _plan(self, state: State, away: float, now: float) -> bool:
-        """Whether there is a path to follow, planning one if needed."""
+        """Whether there is a way to follow; has one planned if needed."""
         target = self._target
         if target is None:
             return False
+        self._answered(state, away, now)
         driving = not self._tracker.done and self._tracker.error <= OFF_PATH
         if driving and _same(self._considered, target, MOVED + MOVED_SHARE * away):
             return True
         if _same(self._failed_for, target, MOVED) and now < self._retry_at:
             return False
-        gear = self._tracker.gear or (0 if abs(state.speed) <= STANDING else int(math.copysign(1, state.speed)))
-        start = (state.x, state.y, state.yaw)
-        radius = self._settings.reached_radius
-        # On the last stretch to a target that moves on, a little beside it is better than a manoeuvre, which would
-        # be out of date when it ends; from a stand there is time for one.
-        following = self._tracker.last_stretch
-        close = (FOLLOWING if following else STANDING_BY) * radius
-        through = self._trail.beyond(LOOKAHEAD - away) if following else None
-        path = self._planner.arc(start, target, gear, close, through) if away <= ARC_REACH else []
-        if not path and away <= STANDING_BY * radius:
+        if away <= ARC_REACH and (curve := self._near(state, target)) is not None:
+            self._take(curve, target)
+            return True
+        if away <= STANDING_BY * self._settings.reached_radius:
             self.progress = "standing at the target"  # nearer would take a manoeuvre
             return False
-        path = path or self._planner.plan(start, target, gear, self._arrival)
-        if not path:
-            self.progress = f"standing: no path inside the geofence leads to ({target[0]:.2f}, {target[1]:.2f})"
+        if not self._avoidance.asking and self._avoidance.ask(state, target, self._gear(state), self._arrival):
+            self._asked_for = target
+            self._answered(state, away, now)  # it may have come at once
+        if not self._tracker.done:
+            return driving or self._asked_for is not None or self._considered == target
+        if not _same(self._failed_for, target, MOVED):
+            self.progress = "standing until a way is planned"
+        return False
+
+    def _gear(self, state: State) -> int:
+        return self._tracker.gear or (0 if abs(state.speed) <= STANDING else int(math.copysign(1, state.speed)))
+
+    def _near(self, state: State, target: tuple[float, float]) -> Curve | None:
+        """A single arc to a target close by. On the last stretch to a target that moves on, a little beside it is
+        better than a manoeuvre, which would be out of date when it ends; from a stand there is time for one."""
+        following = self._tracker.last_stretch
+        close = (FOLLOWING if following else STANDING_BY) * self._settings.reached_radius
+        start, away = (state.x, state.y, state.yaw), math.dist((state.x, state.y), target)
+        through = self._trail.beyond(LOOKAHEAD - away) if following else None
+        gear = self._gear(state)
+        curve = arc(self._settings.planned_radius, start, target, gear, close, through)
+        if curve is None or (curve.pieces[0][1] < 0 and not self._settings.reverse):
+            return None
+        return curve if self._avoidance.clear(start, target, curve) else None
+
+    def _answered(self, state: State, away: float, now: float) -> None:
+        """Take what was planned, if an answer has come."""
+        answer, target = self._avoidance.answer(), self._asked_for
+        if answer is None or target is None:
+            return
+        self._asked_for = None
+        curve, reason = answer
+        if curve is None:
+            why = reason or "no path inside the geofence leads there"
+            self.progress = f"standing: {why}: ({target[0]:.2f}, {target[1]:.2f})"
             self._failed_for, self._retry_at, self._arrival = target, now + RETRY, None
-            return False
+            self._tracker.stop()
+            return
+        if math.dist((state.x, state.y), curve.start[:2]) > BEHIND:
+            return
         self._considered, self._failed_for = target, None
-        gears = [segment.direction for segment in path]
-        if driving and gears != [gear] and _same(self._planned_for, target, max(LEAVE * radius, COMMIT * away)):
-            return True
-        self._planned_for = target
-        self._arrival = path[-1].poses[-1].yaw
-        self._tracker.take(path)
-        return True
+        gears = [segment.direction for segment in segments(curve)]
+        driving = not self._tracker.done and self._tracker.error <= OFF_PATH
+        if driving and gears != [self._tracker.gear]:
+            within = max(LEAVE * self._settings.reached_radius, COMMIT * away)
+            if _same(self._planned_for, target, within):
+                return
+        self._take(curve, target)
 
 
 def _same(before: tuple[float, float] | None, target: tuple[float, float], within: float) -> bool:

@@ -14,22 +14,22 @@ from typing import Any
 
 from koordgen.runtime.datagrams import DatagramLink, waiting
 from koordgen.runtime.feed import Feed
+from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.platform import Finding, Sensed, Unready
-from koordgen.runtime.safety import inside
 from koordgen.runtime.scans import ScanPort
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.values import Point, Pose
-from targets.car.diagnosis import STALE, drive_findings, feed_findings, limits, watchdog_finding
+from targets.car.avoidance import Avoidance, MakePlanning
+from targets.car.diagnosis import STALE, drive_findings, feed_findings, fix_findings, limits, watchdog_finding
 from targets.car.drive import Drive, opened
 from targets.car.estimator import Estimator
 from targets.car.fence import stops_inside
 from targets.car.links import Links, RealLinks
 from targets.car.mpc import STEP, Command
 from targets.car.navigator import STANDING, Navigator
-from targets.car.settings import decode
-from targets.planning.process import Inside
+from targets.car.settings import FROM_DRIVE, decode
+from targets.planning.process import Beside
 from targets.planning.route import Route
-from targets.planning.world import Path, Scene, World
 
 MODULES = ("Motion", "MotionWithScan")  # one body under two names; the second has a lidar
 WAIT_FOR_FEED = 60.0  # seconds until Unready: a base station may be started after the robots
@@ -45,10 +45,13 @@ class Car:
 
     period = STEP
 
-    def __init__(self, settings: Settings, key: bytes | None, links: Links | None = None) -> None:
+    def __init__(
+        self, settings: Settings, key: bytes | None, links: Links | None = None, planning: MakePlanning = Beside
+    ) -> None:
         self._settings = decode(settings.body)
         self._fence = settings.geofence
         self._links: Links = links if links is not None else RealLinks()
+        self._frame = LocalFrame(settings.origin.latitude, settings.origin.longitude, settings.origin.altitude)
         self._robot, self._key = settings.robot, key
         self._feed = Feed(settings.robot, key)
         self._lidar = ScanPort(self._settings.scans, settings.robot, key)
@@ -58,12 +61,7 @@ class Car:
         self._drive: Drive | None = None
         self._navigator: Navigator | None = None
         self._route = Route()
-        world = World(
-            self._fence, settings.obstacles, own.clearance, flies=False, wheelbase=own.wheelbase,
-            turning_radius=own.planned_radius,
-        )  # fmt: skip
-        self._planning = Inside("rrt-smoothed", world, settings.planner_budget)
-        self._others: tuple[Path, ...] = ()
+        self._avoidance = Avoidance(settings, own, planning)
         self._now = 0.0
         self._started = 0.0
         self._next_control = -math.inf
@@ -76,21 +74,25 @@ class Car:
 
     def diagnose(self) -> list[Finding]:
         """See Platform."""
-        found = [*drive_findings(self._settings, self._links), watchdog_finding(self._links)]
-        found += feed_findings(self._settings, self._fence, Feed(self._robot, self._key), self._links)
-        return [*found, limits(self._settings, self._fence), self._loaded(), *self._lidar.diagnose(self._links.wait)]
+        found = [*drive_findings(self._settings, self._links, self._frame), watchdog_finding(self._links)]
+        if self._settings.position == FROM_DRIVE:
+            found += fix_findings(self._settings, self._fence, self._links, self._frame)
+        else:
+            found += feed_findings(self._settings, self._fence, Feed(self._robot, self._key), self._links)
+        found += [limits(self._settings, self._fence), self._loaded(), self._avoidance.diagnose(self._links.wait)]
+        return [*found, *self._lidar.diagnose(self._links.wait)]
 
     def _loaded(self) -> Finding:
         try:
             self._build()
         except Unready as error:
-            return Finding.of("planner", error)
-        return Finding("planner", "ok", "planner and MPC load")
+            return Finding.of("controller", error)
+        return Finding("controller", "ok", "the MPC loads")
 
     def start(self, now: float) -> None:
         self._open()
         self._navigator = self._build()
-        self._planning.start()  # its imports take longer than an event may
+        self._avoidance.start()
         self._now = self._started = now
 
     def _open(self) -> tuple[Drive, DatagramLink]:
@@ -99,12 +101,12 @@ class Car:
             self._datagrams = self._links.position(self._settings.position)
         self._lidar.open()
         if self._drive is None:
-            self._drive = opened(self._settings, self._links)
+            self._drive = opened(self._settings, self._links, self._frame)
         return self._drive, self._datagrams
 
     def _build(self) -> Navigator:
         try:
-            return Navigator(self._settings, self._fence)
+            return Navigator(self._settings, self._avoidance.area, self._avoidance)
         except ImportError as error:
             hint = "install the bundle's requirements.txt (64-bit systems only)"
             raise Unready(f"a package is missing: {error}", hint) from None
@@ -113,6 +115,7 @@ class Car:
         self._now = now
         self._lidar.poll(now)
         try:
+            self._avoidance.poll()
             drive = self._read(now)
         except Unready:
             if self._drive is not None:
@@ -134,6 +137,8 @@ class Car:
         for datagram in waiting(datagrams):
             if self._feed.take(datagram, now) and self._feed.pose is not None and self._feed.time is not None:
                 self._locate(self._feed.pose, self._feed.time, now)
+        for pose, measured in drive.fixes():
+            self._locate(pose, measured, now)
         self._wait_for_positions(now)
         moving = self._estimator.speed(now)
         if moving is None or abs(moving) > STANDING:
@@ -160,8 +165,8 @@ class Car:
         waited = now - self._started
         if self._resting_since is not None:
             return
-        if self._feed.time is None and waited > WAIT_FOR_FEED:
-            raise Unready(*self._feed.silent(self._settings.position, waited))
+        if self._estimator.time is None and waited > WAIT_FOR_FEED:
+            raise self._no_position(waited)
         if self._estimator.refused(now) <= JUMPED:
             return
         if not self._stood:
@@ -169,6 +174,12 @@ class Car:
             raise Unready(f"position source jumped: {self._jump} and nothing else came for {JUMPED:g} s", hint)
         self._estimator.begin_anew()
         self._news.append(f"the car stood, and the position source jumped by {self._estimator.jumped:.1f} m: believed")
+
+    def _no_position(self, waited: float) -> Unready:
+        if self._settings.position == FROM_DRIVE:
+            hint = "does its EKF know its place and heading? Else give the car a position feed"
+            return Unready(f"the rover has not told where it is for {waited:.0f} s", hint)
+        return Unready(*self._feed.silent(self._settings.position, waited))
 
     @property
     def _jump(self) -> str:
@@ -194,7 +205,7 @@ class Car:
             navigator.pause()
             drive.brake(now)
         else:
-            drive.go(command, now)
+            drive.go(command, self._estimator.speed(now), now)
 
     def _stops_inside(self, command: Command) -> bool:
         own = self._settings
@@ -230,13 +241,14 @@ class Car:
     def ready(self) -> bool:
         if self._drive is None or self._drive.blocked:
             return False
-        return self._fresh(self._now) and not self._lidar.waiting
+        return self._fresh(self._now) and not self._lidar.waiting and not self._avoidance.waiting
 
     @property
     def progress(self) -> str:
         if self._navigator is None:
             return "not started"
-        return self._blocked or self._lidar.waiting or self._navigator.progress
+        waiting = self._lidar.waiting or self._avoidance.waiting
+        return self._blocked or waiting or self._avoidance.refusal or self._navigator.progress
 
     def sense(self, now: float) -> Sensed:
         """The filtered pose, run on to `now`."""
@@ -247,7 +259,8 @@ class Car:
             "position": position,
             "pose": Pose(position, state.yaw),
             "velocity": Point(speed * math.cos(state.yaw), speed * math.sin(state.yaw), 0.0),
-            "reached": self._navigator is None or (self._navigator.reached and self._route.last),
+            "reached": self._navigator is None
+            or (self._navigator.reached and self._route.last and not self._avoidance.refusal),
         }
         values: dict[str, Any] = {f"{module}.{port}": value for module in MODULES for port, value in ports.items()}
         values["MotionWithScan.pscan"] = self._lidar.scans.recent(now)
@@ -263,26 +276,36 @@ class Car:
                 self._go(actuators[f"{module}.path"], self._navigator)
 
     def _go(self, points: tuple[Point, ...], navigator: Navigator) -> None:
+        """Follow points: the way that they stand for when they are the planner's, else one that is planned to each; in
+        place of what leads into an obstacle of the fleet file the car holds, and says so."""
+        held = self._avoidance.refusal
+        if not self._avoidance.admits(points):
+            if held:
+                return
+            points = ()
         if not self._route.take(points):
             return
         state, goal = self._estimator.state, self._route.goal
-        navigator.go_to((state.x, state.y) if goal is None else (goal.x, goal.y))
+        curve = self._avoidance.planned(state, points)
+        if curve is None:
+            navigator.go_to((state.x, state.y) if goal is None else (goal.x, goal.y))
+            return
+        while not self._route.last:
+            self._route.passed()
+        navigator.follow(curve)
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
-        """See Platform. The only one is `planner(goal, obstacles)`: a goal that is not on the ground is infeasible."""
-        goal, obstacles = args[0], args[1] if len(args) > 1 else ()
-        if goal.z != 0.0 or not inside(self._fence, goal):
-            return ()
-        state = self._estimator.state
-        return self._planning.plan(Point(state.x, state.y, 0.0), goal, Scene.of(obstacles, self._others))
+        """See Platform. The only one is `planner(goal, obstacles)`."""
+        gear = self._navigator.gear if self._navigator is not None else 0
+        return self._avoidance.plan(self._estimator.state, gear, args[0], args[1] if len(args) > 1 else ())
 
     def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
         """See Platform."""
-        self._others = tuple(paths.values())
+        self._avoidance.others(paths)
 
     def news(self) -> list[str]:
         """See Platform."""
-        told, self._news = self._news + self._planning.news(), []
+        told, self._news = self._news + self._avoidance.news(), []
         return told + (self._drive.news() if self._drive is not None else [])
 
     def hold(self, on: bool, now: float) -> None:
@@ -309,3 +332,4 @@ class Car:
             self._datagrams.close()
         self._drive = self._datagrams = None
         self._lidar.close()
+        self._avoidance.close()

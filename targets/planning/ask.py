@@ -6,10 +6,11 @@ from __future__ import annotations
 import math
 from importlib import import_module
 from itertools import pairwise
-from typing import Any
+from typing import Any, Protocol
 
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point
+from targets.planning.pipe import Answer, Question
 from targets.planning.room import Room, fixed, room
 from targets.planning.world import InRoom, Path, Planner, Scene, World
 
@@ -21,6 +22,22 @@ NAMES = ("rrt", "rrt-smoothed", "rrt-star", "straight")  # besides a user's own,
 
 class BadPlanner(Exception):
     """A planner that cannot be made; the message says why."""
+
+
+class Judge(Protocol):
+    """What stands between a planner and its robot; made with the planner's name and a World. Raises BadPlanner then."""
+
+    def serve(self, question: Question) -> Answer: ...
+
+
+def judging(judge: str, name: str, world: World) -> Judge:
+    """The judge `module:Class` with the planner of that name. Raises BadPlanner."""
+    module, _, member = judge.partition(":")
+    try:
+        made: Judge = getattr(import_module(module), member)(name, world)
+    except ImportError as error:
+        raise BadPlanner(f"a package is missing: {error}; install the bundle's requirements.txt") from None
+    return made
 
 
 def make(name: str, world: World) -> Planner:
@@ -47,6 +64,11 @@ class Asked:
         self._world = world
         self._standing = fixed(world.obstacles)
         self._planner = make(name, world)
+
+    def serve(self, question: Question) -> Answer:
+        """What the planner's process does."""
+        path, reason = self.answer(question.start, question.goal, question.scene, question.seconds)
+        return Answer(question.number, path, reason)
 
     def answer(self, start: Point, goal: Point, scene: Scene, seconds: float) -> tuple[Path, str]:
         """A path, or () and, unless there simply is no way, the reason for people."""

@@ -20,7 +20,7 @@ def main() -> None:
     os.dup2(2, 1)  # what a user's planner prints goes elsewhere
     import msgspec
 
-    from targets.planning.ask import Asked, BadPlanner
+    from targets.planning.ask import BadPlanner, Judge, judging
     from targets.planning.pipe import Answer, Order, Question, Unframed, framed
 
     def say(answer: Answer) -> None:
@@ -28,10 +28,10 @@ def main() -> None:
         while left:
             left = left[os.write(answers, left) :]
 
-    def ordered(message: bytes) -> Asked | None:
+    def ordered(message: bytes) -> Judge | None:
         order = msgspec.msgpack.decode(message, type=Order)
         try:
-            asked = Asked(order.name, order.world)
+            asked = judging(order.judge, order.name, order.world)
         except BadPlanner as error:
             say(Answer(0, (), str(error)))
             return None
@@ -49,9 +49,9 @@ def main() -> None:
                 continue
             question = msgspec.msgpack.decode(message, type=Question)
             signal.setitimer(signal.ITIMER_REAL, question.seconds + HANGING)
-            path, reason = asked.answer(question.start, question.goal, question.scene, question.seconds)
+            answer = asked.serve(question)
             signal.setitimer(signal.ITIMER_REAL, 0.0)
-            say(Answer(question.number, path, reason))
+            say(answer)
 
 
 if __name__ == "__main__":

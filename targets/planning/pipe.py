@@ -18,6 +18,7 @@ class Order(msgspec.Struct, frozen=True, array_like=True):
 
     name: str
     world: World
+    judge: str  # "module:Class" that asks the planner, as `targets.planning.ask:Asked` does
 
 
 class Question(msgspec.Struct, frozen=True, array_like=True):
@@ -28,6 +29,7 @@ class Question(msgspec.Struct, frozen=True, array_like=True):
     goal: Point
     scene: Scene
     seconds: float
+    more: bytes = b""  # what a target's own judge is told besides
 
 
 class Answer(msgspec.Struct, frozen=True, array_like=True):
@@ -36,6 +38,7 @@ class Answer(msgspec.Struct, frozen=True, array_like=True):
     number: int
     path: Path
     reason: str
+    more: bytes = b""  # what it tells besides
 
 
 def framed(message: Order | Question | Answer) -> bytes:

@@ -18,10 +18,11 @@ import msgspec
 
 from koordgen.runtime.platform import Unready
 from koordgen.runtime.values import Point, transmissible
-from targets.planning.ask import Asked, BadPlanner
+from targets.planning.ask import BadPlanner, Judge, judging
 from targets.planning.pipe import Answer, Order, Question, Unframed, framed
 from targets.planning.world import Path, Scene, World
 
+JUDGE = "targets.planning.ask:Asked"  # unless a target has one of its own
 SHARE = 0.7  # of the budget that a planner is given: the rest is for pipes and for the check of its path
 PATIENCE = 1.0  # seconds after which a planner that has not answered is ended and begun anew
 STARTING = 30.0  # seconds that a planner may take to be made: a slow board loads its packages for some
@@ -29,9 +30,14 @@ PAUSE = 1.0  # seconds between two starts of a process, at least
 
 
 class Planning(Protocol):
-    """A planner as a platform sees it. `start`, then `poll` often, `plan` once it is `ready`, `close`."""
+    """A planner as a platform sees it. `start`, then `poll` often, `plan` or `ask` once it is `ready`, `close`."""
 
     ready: bool
+
+    @property
+    def waiting(self) -> bool:
+        """Whether something was asked that has not been answered yet."""
+        ...
 
     def start(self) -> None: ...
 
@@ -39,8 +45,16 @@ class Planning(Protocol):
         """Never waits. Raises Unready when the planner could not be made at the start."""
         ...
 
-    def plan(self, start: Point, goal: Point, scene: Scene) -> Path:
+    def plan(self, start: Point, goal: Point, scene: Scene, more: bytes = b"") -> Path:
         """The path, or (): there is none, or the planner is late or gone; then `news` says so."""
+        ...
+
+    def ask(self, start: Point, goal: Point, scene: Scene, more: bytes, seconds: float) -> bool:
+        """Ask without waiting; False when it cannot be done now. What the question before comes to is dropped."""
+        ...
+
+    def answer(self) -> Answer | None:
+        """What came last, to `ask` or, with all that was told besides, to `plan`; the same is told once."""
         ...
 
     def news(self) -> list[str]:
@@ -89,15 +103,16 @@ class News:
 class Inside:
     """In the agent's own process: for a simulator that owns time, with `iterations` in its World, and for tests."""
 
-    def __init__(self, name: str, world: World, budget: float) -> None:
-        self._name, self._world, self._budget = name, world, budget
-        self._asked: Asked | None = None
+    def __init__(self, name: str, world: World, budget: float, judge: str = JUDGE) -> None:
+        self._name, self._world, self._budget, self._judge = name, world, budget, judge
+        self._asked: Judge | None = None
+        self._answer: Answer | None = None
         self._news = News()
-        self.ready = False
+        self.ready = self.waiting = False
 
     def start(self) -> None:
         try:
-            self._asked = Asked(self._name, self._world)
+            self._asked = judging(self._judge, self._name, self._world)
         except BadPlanner as error:
             raise Unready(str(error)) from None
         self.ready = True
@@ -105,12 +120,21 @@ class Inside:
     def poll(self) -> None:
         """Nothing goes on between calls."""
 
-    def plan(self, start: Point, goal: Point, scene: Scene) -> Path:
-        if self._asked is None:
+    def plan(self, start: Point, goal: Point, scene: Scene, more: bytes = b"") -> Path:
+        if not self.ask(start, goal, scene, more, SHARE * self._budget) or self._answer is None:
             return ()
-        path, reason = self._asked.answer(start, goal, scene, SHARE * self._budget)
-        self._news.called(reason)
-        return path
+        self._news.called(self._answer.reason)
+        return self._answer.path
+
+    def ask(self, start: Point, goal: Point, scene: Scene, more: bytes, seconds: float) -> bool:
+        if self._asked is None:
+            return False
+        self._answer = self._asked.serve(Question(0, start, goal, scene, seconds, more))
+        return True
+
+    def answer(self) -> Answer | None:
+        told, self._answer = self._answer, None
+        return told
 
     def news(self) -> list[str]:
         return self._news.take()
@@ -128,10 +152,11 @@ class Beside:
         name: str,
         world: World,
         budget: float,
+        judge: str = JUDGE,
         folders: tuple[FilePath, ...] = (FilePath(__file__).resolve().parents[2],),
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._order, self._budget = Order(name, world), budget
+        self._order, self._budget = Order(name, world, judge), budget
         self._folders, self._clock = folders, clock
         self._child: subprocess.Popen[bytes] | None = None
         self._killed: list[subprocess.Popen[bytes]] = []  # until they have ended
@@ -150,6 +175,11 @@ class Beside:
     def pid(self) -> int:
         """Of the child; 0: there is none."""
         return self._child.pid if self._child is not None else 0
+
+    @property
+    def waiting(self) -> bool:
+        """See Planning."""
+        return self._asked_at is not None
 
     def start(self) -> None:
         """Start the process; it is ready when it has loaded its packages."""
@@ -187,20 +217,14 @@ class Beside:
         elif self.pid and not self.ready and now - self._begun > STARTING:
             self._lose(f"was not made within {STARTING:.0f} s")
 
-    def plan(self, start: Point, goal: Point, scene: Scene) -> Path:
+    def plan(self, start: Point, goal: Point, scene: Scene, more: bytes = b"") -> Path:
         """See Planning."""
-        self.poll()
-        if not self.ready or self._asked_at is not None:
-            self._news.called("the planner is " + ("still at the last question" if self.ready else "not there"))
-            return ()
-        began = self._clock()
-        deadline = began + self._budget
-        self._number += 1
-        self._answer, self._asked_at = None, began
+        deadline = self._clock() + self._budget
         try:
-            self._outgoing = framed(Question(self._number, start, goal, scene, SHARE * self._budget))
-            self._send()
-            while self._waiting() and (left := deadline - self._clock()) > 0:
+            if not self.ask(start, goal, scene, more, SHARE * self._budget):
+                self._news.called("the planner is " + ("still at the last question" if self.ready else "not there"))
+                return ()
+            while self._unanswered() and (left := deadline - self._clock()) > 0:
                 select.select([self._from], [self._into] if self._outgoing else [], [], left)
                 self._send()
                 self._receive()
@@ -208,6 +232,22 @@ class Beside:
             self._lose("was interrupted in a call")
             raise
         return self._judged(self._answer, start, goal)
+
+    def ask(self, start: Point, goal: Point, scene: Scene, more: bytes, seconds: float) -> bool:
+        """See Planning."""
+        self.poll()
+        if not self.ready or self.waiting:
+            return False
+        self._number += 1
+        self._answer, self._asked_at = None, self._clock()
+        self._outgoing = framed(Question(self._number, start, goal, scene, seconds, more))
+        self._send()
+        return True
+
+    def answer(self) -> Answer | None:
+        """See Planning."""
+        told, self._answer = self._answer, None
+        return told
 
     def _judged(self, answer: Answer | None, start: Point, goal: Point) -> Path:
         if answer is None:
@@ -233,7 +273,7 @@ class Beside:
                 child.wait(timeout=0.5)
         self._killed.clear()
 
-    def _waiting(self) -> bool:
+    def _unanswered(self) -> bool:
         return self._asked_at is not None and self._answer is None
 
     def _send(self) -> None:

@@ -12,7 +12,6 @@ out-parameters stay empty; a test holds that they work): `RealVectorStateSpace`,
 from __future__ import annotations
 
 import random
-import time
 from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
@@ -21,12 +20,12 @@ from ompl import base, geometric, util
 
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point, distance
+from targets.planning.limit import STARTS, Limit
 from targets.planning.room import Room, fixed, room
 from targets.planning.world import Path, Planner, Scene, World
 
 TRIES = 8  # at shortening a path, per corner, before another is looked for
 ENOUGH = 1.002  # a path so little longer than the straight line is short enough
-STARTS = 6  # searches when iterations bound the work
 FLAT = 1e-6  # metres: a lower arena is a plane
 
 
@@ -56,12 +55,12 @@ class Rrt:
         """See InRoom."""
         if here.clear(start, goal):
             return start, goal
-        return self._planned(here, start, goal, _Limit(seconds, self._world.iterations))
+        return self._planned(here, start, goal, Limit(seconds, self._world.iterations))
 
-    def _planned(self, here: Room, start: Point, goal: Point, over: _Limit) -> Path:
+    def _planned(self, here: Room, start: Point, goal: Point, over: Limit) -> Path:
         return self._search(geometric.RRTConnect, here, start, goal, over, 0)
 
-    def _search(self, kind: Any, here: Room, start: Point, goal: Point, over: _Limit, turn: int) -> Path:
+    def _search(self, kind: Any, here: Room, start: Point, goal: Point, over: Limit, turn: int) -> Path:
         """What one of OMPL's planners finds. `turn` numbers the searches of a question: each has random numbers of its
         own."""
         if self._world.seed is not None:
@@ -101,7 +100,7 @@ class Rrt:
 class RrtSmoothed(Rrt):
     """RRT-Connect's paths, each shortened by random short cuts; the shortest that was found in the time."""
 
-    def _planned(self, here: Room, start: Point, goal: Point, over: _Limit) -> Path:
+    def _planned(self, here: Room, start: Point, goal: Point, over: Limit) -> Path:
         dice = random.Random(self._world.seed)
         straight = distance(start, goal)
         best = self._search(geometric.RRTConnect, here, start, goal, over, 0)
@@ -120,7 +119,7 @@ class RrtSmoothed(Rrt):
 class RrtStar(Rrt):
     """RRT*: goes on improving its tree for as long as there is time."""
 
-    def _planned(self, here: Room, start: Point, goal: Point, over: _Limit) -> Path:
+    def _planned(self, here: Room, start: Point, goal: Point, over: Limit) -> Path:
         return self._search(geometric.RRTstar, here, start, goal, over, 0)
 
 
@@ -152,7 +151,7 @@ def length(path: Path) -> float:
     return sum(distance(p, q) for p, q in pairwise(path))
 
 
-def shortened(path: Path, here: Room, dice: random.Random, over: _Limit) -> Path:
+def shortened(path: Path, here: Room, dice: random.Random, over: Limit) -> Path:
     """The path with corners left out and cut off, as far as the lines instead are clear."""
     points = _reduced(list(path), here)
     for _ in range(TRIES * len(points)):
@@ -186,32 +185,6 @@ def _at(points: list[Point], lengths: list[float], along: float) -> tuple[int, P
             return i, points[i] + (points[i + 1] - points[i]) * (along / part)
         along -= part
     return len(lengths) - 1, points[-1]
-
-
-class _Limit:
-    """When to stop: after so many seconds, or, with `iterations`, after so many in each search. OMPL asks it in each
-    iteration."""
-
-    def __init__(self, seconds: float, iterations: int | None) -> None:
-        self._end = time.perf_counter() + seconds
-        self._begun = self._end - seconds
-        self._iterations, self._done = iterations, 0
-
-    def __call__(self) -> bool:
-        self._done += 1
-        return time.perf_counter() > self._end if self._iterations is None else self._done > self._iterations
-
-    @property
-    def late(self) -> bool:
-        return self._iterations is None and time.perf_counter() > self._end
-
-    def spent(self, turn: int) -> bool:
-        """Whether no further search is to begin, after `turn` of them: one more would not end in time."""
-        if self._iterations is not None:
-            self._done = 0
-            return turn >= STARTS
-        now = time.perf_counter()
-        return now + (now - self._begun) / turn > self._end
 
 
 class _Lines(base.MotionValidator):  # type: ignore[misc]

@@ -29,8 +29,11 @@ class World(msgspec.Struct, frozen=True):
     radius: float = 0.0  # of the ball around the reference point in which the body is
     flies: bool = True  # False: it moves in the plane z = 0
     footprint: tuple[float, float] = (0.0, 0.0)  # length and width of a vehicle on the ground
+    overhang: float = 0.0  # how much of that length is behind its rear axle, whose middle is the reference point
+    height: float = 0.0  # of such a vehicle: what stands or hangs above is not in its way
     wheelbase: float = 0.0
     turning_radius: float = 0.0  # the smallest; 0: it turns on the spot
+    reverse: bool = True  # whether such a vehicle goes backwards, too
     seed: int | None = None  # with `iterations`, an answer depends on nothing but the question
     iterations: int | None = None  # bounds the work instead of `seconds`
 

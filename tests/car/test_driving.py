@@ -11,6 +11,7 @@ import pytest
 from koordgen.runtime.values import Point
 from targets.car import vesc
 from targets.car.platform import Car
+from targets.planning.process import Inside
 from tests.car.world import FENCE, KEY, TestBody, World, robot_settings, standing
 
 
@@ -161,14 +162,14 @@ def test_it_stops_short_of_no_target_by_much_whatever_its_lag() -> None:
 def test_an_unreachable_target_is_said_and_the_car_stands() -> None:
     # Nose to the wall in a lane too narrow to turn in.
     settings = msgspec.structs.replace(
-        robot_settings({}), geofence=type(FENCE)(Point(-3.0, -0.3, -1.0), Point(3.0, 0.3, 1.0))
+        robot_settings({}), geofence=type(FENCE)(Point(-3.0, -0.04, -1.0), Point(3.0, 0.04, 1.0))
     )
     world = World(TestBody(0.0, 0.0, math.pi / 2))
-    world.car = Car(settings, KEY, world.wire)
+    world.car = Car(settings, KEY, world.wire, Inside)
     world.begin()
     world.go(2.0, 0.0)
     world.run(2.0)
-    assert "no path inside the geofence leads to (2.00, 0.00)" in world.car.progress
+    assert "no path inside the geofence leads there: (2.00, 0.00)" in world.car.progress
     assert standing(world) and world.distance(0, 0) < 0.01 and world.value("reached") is False
 
 

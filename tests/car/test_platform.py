@@ -79,7 +79,7 @@ def test_rest_brakes_and_keeps_braking_whatever_comes() -> None:
 def test_check_looks_and_moves_nothing() -> None:
     world = World()
     found = {f.name: f for f in world.car.diagnose()}
-    assert list(found) == ["drive", "watchdog", "position", "place", "limits", "planner"] and {
+    assert list(found) == ["drive", "watchdog", "position", "place", "limits", "controller", "planner"] and {
         f.state for f in found.values()
     } == {"ok"}
     assert "VESC firmware 6.5" in found["drive"].found and "supply 11.1 V" in found["drive"].found

@@ -202,16 +202,17 @@ def test_one_that_cannot_be_started_is_told_and_nothing_may_be_driven(
 # An agent in a process of its own: a platform's drive, commanded at 20 Hz, that gets stuck in the way it is told.
 STUCK = """
 import ctypes, sys, time
+from koordgen.runtime.geodesy import LocalFrame
 from targets.car.drive import opened
 from targets.car.links import RealLinks
 from targets.car.mpc import Command
 from targets.car.settings import CarSettings
 
-drive = opened(CarSettings(drive="vesc:" + sys.argv[1]), RealLinks())
+drive = opened(CarSettings(drive="vesc:" + sys.argv[1]), RealLinks(), LocalFrame(47.0, 8.0, 488.0))
 begin = time.monotonic()
 while time.monotonic() - begin < 1.0 or drive.blocked:
     drive.read(time.monotonic())
-    drive.go(Command(1.0, 0.0), time.monotonic())
+    drive.go(Command(1.0, 0.0), None, time.monotonic())
     time.sleep(0.05)
 print("stuck", flush=True)
 how = sys.argv[2]

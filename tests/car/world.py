@@ -13,9 +13,12 @@ from koordgen.runtime.platform import Unready
 from koordgen.runtime.settings import Box, Origin, Peer, Settings
 from koordgen.runtime.values import Point, Pose
 from targets.car.bicycle import State, advance
+from targets.car.links import RealLinks
 from targets.car.platform import Car
+from targets.car.rover import Route
 from targets.car.settings import decode
 from targets.car.watched import Unwatched
+from targets.planning.process import Inside
 from targets.sim.bodies import BodyState, DeviceContext
 from targets.sim.drive import Controller
 from targets.sim.station import BaseStation
@@ -75,6 +78,9 @@ class Wire:
         if self.unplugged:
             raise Unready("/dev/ttyACM0 is gone", "check its cable")
 
+    def mavlink(self, url: str) -> Route:
+        raise Unready("these links have no autopilot")
+
     def position(self, setting: str) -> Wire:
         return self
 
@@ -104,13 +110,20 @@ class Wire:
         self.closed += 1
 
 
+class OwnTime(RealLinks):
+    """Real links of a car on a clock of the test's own: a watchdog lives by the real one, and would brake."""
+
+    def watchdog(self) -> Unwatched:
+        return Unwatched()
+
+
 class World:
     """One car in its world, on a clock of its own."""
 
     def __init__(self, body: TestBody | None = None, noise: float = 0.005, **settings: Any) -> None:
         self.body = body if body is not None else TestBody()
         self.wire = Wire()
-        self.car = Car(robot_settings(settings), KEY, self.wire)
+        self.car = Car(robot_settings(settings), KEY, self.wire, Inside)
         self.controller: Controller | None = Controller(self.body, decode(settings))
         self.station: BaseStation | None = BaseStation(self.body, context(settings, noise))
         self.now = 0.0
@@ -168,7 +181,9 @@ def context(settings: Mapping[str, Any], noise: float) -> DeviceContext:
 def robot_settings(body: Mapping[str, Any]) -> Settings:
     """The settings of the robot that the tests drive."""
     peer = Peer("bert", "127.0.0.1", 47101)
-    return Settings("app", "bert", 0, 0.1, (peer,), Origin(47.0, 8.0, 488.0), FENCE, body=dict(body))
+    return Settings(
+        "app", "bert", 0, 0.1, (peer,), Origin(47.0, 8.0, 488.0), FENCE, body=dict(body), planner_budget=0.2
+    )
 
 
 def datagram(x: float, y: float, yaw: float, sequence: int) -> bytes:

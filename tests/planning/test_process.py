@@ -218,3 +218,8 @@ def test_a_reason_is_told_once_until_there_is_a_path_again() -> None:
     assert inside.news() == ["no path: the goal is outside the arena"]
     assert inside.plan(START, EASY, Scene()) == (START, EASY)
     assert inside.plan(START, Point(0.0, 0.0, 1.5), Scene()) == () and len(inside.news()) == 1
+
+
+def test_a_judge_that_misses_a_package_says_what_to_do() -> None:
+    with pytest.raises(Unready, match="No module named 'no_such_package'; install the bundle's requirements.txt"):
+        Inside("rrt", WORLD, 0.05, "no_such_package:Judge").start()

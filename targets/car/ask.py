@@ -1,0 +1,102 @@
+"""Asks the car's planner in its own process: told a heading besides start and goal, it answers a curve besides points.
+
+No way goes out that was not looked at as it will be driven, along its whole length, whoever planned it.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+
+import msgspec
+
+from koordgen.runtime.values import Point
+from targets.car.curves import Curve, Triple
+from targets.car.ground import PAD, Way, ground
+from targets.car.planner import Plan, Wish, points, price
+from targets.car.search import Search, Task
+from targets.car.shapes import named
+from targets.planning.ask import NAMES, finite, within
+from targets.planning.ask import Asked as AskedForPoints
+from targets.planning.limit import Limit
+from targets.planning.pipe import Answer, Question
+from targets.planning.world import World
+
+
+class Asked:
+    """The car's judge: see `targets.planning.ask.Judge`."""
+
+    def __init__(self, name: str, world: World) -> None:
+        self._name, self._world = name, world
+        self._own = AskedForPoints(name, world) if name not in NAMES else None
+        self._ground = ground(world)
+        self._search = Search(world.turning_radius, world.reverse, self._ground.area, world.seed)
+
+    def serve(self, question: Question) -> Answer:
+        """The curve that is answered ends at the goal exactly but for rounding, and so do its points, exactly."""
+        if self._own is not None:
+            return self._own.serve(question)
+        wish = msgspec.msgpack.decode(question.more, type=Wish)
+        start = (question.start.x, question.start.y, wish.yaw)
+        goal = question.goal
+        reason = self._amiss(question, wish)
+        if reason:
+            return Answer(question.number, (), reason)
+        way = self._ground.around(start, (goal.x, goal.y), named(question.scene, self._ground.body))
+        if way.inside:
+            return Answer(question.number, (), f"the car is in {way.inside}")
+        headings = self._headings(start, question.goal, wish)
+        free = tuple(h for h in headings if way.slack(goal.x, goal.y, h) >= PAD)
+        if not free:
+            blocker = way.obstacle(goal.x, goal.y, headings[0])
+            return Answer(question.number, (), f"the goal is too near to {blocker}")
+        task = Task(start, (goal.x, goal.y), free, wish.gear)
+        curve = self._found(task, way, question.seconds, max(question.seconds, wish.patience))
+        if curve is None or not way.clear(curve, PAD / 2):
+            return Answer(question.number, (), "")
+        middle = (Point(x, y, 0.0) for x, y in points(curve)[1:-1])
+        path = (question.start, *middle, goal)
+        return Answer(question.number, path, "", msgspec.msgpack.encode(Plan(start, curve.pieces)))
+
+    def _amiss(self, question: Question, wish: Wish) -> str:
+        if not finite(question.start) or not finite(question.goal) or not math.isfinite(wish.yaw):
+            return "start or goal is not finite"
+        if question.goal.z != 0.0:
+            return "the goal is not on the ground"
+        return "" if within(self._world.arena, question.goal) else "the goal is outside the arena"
+
+    def _headings(self, start: Triple, goal: Point, wish: Wish) -> tuple[float, ...]:
+        if wish.heading is not None:
+            return (wish.heading,)
+        found = tuple(self._search.headings(start, (goal.x, goal.y)))
+        return found if wish.arrival is None else (*found, wish.arrival)
+
+    def _found(self, task: Task, way: Way, seconds: float, patience: float) -> Curve | None:
+        search, iterations = self._search, self._world.iterations
+        if math.dist(task.start[:2], task.goal) < 1e-3:
+            return None
+        over, end = Limit(seconds, iterations), Limit(patience, iterations)
+        if (curve := search.direct(task, way)) is not None or self._name == "straight":
+            return curve
+        if self._name == "rrt-star":
+            return search.connected(task, way, over, 0, star=True)
+        dice = random.Random(self._world.seed)
+        turn = 0
+        best: Curve | None = None
+        while best is None and not end.late and (turn == 0 or not end.spent(turn)):
+            best = search.connected(task, way, end, turn)
+            turn += 1
+        if best is None or self._name == "rrt":
+            return best
+        return self._polished(best, task, way, dice, over, turn)
+
+    def _polished(self, best: Curve, task: Task, way: Way, dice: random.Random, over: Limit, turn: int) -> Curve:
+        best = self._search.shortened(best, task, way, dice, over)
+        while not over.spent(turn):
+            another = self._search.connected(task, way, over, turn)
+            if another is not None:
+                another = self._search.shortened(another, task, way, dice, over)
+                best = min(best, another, key=lambda curve: price(curve.pieces, task.gear))
+            best = self._search.shortened(best, task, way, dice, over)
+            turn += 1
+        return best

@@ -1,0 +1,156 @@
+"""Keeps the car clear of what stands in its way: has ways planned that it can drive, for the program and for driving,
+and refuses ways through what the fleet file names."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import msgspec
+
+from koordgen.runtime.platform import Finding, Unready
+from koordgen.runtime.settings import Settings
+from koordgen.runtime.values import Point, transmissible
+from targets.car.bicycle import State, wrap
+from targets.car.curves import Curve, Triple
+from targets.car.ground import MARGIN, area, ground
+from targets.car.planner import JUDGE, Plan, Point2, Wish
+from targets.car.settings import CarSettings
+from targets.car.shapes import named
+from targets.planning.guard import Guard
+from targets.planning.process import Planning, made
+from targets.planning.world import Path, Scene, World
+
+MakePlanning = Callable[[str, World, float, str], Planning]
+
+REMEMBERED = 8  # answers of the planner that the program may command
+BEGIN, TURNED = 0.3, 0.3  # metres and radians from where a way begins within which it is driven as it was planned
+FIRST, PATIENCE = 0.04, 0.6  # seconds in which a way is made short, and until which one is looked for at all
+OWN = "rrt-smoothed"  # ways to single targets; the program's planner is the one of the settings
+
+
+class Avoidance:
+    """Positions are of the rear axle's middle, metres, local ENU."""
+
+    def __init__(self, settings: Settings, own: CarSettings, planning: MakePlanning) -> None:
+        """The program's planner and the one for driving are two processes: neither waits for the other."""
+        world = World(
+            settings.geofence, settings.obstacles, own.clearance, own.width / 2, flies=False,
+            footprint=(own.length, own.width), overhang=own.overhang, height=own.height, wheelbase=own.wheelbase,
+            turning_radius=own.planned_radius, reverse=own.reverse,
+        )  # fmt: skip
+        self.area = area(world, min(MARGIN, own.reached_radius / 2))
+        self._name = own.planner
+        self._ground = ground(world)
+        self._program = planning(own.planner, world, settings.planner_budget, JUDGE)
+        self._driving = planning(OWN, world, settings.planner_budget, JUDGE)
+        self._guard = Guard(settings.obstacles, world.radius)
+        self._others: tuple[Path, ...] = ()
+        self._plans: dict[Path, Curve] = {}
+        self._admitted: Path | None = None
+        self._news: list[str] = []
+        self.refusal = ""  # why what was commanded last is not driven, in words
+
+    def start(self) -> None:
+        """Begin to make the planners. Raises Unready."""
+        self._program.start()
+        self._driving.start()
+
+    def poll(self) -> None:
+        """Never waits. Raises Unready when there is no such planner."""
+        self._program.poll()
+        self._driving.poll()
+
+    @property
+    def waiting(self) -> str:
+        """What is not there yet, in words; "" when all is."""
+        return "" if self._program.ready and self._driving.ready else "waiting for the planner"
+
+    def others(self, paths: Mapping[int, Path]) -> None:
+        """What the other robots have published."""
+        self._others = tuple(paths.values())
+
+    def plan(self, state: State, gear: int, goal: Point, obstacles: Any) -> Path:
+        """For the program: few points that stand for a way the car can drive; () when there is none. The way itself is
+        remembered."""
+        start = Point(state.x, state.y, 0.0)
+        wish = msgspec.msgpack.encode(Wish(state.yaw, gear))
+        path = self._program.plan(start, goal, Scene.of(obstacles, self._others), wish)
+        answer = self._program.answer()
+        if path and answer is not None and (curve := _curve(answer.more)) is not None:
+            self._plans.pop(path, None)
+            self._plans[path] = curve
+            while len(self._plans) > REMEMBERED:
+                del self._plans[next(iter(self._plans))]
+        return path
+
+    def planned(self, state: State, points: Path) -> Curve | None:
+        """The way that these points stand for, if the planner has answered them and the car is where it begins."""
+        curve = self._plans.get(points)
+        if curve is None:
+            return None
+        x, y, yaw = curve.start
+        there = math.hypot(state.x - x, state.y - y) <= BEGIN and abs(wrap(state.yaw - yaw)) <= TURNED
+        return curve if there else None
+
+    def admits(self, points: Path) -> bool:
+        """Whether commanded points may be driven to one after the other; if not, `refusal` and `news` say why. The way
+        to the first is planned, so it is free to be anywhere."""
+        if points == self._admitted or points in self._plans or len(points) < 2 or not transmissible(points):
+            self.refusal = ""
+            return True
+        flat = tuple(Point(p.x, p.y, 0.0) for p in points)
+        trouble = self._guard.trouble(flat[0], flat[1:])
+        if trouble and not self.refusal:
+            self._news.append(f"not driven, holding instead: {trouble}")
+        self.refusal, self._admitted = trouble, None if trouble else points
+        return not trouble
+
+    def ask(self, state: State, target: Point2, gear: int, arrival: float | None) -> bool:
+        """Have a way to a target planned, for `answer`; False when that cannot be done now."""
+        wish = Wish(state.yaw, gear, arrival=arrival, patience=PATIENCE)
+        start, goal = Point(state.x, state.y, 0.0), Point(target[0], target[1], 0.0)
+        return self._driving.ask(start, goal, Scene(others=self._others), msgspec.msgpack.encode(wish), FIRST)
+
+    @property
+    def asking(self) -> bool:
+        """Whether an answer is still to come."""
+        return self._driving.waiting
+
+    def answer(self) -> tuple[Curve | None, str] | None:
+        """What came to `ask`, once: a way, or None and the reason, which may be "": there simply is no way."""
+        answer = self._driving.answer()
+        return None if answer is None else (_curve(answer.more) if answer.path else None, answer.reason)
+
+    def clear(self, start: Triple, target: Point2, curve: Curve) -> bool:
+        """Whether a curve towards a target may be driven."""
+        scene = Scene(others=self._others)
+        return self._ground.around(start, target, named(scene, self._ground.body)).clear(curve)
+
+    def news(self) -> list[str]:
+        """What went wrong since this was asked last, for the log."""
+        told, self._news = [*self._news, *self._program.news(), *self._driving.news()], []
+        return told
+
+    def diagnose(self, sleep: Callable[[float], None]) -> Finding:
+        """Makes the planner and ends it again."""
+        try:
+            made(self._program, sleep)
+        except Unready as error:
+            return Finding.of("planner", error)
+        finally:
+            self._program.close()
+        return Finding("planner", "ok", f"{self._name} is ready")
+
+    def close(self) -> None:
+        """End the planners' processes. Idempotent."""
+        self._program.close()
+        self._driving.close()
+
+
+def _curve(more: bytes) -> Curve | None:
+    if not more:
+        return None
+    plan = msgspec.msgpack.decode(more, type=Plan)
+    return Curve(plan.start, plan.pieces)

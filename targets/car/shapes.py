@@ -1,0 +1,161 @@
+"""What stands on the ground, seen from above: convex polygons with a radius, and how far a car's outline is from them.
+
+A disc is a point with a radius, another robot's way a line with one; a box, a cell or a triangle of a mesh is a
+polygon. Of an obstacle counts what is between the ground and the car's height. Metres, local ENU.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
+from koordgen.runtime.values import Point
+from targets.planning.world import Path, Scene
+
+Place = tuple[float, float]
+Core = tuple[Place, ...]  # corners, counter-clockwise; one or two are a point and a line
+Bounds = tuple[float, float, float, float]  # west, south, east, north
+
+OVERLAP = -1.0  # metres: the distance of what has a point in common with the footprint
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """All that is no farther than `radius` from a convex core, and the box around it. `name` is for people."""
+
+    core: Core
+    radius: float
+    name: str
+    bounds: Bounds = field(init=False)
+
+    def __post_init__(self) -> None:
+        xs, ys, r = [x for x, _ in self.core], [y for _, y in self.core], self.radius
+        object.__setattr__(self, "bounds", (min(xs) - r, min(ys) - r, max(xs) + r, max(ys) + r))
+
+
+@dataclass(frozen=True, slots=True)
+class Footprint:
+    """The car's outline on the ground: a rectangle, in the frame of the rear axle's middle; metres."""
+
+    length: float
+    width: float
+    overhang: float  # behind the rear axle
+
+    @property
+    def front(self) -> float:
+        return self.length - self.overhang
+
+    @property
+    def reach(self) -> float:
+        """Of its farthest corner from the reference point."""
+        return math.hypot(max(self.front, self.overhang), self.width / 2)
+
+    def pace(self, curvature: float) -> float:
+        """The way that any place of the outline makes at most while the reference point makes one metre."""
+        return math.hypot(1 + curvature * self.width / 2, curvature * max(self.front, self.overhang))
+
+    def distance(self, x: float, y: float, yaw: float, shape: Shape) -> float:
+        """From the outline at a pose to a shape, exactly; below 0 when they have a point in common."""
+        c, s = math.cos(yaw), math.sin(yaw)
+        local = [(c * (px - x) + s * (py - y), c * (py - y) - s * (px - x)) for px, py in shape.core]
+        gap = _to_point(self, *local[0]) if len(local) == 1 else _to_polygon(self, local)
+        return gap - shape.radius if gap > 0 else OVERLAP
+
+
+def _to_point(body: Footprint, px: float, py: float) -> float:
+    return math.hypot(max(-body.overhang - px, 0.0, px - body.front), max(0.0, abs(py) - body.width / 2))
+
+
+def _to_polygon(body: Footprint, corners: list[Place]) -> float:
+    """0 when the two overlap. Of two convex bodies that are apart, a corner of one is nearest to the other."""
+    half = body.width / 2
+    own = ((-body.overhang, -half), (body.front, -half), (body.front, half), (-body.overhang, half))
+    best = math.inf
+    before, behind, left, right = True, True, True, True
+    for px, py in corners:
+        best = min(best, _to_point(body, px, py))
+        before, behind = before and px > body.front, behind and px < -body.overhang
+        left, right = left and py > half, right and py < -half
+    apart = before or behind or left or right
+    for (ax, ay), (bx, by) in pairwise((*corners, corners[0])):
+        ex, ey = bx - ax, by - ay
+        square = ex * ex + ey * ey
+        if square == 0.0:
+            continue
+        beyond = True  # whether all of the footprint is on the outer side of this edge
+        for cx, cy in own:
+            rx, ry = cx - ax, cy - ay
+            beyond = beyond and rx * ey - ry * ex > 0
+            share = max(0.0, min(1.0, (rx * ex + ry * ey) / square))
+            best = min(best, math.hypot(rx - share * ex, ry - share * ey))
+        apart = apart or beyond
+    return best if apart else 0.0
+
+
+def standing(obstacles: Iterable[Obstacle], height: float) -> list[Shape]:
+    """Those of the fleet file, as far as a car of that height meets them, named by their number in it."""
+    return [shape for number, body in enumerate(obstacles) for shape in _shapes(body, height, f"obstacle {number}")]
+
+
+def named(scene: Scene, body: Footprint) -> Iterator[Shape]:
+    """What a program names, as high as anything, and other robots' ways, as wide as this car is long."""
+    for grid in scene.grids:
+        west, south, size = grid.x * grid.size, grid.y * grid.size, grid.size
+        yield _box(west, south, west + size, south + size, "what the program named")
+    for p in scene.points:
+        yield Shape(((p.x, p.y),), 0.0, "what the program named")
+    for path in scene.others:
+        yield from _ways(path, body.reach)
+
+
+def _ways(path: Path, reach: float) -> Iterator[Shape]:
+    for p, q in pairwise(path if len(path) != 1 else path * 2):
+        core = ((p.x, p.y),) if (p.x, p.y) == (q.x, q.y) else ((p.x, p.y), (q.x, q.y))
+        yield Shape(core, reach, "another robot's path")
+
+
+def _box(west: float, south: float, east: float, north: float, name: str) -> Shape:
+    return Shape(((west, south), (east, south), (east, north), (west, north)), 0.0, name)
+
+
+def _shapes(body: Obstacle, height: float, name: str) -> Iterator[Shape]:
+    match body:
+        case Block(lo, hi):
+            if lo.z <= height and hi.z >= 0.0:
+                yield _box(lo.x, lo.y, hi.x, hi.y, name)
+        case Cylinder(base, radius, high):
+            if base.z <= height and base.z + high >= 0.0:
+                yield Shape(((base.x, base.y),), radius, name)
+        case Sphere(centre, radius):
+            off = centre.z - max(0.0, min(height, centre.z))
+            if abs(off) <= radius:
+                yield Shape(((centre.x, centre.y),), math.sqrt(radius * radius - off * off), name)
+        case Mesh(vertices, faces):
+            for face in faces:
+                part = _cut([vertices[i] for i in face], 0.0, height)
+                if part:
+                    yield Shape(_outline(part), 0.0, name)
+
+
+def _cut(corners: list[Point], low: float, high: float) -> list[Point]:
+    """The part of a convex polygon between two heights (I. E. Sutherland and G. W. Hodgman, 1974)."""
+    for level, sign in ((low, 1.0), (high, -1.0)):
+        kept: list[Point] = []
+        for p, q in pairwise((*corners, *corners[:1])):
+            a, b = sign * (p.z - level), sign * (q.z - level)
+            if a >= 0:
+                kept.append(p)
+            if (a >= 0) != (b >= 0):
+                kept.append(p + (q - p) * (a / (a - b)))
+        corners = kept
+    return corners
+
+
+def _outline(corners: list[Point]) -> Core:
+    """Seen from above, counter-clockwise; what is upright is a line there."""
+    places = [(p.x, p.y) for p in corners]
+    area = sum(ax * by - bx * ay for (ax, ay), (bx, by) in pairwise((*places, places[0])))
+    return tuple(places if area >= 0 else places[::-1])

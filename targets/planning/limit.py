@@ -1,0 +1,32 @@
+"""When a planner is to stop."""
+
+from __future__ import annotations
+
+import time
+
+STARTS = 6  # searches when iterations bound the work
+
+
+class Limit:
+    """After so many seconds, or, with `iterations`, after so many in each search. OMPL asks it in each iteration."""
+
+    def __init__(self, seconds: float, iterations: int | None) -> None:
+        self._end = time.perf_counter() + seconds
+        self._begun = self._end - seconds
+        self._iterations, self._done = iterations, 0
+
+    def __call__(self) -> bool:
+        self._done += 1
+        return time.perf_counter() > self._end if self._iterations is None else self._done > self._iterations
+
+    @property
+    def late(self) -> bool:
+        return self._iterations is None and time.perf_counter() > self._end
+
+    def spent(self, turn: int) -> bool:
+        """Whether no further search is to begin, after `turn` of them: one more would not end in time."""
+        if self._iterations is not None:
+            self._done = 0
+            return turn >= STARTS
+        now = time.perf_counter()
+        return now + (now - self._begun) / turn > self._end
