@@ -15,6 +15,7 @@ from koordgen.runtime.values import Point
 from targets.car.drive import opened
 from targets.car.links import Links
 from targets.car.settings import CarSettings
+from targets.car.tracker import BRAKING
 from targets.car.watchdog import LATE
 
 STALE = 0.3  # seconds without a sample of the position feed: brake
@@ -36,6 +37,10 @@ def limits(settings: CarSettings, fence: Box) -> Finding:
     if 2 * radius > room:
         hint = "it cannot turn round: look at wheelbase, max_steering, the servo's gain and offset, and the geofence"
         return Finding("limits", "fail", told, f"a circle that fits into the {room:g} m of the geofence", hint)
+    if settings.braking < BRAKING * settings.max_acceleration:
+        slower = f"brakes with {settings.braking:g} m/s^2, {told}"
+        hint = "it would be driven as if it braked better than it does: lower max_acceleration, or mend the brakes"
+        return Finding("limits", "fail", slower, f"{BRAKING * settings.max_acceleration:g} m/s^2 or more", hint)
     if settings.steering_limit < LEAST_STEERING * settings.max_steering:
         hint = "the servo's range ends before the wheels': look at steering_to_servo_gain and steering_to_servo_offset"
         steering = f"steers {settings.steering_limit:.2f} rad, {told}"
@@ -62,7 +67,7 @@ def drive_findings(settings: CarSettings, links: Links, frame: LocalFrame) -> li
     except Unready as error:
         return [Finding.of("drive", error)]
     finally:
-        drive.close()
+        drive.close(standing=True)
     if not drive.heard:
         return [Finding("drive", "fail", drive.blocked, "an answer", "is it switched on, and `drive` right?")]
     if drive.fault:
@@ -86,7 +91,7 @@ def watchdog_finding(links: Links) -> Finding:
             if not watch.trouble:
                 return Finding("watchdog", "ok", f"answers; it brakes {LATE:g} s after the last command")
     finally:
-        watch.close()
+        watch.close(standing=True)
         os.close(nothing)
     hint = "; ".join(watch.news()) or "is the computer overloaded?"
     return Finding("watchdog", "fail", f"does not answer within {_STEPS * _STEP:g} s", "an answer", hint)
@@ -139,7 +144,7 @@ def fix_findings(settings: CarSettings, fence: Box, links: Links, frame: LocalFr
     except Unready as error:
         return [Finding.of("position", error)]
     finally:
-        drive.close()
+        drive.close(standing=True)
     if not came:
         hint = "does its EKF know its place and heading? Else give the car a position feed"
         return [Finding("position", "fail", f"the rover has not told where it is for {now:.0f} s", "10 Hz", hint)]

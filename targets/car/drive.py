@@ -68,8 +68,8 @@ class Drive(Protocol):
         """What happened since this was asked last, for the log."""
         ...
 
-    def close(self) -> None:
-        """Give back the device. Idempotent."""
+    def close(self, standing: bool) -> None:
+        """Give back the device; a car that does not stand is left to the watchdog, which brakes. Idempotent."""
         ...
 
 

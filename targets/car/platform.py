@@ -331,7 +331,7 @@ class Car:
 
     def close(self) -> None:
         if self._drive is not None:
-            self._drive.close()
+            self._drive.close(standing=self.rested or self._still_since is not None)
         if self._datagrams is not None:
             self._datagrams.close()
         self._drive = self._datagrams = None

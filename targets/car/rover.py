@@ -255,12 +255,12 @@ class RoverDrive:
         told, self._news = self._news + self._watch.news(), []
         return told
 
-    def close(self) -> None:
-        """See Drive. What we armed is disarmed, unless somebody has it now."""
-        if self._was_armed and not self._taken:
+    def close(self, standing: bool) -> None:
+        """See Drive. What we armed and stands is disarmed, unless somebody has it now."""
+        if self._was_armed and standing and not self._taken:
             self._link.send(self._override(NEUTRAL, NEUTRAL))
             for _ in range(3):  # nobody is left to see whether it has heard
                 self._link.tell(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
             self._was_armed = False
-        self._watch.close()
+        self._watch.close(standing)
         self._link.close()

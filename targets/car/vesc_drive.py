@@ -191,7 +191,8 @@ class VescDrive:
         told, self._news = self._news + self._watch.news(), []
         return told
 
-    def close(self) -> None:
-        self._watch.close()
+    def close(self, standing: bool) -> None:
+        """See Drive."""
+        self._watch.close(standing)
         if self._link is not None:
             self._link.close()

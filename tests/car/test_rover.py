@@ -384,4 +384,4 @@ def test_over_udp_its_watchdog_goes_neutral_when_the_agent_is_stuck() -> None:
                         neutral.append(time.monotonic() - stuck)
             assert 0.1 < neutral[0] < 0.2 and len(neutral) >= 5
         finally:
-            drive.close()
+            drive.close(standing=True)
