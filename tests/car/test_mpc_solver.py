@@ -119,6 +119,17 @@ def test_far_from_the_path_c_finds_what_casadi_finds() -> None:
     assert worse <= 2, "from nothing, six iterations are not always enough; the next step goes on from there"
 
 
+def test_casadi_finds_its_way_again_after_a_problem_without_a_solution() -> None:
+    dice = random.Random(8)
+    limits = some_car(dice)
+    state, wished = problem(dice, limits, 0.02)
+    solver = CasadiSolver(limits)
+    before = solver(state, wished, ROLLING)
+    assert before is not None
+    assert solver((1e300, 0.0, 0.0, 0.0, 0.0), [1e300] * 5 * STEPS, ROLLING) is None
+    assert solver(state, wished, ROLLING) == pytest.approx(before, abs=0.1)
+
+
 def test_a_plan_is_begun_with_the_one_before() -> None:
     dice = random.Random(6)
     limits = some_car(dice)

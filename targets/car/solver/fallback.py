@@ -45,35 +45,40 @@ class CasadiSolver:
     ) -> list[float] | None:
         """See `problem.Solver`."""
         given, found = self._given, self._found
-        states = self._states_from(present) or wished
-        start: list[float] = []
-        for k in range(STEPS):
-            start += inputs[INPUTS * k : INPUTS * (k + 1)]
-            start += states[STATES * k : STATES * (k + 1)]
-        given["x0"][:] = array("d", start)
+        given["x0"][:] = self._start(present, wished, inputs)
         given["p"][:] = array("d", [*self._head, *present, *wished])
         try:
             self._run()
             failed = bool(self._buffer.ret())
         except RuntimeError:  # CasADi's, for whatever it finds wrong
             failed = True
-        if failed or not all(abs(g) <= DEFECT for g in found["g"]) or not all(map(math.isfinite, found["x"])):
-            for name in ("lam_x0", "lam_g0"):
-                given[name][:] = array("d", bytes(8 * len(given[name])))
+        plan, defects = found["x"], found["g"]
+        sound = math.isfinite(sum(plan)) and math.isfinite(sum(defects))
+        if failed or not sound or max(defects) > DEFECT or min(defects) < -DEFECT:
+            for values in (given["lam_x0"], given["lam_g0"]):
+                values[:] = array("d", bytes(8 * len(values)))
+            plan[:] = array("d", [math.nan] * len(plan))  # near nothing: no start for the next search
             return None
-        # The multipliers of this solve warm-start the next one.
-        given["lam_x0"][:] = found["lam_x"][_STRIDE:] + found["lam_x"][-_STRIDE:]
-        given["lam_g0"][:] = found["lam_g"][STATES:] + found["lam_g"][-STATES:]
-        return [v for k in range(STEPS) for v in found["x"][_STRIDE * k : _STRIDE * k + INPUTS]]
+        # The multipliers of this solve, shifted, warm-start the next one.
+        given["lam_x0"][:] = _shifted(found["lam_x"], _STRIDE)
+        given["lam_g0"][:] = _shifted(found["lam_g"], STATES)
+        return [v for k in range(STEPS) for v in plan[_STRIDE * k : _STRIDE * k + INPUTS]]
 
-    def _states_from(self, present: Sequence[float]) -> list[float]:
-        """The states of the plan before from `present` on, the last one twice; [] when it is not that plan's."""
-        found = self._found["x"]
-        planned = found[INPUTS:_STRIDE]
-        if not all(abs(a - b) <= NEAR for a, b in zip(planned, present, strict=True)):
-            return []
-        states = [v for k in range(1, STEPS) for v in found[_STRIDE * k + INPUTS : _STRIDE * (k + 1)]]
-        return states + states[-STATES:]
+    def _start(self, present: Sequence[float], wished: Sequence[float], inputs: Sequence[float]) -> array[float]:
+        """Where the search begins: with the plan before, shifted, if that has led to about here, else on the path."""
+        plan = self._found["x"]
+        if all(abs(a - b) <= NEAR for a, b in zip(plan[INPUTS:_STRIDE], present, strict=True)):
+            return _shifted(plan, _STRIDE)
+        start: list[float] = []
+        for k in range(STEPS):
+            start += inputs[INPUTS * k : INPUTS * (k + 1)]
+            start += wished[STATES * k : STATES * (k + 1)]
+        return array("d", start)
+
+
+def _shifted(values: array[float], stride: int) -> array[float]:
+    """What belongs to the next step in each step's place; the last step's stays."""
+    return values[stride:] + values[-stride:]
 
 
 def upper_bounds(limits: Limits) -> list[float]:
