@@ -84,14 +84,18 @@ class Car:
 
     def _loaded(self) -> Finding:
         try:
-            self._build()
+            note = self._build().note
         except Unready as error:
             return Finding.of("controller", error)
+        if note:
+            return Finding("controller", "warn", note, "the MPC in C", "install a C compiler: apt install gcc")
         return Finding("controller", "ok", "the MPC loads")
 
     def start(self, now: float) -> None:
+        self._navigator = self._build()  # first: it may compile for seconds, in which an open link's buffers would fill
+        if self._navigator.note:
+            self._news.append(self._navigator.note)
         self._open()
-        self._navigator = self._build()
         self._avoidance.start()
         self._now = self._started = now
 

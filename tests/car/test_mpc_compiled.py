@@ -16,6 +16,7 @@ from targets.car.solver import compiled
 from targets.car.solver.compiled import CompiledSolver, NotCompiled, load
 from targets.car.solver.fallback import CasadiSolver
 from targets.car.solver.problem import Limits
+from tests.car.world import World
 
 LIMITS = Limits(wheelbase=0.33, speed=1.0, acceleration=1.5, steering=0.387, steering_rate=3.0)
 SLOWER = "the controller runs in CasADi, which takes several times longer: "
@@ -201,3 +202,19 @@ def test_the_cache_is_the_users(monkeypatch: pytest.MonkeyPatch, tmp_path: Path)
     monkeypatch.setenv("XDG_CACHE_HOME", "relative")
     monkeypatch.setenv("HOME", "/home/robot")
     assert compiled.cache_folder() == Path("/home/robot/.cache/koordgen")
+
+
+def test_a_robot_without_a_compiler_drives_says_so_and_its_diagnosis_warns(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("PATH", "")
+    world = World().begin()
+    why = SLOWER + "there is no C compiler (cc, gcc, clang)"
+    assert world.car.news() == [why] and world.car.news() == []
+    world.go(1.5, 0.0)
+    world.run(5.0)
+    assert world.value("reached") is True
+    (found,) = (f for f in World().car.diagnose() if f.name == "controller")
+    assert (found.state, found.found) == ("warn", why)
+    assert found.why == "install a C compiler: apt install gcc"
