@@ -6,6 +6,7 @@ import os
 import stat
 import subprocess
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from hashlib import sha256
 from pathlib import Path
 
@@ -118,6 +119,23 @@ def test_no_file_is_loaded_that_others_may_write(cache: Path, mode: int, monkeyp
     with pytest.raises(NotCompiled):
         load(LIMITS, cache)
     assert kept(cache) == []
+
+
+def test_no_library_is_loaded_through_a_link(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    load(LIMITS, cache)
+    (library,) = kept(cache)
+    library.rename(tmp_path / "aside")
+    library.symlink_to(tmp_path / "aside")
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(NotCompiled):
+        load(LIMITS, cache)
+
+
+def test_robots_that_start_at_once_do_not_disturb_each_other(cache: Path) -> None:
+    with ThreadPoolExecutor() as pool:
+        solvers = list(pool.map(lambda _: load(LIMITS, cache), range(4)))
+    assert all(works(solver) for solver in solvers)
+    assert all(path.suffix == ".so" for path in kept(cache))
 
 
 def test_nothing_is_loaded_through_a_link(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -94,6 +94,16 @@ def test_far_from_the_path_the_plan_in_c_is_drivable_and_better_than_rolling_on(
         assert solver.effort[1] <= 100, "its time is bounded"
 
 
+def test_a_guess_that_cannot_be_driven_still_leads_to_a_plan_that_can() -> None:
+    dice = random.Random(7)
+    for _ in range(60):
+        limits = some_car(dice)
+        state, wished = problem(dice, limits, dice.choice([0.02, 30.0]))
+        plan = compiled.load(limits)(state, wished, [dice.gauss(0.0, 100.0) for _ in ROLLING])
+        assert plan is not None
+        cost(limits, state, wished, plan, 1e-9)
+
+
 def test_far_from_the_path_c_finds_what_casadi_finds() -> None:
     dice, worse = random.Random(5), 0
     for _ in range(10):
