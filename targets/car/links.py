@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import select
 import termios
@@ -60,7 +61,9 @@ class SerialLink:
         try:
             self._port = serial.Serial(device, BAUD, timeout=0, write_timeout=0, exclusive=True)
         except (*self._gone, ValueError) as error:
-            reason = getattr(error, "strerror", None) or error
+            number = getattr(error, "errno", None)
+            # What flock says of a device that is locked helps nobody.
+            reason = "another program has it" if number == errno.EAGAIN else os.strerror(number) if number else error
             hint = "connect the motor controller, free its device, or correct `drive` in the robot's settings"
             raise Unready(f"cannot open the motor controller at {device}: {reason}", hint) from None
 

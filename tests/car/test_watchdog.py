@@ -277,5 +277,5 @@ def test_an_agent_that_is_stuck_stopped_or_dead_is_braked_for(line: Line, how: s
 
 
 def test_two_agents_cannot_have_one_device(line: Line, agent: Agent) -> None:
-    with pytest.raises(Unready, match="cannot open"):
+    with pytest.raises(Unready, match="another program has it"):
         SerialLink(line.path)
