@@ -31,6 +31,8 @@ bench: $(STAMP)
 	$(PY) benchmarks/round.py
 	$(PY) benchmarks/sim_autopilot.py
 	$(PY) benchmarks/shared_memory.py
+	$(PY) benchmarks/car_mpc.py
+	$(PY) benchmarks/car_tracking.py
 
 # Parser tables and compiled templates are checked in, because building them at each start costs more than all else.
 generated: $(STAMP)

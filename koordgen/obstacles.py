@@ -16,6 +16,10 @@ from koordgen.mesh import BadMesh, Vector, read_mesh
 MOST_OBSTACLES = 1000
 MOST_FACES = 10_000  # of a mesh: robots keep and measure each
 LEAST, MOST = 1e-3, 1e5  # metres, of a radius or a height
+_SHAPES = (
+    "a box has lo and hi, a sphere centre and radius, an upright cylinder base, radius and height, a mesh the name of "
+    "its file: mesh"
+)
 _FORMS = {".stl": "stl", ".obj": "obj"}
 
 Obstacle = dict[str, Any]  # as koordgen/runtime/obstacles.py has it
@@ -39,20 +43,26 @@ def read_box(reader: Reader, node: YamlNode | None, what: str) -> dict[str, list
 
 
 def _obstacle(reader: Reader, node: YamlNode, what: str, folder: Path) -> Obstacle:
+    if not isinstance(node, yaml.MappingNode):
+        return _box(reader, node, what, folder)
     read = _kind(node)
-    if read is not None:
-        return read(reader, node, what, folder)
-    return {"shape": "box", **read_box(reader, node, what)}
+    if read is None:
+        reader.report("F003", f"{what} has no shape that is known", node, _SHAPES)
+        return {}
+    return read(reader, node, what, folder)
 
 
-def _kind(node: YamlNode) -> Callable[[Reader, YamlNode, str, Path], Obstacle] | None:
-    """By the key that only this kind has, misspelt or not; None for a box."""
+def _kind(node: yaml.MappingNode) -> Callable[[Reader, YamlNode, str, Path], Obstacle] | None:
+    """By the key that only this kind has, misspelt or not; None when there is none."""
     from difflib import get_close_matches
 
-    kinds = {"centre": _sphere, "base": _cylinder, "mesh": _mesh}
-    keys = [str(key.value) for key, _ in node.value] if isinstance(node, yaml.MappingNode) else []
-    found = (match for key in keys for match in get_close_matches(key, [*kinds, "lo", "hi"], 1))
-    return next((kinds[match] for match in found if match in kinds), None)
+    kinds = {"centre": _sphere, "base": _cylinder, "mesh": _mesh, "lo": _box, "hi": _box}
+    found = (match for key, _ in node.value for match in get_close_matches(str(key.value), kinds, 1))
+    return next((kinds[match] for match in found), None)
+
+
+def _box(reader: Reader, node: YamlNode, what: str, folder: Path) -> Obstacle:
+    return {"shape": "box", **read_box(reader, node, what)}
 
 
 def _sphere(reader: Reader, node: YamlNode, what: str, folder: Path) -> Obstacle:

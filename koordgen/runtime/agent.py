@@ -171,6 +171,7 @@ def _run(
         while control.lingers(clock.now()):
             control.poll(clock.now(), agent.phase, report)
             time.sleep(0.01)
+        gc.unfreeze()  # OMPL's binding tells at the end of what was not given back
         return agent.status
 
 

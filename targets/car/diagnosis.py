@@ -7,16 +7,20 @@ from itertools import pairwise
 
 from koordgen.runtime.datagrams import waiting
 from koordgen.runtime.feed import Feed
+from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.safety import inside
 from koordgen.runtime.settings import Box
+from koordgen.runtime.values import Point
 from targets.car.drive import opened
 from targets.car.links import Links
 from targets.car.settings import CarSettings
+from targets.car.tracker import BRAKING
 from targets.car.watchdog import LATE
 
 STALE = 0.3  # seconds without a sample of the position feed: brake
 _STEP, _STEPS = 0.05, 60  # seconds; the look ends earlier when all is there
+_DRIVE_STEPS = 110  # a drive that is silent for 5 s says so by itself
 _WATCHED = 1.0  # seconds for which a feed is watched
 LEAST_RATE = 10.0  # Hz
 LEAST_STEERING = 0.8  # of max_steering, that the servo's range must allow
@@ -26,11 +30,17 @@ MOST_ERPM = 100_000.0  # l_max_erpm of the VESC firmware as delivered
 def limits(settings: CarSettings, fence: Box) -> Finding:
     """Whether the settings fit one another and the arena; what is calibrated only the real car can tell."""
     radius, room = settings.planned_radius, min(fence.hi.x - fence.lo.x, fence.hi.y - fence.lo.y)
-    erpm = abs(settings.max_speed * settings.speed_to_erpm_gain)
-    told = f"turning radius {radius:.2f} m, {settings.max_speed:g} m/s are {erpm:.0f} ERPM"
+    erpm = 0.0 if settings.is_rover else abs(settings.max_speed * settings.speed_to_erpm_gain)
+    share = settings.max_speed / settings.full_speed
+    pace = f"{share:.0%} of the throttle" if settings.is_rover else f"{erpm:.0f} ERPM"
+    told = f"turning radius {radius:.2f} m, {settings.max_speed:g} m/s are {pace}"
     if 2 * radius > room:
         hint = "it cannot turn round: look at wheelbase, max_steering, the servo's gain and offset, and the geofence"
         return Finding("limits", "fail", told, f"a circle that fits into the {room:g} m of the geofence", hint)
+    if settings.braking < BRAKING * settings.max_acceleration:
+        slower = f"brakes with {settings.braking:g} m/s^2, {told}"
+        hint = "it would be driven as if it braked better than it does: lower max_acceleration, or mend the brakes"
+        return Finding("limits", "fail", slower, f"{BRAKING * settings.max_acceleration:g} m/s^2 or more", hint)
     if settings.steering_limit < LEAST_STEERING * settings.max_steering:
         hint = "the servo's range ends before the wheels': look at steering_to_servo_gain and steering_to_servo_offset"
         steering = f"steers {settings.steering_limit:.2f} rad, {told}"
@@ -41,23 +51,25 @@ def limits(settings: CarSettings, fence: Box) -> Finding:
     return Finding("limits", "ok", told)
 
 
-def drive_findings(settings: CarSettings, links: Links) -> list[Finding]:
+def drive_findings(settings: CarSettings, links: Links, frame: LocalFrame) -> list[Finding]:
     """Whether the drive answers, and what it says of itself; it is opened and closed."""
     try:
-        drive = opened(settings, links)
+        drive = opened(settings, links, frame)
     except Unready as error:
         return [Finding.of("drive", error)]
     try:
-        i = 0
-        while not drive.heard:  # or until it counts as silent
+        for i in range(_DRIVE_STEPS):
             drive.ask(i * _STEP)
             links.wait(_STEP)
             drive.read(i * _STEP)
-            i += 1
+            if drive.heard:
+                break
     except Unready as error:
         return [Finding.of("drive", error)]
     finally:
-        drive.close()
+        drive.close(standing=True)
+    if not drive.heard:
+        return [Finding("drive", "fail", drive.blocked, "an answer", "is it switched on, and `drive` right?")]
     if drive.fault:
         hint = "it brakes while this lasts; the VESC tool tells what the fault means"
         return [Finding("drive", "fail", f"{drive.about}, {drive.fault}", "no fault", hint)]
@@ -79,7 +91,7 @@ def watchdog_finding(links: Links) -> Finding:
             if not watch.trouble:
                 return Finding("watchdog", "ok", f"answers; it brakes {LATE:g} s after the last command")
     finally:
-        watch.close()
+        watch.close(standing=True)
         os.close(nothing)
     hint = "; ".join(watch.news()) or "is the computer overloaded?"
     return Finding("watchdog", "fail", f"does not answer within {_STEPS * _STEP:g} s", "an answer", hint)
@@ -107,14 +119,44 @@ def feed_findings(settings: CarSettings, fence: Box, feed: Feed, links: Links) -
         datagrams.close()
     if feed.pose is None:
         return [Finding.of("position", Unready(*feed.silent(settings.position, _STEPS * _STEP)))]
-    p = feed.pose.position
+    return [_arriving(settings, came, oldest, now), _placed(feed.pose.position, fence)]
+
+
+def fix_findings(settings: CarSettings, fence: Box, links: Links, frame: LocalFrame) -> list[Finding]:
+    """The same of a drive that knows where it is; it is opened and closed."""
+    came: list[float] = []
+    place = Point()
+    try:
+        drive = opened(settings, links, frame)
+    except Unready as error:
+        return [Finding.of("position", error)]
+    try:
+        for i in range(_STEPS):
+            drive.ask(i * _STEP)
+            links.wait(_STEP)
+            now = i * _STEP
+            drive.read(now)
+            for pose, _ in drive.fixes():
+                came.append(now)
+                place = pose.position
+            if came and now - came[0] >= _WATCHED:
+                break
+    except Unready as error:
+        return [Finding.of("position", error)]
+    finally:
+        drive.close(standing=True)
+    if not came:
+        hint = "does its EKF know its place and heading? Else give the car a position feed"
+        return [Finding("position", "fail", f"the rover has not told where it is for {now:.0f} s", "10 Hz", hint)]
+    return [_arriving(settings, came, 0.0, now), _placed(place, fence)]
+
+
+def _placed(p: Point, fence: Box) -> Finding:
     where = f"({p.x:.2f}, {p.y:.2f}) m"
     if not inside(fence, p):
         hint = "is the base station's origin the fleet's, and does it track this robot's markers?"
-        placed = Finding("place", "fail", where, "inside the geofence", hint)
-    else:
-        placed = Finding("place", "ok", f"{where}, inside the geofence")
-    return [_arriving(settings, came, oldest, now), placed]
+        return Finding("place", "fail", where, "inside the geofence", hint)
+    return Finding("place", "ok", f"{where}, inside the geofence")
 
 
 def _arriving(settings: CarSettings, came: list[float], oldest: float, end: float) -> Finding:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
+from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.platform import Unready
+from koordgen.runtime.values import Pose
 from targets.car.links import Links
 from targets.car.mpc import Command
 from targets.car.settings import CarSettings
@@ -48,8 +51,13 @@ class Drive(Protocol):
         """Ask for what it tells; moves nothing."""
         ...
 
-    def go(self, command: Command, now: float) -> None:
-        """Drive like this until the next command, which the watchdog expects within its time."""
+    def fixes(self) -> Sequence[tuple[Pose, float]]:
+        """Where the drive itself says that the car is, and when that was true, since this was asked last."""
+        ...
+
+    def go(self, command: Command, speed: float | None, now: float) -> None:
+        """Drive like this until the next command, which the watchdog expects within its time. `speed` is measured, for
+        a drive that does not hold speeds by itself; None: nobody knows it."""
         ...
 
     def brake(self, now: float) -> None:
@@ -60,15 +68,19 @@ class Drive(Protocol):
         """What happened since this was asked last, for the log."""
         ...
 
-    def close(self) -> None:
-        """Give back the device. Idempotent."""
+    def close(self, standing: bool) -> None:
+        """Give back the device; a car that does not stand is left to the watchdog, which brakes. Idempotent."""
         ...
 
 
-def opened(settings: CarSettings, links: Links) -> Drive:
-    """Open the drive that the settings name. Raises Unready, saying what to do."""
+def opened(settings: CarSettings, links: Links, frame: LocalFrame) -> Drive:
+    """Open the drive that the settings name; `frame` is the fleet's. Raises Unready, saying what to do."""
     kind, _, place = settings.drive.partition(":")
-    if kind != "vesc" or not place:
-        hint = "write `drive: vesc:DEVICE`, as in vesc:/dev/ttyACM0"
-        raise Unready(f"drive {settings.drive!r} is not understood", hint)
-    return VescDrive(place, settings, links)
+    if kind == "vesc" and place:
+        return VescDrive(place, settings, links)
+    if kind == "rover" and place:
+        from targets.car.rover import RoverDrive  # a VESC's car does not pay for pymavlink
+
+        return RoverDrive(settings, links.mavlink(place), links.watchdog(), frame)
+    hint = "write `drive: vesc:DEVICE`, as in vesc:/dev/ttyACM0, or rover:URL, as in rover:serial:/dev/ttyACM0:115200"
+    raise Unready(f"drive {settings.drive!r} is not understood", hint)

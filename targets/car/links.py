@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import select
 import termios
 from contextlib import suppress
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from koordgen.runtime.datagrams import DatagramLink
 from koordgen.runtime.feed import listen_for_poses
 from koordgen.runtime.platform import Unready
+from targets.car.settings import FROM_DRIVE
 from targets.car.watched import Watch, WatchdogProcess
+
+if TYPE_CHECKING:
+    from targets.car.rover import Route
 
 BAUD = 115_200
 
@@ -34,6 +39,8 @@ class Links(Protocol):
 
     def serial(self, device: str) -> ByteLink: ...
 
+    def mavlink(self, url: str) -> Route: ...
+
     def position(self, setting: str) -> DatagramLink: ...
 
     def watchdog(self) -> Watch: ...
@@ -54,7 +61,9 @@ class SerialLink:
         try:
             self._port = serial.Serial(device, BAUD, timeout=0, write_timeout=0, exclusive=True)
         except (*self._gone, ValueError) as error:
-            reason = getattr(error, "strerror", None) or error
+            number = getattr(error, "errno", None)
+            # What flock says of a device that is locked helps nobody.
+            reason = "another program has it" if number == errno.EAGAIN else os.strerror(number) if number else error
             hint = "connect the motor controller, free its device, or correct `drive` in the robot's settings"
             raise Unready(f"cannot open the motor controller at {device}: {reason}", hint) from None
 
@@ -84,14 +93,29 @@ class SerialLink:
             self._port.close()
 
 
+class Nowhere:
+    """A position feed on which nothing comes: the drive knows where it is."""
+
+    def receive(self) -> bytes | None:
+        return None
+
+    def close(self) -> None:
+        pass
+
+
 class RealLinks:
     """Links to real devices."""
 
     def serial(self, device: str) -> ByteLink:
         return SerialLink(device)
 
+    def mavlink(self, url: str) -> Route:
+        from targets.mavlink.transport import opened
+
+        return opened(url)
+
     def position(self, setting: str) -> DatagramLink:
-        return listen_for_poses("position", setting)
+        return Nowhere() if setting == FROM_DRIVE else listen_for_poses("position", setting)
 
     def watchdog(self) -> Watch:
         return WatchdogProcess()

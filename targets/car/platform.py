@@ -14,19 +14,20 @@ from typing import Any
 
 from koordgen.runtime.datagrams import DatagramLink, waiting
 from koordgen.runtime.feed import Feed
+from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.platform import Finding, Sensed, Unready
 from koordgen.runtime.scans import ScanPort
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.values import Point, Pose
 from targets.car.avoidance import Avoidance, MakePlanning
-from targets.car.diagnosis import STALE, drive_findings, feed_findings, limits, watchdog_finding
+from targets.car.diagnosis import STALE, drive_findings, feed_findings, fix_findings, limits, watchdog_finding
 from targets.car.drive import Drive, opened
 from targets.car.estimator import Estimator
 from targets.car.fence import stops_inside
 from targets.car.links import Links, RealLinks
 from targets.car.mpc import STEP, Command
 from targets.car.navigator import STANDING, Navigator
-from targets.car.settings import decode
+from targets.car.settings import FROM_DRIVE, decode
 from targets.planning.process import Beside
 from targets.planning.route import Route
 
@@ -50,6 +51,7 @@ class Car:
         self._settings = decode(settings.body)
         self._fence = settings.geofence
         self._links: Links = links if links is not None else RealLinks()
+        self._frame = LocalFrame(settings.origin.latitude, settings.origin.longitude, settings.origin.altitude)
         self._robot, self._key = settings.robot, key
         self._feed = Feed(settings.robot, key)
         self._lidar = ScanPort(self._settings.scans, settings.robot, key)
@@ -72,21 +74,28 @@ class Car:
 
     def diagnose(self) -> list[Finding]:
         """See Platform."""
-        found = [*drive_findings(self._settings, self._links), watchdog_finding(self._links)]
-        found += feed_findings(self._settings, self._fence, Feed(self._robot, self._key), self._links)
+        found = [*drive_findings(self._settings, self._links, self._frame), watchdog_finding(self._links)]
+        if self._settings.position == FROM_DRIVE:
+            found += fix_findings(self._settings, self._fence, self._links, self._frame)
+        else:
+            found += feed_findings(self._settings, self._fence, Feed(self._robot, self._key), self._links)
         found += [limits(self._settings, self._fence), self._loaded(), self._avoidance.diagnose(self._links.wait)]
         return [*found, *self._lidar.diagnose(self._links.wait)]
 
     def _loaded(self) -> Finding:
         try:
-            self._build()
+            note = self._build().note
         except Unready as error:
             return Finding.of("controller", error)
+        if note:
+            return Finding("controller", "warn", note, "the MPC in C", "install a C compiler: apt install gcc")
         return Finding("controller", "ok", "the MPC loads")
 
     def start(self, now: float) -> None:
+        self._navigator = self._build()  # first: it may compile for seconds, in which an open link's buffers would fill
+        if self._navigator.note:
+            self._news.append(self._navigator.note)
         self._open()
-        self._navigator = self._build()
         self._avoidance.start()
         self._now = self._started = now
 
@@ -96,7 +105,7 @@ class Car:
             self._datagrams = self._links.position(self._settings.position)
         self._lidar.open()
         if self._drive is None:
-            self._drive = opened(self._settings, self._links)
+            self._drive = opened(self._settings, self._links, self._frame)
         return self._drive, self._datagrams
 
     def _build(self) -> Navigator:
@@ -132,6 +141,8 @@ class Car:
         for datagram in waiting(datagrams):
             if self._feed.take(datagram, now) and self._feed.pose is not None and self._feed.time is not None:
                 self._locate(self._feed.pose, self._feed.time, now)
+        for pose, measured in drive.fixes():
+            self._locate(pose, measured, now)
         self._wait_for_positions(now)
         moving = self._estimator.speed(now)
         if moving is None or abs(moving) > STANDING:
@@ -158,8 +169,8 @@ class Car:
         waited = now - self._started
         if self._resting_since is not None:
             return
-        if self._feed.time is None and waited > WAIT_FOR_FEED:
-            raise Unready(*self._feed.silent(self._settings.position, waited))
+        if self._estimator.time is None and waited > WAIT_FOR_FEED:
+            raise self._no_position(waited)
         if self._estimator.refused(now) <= JUMPED:
             return
         if not self._stood:
@@ -167,6 +178,12 @@ class Car:
             raise Unready(f"position source jumped: {self._jump} and nothing else came for {JUMPED:g} s", hint)
         self._estimator.begin_anew()
         self._news.append(f"the car stood, and the position source jumped by {self._estimator.jumped:.1f} m: believed")
+
+    def _no_position(self, waited: float) -> Unready:
+        if self._settings.position == FROM_DRIVE:
+            hint = "does its EKF know its place and heading? Else give the car a position feed"
+            return Unready(f"the rover has not told where it is for {waited:.0f} s", hint)
+        return Unready(*self._feed.silent(self._settings.position, waited))
 
     @property
     def _jump(self) -> str:
@@ -192,7 +209,7 @@ class Car:
             navigator.pause()
             drive.brake(now)
         else:
-            drive.go(command, now)
+            drive.go(command, self._estimator.speed(now), now)
 
     def _stops_inside(self, command: Command) -> bool:
         own = self._settings
@@ -314,7 +331,7 @@ class Car:
 
     def close(self) -> None:
         if self._drive is not None:
-            self._drive.close()
+            self._drive.close(standing=self.rested or self._still_since is not None)
         if self._datagrams is not None:
             self._datagrams.close()
         self._drive = self._datagrams = None

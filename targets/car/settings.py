@@ -13,6 +13,7 @@ from targets.car.bicycle import turning_radius
 
 # Paths are planned with less steering than the car has: the controller needs the rest to correct errors on a curve.
 PLANNED_STEERING = 0.9
+FROM_DRIVE = "rover"  # `position`: the drive's own, a rover's EKF
 
 
 class CarSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -40,10 +41,18 @@ class CarSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     reverse: bool = True
     brake_current: Annotated[float, msgspec.Meta(ge=0.5, le=60.0)] = 10.0
     braking: Annotated[float, msgspec.Meta(ge=0.2, le=20.0)] = 3.0
+    full_speed: Annotated[float, msgspec.Meta(ge=0.2, le=20.0)] = 3.0
+
+    @property
+    def is_rover(self) -> bool:
+        """Whether an ArduPilot rover drives the car."""
+        return self.drive.startswith("rover:")
 
     @property
     def steering_limit(self) -> float:
-        """The angle, radians, that both sides allow: the servo's range (0 to 1) may end before the wheels'."""
+        """The angle, radians, that both sides allow: a VESC's servo range (0 to 1) may end before the wheels'."""
+        if self.is_rover:
+            return self.max_steering
         room = min(self.steering_to_servo_offset, 1.0 - self.steering_to_servo_offset)
         return min(self.max_steering, room / abs(self.steering_to_servo_gain))
 
@@ -67,5 +76,13 @@ def decode(body: Mapping[str, Any]) -> CarSettings:
         raise Unready(
             f"the car's settings: the servo leaves {settings.steering_limit:.3f} rad of steering to one side",
             "correct steering_to_servo_gain and steering_to_servo_offset",
+        )
+    if settings.position == FROM_DRIVE and not settings.is_rover:
+        hint = "write `drive: rover:URL`, or `position: udp:HOST:PORT` for the feed of a base station"
+        raise Unready("the car's settings: position is rover, but the drive is none", hint)
+    if settings.is_rover and settings.max_speed > settings.full_speed:
+        raise Unready(
+            f"the car's settings: max_speed {settings.max_speed:g} is more than full_speed {settings.full_speed:g}",
+            "measure full_speed, what the rover does at full throttle, or lower max_speed",
         )
     return settings

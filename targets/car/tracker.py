@@ -17,6 +17,7 @@ from targets.car.planner import Segment
 LATERAL = 0.6  # of the acceleration limit may be used sideways on a curve
 BRAKING = 0.6  # ... and for braking: the rest is for errors
 APPROACH = 3.0  # 1/s: speed over distance in the last centimetres to a stop, or a lagging drive overshoots
+SHORT = 0.05  # metres kept to what is in the way, for the lag of motor and brake
 NEAR = 0.02  # metres before its end at which a segment counts as driven, when the car is
 SLOW = 0.05  # m/s or slower
 LOOK_BACK, LOOK_AHEAD = 0.2, 0.6  # metres around the last place in which the present one is looked for
@@ -68,8 +69,8 @@ class Track:
 
     def reference(self, speed: float, yaw: float, clear: float = math.inf) -> list[State]:
         """The states to be in after 1 to 20 steps, gathering speed from `speed` (m/s, signed) as the limits allow, and
-        losing it so as to stand before `clear` metres on. Yaw runs on from the car's own."""
-        station, halt = self.station, min(self.length, self.station + max(0.0, clear))
+        losing it so as to stand before `clear` metres on (a NaN is 0). Yaw runs on from the car's own."""
+        station, halt = self.station, min(self.length, self.station + max(0.0, clear - SHORT))
         direction = self.segment.direction
         pace = max(0.0, direction * speed)
         wished = []

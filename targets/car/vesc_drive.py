@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from koordgen.runtime.platform import Unready
-from targets.car import vesc
+from targets.car import battery, vesc
 from targets.car.links import ByteLink, Links
 from targets.car.mpc import Command
 from targets.car.settings import CarSettings
@@ -15,8 +15,6 @@ STARTING = 5.0  # seconds within which it must have answered for the first time
 SILENT = 2.0  # seconds without an answer, or without the device, after which it counts as lost
 REPLUG = 0.5  # seconds between two attempts to open the device anew
 OLDEST = 3  # major version: before, the command that moves the servo was another's number, that of the configuration
-EMPTY = 3.4  # volts of a lithium polymer cell that should be charged
-_FULL = 4.25  # volts of such a cell at most
 _FAULTS = {
     1: "over-voltage",
     2: "under-voltage",
@@ -81,11 +79,7 @@ class VescDrive:
 
     @property
     def doubt(self) -> str:
-        volts = self._values.voltage if self._values is not None else 0.0
-        cells = max(1, math.ceil(volts / _FULL))
-        if volts / cells < EMPTY:
-            return f"{volts / cells:.1f} V a cell, were it {cells} cells of lithium polymer: charge the battery"
-        return ""
+        return battery.doubt(self._values.voltage) if self._values is not None else ""
 
     def read(self, now: float) -> float | None:
         """See Drive."""
@@ -150,7 +144,11 @@ class VescDrive:
         """See Drive."""
         self._send(b"", now)
 
-    def go(self, command: Command, now: float) -> None:
+    def fixes(self) -> tuple[()]:
+        """See Drive: it does not know."""
+        return ()
+
+    def go(self, command: Command, speed: float | None, now: float) -> None:
         """See Drive. Without commands the VESC's own time-out brakes (set it to 0.5 s, and its time-out brake current,
         which is 0 as delivered, to `brake_current`)."""
         settings = self._settings
@@ -193,7 +191,8 @@ class VescDrive:
         told, self._news = self._news + self._watch.news(), []
         return told
 
-    def close(self) -> None:
-        self._watch.close()
+    def close(self, standing: bool) -> None:
+        """See Drive."""
+        self._watch.close(standing)
         if self._link is not None:
             self._link.close()

@@ -102,10 +102,8 @@ class Watchdog:
                 self._send(data)
             else:
                 self._unsent = data[os.write(self._device, data) :]
-        except BlockingIOError:
-            return
         except OSError:
-            self._let_go()  # unplugged; the agent opens it anew
+            return  # takes nothing now, is unplugged, or not connected yet: try again, the agent gives us a new one
 
     def _send(self, data: bytes) -> None:
         with socket.socket(fileno=os.dup(self._device)) as device:

@@ -50,8 +50,8 @@ class Watch(Protocol):
         """What happened since this was asked last, for the log."""
         ...
 
-    def close(self) -> None:
-        """The car is at rest: end it. Idempotent."""
+    def close(self, standing: bool) -> None:
+        """End it; if the car does not stand, by itself, when it has braked for a while. Idempotent."""
         ...
 
 
@@ -112,10 +112,14 @@ class WatchdogProcess:
         told, self._news = self._news, []
         return told
 
-    def close(self) -> None:
+    def close(self, standing: bool) -> None:
         self._held = None
-        self._send(b"R")
-        self._end(kill=False)
+        if standing:
+            self._send(b"R")
+            self._end(kill=False)
+        elif self._socket is not None:
+            self._socket.close()  # which to the watchdog is our death
+            self._socket = None
 
     def _begin(self) -> None:
         self._begun, self._asked, self._answering = self._clock(), None, False
@@ -226,5 +230,5 @@ class Unwatched:
     def news(self) -> list[str]:
         return []
 
-    def close(self) -> None:
+    def close(self, standing: bool) -> None:
         pass

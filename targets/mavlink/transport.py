@@ -8,6 +8,7 @@ import os
 import socket
 import termios
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 from koordgen.runtime.platform import Unready
@@ -21,6 +22,16 @@ SILENT = 3.0  # seconds after which a connection on which nothing comes is given
 REPLUG = 0.5  # seconds between two attempts to open a device anew
 _GONE = (OSError, ValueError, TypeError, termios.error)  # what pyserial raises when a device vanishes under it
 HINT = "use udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD"
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """Where a frame would be written now, for another process that must be able to: the descriptor, and the address on
+    an unconnected socket. `opening` counts how often it was opened: descriptors are given out anew."""
+
+    opening: int
+    descriptor: int
+    address: Address | None = None
 
 
 class Transport(Protocol):
@@ -80,6 +91,10 @@ class Udp:
         if not self._fixed:
             self._peer = source
 
+    def way(self) -> Way | None:
+        """None while it is not known to whom."""
+        return None if self._peer is None else Way(0, self._socket.fileno(), self._peer)
+
     def send(self, data: bytes) -> bool:
         if self._peer is None:
             return False
@@ -105,6 +120,11 @@ class Tcp:
         self._wait = FIRST_WAIT  # before the next attempt but this
         self._heard = 0.0  # when something came last, or the connection was begun
         self._unsent = b""
+        self._openings = 0
+
+    def way(self) -> Way | None:
+        """None while there is no connection."""
+        return None if self._socket is None else Way(self._openings, self._socket.fileno())
 
     def receive(self, now: float) -> list[Chunk]:
         if self._socket is None and now >= self._retry:
@@ -135,6 +155,7 @@ class Tcp:
         self._heard = now
         try:
             self._socket = self._make(self._family, socket.SOCK_STREAM)
+            self._openings += 1
             self._socket.setblocking(False)
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             refused = self._socket.connect_ex(self._peer) not in (0, errno.EINPROGRESS, errno.EWOULDBLOCK)
@@ -178,11 +199,17 @@ class Serial:
         self._device, self._baud = device, baud
         self._retry = float("-inf")
         self._unsent = b""
+        self._openings = 0
         self._port: Any = self._opened()
+
+    def way(self) -> Way | None:
+        """None while it is unplugged."""
+        return None if self._port is None else Way(self._openings, self._port.fileno())
 
     def _opened(self) -> Any:
         import serial  # only robots with a serial link pay for it
 
+        self._openings += 1
         return serial.Serial(self._device, self._baud, timeout=0, write_timeout=0, exclusive=True)
 
     def receive(self, now: float) -> list[Chunk]:
@@ -231,7 +258,7 @@ class Serial:
             self._drop()
 
 
-def opened(url: str) -> Transport:
+def opened(url: str) -> Udp | Tcp | Serial:
     """Open a transport. Raises Unready: a URL that is none, a port in use, no such device."""
     scheme, _, rest = url.partition(":")
     place, _, number = rest.rpartition(":")

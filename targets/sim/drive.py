@@ -1,4 +1,4 @@
-"""The simulated motor controller of a car: a VESC behind a pseudo-terminal.
+"""The simulated drive of a car: a VESC behind a pseudo-terminal (or a rover: rover.py).
 
 It talks the VESC protocol and drives a simulated body; its own numbers (gains) are those of the robot's settings, so
 that a wrong gain in the fleet file is no more noticed here than a right one: calibration is for the real car.
@@ -16,7 +16,7 @@ from typing import Any
 
 from targets.car import vesc
 from targets.car.settings import CarSettings, decode
-from targets.sim.bodies import Car, DeviceContext
+from targets.sim.bodies import Car, Device, DeviceContext
 
 TIMEOUT = 0.5  # seconds without a command after which the VESC brakes by itself; asking for values is none
 SUPPLY = 11.1  # volts
@@ -96,3 +96,12 @@ class SimulatedDrive:
         os.close(self._master)
         os.close(self._slave)
         self._master = self._slave = -1
+
+
+def simulated(body: Car, context: DeviceContext) -> Device:
+    """What stands in for the drive that the robot's settings name: a VESC, or an ArduPilot rover."""
+    if str(context.settings.get("drive", "")).startswith("rover:"):
+        from targets.sim.rover import SimulatedRover  # others do not pay for pymavlink
+
+        return SimulatedRover(body, context)
+    return SimulatedDrive(body, context)

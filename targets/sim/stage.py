@@ -42,7 +42,7 @@ def _car(world: World, robot: Robot, harness: Mapping[str, Any]) -> Body:
 BODIES: dict[str, Callable[[World, Robot, Mapping[str, Any]], Body]] = {"quadrotor": _quadrotor, "car": _car}
 DEVICES: dict[str, str] = {
     "autopilot": "targets.sim.autopilot:SimulatedAutopilot",
-    "drive": "targets.sim.drive:SimulatedDrive",
+    "drive": "targets.sim.drive:simulated",
 }
 
 

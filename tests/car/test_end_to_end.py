@@ -9,6 +9,7 @@ import os
 import socket
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -20,9 +21,10 @@ from targets.car.platform import Car
 from targets.car.settings import CarSettings
 from targets.planning.process import Inside
 from targets.sim.bodies import Device
-from targets.sim.drive import TIMEOUT, Controller, SimulatedDrive
+from targets.sim.drive import TIMEOUT, Controller, SimulatedDrive, simulated
+from targets.sim.rover import SimulatedRover
 from targets.sim.station import SimulatedFeed
-from tests.car.world import KEY, PHYSICS, TestBody, context, robot_settings
+from tests.car.world import KEY, PHYSICS, OwnTime, TestBody, context, robot_settings
 from tests.terminal import terminal
 
 
@@ -34,17 +36,18 @@ class Bench:
         self.device: Device = SimulatedDrive(self.body, context({}, 0.005))
         self.feed: Device = SimulatedFeed(self.body, context({}, 0.005), "position", lambda: self.now)
         self.overrides = {**self.device.overrides, **self.feed.overrides}
-        self.car = Car(robot_settings(self.overrides), KEY, planning=Inside)
+        self.car = Car(robot_settings(self.overrides), KEY, OwnTime(), Inside)
         self.ticks = 0
 
     @property
     def now(self) -> float:
         return self.ticks * PHYSICS
 
-    def run(self, seconds: float, agent: bool = True) -> None:
+    def run(self, seconds: float, agent: bool = True, device: bool = True) -> None:
         for _ in range(round(seconds / PHYSICS)):
             self.ticks += 1
-            self.device.step(self.now)
+            if device:
+                self.device.step(self.now)
             self.feed.step(self.now)
             self.body.step(PHYSICS)
             if agent and self.ticks % 4 == 0:
@@ -110,9 +113,39 @@ def test_a_vanished_device_is_unready_and_names_it(bench: Bench) -> None:
             bench.car.poll(bench.now + i * 0.05)
 
 
+def test_unplugged_while_driving_and_plugged_in_again_it_goes_on(bench: Bench, tmp_path: Path) -> None:
+    name = tmp_path / "vesc"
+    name.symlink_to(str(bench.device.overrides["drive"]).removeprefix("vesc:"))
+    bench.car = Car(robot_settings({**bench.overrides, "drive": f"vesc:{name}"}), KEY, OwnTime(), Inside)
+    bench.car.start(bench.now)
+    bench.run(1.0)
+    bench.car.command({"Motion.target": Point(1.5, 0.5, 0.0)}, bench.now)
+    bench.run(1.5)
+    assert bench.body.truth.speed > 0.5
+    bench.device.close()
+    name.unlink()
+    bench.body.drive(0.0, 0.0)  # as the VESC's own time-out does
+    bench.run(1.0, device=False)
+    assert "is gone" in bench.car.progress and abs(bench.body.truth.speed) < 0.01
+    bench.device = SimulatedDrive(bench.body, context({}, 0.005))
+    name.symlink_to(str(bench.device.overrides["drive"]).removeprefix("vesc:"))
+    bench.run(7.0)
+    assert bench.car.sense(bench.now).values["Motion.reached"] is True
+    lost, back = bench.car.news()
+    assert f"{name} is gone" in lost and back == f"the motor controller at {name} is there again"
+
+
+def test_what_the_drive_setting_names_is_simulated() -> None:
+    body = TestBody()
+    for drive, kind in (("vesc:/dev/ttyACM0", SimulatedDrive), ("rover:udpin:0.0.0.0:14550", SimulatedRover)):
+        device = simulated(body, context({"drive": drive}, 0.0))
+        assert isinstance(device, kind) and str(device.overrides["drive"]).startswith(drive.partition(":")[0])
+        device.close()
+
+
 def test_a_missing_device_and_a_port_in_use_are_unready(bench: Bench) -> None:
     missing = Car(robot_settings({**bench.overrides, "drive": "vesc:/dev/koordgen-no-such"}), KEY)
-    with pytest.raises(Unready, match="/dev/koordgen-no-such") as error:
+    with pytest.raises(Unready, match=r"at /dev/koordgen-no-such: No such file or directory$") as error:
         missing.start(0.0)
     assert error.value.hint
     missing.close()

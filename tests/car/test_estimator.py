@@ -114,6 +114,19 @@ def test_without_wheels_speed_comes_from_positions_and_ends_with_them() -> None:
     assert estimator.speed(now + 0.4) is None
 
 
+def test_a_car_that_stands_is_seen_to_stand_though_positions_are_noisy() -> None:
+    dice = random.Random(9)
+    estimator = Estimator(WHEELBASE)
+    speeds = []
+    for i in range(1000):
+        now = 0.02 * i
+        estimator.predict(now, 0.0)
+        x, y, yaw = dice.gauss(0, 0.005), dice.gauss(0, 0.005), dice.gauss(0, 0.02)
+        estimator.correct(pose(x, y, yaw), now, now)
+        speeds.append(abs(estimator.speed(now) or 0.0))
+    assert sum(speed > 0.05 for speed in speeds[20:]) < 10
+
+
 def test_a_speed_that_is_no_number_is_no_speed() -> None:
     estimator = Estimator(WHEELBASE)
     estimator.wheels(math.nan, 0.0)

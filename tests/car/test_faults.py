@@ -205,10 +205,12 @@ def test_diagnosis_of_a_feed_that_is_too_slow(every: int, state: str) -> None:
         ({}, "ok", "turning radius 0.91 m"),
         ({"wheelbase": 3.0}, "fail", "turning radius 8."),
         ({"steering_to_servo_gain": -2.0}, "warn", "steers 0.23 rad"),
+        ({"max_acceleration": 4.0, "braking": 1.0}, "fail", "brakes with 1 m/s^2"),
+        ({"drive": "rover:udpin:0.0.0.0:14550", "full_speed": 2.0}, "ok", "1 m/s are 50% of the throttle"),
         ({"max_speed": 10.0, "speed_to_erpm_gain": 11_000.0}, "warn", "110000 ERPM"),
     ],
 )
-def test_settings_that_do_not_fit(settings: dict[str, float], state: str, told: str) -> None:
+def test_settings_that_do_not_fit(settings: dict[str, Any], state: str, told: str) -> None:
     found = limits(decode(settings), FENCE)
     assert found.state == state and told in found.found, found
 

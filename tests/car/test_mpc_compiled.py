@@ -6,6 +6,7 @@ import os
 import stat
 import subprocess
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from hashlib import sha256
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from targets.car.solver import compiled
 from targets.car.solver.compiled import CompiledSolver, NotCompiled, load
 from targets.car.solver.fallback import CasadiSolver
 from targets.car.solver.problem import Limits
+from tests.car.world import World
 
 LIMITS = Limits(wheelbase=0.33, speed=1.0, acceleration=1.5, steering=0.387, steering_rate=3.0)
 SLOWER = "the controller runs in CasADi, which takes several times longer: "
@@ -119,6 +121,23 @@ def test_no_file_is_loaded_that_others_may_write(cache: Path, mode: int, monkeyp
     assert kept(cache) == []
 
 
+def test_no_library_is_loaded_through_a_link(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    load(LIMITS, cache)
+    (library,) = kept(cache)
+    library.rename(tmp_path / "aside")
+    library.symlink_to(tmp_path / "aside")
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(NotCompiled):
+        load(LIMITS, cache)
+
+
+def test_robots_that_start_at_once_do_not_disturb_each_other(cache: Path) -> None:
+    with ThreadPoolExecutor() as pool:
+        solvers = list(pool.map(lambda _: load(LIMITS, cache), range(4)))
+    assert all(works(solver) for solver in solvers)
+    assert all(path.suffix == ".so" for path in kept(cache))
+
+
 def test_nothing_is_loaded_through_a_link(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     load(LIMITS, cache)
     aside = tmp_path / "aside"
@@ -201,3 +220,19 @@ def test_the_cache_is_the_users(monkeypatch: pytest.MonkeyPatch, tmp_path: Path)
     monkeypatch.setenv("XDG_CACHE_HOME", "relative")
     monkeypatch.setenv("HOME", "/home/robot")
     assert compiled.cache_folder() == Path("/home/robot/.cache/koordgen")
+
+
+def test_a_robot_without_a_compiler_drives_says_so_and_its_diagnosis_warns(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("PATH", "")
+    world = World().begin()
+    why = SLOWER + "there is no C compiler (cc, gcc, clang)"
+    assert world.car.news() == [why] and world.car.news() == []
+    world.go(1.5, 0.0)
+    world.run(5.0)
+    assert world.value("reached") is True
+    (found,) = (f for f in World().car.diagnose() if f.name == "controller")
+    assert (found.state, found.found) == ("warn", why)
+    assert found.why == "install a C compiler: apt install gcc"

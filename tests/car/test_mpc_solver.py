@@ -94,6 +94,16 @@ def test_far_from_the_path_the_plan_in_c_is_drivable_and_better_than_rolling_on(
         assert solver.effort[1] <= 100, "its time is bounded"
 
 
+def test_a_guess_that_cannot_be_driven_still_leads_to_a_plan_that_can() -> None:
+    dice = random.Random(7)
+    for _ in range(60):
+        limits = some_car(dice)
+        state, wished = problem(dice, limits, dice.choice([0.02, 30.0]))
+        plan = compiled.load(limits)(state, wished, [dice.gauss(0.0, 100.0) for _ in ROLLING])
+        assert plan is not None
+        cost(limits, state, wished, plan, 1e-9)
+
+
 def test_far_from_the_path_c_finds_what_casadi_finds() -> None:
     dice, worse = random.Random(5), 0
     for _ in range(10):
@@ -107,6 +117,17 @@ def test_far_from_the_path_c_finds_what_casadi_finds() -> None:
                 worth = cost(limits, state, wished, theirs, math.inf)
                 worse += cost(limits, state, wished, ours) > 1.05 * worth
     assert worse <= 2, "from nothing, six iterations are not always enough; the next step goes on from there"
+
+
+def test_casadi_finds_its_way_again_after_a_problem_without_a_solution() -> None:
+    dice = random.Random(8)
+    limits = some_car(dice)
+    state, wished = problem(dice, limits, 0.02)
+    solver = CasadiSolver(limits)
+    before = solver(state, wished, ROLLING)
+    assert before is not None
+    assert solver((1e300, 0.0, 0.0, 0.0, 0.0), [1e300] * 5 * STEPS, ROLLING) is None
+    assert solver(state, wished, ROLLING) == pytest.approx(before, abs=0.1)
 
 
 def test_a_plan_is_begun_with_the_one_before() -> None:

@@ -13,7 +13,9 @@ from koordgen.runtime.platform import Unready
 from koordgen.runtime.settings import Box, Origin, Peer, Settings
 from koordgen.runtime.values import Point, Pose
 from targets.car.bicycle import State, advance
+from targets.car.links import RealLinks
 from targets.car.platform import Car
+from targets.car.rover import Route
 from targets.car.settings import decode
 from targets.car.watched import Unwatched
 from targets.planning.process import Inside
@@ -76,6 +78,9 @@ class Wire:
         if self.unplugged:
             raise Unready("/dev/ttyACM0 is gone", "check its cable")
 
+    def mavlink(self, url: str) -> Route:
+        raise Unready("these links have no autopilot")
+
     def position(self, setting: str) -> Wire:
         return self
 
@@ -103,6 +108,13 @@ class Wire:
 
     def close(self) -> None:
         self.closed += 1
+
+
+class OwnTime(RealLinks):
+    """Real links of a car on a clock of the test's own: a watchdog lives by the real one, and would brake."""
+
+    def watchdog(self) -> Unwatched:
+        return Unwatched()
 
 
 class World:

@@ -59,6 +59,7 @@ def test_a_fleet_needs_none() -> None:
         ("{mesh: nowhere.stl}", "F005", "cannot be read: No such file"),
         ("{mesh: house.fbx}", "F005", "obstacle 1.mesh is 'house.fbx'"),
         ("{mesh: 7}", "F004", "obstacle 1.mesh must be a text"),
+        ("{cone: [0, 0, 0], angle: 1}", "F003", "obstacle 1 has no shape that is known"),
     ],
 )
 def test_a_mistake_is_told_at_its_place(box: str, code: str, said: str) -> None:

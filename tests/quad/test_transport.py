@@ -47,6 +47,9 @@ class Peer:
     def send(self, data: bytes) -> int:
         return min(len(data), self.takes)
 
+    def fileno(self) -> int:
+        return 7
+
     def close(self) -> None:
         self.open -= 1
 
@@ -111,3 +114,20 @@ def test_a_frame_that_was_cut_is_sent_to_its_end_or_not_at_all() -> None:
     peer.answers = ConnectionResetError()
     run(tcp, peer, 0.5)
     assert tcp._unsent == b"", "its half would spoil the next connection"
+
+
+def test_the_way_for_another_process_is_another_after_each_opening() -> None:
+    peer = Peer()
+    tcp = Tcp(("127.0.0.1", 5760), socket.AF_INET, peer.make)  # type: ignore[arg-type]
+    peer.answers = BlockingIOError()
+    assert tcp.way() is None
+    tcp.receive(0.0)
+    first = tcp.way()
+    peer.answers = ConnectionResetError()
+    tcp.receive(0.1)
+    assert tcp.way() is None
+    peer.answers = BlockingIOError()
+    tcp.receive(1.0)
+    second = tcp.way()
+    assert first is not None and second is not None
+    assert first.descriptor == second.descriptor and first != second

@@ -12,6 +12,7 @@ from koordgen.runtime.scans import Scans
 from koordgen.runtime.settings import Box, Origin, Peer, Settings
 from koordgen.runtime.values import Point, Scan
 from targets.car.platform import Car
+from targets.planning.process import Inside
 from targets.sim import scenario
 from targets.sim.bodies import DeviceContext, Vector
 from targets.sim.car import SimulatedCar
@@ -21,6 +22,7 @@ from targets.sim.scenario import Robot, Scenario, Start
 from targets.sim.stage import Stage
 from targets.sim.station import SimulatedFeed
 from targets.sim.world import STEP, World
+from tests.car.world import OwnTime
 
 KEY = bytes(range(32))
 WEST, EAST, SOUTH, NORTH = -2.5, 3.0, -2.0, 1.5  # the room's inner faces
@@ -180,7 +182,9 @@ def test_a_car_in_a_walled_room_gets_scans_of_its_walls() -> None:
     feed = stage.actors[0].sensors[-1]
     assert isinstance(feed, SimulatedFeed)
     feed._clock = lambda: stage.world.time  # as the car's below
-    car = Car(Settings("map", "alice", 0, 0.1, peers, Origin(47.0, 8.0, 400.0), fence, body=body), KEY)
+    car = Car(
+        Settings("map", "alice", 0, 0.1, peers, Origin(47.0, 8.0, 400.0), fence, body=body), KEY, OwnTime(), Inside
+    )
     truth: dict[int, Vector] = {}
     seen: dict[Point, tuple[int, Scan]] = {}  # by where it was measured: the tick at which it came
     try:
