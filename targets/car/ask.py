@@ -85,7 +85,8 @@ class Asked:
         if name == "rrt-star":
             return search.connected(task, way, over, 0, star=True)
         best = None
-        if name != "rrt" and seconds > TREES:  # what the lattice holds is shorter, but not always found as soon
+        ample = self._world.iterations is not None or seconds > TREES
+        if name != "rrt" and ample:  # what the lattice holds is shorter, but not always found as soon
             best = search.explored(task, way, self._limit(LATTICE * seconds))
         if best is None:
             best = search.connected(task, way, self._limit(min(patience, TREES)), 0)
