@@ -14,7 +14,7 @@ from targets.car.mpc import BLIND_STEPS, STEP, STEPS, Command, Limits, Mpc
 from targets.car.planner import PathPose, Segment
 from targets.car.tracker import Track, Tracker
 from tests.car.slalom import LIMITS, aside, slalom_path
-from tests.car.world import TestBody
+from tests.car.world import TestBody, World
 
 SLOW = Limits(wheelbase=0.33, speed=1.0, acceleration=1.5, steering=0.387, steering_rate=3.0)
 
@@ -133,3 +133,22 @@ def test_pybullets_racecar_keeps_to_the_slalom(racecar: ModuleType) -> None:
 def test_pybullets_racecar_parks_at_a_pose(racecar: ModuleType, seed: int) -> None:
     found = racecar.parked(seed)
     assert found.finished and found.away <= 0.05 and found.turned <= 0.15, found
+
+
+def test_a_car_whose_solver_fails_for_good_stands_and_says_why_and_goes_on_when_it_works_again() -> None:
+    world = World().begin()
+    world.go(5.0, 0.0)
+    world.run(2.5)
+    assert world.body.truth.speed > 0.5
+    navigator = world.car._navigator
+    assert navigator is not None
+    mpc = navigator._tracker._mpc
+    works = mpc._solve
+    mpc._solve = lambda present, wished, inputs: None
+    told = set()
+    world.run(2.5, lambda: told.add(world.car.progress))
+    assert abs(world.body.truth.speed) < 0.02
+    assert "braking: the solver finds no way to follow the path" in told
+    mpc._solve = works
+    world.run(8.0)
+    assert world.distance(5.0, 0.0) < 0.1

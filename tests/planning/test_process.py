@@ -221,5 +221,5 @@ def test_a_reason_is_told_once_until_there_is_a_path_again() -> None:
 
 
 def test_a_judge_that_misses_a_package_says_what_to_do() -> None:
-    with pytest.raises(Unready, match="No module named 'no_such_package'; install the bundle's requirements.txt"):
+    with pytest.raises(Unready, match=r"No module named 'no_such_package'; install the bundle's requirements\.txt"):
         Inside("rrt", WORLD, 0.05, "no_such_package:Judge").start()
