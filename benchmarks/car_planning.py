@@ -5,6 +5,7 @@ github.com/AtsushiSakai/PythonRobotics, whose RRT with Dubins paths and RRT* wit
 same pose to the same pose among the same obstacles, to their first path, with at most 200 iterations. They know discs
 only: a box is for them the disc within it, and the car a disc as wide as it is, so they have more room than it has.
 
+Without reverse many of the scenes have no way: the car may stand with its nose to a wall.
 A scene counts as solvable when an exhaustive search of a state lattice finds a way. Paths are judged by the exact
 checker of tests/car/exact.py, the outline each centimetre against every obstacle, and by their curvature. Times are of
 the planner as its process runs it, without the pipe; "of CPU" is what a run on an idle machine would take. Ends with 1
@@ -52,7 +53,7 @@ class Row:
     lengths: dict[int, float] = field(default_factory=dict)
     passed: list[float] = field(default_factory=list)
     cpu: list[float] = field(default_factory=list)
-    infeasible: int = 0
+    infeasible: int | None = None  # None: nobody looked
     colliding: int = 0
 
     def timed(self, call: Callable[[], Any]) -> Any:
@@ -63,18 +64,16 @@ class Row:
         return found
 
 
-def ours(row: Row, number: int, scene: Case, seconds: float, reverse: bool = True) -> None:
+def ours(row: Row, number: int, scene: Case, seconds: float, patience: float = PATIENCE, reverse: bool = True) -> None:
     world = scene.world(reverse, seed=None)
     asked = Asked("rrt" if seconds == 0.0 else "rrt-smoothed", world)
     goal = Point(scene.goal[0], scene.goal[1], 0.0)
-    answer = row.timed(
-        lambda: ask(asked, scene.start, goal, seconds=seconds, heading=scene.goal[2], patience=PATIENCE)
-    )
+    answer = row.timed(lambda: ask(asked, scene.start, goal, seconds=seconds, heading=scene.goal[2], patience=patience))
     if answer.path:
         found = curve(answer)
         path = segments(found)
         row.lengths[number] = found.length
-        row.infeasible += bool(infeasible(world, path))
+        row.infeasible = (row.infeasible or 0) + bool(infeasible(world, path))
         row.colliding += bool(collisions(world, path))
 
 
@@ -128,14 +127,15 @@ def headed(path: list[list[float]]) -> Iterator[list[float]]:
 
 
 def table(rows: list[Row], count: int) -> None:
-    print(f"{'':34} found  median ms (CPU)     p90 ms (CPU)   mean m  infeasible  colliding")
+    print(f"{'':34} found  median ms (CPU)     p90 ms (CPU)   mean m  infeasible  colliding or outside")
     for row in rows:
         late = sorted(zip(row.passed, row.cpu, strict=True))[int(0.9 * len(row.cpu))]
         length = mean(row.lengths.values()) if row.lengths else math.nan
         middle = f"{median(row.passed) * 1e3:8.1f} ({median(row.cpu) * 1e3:6.1f})"
+        sharp = "-" if row.infeasible is None else str(row.infeasible)
         print(
-            f"{row.name:34} {len(row.lengths):2d}/{count:2d} {middle}"
-            f" {late[0] * 1e3:8.1f} ({late[1] * 1e3:6.1f}) {length:7.2f} {row.infeasible:8d} {row.colliding:10d}"
+            f"{row.name:34} {len(row.lengths):2d}/{count:2d} {middle} {late[0] * 1e3:8.1f} ({late[1] * 1e3:6.1f})"
+            f" {length:7.2f} {sharp:>8} {row.colliding:10d}"
         )
 
 
@@ -166,7 +166,7 @@ def main() -> int:
     for number, scene in scenes.items():
         ours(first, number, scene, 0.0)
         ours(short, number, scene, BUDGET)
-        ours(forward, number, scene, BUDGET, reverse=False)
+        ours(forward, number, scene, BUDGET, 0.3, reverse=False)
         pieces = lattice.timed(partial(Lattice(scene.world()).solved, scene.start, scene.goal))
         if pieces is not None:
             lattice.lengths[number] = sum(abs(way) for _, way in pieces)
@@ -191,7 +191,7 @@ def main() -> int:
             "missed": missed,
         }  # fmt: skip
         FilePath(options.json).write_text(json.dumps(told, indent=1), encoding="utf-8")
-    wrong = sum(row.infeasible + row.colliding for row in (first, short, forward))
+    wrong = sum((row.infeasible or 0) + row.colliding for row in (first, short, forward))
     return 1 if missed or wrong else 0
 
 

@@ -13,6 +13,7 @@ import msgspec
 from koordgen.runtime.values import Point
 from targets.car.curves import Curve, Triple
 from targets.car.ground import PAD, Way, ground
+from targets.car.lattice import COARSE, FINE
 from targets.car.planner import Plan, Wish, points, price
 from targets.car.search import Search, Task
 from targets.car.shapes import named
@@ -23,7 +24,7 @@ from targets.planning.pipe import Answer, Question
 from targets.planning.world import World
 
 TREES = 0.02  # seconds for a tree, before a lattice is explored
-LATTICE = 0.6  # of the time for a good way is for the lattice at first
+LATTICE = 0.75  # of the time for a good way is for the lattice at first
 
 
 class Asked:
@@ -88,11 +89,13 @@ class Asked:
         ample = self._world.iterations is not None or seconds > TREES
         if name != "rrt" and ample:  # what the lattice holds is shorter, but not always found as soon
             best = search.explored(task, way, self._limit(LATTICE * seconds))
-        if best is None:
-            best = search.connected(task, way, self._limit(min(patience, TREES)), 0)
-        if best is None:
-            best = search.explored(task, way, self._limit(patience - TREES))
-        turn = 1
+        turn = 0
+        for seconds, width in ((TREES, 0.0), (patience, COARSE), (10 * TREES, 0.0), (patience, FINE), (patience, 0.0)):
+            if best is not None or end.late:
+                break
+            limit = end.anew(seconds)
+            best = search.explored(task, way, limit, width) if width else search.connected(task, way, limit, turn)
+            turn += not width
         while best is None and not (end.late or end.spent(turn)):
             best = search.connected(task, way, end, turn)  # rarely, what a tree found is not clear after all
             turn += 1

@@ -26,7 +26,7 @@ MakePlanning = Callable[[str, World, float, str], Planning]
 
 REMEMBERED = 8  # answers of the planner that the program may command
 BEGIN, TURNED = 0.3, 0.3  # metres and radians from where a way begins within which it is driven as it was planned
-FIRST, PATIENCE = 0.04, 0.6  # seconds in which a way is made short, and until which one is looked for at all
+FIRST, PATIENCE = 0.04, 0.8  # seconds in which a way is made short, and until which one is looked for at all
 OWN = "rrt-smoothed"  # ways to single targets; the program's planner is the one of the settings
 
 

@@ -130,6 +130,22 @@ class Way:
                         return best
         return best
 
+    def beside(self, x: float, y: float) -> bool:
+        """Whether the reference point may be there, whatever the heading: half the outline's width is always around
+        it, if no end of the outline is nearer."""
+        body = self._ground.body
+        around = min(body.width / 2, body.overhang, body.front)
+        if around < 0 or not self._area.contains(x, y):
+            return around < 0
+        for things in self._things:
+            for west, south, east, north, kept, shape in things.around(x, y):
+                reach = around + kept
+                dx = west - x if x < west else x - east if x > east else 0.0
+                dy = south - y if y < south else y - north if y > north else 0.0
+                if dx < reach and dy < reach and dx * dx + dy * dy < reach * reach and shape.near(x, y) < reach:
+                    return False
+        return True
+
     def obstacle(self, x: float, y: float, yaw: float) -> str:
         """The name of what is too near at a pose; "" when nothing is."""
         for things in self._things:

@@ -22,7 +22,7 @@ from ompl import base, geometric, util
 from targets.car.bicycle import wrap
 from targets.car.curves import Curve, Piece, Triple, dubins, reeds_shepp
 from targets.car.ground import PAD, Way
-from targets.car.lattice import Aim, Lattice
+from targets.car.lattice import COARSE, Aim, Field, Lattice
 from targets.car.planner import Area, Point2, price
 from targets.planning.limit import STARTS, Limit
 
@@ -155,19 +155,20 @@ class Search:
             at = curve.end
         return Curve(start, merged(pieces))
 
-    def explored(self, task: Task, way: Way, over: Limit) -> Curve | None:
-        """What a lattice holds."""
+    def explored(self, task: Task, way: Way, over: Limit, width: float = COARSE) -> Curve | None:
+        """What a lattice holds, whose cells are so many metres wide."""
         goals = [(*task.goal, heading) for heading in task.headings]
         distance, single = self._space.distance, len(goals) == 1
+        field = Field(task.goal, way.beside)
 
         def left(at: Triple) -> float:
-            return distance(at, goals[0]) if single else math.dist(at[:2], task.goal)
+            return max(distance(at, goals[0]) if single else 0.0, field(at[0], at[1]))
 
         def shots(at: Triple) -> Iterator[Curve]:
             for length, goal in sorted((distance(at, goal), goal) for goal in goals)[:SHOTS]:
                 yield self._space.curve(at, goal, length)
 
-        lattice = Lattice(task.start, self._radius, self._space.reverse, way)
+        lattice = Lattice(task.start, self._radius, self._space.reverse, way, width)
         pieces = lattice.explored(Aim(task.goal, left, shots), over)
         return None if pieces is None else Curve(task.start, merged(pieces))
 

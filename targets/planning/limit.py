@@ -19,6 +19,10 @@ class Limit:
         self._done += 1
         return time.perf_counter() > self._end if self._iterations is None else self._done > self._iterations
 
+    def anew(self, most: float) -> Limit:
+        """For another search: the same end, but at most so many seconds."""
+        return Limit(min(most, self._end - time.perf_counter()), self._iterations)
+
     @property
     def late(self) -> bool:
         return self._iterations is None and time.perf_counter() > self._end

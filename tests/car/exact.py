@@ -66,7 +66,10 @@ def near(p: Place, body: Obstacle) -> float:
 
 
 def collides(world: World, x: float, y: float, yaw: float) -> bool:
-    """Whether the car, standing there, is nearer to something than it may be."""
+    """Whether the car, standing there, is nearer to something than it may be, or outside."""
+    lo, hi = world.arena.lo, world.arena.hi
+    if not (lo.x - ROUNDING <= x <= hi.x + ROUNDING and lo.y - ROUNDING <= y <= hi.y + ROUNDING):
+        return True
     corners = outline(world, x, y, yaw)
     return any(gap(corners, body) < world.clearance - ROUNDING for body in world.obstacles)
 

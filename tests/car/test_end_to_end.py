@@ -11,19 +11,26 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
 import pytest
 
+from koordgen.runtime.obstacles import Block
 from koordgen.runtime.platform import Unready
 from koordgen.runtime.values import Point
 from targets.car import vesc
+from targets.car.curves import Curve
 from targets.car.links import RealLinks
+from targets.car.planner import JUDGE, Plan, Wish, segments
 from targets.car.platform import Car
 from targets.car.settings import CarSettings
-from targets.planning.process import Inside
+from targets.planning.process import Beside, Inside, made
+from targets.planning.world import Scene
 from targets.sim.bodies import Device
 from targets.sim.drive import TIMEOUT, Controller, SimulatedDrive, simulated
 from targets.sim.rover import SimulatedRover
 from targets.sim.station import SimulatedFeed
+from tests.car import scenes
+from tests.car.exact import collisions
 from tests.car.world import KEY, PHYSICS, OwnTime, TestBody, context, robot_settings
 from tests.terminal import terminal
 
@@ -215,3 +222,25 @@ def test_a_device_that_takes_nothing_blocks_nobody() -> None:
         assert written[0] == 60 and written[-1] == 0
         assert os.read(master, 60) == bytes(60)
         link.close()
+
+
+def test_the_planner_answers_curves_from_its_own_process() -> None:
+    place = scenes.world((Block(Point(3.4, 0.0, 0.0), Point(3.6, 5.5, 1.0)),))
+    wish = msgspec.msgpack.encode(Wish(0.0, patience=0.5))
+    beside = Beside("rrt-smoothed", place, 0.5, JUDGE)
+    try:
+        made(beside, time.sleep)
+        path = beside.plan(Point(1.0, 4.0, 0.0), Point(6.0, 4.0, 0.0), Scene(), wish)
+        told = beside.answer()
+        assert len(path) > 2 and told is not None
+        plan = msgspec.msgpack.decode(told.more, type=Plan)
+        assert not collisions(place, segments(Curve(plan.start, plan.pieces)))
+        assert beside.ask(Point(1.0, 4.0, 0.0), Point(1.5, 4.0, 0.0), Scene(), wish, 0.05)
+        late = time.monotonic() + 5.0
+        while (told := beside.answer()) is None:
+            assert time.monotonic() < late
+            time.sleep(0.002)
+            beside.poll()
+        assert told.path == (Point(1.0, 4.0, 0.0), Point(1.5, 4.0, 0.0)) and not beside.waiting
+    finally:
+        beside.close()
