@@ -46,7 +46,8 @@ class Asked:
         reason = self._amiss(question, wish)
         if reason:
             return Answer(question.number, (), reason)
-        way = self._ground.around(start, (goal.x, goal.y), named(question.scene, self._ground.body))
+        seen = named(question.scene, self._ground.body, (start[0], start[1]), self._ground.clearance)
+        way = self._ground.around(start, (goal.x, goal.y), seen)
         if way.inside:
             return Answer(question.number, (), f"the car is in {way.inside}")
         headings = self._headings(start, question.goal, wish)

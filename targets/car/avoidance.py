@@ -125,8 +125,9 @@ class Avoidance:
 
     def clear(self, start: Triple, target: Point2, curve: Curve) -> bool:
         """Whether a curve towards a target may be driven."""
-        scene = Scene(others=self._others)
-        return self._ground.around(start, target, named(scene, self._ground.body)).clear(curve)
+        ground = self._ground
+        seen = named(Scene(others=self._others), ground.body, start[:2], ground.clearance)
+        return ground.around(start, target, seen).clear(curve)
 
     def news(self) -> list[str]:
         """What went wrong since this was asked last, for the log."""

@@ -13,12 +13,14 @@ from itertools import pairwise
 
 from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.values import Point
+from targets.planning.room import rectangles
 from targets.planning.world import Path, Scene
 
 Place = tuple[float, float]
 Core = tuple[Place, ...]  # corners, counter-clockwise; one or two are a point and a line
 Bounds = tuple[float, float, float, float]  # west, south, east, north
 
+NEXT = 0.05  # metres beyond its clearance from which on nothing is near to a start
 OVERLAP = -1.0  # metres: the distance of what has a point in common with the footprint
 
 
@@ -142,11 +144,20 @@ def standing(obstacles: Iterable[Obstacle], height: float) -> list[Shape]:
     return [shape for number, body in enumerate(obstacles) for shape in _shapes(body, height, f"obstacle {number}")]
 
 
-def named(scene: Scene, body: Footprint) -> Iterator[Shape]:
-    """What a program names, as high as anything, and other robots' ways, as wide as this car is long."""
+def named(scene: Scene, body: Footprint, start: Place, clearance: float) -> Iterator[Shape]:
+    """What a program names, as high as anything, and other robots' ways, as wide as this car is long. Cells that touch
+    are one shape, but for those that the start is near to: the car may leave these, not the whole wall."""
+    cells: dict[float, set[tuple[int, int]]] = {}
+    reach = body.reach + clearance + NEXT
     for grid in scene.grids:
-        west, south, size = grid.x * grid.size, grid.y * grid.size, grid.size
-        yield _box(west, south, west + size, south + size, "what the program named")
+        x, y, size = grid.x, grid.y, grid.size
+        if max(abs((x + 0.5) * size - start[0]), abs((y + 0.5) * size - start[1])) < reach + size:
+            yield _box(x * size, y * size, (x + 1) * size, (y + 1) * size, "what the program named")
+        else:
+            cells.setdefault(size, set()).add((x, y))
+    for size, places in cells.items():
+        for x, y, right, upper in rectangles(places):
+            yield _box(x * size, y * size, right * size, upper * size, "what the program named")
     for p in scene.points:
         yield Shape(((p.x, p.y),), 0.0, "what the program named")
     for path in scene.others:

@@ -159,7 +159,7 @@ def _columns(scene: Scene, kept: float, start: Point) -> Iterator[Thing]:
         else:
             cells.setdefault(size, set()).add((x, y))
     for size, places in cells.items():
-        for x, y, right, upper in _rectangles(places):
+        for x, y, right, upper in rectangles(places):
             yield _column(x * size, y * size, right * size, upper * size)
     for p in scene.points:
         yield _column(p.x, p.y, p.x, p.y)
@@ -169,7 +169,7 @@ def _column(west: float, south: float, east: float, north: float) -> Thing:
     return _thing(Block(Point(west, south, -HIGH), Point(east, north, HIGH)), "what the program named")
 
 
-def _rectangles(cells: set[tuple[int, int]]) -> Iterator[tuple[int, int, int, int]]:
+def rectangles(cells: set[tuple[int, int]]) -> Iterator[tuple[int, int, int, int]]:
     """The same cells as rectangles (x, y, and behind the last of each): runs along a row, joined with equal ones of the
     row before."""
     grown: dict[tuple[int, int], int] = {}  # run (x, behind) in the row before -> where its rectangle begins

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+import time
 from itertools import pairwise
 
 import pytest
@@ -279,3 +280,14 @@ def test_ompl_has_what_is_relied_on() -> None:
     tree.setRange(1.5)
     tree.setGoalBias(0.3)
     assert (tree.getRange(), tree.getGoalBias()) == (1.5, 0.3)
+
+
+def test_a_map_of_many_cells_is_planned_in_soon() -> None:
+    cells = tuple(Grid(i, j, 0.05) for i in range(64, 76) for j in range(110)) + tuple(
+        Grid(i, j, 0.05) for i in range(140) for j in (0, 1, 158, 159)
+    )
+    place = world(seed=1)
+    began = time.process_time()
+    answer = ask(Asked("rrt", place), START, GOAL, Scene(grids=cells))
+    assert time.process_time() - began < 1.0
+    assert not collisions(world((Block(Point(3.2, 0.0, 0.0), Point(3.8, 5.5, 1.0)),)), segments(curve(answer)))
