@@ -33,6 +33,7 @@ bench: $(STAMP)
 	$(PY) benchmarks/shared_memory.py
 	$(PY) benchmarks/car_mpc.py
 	$(PY) benchmarks/car_tracking.py
+	$(PY) benchmarks/car_planning.py
 
 # Parser tables and compiled templates are checked in, because building them at each start costs more than all else.
 generated: $(STAMP)
