@@ -24,7 +24,7 @@ from targets.planning.pipe import Answer, Question
 from targets.planning.world import World
 
 TREES = 0.02  # seconds for a tree, before a lattice is explored
-LATTICE = 0.75  # of the time for a good way is for the lattice at first
+LATTICE = 0.6  # of the time for a good way is for the lattice at first
 
 
 class Asked:

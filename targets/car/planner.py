@@ -13,7 +13,7 @@ from targets.car.curves import Curve, Piece, Triple, along, seen_from
 
 JUDGE = "targets.car.ask:Asked"
 SPACING = 0.05  # metres between the poses of a path, at most
-REVERSE_PRICE = 0.2  # a metre driven backwards counts this much more than one forwards
+REVERSE_PRICE = 0.1  # a metre driven backwards counts this much more than one forwards
 GEAR_PRICE = 0.5  # a change of gear counts like these metres: the car has to stop for it
 SHORTEST_ARC = 0.005  # metres
 SLIVER = 1e-4  # metres: a shorter piece is left out of a path
