@@ -27,6 +27,8 @@ MakePlanning = Callable[[str, World, float, str], Planning]
 REMEMBERED = 8  # answers of the planner that the program may command
 BEGIN, TURNED = 0.3, 0.3  # metres and radians from where a way begins within which it is driven as it was planned
 FIRST, PATIENCE = 0.04, 0.8  # seconds in which a way is made short, and until which one is looked for at all
+LOOK = 0.05  # metres between two places of a way that are looked at for others
+ROUGH = 0.01  # metres: as exactly as the car's place is known
 OWN = "rrt-smoothed"  # ways to single targets; the program's planner is the one of the settings
 
 
@@ -128,6 +130,20 @@ class Avoidance:
         ground = self._ground
         seen = named(Scene(others=self._others), ground.body, start[:2], ground.clearance)
         return ground.around(start, target, seen).clear(curve)
+
+    def free(self, curve: Curve, station: float, ahead: float) -> float:
+        """How many metres of a curve, from a station on, are out of the ways that the others have published, as far as
+        `ahead` metres; infinite when all of these are. Where the car is in one already, it may get out, not deeper."""
+        if not self._others:
+            return math.inf
+        body, here = self._ground.body, curve.at(station)
+        others = named(Scene(others=self._others), body, here[:2], self._ground.clearance)
+        least = [(shape, min(0.0, body.distance(*here, shape) - ROUGH)) for shape in others]
+        for i in range(1, math.ceil(min(ahead, curve.length - station) / LOOK) + 1):
+            pose = curve.at(min(station + i * LOOK, curve.length))
+            if any(body.distance(*pose, shape) < away for shape, away in least):
+                return (i - 1) * LOOK
+        return math.inf
 
     def news(self) -> list[str]:
         """What went wrong since this was asked last, for the log."""

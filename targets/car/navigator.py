@@ -11,7 +11,7 @@ from targets.car.curves import Curve
 from targets.car.mpc import BLIND_STEPS, Command, Limits, Mpc
 from targets.car.planner import Area, arc, segments
 from targets.car.settings import CarSettings
-from targets.car.tracker import Tracker
+from targets.car.tracker import BRAKING, Tracker
 
 STANDING = 0.05  # m/s or slower is standing
 MOVED, MOVED_SHARE = 0.02, 0.05  # a target that moved by these metres and this share of its distance needs a new path
@@ -28,6 +28,7 @@ RETRY = 1.0  # seconds until a plan that failed is tried again
 STAY, LEAVE = 0.9, 1.5  # radii from the target within which an arrived car stays, beyond which it goes on at once
 SETTLE = 1.0  # seconds between these two after which it goes on, too
 STUCK = 2.0  # seconds without motion after which a driving car says so
+REACTION, CAUTION = 0.3, 0.3  # seconds and metres besides the way to a stop in which others' paths matter
 LAG = 0.15  # seconds in which the measured speed follows the commanded one
 SLIP = 0.5  # m/s between commanded and measured speed, at most: a blocked car must not wind up
 
@@ -91,6 +92,7 @@ class Navigator:
         self._last = Command(0.0, 0.0)
         self._stirred = 0.0  # when the car moved last, or had no reason to
         self._trail = Trail()
+        self._curve: Curve | None = None  # the way that is driven
         self.reached = True
         self.progress = "standing: no target yet"
 
@@ -121,6 +123,7 @@ class Navigator:
             self._take(curve, self._target)
 
     def _take(self, curve: Curve, target: tuple[float, float]) -> None:
+        self._curve = curve
         self._planned_for = self._considered = target
         self._failed_for, self._arrived = None, False
         self._arrival = curve.end[2]
@@ -178,11 +181,27 @@ class Navigator:
         # Until the speed has become the commanded one, the car will have gone this much farther than the model thinks.
         extra = LAG * (state.speed - speed)
         x, y = state.x + extra * math.cos(state.yaw), state.y + extra * math.sin(state.yaw)
-        command = self._tracker.step(State(x, y, state.yaw, speed, self._last.steering))
+        free = self._free(state, standing, now)
+        command = self._tracker.step(State(x, y, state.yaw, speed, self._last.steering), free)
         if self._tracker.failures > BLIND_STEPS:
             self.progress = f"braking: {self._tracker.trouble}"
             return None
         return None if self._tracker.done else command
+
+    def _free(self, state: State, standing: bool, now: float) -> float:
+        """How many metres of the way are free of the others', as far as it takes to stop. A car that stands before
+        another's way has one around it planned again and again."""
+        if self._curve is None:
+            return math.inf
+        settings = self._settings
+        ahead = state.speed**2 / (2 * BRAKING * settings.max_acceleration) + settings.max_speed * REACTION + CAUTION
+        free = self._avoidance.free(self._curve, self._tracker.station, ahead)
+        if free < math.inf:
+            self.progress = f"another robot's path crosses this one in {free:.1f} m"
+            self._stirred = now  # it knows why it stands
+            if standing and now >= self._retry_at:
+                self._considered, self._retry_at = None, now + RETRY
+        return free
 
     def _stays(self, away: float, now: float) -> bool:
         """Whether a car that has arrived stays where it is. It goes on when the target is 1.5 radii away, or has been

@@ -112,11 +112,13 @@ class Tracker:
         self._limits = limits
         self._mpc = mpc
         self._tracks: list[Track] = []
+        self._driven = 0.0  # metres of the path in the segments that are behind the car
         self.done = True
 
     def take(self, path: Sequence[Segment]) -> None:
         """Follow this path from now on. The MPC keeps its plan: a path made anew on the way begins like the old one."""
         self._tracks = [Track(segment, self._limits) for segment in path]
+        self._driven = 0.0
         self.done = not self._tracks
 
     def stop(self) -> None:
@@ -140,6 +142,11 @@ class Tracker:
         return self._tracks[0].error if self._tracks else 0.0
 
     @property
+    def station(self) -> float:
+        """How many metres of the path have been driven."""
+        return self._driven + (self._tracks[0].station if self._tracks else 0.0)
+
+    @property
     def failures(self) -> int:
         """How many control steps in a row had no new plan."""
         return self._mpc.failures
@@ -157,7 +164,7 @@ class Tracker:
         track.locate(state)
         if track.length - track.station < NEAR and abs(state.speed) < SLOW:
             if len(self._tracks) > 1:
-                self._tracks.pop(0)
+                self._driven += self._tracks.pop(0).length
                 track = self._tracks[0]
                 track.locate(state)
             else:

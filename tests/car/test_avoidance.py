@@ -21,6 +21,7 @@ from tests.car.exact import gap, outline
 from tests.car.world import KEY, TestBody, World, robot_settings, standing
 
 BOX = Block(Point(1.2, -0.6, 0.0), Point(1.8, 0.6, 1.0))
+WALL_WITH_GAP = Block(Point(1.4, -9.0, 0.0), Point(1.6, -0.8, 1.0)), Block(Point(1.4, 0.8, 0.0), Point(1.6, 9.0, 1.0))
 WALL = Block(Point(1.4, -9.0, 0.0), Point(1.6, 9.0, 1.0))
 BODY = scenes.world()  # whose outline is the car's
 
@@ -204,3 +205,23 @@ def test_without_reverse_it_never_goes_backwards() -> None:
     speeds: list[float] = []
     world.run(12.0, lambda: speeds.append(world.body.truth.speed))
     assert min(speeds) > -0.02 and world.value("reached") is True, world.car.progress
+
+
+@pytest.mark.parametrize(("when", "room"), [(0.9, 0.4), (1.5, 0.0)])
+def test_a_car_stops_before_a_path_that_another_publishes_across_its_own_and_goes_on_when_it_is_gone(
+    when: float, room: float
+) -> None:
+    """The second comes too late to stop in time: it stops as soon as it can, and stays out of the middle of it."""
+    world = among(WALL_WITH_GAP[0], WALL_WITH_GAP[1])
+    world.go(3.0, 0.0)
+    world.run(when)
+    assert not standing(world)
+    crossing = (Point(2.0, -3.0, 0.0), Point(2.0, 3.0, 0.0))
+    world.car.others({1: crossing})
+    lane = Block(Point(2.0, -3.0, 0.0), Point(2.0001, 3.0, 1.0))
+    assert drive(world, 6.0, lane) > room
+    assert standing(world) and world.value("reached") is False
+    assert "another robot's path" in world.car.progress or "no path" in world.car.progress
+    world.car.others({})
+    world.run(12.0)
+    assert world.value("reached") is True and world.distance(3.0, 0.0) < 0.1
