@@ -150,7 +150,8 @@ def plans(seeds: list[int], peer_path: str | None) -> tuple[list[dict[str, Any]]
                 "collides": checker.collides(theirs or ()),
             }
         rows.append(row)
-        print(f"\r{len(rows) + len(unsolvable)} of {len(seeds)} arenas", end="", file=sys.stderr, flush=True)
+        if sys.stderr.isatty():
+            print(f"\r{len(rows) + len(unsolvable)} of {len(seeds)} arenas", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
     return rows, unsolvable
 
