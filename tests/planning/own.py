@@ -63,9 +63,6 @@ class _Bad:
     def __init__(self, world: World) -> None:
         """Nothing to prepare."""
 
-    def plan(self, start: Point, goal: Point, scene: Scene, seconds: float) -> Any:
-        raise NotImplementedError
-
 
 class Through(_Bad):
     def plan(self, start: Point, goal: Point, scene: Scene, seconds: float) -> Any:
