@@ -56,6 +56,19 @@ def test_it_stands_before_what_is_in_the_way_and_goes_on_when_it_has_gone(mpc: M
     assert tracker.done and abs(body.truth.x - 5.0) < 0.05
 
 
+def test_its_station_counts_the_segments_that_are_behind(mpc: Mpc) -> None:
+    """By it the way that is left is looked at for others' paths."""
+    tracker, body = Tracker(SLOW, mpc), TestBody()
+    tracker.stop()
+    back = Segment(-1, tuple(PathPose(1.0 - 0.05 * i, 0.0, 0.0, 0.0) for i in range(11)), 0.5)
+    tracker.take([line(1.0), back])
+    while tracker.gear == 1 and not tracker.done:
+        drive(tracker, body, lambda: math.inf, 1)
+    assert tracker.gear == -1 and 0.95 < tracker.station < 1.1
+    drive(tracker, body, lambda: math.inf, 15)
+    assert abs(tracker.station - (2.0 - body.truth.x)) < 0.05
+
+
 def test_what_appears_too_near_is_braked_for_as_hard_as_the_limits_allow(mpc: Mpc) -> None:
     tracker, body = Tracker(SLOW, mpc), TestBody()
     tracker.stop()
