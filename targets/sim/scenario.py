@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 
@@ -49,9 +49,62 @@ class Start(msgspec.Struct, frozen=True):
     yaw: float = 0.0
 
 
+class Lidar(msgspec.Struct, frozen=True):
+    """`rays` evenly over the full turn, up to `range` (m), `rate` turns a second; `noise` is the standard deviation (m)
+    of ranges: None is that of positions."""
+
+    rays: int = 180
+    range: float = 6.0
+    rate: float = 5.0
+    noise: float | None = None
+
+
+class Sim(msgspec.Struct, frozen=True):
+    """How a robot is simulated. `load` puts the harness's `fidelity` and noise where the file says nothing."""
+
+    fidelity: Literal["full", "simple", ""] = ""
+    lidar: Lidar = Lidar()
+    autopilot: Literal["simulated", "external"] = "simulated"
+
+
+class Wind(msgspec.Struct, frozen=True):
+    """Of the air: mean velocity (m/s, ENU), standard deviation of the gusts in each direction (m/s), and the time (s)
+    in which these change."""
+
+    mean: Vector = (0.0, 0.0, 0.0)
+    gust: float = 0.0
+    correlation: float = 1.0
+
+
+class Marker(msgspec.Struct, frozen=True):
+    """A place of interest (m, ENU), reached within `radius`."""
+
+    name: str
+    position: Vector
+    radius: float = 0.3
+
+
+class MarkerList(msgspec.Struct, frozen=True):
+    """A shared list whose elements at the mission's start are markers, at their field `position` ("": Points)."""
+
+    variable: str
+    position: str = ""
+    radius: float = 0.3
+
+
+class World(msgspec.Struct, frozen=True):
+    """What the world is like. `floor_friction` multiplies what bodies' own friction is on a usual floor."""
+
+    arena: Box | None = None
+    floor_friction: float = 1.0
+    wind: Wind = Wind()
+    markers: tuple[Marker, ...] = ()
+    marker_list: MarkerList | None = None
+
+
 class Robot(msgspec.Struct, frozen=True):
     """One robot: its bundle's folder within the sim bundle, the simulated body and device that stand in for the real
-    ones, and the settings that body has on the robot."""
+    ones, the settings that body has on the robot, and how it is simulated."""
 
     name: str
     pid: int
@@ -61,6 +114,7 @@ class Robot(msgspec.Struct, frozen=True):
     device: str
     start: Start
     settings: dict[str, Any] = {}
+    sim: Sim = Sim()
 
 
 class Scenario(msgspec.Struct, frozen=True):
@@ -73,7 +127,8 @@ class Scenario(msgspec.Struct, frozen=True):
     origin: Origin
     geofence: Box
     robots: tuple[Robot, ...]
-    obstacles: tuple[Obstacle, ...] = ()  # what stands in the world; numbered from 0
+    obstacles: tuple[Obstacle, ...] = ()  # what stands in the world, walls last; numbered from 0
+    world: World = World()
     harness: dict[str, Any] = {}
 
     def number(self, setting: str, default: float) -> float:
