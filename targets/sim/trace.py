@@ -53,6 +53,7 @@ class Pose(msgspec.Struct, frozen=True, tag_field="kind", tag="pose"):
     pid: int
     position: Vector
     yaw: float
+    time: float = 0.0
     t: float = 0.0
 
 
@@ -71,6 +72,8 @@ class Round(msgspec.Struct, frozen=True, tag_field="kind", tag="round"):
     event: str | None = None
     skipped: str | None = None
     fault: Any = None
+    shared: dict[str, Any] = {}  # what it wrote
+    actuators: dict[str, Any] = {}
     late: float = 0.0
     time: float = 0.0
     t: float = 0.0
