@@ -1,7 +1,8 @@
 """The run's trace, format koord-trace/1: its records, following the agents' own files, and the one merged file.
 
-In an agent's file `time` is the host's monotonic clock; in the merged one every record has `t`, seconds since the
-start of round 1 (negative before), and the agents' records a `pid`. Points are [x, y, z], metres, local ENU.
+In an agent's file `time` is the run's clock (the host's monotonic one in real time, from 0 in lockstep); in the merged
+one every record has `t`, seconds since the start of round 1 (negative before), and the agents' records a `pid`. Points
+are [x, y, z], metres, local ENU.
 """
 
 from __future__ import annotations
@@ -130,6 +131,7 @@ class _Kind(msgspec.Struct):
     kind: str
 
 
+Mark = Violation | End
 Record = Header | Pose | Phase | Round | Log | Stream | Metrics | Violation | End
 _KINDS = {"header", "pose", "phase", "round", "log", "stream", "metrics", "violation", "end"}
 _decoder = msgspec.json.Decoder(Record)
@@ -205,9 +207,7 @@ class Poses:
         self._file.close()
 
 
-def merge(
-    path: Path, header: Header, zero: float, poses: Path, agents: list[Path], marks: list[Violation | End]
-) -> None:
+def merge(path: Path, header: Header, zero: float, poses: Path, agents: list[Path], marks: list[Mark]) -> None:
     """Write the merged trace: all records by time, `zero` the host time of t = 0; the agents' files in the order of
     their pids. Raises OSError."""
     streams = [
@@ -221,7 +221,7 @@ def merge(
             out.write(line + b"\n")
 
 
-def _marked(marks: list[Violation | End]) -> Iterator[tuple[float, bytes]]:
+def _marked(marks: list[Mark]) -> Iterator[tuple[float, bytes]]:
     for mark in sorted(marks, key=lambda m: m.t):
         yield mark.t, _encoder.encode(mark)
 
