@@ -110,7 +110,7 @@ class _Thinned:
 
 
 class _Values(_Thinned):
-    """Of a variable: what does not change is left out, what is long is cut, and all of it takes `most_bytes` at most."""
+    """Of a variable: what does not change is left out, what is long is cut, all of it takes `most_bytes` at most."""
 
     def __init__(self, most: int, most_bytes: int) -> None:
         super().__init__(most)

@@ -46,8 +46,8 @@ PLAYER = """
 <tbody id="shared"></tbody></table></div>
 </div></div>
 <h2>Violations, verdicts, causes</h2>
-<div class="wide scroll"><table><thead><tr><th class="n">time (s)</th><th>kind</th><th>what</th><th>robots</th><th></th></tr>
-</thead><tbody id="marks"></tbody></table></div>
+<div class="wide scroll"><table><thead><tr><th class="n">time (s)</th><th>kind</th><th>what</th><th>robots</th><th></th>
+</tr></thead><tbody id="marks"></tbody></table></div>
 <h2>Rounds</h2>
 <div class="chips" id="events"></div>
 <figure><canvas id="timeline" aria-label="rounds over time"></canvas>
@@ -66,9 +66,9 @@ there.</figcaption></figure>
 <figcaption>How long after its tick the latest round of each second was decided.</figcaption></figure>
 <figure><canvas id="loss" aria-label="loss of datagrams over time"></canvas>
 <figcaption>Datagrams lost, of those sent lately, on each robot's worst link.</figcaption></figure>
-<div class="wide scroll"><table><thead><tr><th>robot</th><th>hears</th><th class="n">lost</th><th class="n">delay p50 (ms)
-</th><th class="n">p99 (ms)</th><th class="n">silent (ms)</th><th class="n">asked again</th><th class="n">told at (s)</th>
-</tr></thead><tbody id="links"></tbody></table></div>
+<div class="wide scroll"><table><thead><tr><th>robot</th><th>hears</th><th class="n">lost</th>
+<th class="n">delay p50 (ms)</th><th class="n">p99 (ms)</th><th class="n">silent (ms)</th><th class="n">asked again</th>
+<th class="n">told at (s)</th></tr></thead><tbody id="links"></tbody></table></div>
 <details id="history"><summary>What was written into shared variables</summary><div class="wide scroll"><table>
 <thead><tr><th class="n">time (s)</th><th class="n">round</th><th>by</th><th>variable</th><th>value</th></tr></thead>
 <tbody id="writes"></tbody></table></div></details>

@@ -1,5 +1,5 @@
-"""What the pages show of a trace, as rows: one form for the report, which embeds them, and for the live view, which sends
-them on. `page/model.js` reads them; numbers are rounded to what can be seen.
+"""What the pages show of a trace, as rows: one form for the report, which embeds them, and for the live view, which
+sends them on. `page/model.js` reads them; numbers are rounded to what can be seen.
 
 | table | rows |
 |---|---|
@@ -155,7 +155,7 @@ class _Nearest:
 
 
 def _small(metres: float) -> float:
-    return round(metres, 3)
+    return round(metres, 3) + 0.0  # no -0.0
 
 
 def _is_point(value: Any) -> bool:

@@ -54,7 +54,7 @@ function frame(area, [x0, x1], [y0, y1], { left = 52, right = 14, top = 12, bott
   const { ctx, width, height } = area;
   const x = (v) => left + ((v - x0) / (x1 - x0)) * (width - left - right);
   const y = (v) => height - bottom - ((v - y0) / (y1 - y0)) * (height - top - bottom);
-  const across = ticks(x0, x1, xs || (width - left - right) / 80), up = ys === 0 ? { at: [] } : ticks(y0, y1, (height - top - bottom) / 34);
+  const across = ticks(x0, x1, xs || (width - left - right) / 80), up = ys === 0 ? { at: [] } : ticks(y0, y1, (height - top - bottom) / 24);
   ctx.lineWidth = 1;
   ctx.strokeStyle = LINE;
   ctx.setLineDash([]);

@@ -127,11 +127,12 @@ function shown(value, type, records) {
   if (value === null || value === undefined) return "?";
   if (typeof value === "object" && !Array.isArray(value)) return value.cut !== undefined ? value.cut + " …" : JSON.stringify(value);
   if (type === "GridMap" && isMap(value)) return told(value);
+  if (type === "Point" && Array.isArray(value)) return "(" + value.map((each) => (typeof each === "number" ? number(each) : "?")).join(", ") + ")";
   if (inner && Array.isArray(value)) return "[" + value.map((each) => shown(each, inner[2], records)).join(", ") + "]";
   if (records && Object.hasOwn(records, type) && Array.isArray(value))
     return type + "(" + records[type].map(([name, of], k) => name + ": " + shown(value[k], of, records)).join(", ") + ")";
   if (Array.isArray(value)) return "(" + value.map((each) => shown(each, "", records)).join(", ") + ")";
-  if (typeof value === "number") return Number.isInteger(value) && type !== "Point" ? String(value) : number(value);
+  if (typeof value === "number") return Number.isInteger(value) ? String(value) : number(value);
   return typeof value === "string" ? JSON.stringify(value) : String(value);
 }
 

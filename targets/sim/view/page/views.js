@@ -125,7 +125,7 @@ function ahead(chart, model, robot, now, pose, across, up) {
 }
 
 function body(chart, robot, px, py, yaw) {
-  const { ctx } = chart, size = Math.max(chart.scale, 42);
+  const { ctx } = chart, size = Math.max(chart.scale, flies(robot) ? 56 : 42);
   ctx.save();
   ctx.translate(px, py);
   ctx.rotate(-yaw);
