@@ -32,6 +32,7 @@ FLOORS = {
     "format": BASE | {"syntax"},
     "semantics": BASE | {"ir", "runtime"},  # the robots' own values and geometry
     "emit": BASE | {"ir"},
+    "prove": BASE | {"ir", "check", "semantics", "runtime"},
     "manifest": {"node", "resources"},
     "mocap": {"node", "located"},
     "mesh": {"node"},
@@ -48,7 +49,19 @@ FLOORS = {
     "doctor": BASE,
     "pipeline": BASE | {"syntax", "ir", "check", "emit", "manifest", "fleet", "offered", "bundle"},
     "cli": BASE
-    | {"pipeline", "bundle", "check", "manifest", "explain", "sarif", "format", "estop", "basestation", "doctor"},
+    | {
+        "pipeline",
+        "bundle",
+        "check",
+        "prove",
+        "manifest",
+        "explain",
+        "sarif",
+        "format",
+        "estop",
+        "basestation",
+        "doctor",
+    },
     "__main__": {"cli"},
     "__init__": set(),
     "runtime": set(),

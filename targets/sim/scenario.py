@@ -117,8 +117,17 @@ class Robot(msgspec.Struct, frozen=True):
     sim: Sim = Sim()
 
 
+class Shared(msgspec.Struct, frozen=True):
+    """A shared variable: `allread`, one value of `type` a robot, or `allwrite`, one for all."""
+
+    name: str
+    kind: str
+    type: str
+
+
 class Scenario(msgspec.Struct, frozen=True):
-    """`harness` are the sim target's own settings, as its manifest declares them."""
+    """`harness` are the sim target's own settings, as its manifest declares them; `records` the program's record types:
+    each one's fields and their types, in order."""
 
     app: str
     source: str
@@ -130,6 +139,8 @@ class Scenario(msgspec.Struct, frozen=True):
     obstacles: tuple[Obstacle, ...] = ()  # what stands in the world, walls last; numbered from 0
     world: World = World()
     harness: dict[str, Any] = {}
+    shared: tuple[Shared, ...] = ()
+    records: dict[str, tuple[tuple[str, str], ...]] = {}
 
     def number(self, setting: str, default: float) -> float:
         """One of the harness's settings."""

@@ -156,6 +156,30 @@ def test_a_file_that_is_no_trace_is_refused(tmp_path: Path) -> None:
         trace.read(tmp_path / "none")
 
 
+def test_what_is_not_known_here_is_kept_by_merging_and_passed_over_by_reading(tmp_path: Path) -> None:
+    own, path = tmp_path / "own.jsonl", tmp_path / "trace.jsonl"
+    lines: list[dict[str, Any]] = [
+        {"kind": "metrics", "time": 101.0, "late_ms": {"p50": 1.0}, "rejected": {}, "peers": {}},
+        {"kind": "stream", "time": 102.0, "round": 3, "port": "Log.out", "text": "hello"},
+        {"kind": "of tomorrow", "time": 103.0, "more": [1]},
+    ]
+    own.write_bytes(b"".join(msgspec.json.encode(line) + b"\n" for line in lines))
+    trace.merge(path, header(["alice"]), 100.0, tmp_path / "none", [own], [End(10.0, "completed")])
+    _, *written = (json.loads(line) for line in path.read_bytes().splitlines())
+    assert [(r["kind"], r["t"], r.get("pid")) for r in written[:3]] == [
+        ("metrics", 1.0, 0), ("stream", 2.0, 0), ("of tomorrow", 3.0, 0),
+    ]  # fmt: skip
+    assert written[2]["more"] == [1]
+    assert [type(record).__name__ for record in trace.read(path)[1]] == ["Metrics", "Stream", "End"]
+
+
+def test_a_trace_that_is_cut_off_is_told_with_its_place(canned: Path) -> None:
+    whole = canned.read_bytes()
+    canned.write_bytes(whole[:-20])
+    with pytest.raises(trace.BadTrace, match=rf"trace.jsonl:{whole.count(10)}: .*cut off"):
+        list(trace.read(canned)[1])
+
+
 def test_following_an_agents_file_waits_for_whole_lines_and_passes_over_the_rest(tmp_path: Path) -> None:
     path = tmp_path / "trace.jsonl"
     tail = trace.Tail(path)
