@@ -99,8 +99,6 @@ class Round(msgspec.Struct, frozen=True, tag_field="kind", tag="round"):
     event: str | None = None
     skipped: str | None = None
     fault: Any = None
-    shared: dict[str, Any] = {}  # what it wrote
-    actuators: dict[str, Any] = {}
     late: float = 0.0
     sensors: Values = {}
     locals: Values = {}

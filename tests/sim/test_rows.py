@@ -13,7 +13,7 @@ import pytest
 
 from targets.sim import trace
 from targets.sim.scenario import Shared
-from targets.sim.trace import End, Metrics, Pose, Record, Round, Violation
+from targets.sim.trace import End, Init, Metrics, Pose, Record, Round, Verdict, Violation
 from targets.sim.view import report
 from targets.sim.view.history import MOST_MAPS, History, gathered
 from targets.sim.view.rows import EVENT, FAULT, SKIPPED, Rows
@@ -23,6 +23,10 @@ HEAD = msgspec.structs.replace(
     header(["alice", "bert"]),
     shared=(Shared("x", "allread", "Point"), Shared("sum", "allwrite", "int"), Shared("map", "allwrite", "GridMap")),
 )
+
+
+def raw(**values: Any) -> dict[str, msgspec.Raw]:
+    return {name: msgspec.Raw(msgspec.json.encode(value)) for name, value in values.items()}
 
 
 def rows(*records: Record) -> dict[str, list[list[Any]]]:
@@ -55,7 +59,7 @@ def test_a_round_tells_its_outcome_its_writes_where_it_leads_and_how_late_it_was
 
 @pytest.mark.parametrize("value", [None, 5, "x", [1, 2], [[1, 2]], {"a": 1}, [[1, 2, "z"]]])
 def test_what_is_no_path_is_none(value: Any) -> None:
-    assert "paths" not in rows(Round(1, "Go", actuators={"Motion.path": value}, pid=0))
+    assert "paths" not in rows(Round(1, "Go", actuators=raw(**{"Motion.path": value}), pid=0))
 
 
 def test_the_closest_pair_is_that_of_all_robots_once_all_are_known() -> None:
@@ -82,6 +86,15 @@ def test_links_marks_and_strangers() -> None:
         [10.0, "end", "completed", [], ""],
     ]
     assert set(found) == {"links", "marks"}
+
+
+def test_what_init_wrote_is_there_before_round_1_and_a_verdict_is_a_mark() -> None:
+    found = rows(
+        Init(shared=raw(sum=3), t=-0.2, pid=0),
+        Verdict(10.0, "invariant", "Safe", "a.koord:9", "violated", 2.5, ("bert",), "x was 3"),
+    )
+    assert found["shared"] == [["sum", 0, -0.2, 0, 3]]
+    assert found["marks"] == [[10.0, "verdict", "invariant Safe: violated", ["bert"], "a.koord:9, x was 3"]]
 
 
 def test_a_history_keeps_the_whole_run_however_long_it_is() -> None:

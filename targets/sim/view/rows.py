@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from targets.sim.bodies import Vector
@@ -28,6 +29,7 @@ from targets.sim.summary import LATE
 from targets.sim.trace import (
     End,
     Header,
+    Init,
     Log,
     Metrics,
     Phase,
@@ -35,6 +37,7 @@ from targets.sim.trace import (
     Record,
     Round,
     Stream,
+    Verdict,
     Violation,
     fault_text,
 )
@@ -42,6 +45,7 @@ from targets.sim.trace import (
 TABLES = ("poses", "rounds", "phases", "logs", "shared", "paths", "late", "links", "near", "marks", "markers")
 EVENT, SKIPPED, FAULT = 0, 1, 2
 Chunk = dict[str, list[list[Any]]]
+_decoder = msgspec.json.Decoder()
 
 
 class Rows:
@@ -53,7 +57,7 @@ class Rows:
         self._chunk: Chunk = {}
         self._second: dict[int, list[Any]] = {}
         self._near = _Nearest(self._count)
-        self._paths: dict[int, Any] = {}
+        self._paths: dict[int, bytes] = {}
 
     def taken(self) -> Chunk:
         """The rows since the last time, by table."""
@@ -64,16 +68,21 @@ class Rows:
         """Make rows of one record; `t` is its time, whatever it says itself."""
         t = round(t, 3)
         match record:
-            case Violation(what=what, robots=robots, detail=detail):
+            case Violation(what=what, robots=robots):
+                detail = " ".join(filter(None, (record.name, record.line, record.detail)))
                 self._add("marks", [t, "violation", what, list(robots), detail])
             case End(why=why):
                 self._add("marks", [t, "end", why, [], ""])
-            case Pose() | Phase() | Round() | Log() | Stream() | Metrics() if 0 <= record.pid < self._count:
+            case Verdict():
+                what = f"{record.of} {record.name}: {record.outcome}"
+                detail = ", ".join(filter(None, (record.line, record.detail)))
+                self._add("marks", [t, "verdict", what, list(record.robots), detail])
+            case Pose() | Phase() | Init() | Round() | Log() | Stream() | Metrics() if 0 <= record.pid < self._count:
                 self._of_robot(record, t)
             case _:
                 pass
 
-    def _of_robot(self, record: Pose | Phase | Round | Log | Stream | Metrics, t: float) -> None:
+    def _of_robot(self, record: Pose | Phase | Init | Round | Log | Stream | Metrics, t: float) -> None:
         pid = record.pid
         match record:
             case Pose(position=position, yaw=yaw):
@@ -88,6 +97,8 @@ class Rows:
                 self._add("logs", [pid, t, port, text])
             case Metrics():
                 self._add("links", [pid, t, _links(record), sum(record.rejected.values())])
+            case Init():
+                self._writes(record, 0, t)
             case Round():
                 self._round(record, t)
 
@@ -102,19 +113,20 @@ class Rows:
         else:
             outcome, what = EVENT, record.event or ""
         self._add("rounds", [record.pid, t, t, 1, outcome, what])
-        for name, value in record.shared.items():
-            self._add("shared", [name, record.pid, t, record.round, value])
-        self._path(record, t)
+        self._writes(record, record.round, t)
         self._lateness(record, t)
 
-    def _path(self, record: Round, t: float) -> None:
-        """Where a robot was told to go: a path, or a single target."""
-        for port, value in record.actuators.items():
-            points = [value] if port.endswith(".target") else value if port.endswith(".path") else None
-            if points is None or value == self._paths.get(record.pid):
+    def _writes(self, record: Init | Round, number: int, t: float) -> None:
+        """What was written into the shared store, and where a robot was told to go: a path, or a single target."""
+        for name, raw in record.shared.items():
+            self._add("shared", [name, record.pid, t, number, _decoder.decode(raw)])
+        for port, raw in record.actuators.items():
+            if not port.endswith((".target", ".path")) or bytes(raw) == self._paths.get(record.pid):
                 continue
+            self._paths[record.pid] = bytes(raw)
+            value = _decoder.decode(raw)
+            points = [value] if port.endswith(".target") else value
             if isinstance(points, list) and all(map(_is_point, points)):
-                self._paths[record.pid] = value
                 self._add("paths", [record.pid, t, [[_small(c) for c in point] for point in points]])
 
     def _lateness(self, record: Round, t: float) -> None:

@@ -28,7 +28,7 @@ function pen(canvas, height) {
 }
 
 function ticks(low, high, most) {
-  const raw = (high - low) / Math.max(1, most), power = 10 ** Math.floor(Math.log10(raw || 1));
+  const raw = (high - low) / Math.max(0.01, most), power = 10 ** Math.floor(Math.log10(raw || 1));
   const step = [1, 2, 5, 10].map((k) => k * power).find((each) => each >= raw) || raw || 1;
   const found = [];
   for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) found.push(k * step);
@@ -54,7 +54,7 @@ function frame(area, [x0, x1], [y0, y1], { left = 52, right = 14, top = 12, bott
   const { ctx, width, height } = area;
   const x = (v) => left + ((v - x0) / (x1 - x0)) * (width - left - right);
   const y = (v) => height - bottom - ((v - y0) / (y1 - y0)) * (height - top - bottom);
-  const across = ticks(x0, x1, xs || (width - left - right) / 80), up = ys === 0 ? { at: [] } : ticks(y0, y1, (height - top - bottom) / 24);
+  const across = ticks(x0, x1, xs || (width - left - right) / 80), up = ys === 0 ? { at: [] } : ticks(y0, y1, ys || (height - top - bottom) / 24);
   ctx.lineWidth = 1;
   ctx.strokeStyle = LINE;
   ctx.setLineDash([]);

@@ -30,8 +30,8 @@ function level(canvas, [low, high], across, up, labels, most) {
   scale = Math.min(scale, height / (spanY + 2 * margin));
   const extra = (width / scale - spanX) / 2;
   const x = [low[across] - extra, high[across] + extra], y = [low[up] - margin, low[up] - margin + height / scale];
-  const step = Math.max(3, Math.round(width / 80));
-  return { ...frame(pen(canvas, height + edge.top + edge.bottom), x, y, { ...edge, ...labels, xs: step }), scale };
+  const xs = Math.max(3, width / 70), ys = Math.max(0.01, (xs * height) / width); // the same step on both axes
+  return { ...frame(pen(canvas, height + edge.top + edge.bottom), x, y, { ...edge, ...labels, xs, ys }), scale };
 }
 
 function fence(chart, [low, high], across, up, lines, ink) {
