@@ -42,7 +42,13 @@ def test_a_round_tells_its_outcome_its_writes_where_it_leads_and_how_late_it_was
     path = [[0.0, 0.0, 0.0], [1.0, 2.0, 3.00049]]
     found = rows(
         Round(
-            4, "Go", shared={"x": [1, 2, 3]}, actuators={"Motion.path": path, "Log.level": 3}, late=0.07, t=1.2, pid=1
+            4,
+            "Go",
+            shared=raw(x=[1, 2, 3]),
+            actuators=raw(**{"Motion.path": path, "Log.level": 3}),
+            late=0.07,
+            t=1.2,
+            pid=1,
         ),
         Round(5, skipped="no event enabled", late=0.01, t=1.3, pid=1),
         Round(6, "Go", skipped="fault", fault={"file": "a.koord", "line": 3, "reason": "1 / 0"}, t=1.4, pid=1),
