@@ -117,8 +117,17 @@ class Robot(msgspec.Struct, frozen=True):
     sim: Sim = Sim()
 
 
+class Shared(msgspec.Struct, frozen=True):
+    """A shared variable: `allread`, one value of `type` a robot, or `allwrite`, one for all."""
+
+    name: str
+    kind: str
+    type: str
+
+
 class Scenario(msgspec.Struct, frozen=True):
-    """`harness` are the sim target's own settings, as its manifest declares them."""
+    """`harness` are the sim target's own settings, as its manifest declares them; `records` the program's record types:
+    each one's fields and their types, in order."""
 
     app: str
     source: str
@@ -130,6 +139,8 @@ class Scenario(msgspec.Struct, frozen=True):
     obstacles: tuple[Obstacle, ...] = ()  # what stands in the world, walls last; numbered from 0
     world: World = World()
     harness: dict[str, Any] = {}
+    shared: tuple[Shared, ...] = ()
+    records: dict[str, tuple[tuple[str, str], ...]] = {}
 
     def number(self, setting: str, default: float) -> float:
         """One of the harness's settings."""
@@ -149,9 +160,20 @@ def load(root: Path, settings: Path | None = None) -> Scenario:
     except msgspec.ValidationError as error:
         raise BadScenario(f"{path}: {error}", "build the bundle again") from None
     _check(path, root, scenario)
-    if settings is None:
-        return scenario
-    return msgspec.structs.replace(scenario, harness=_laid_over(scenario.harness, settings))
+    if settings is not None:
+        scenario = msgspec.structs.replace(scenario, harness=_laid_over(scenario.harness, settings))
+    return msgspec.structs.replace(scenario, robots=tuple(_filled(robot, scenario) for robot in scenario.robots))
+
+
+def _filled(robot: Robot, scenario: Scenario) -> Robot:
+    """A robot for which the harness's settings hold where its own say nothing. Raises BadScenario."""
+    fidelity = robot.sim.fidelity or scenario.harness.get("fidelity", "full")
+    if fidelity not in ("full", "simple"):
+        raise BadScenario(f"fidelity is {fidelity!r}", "there are: full, simple")
+    lidar = robot.sim.lidar
+    if lidar.noise is None:
+        lidar = msgspec.structs.replace(lidar, noise=scenario.number("position_noise", 0.0))
+    return msgspec.structs.replace(robot, sim=msgspec.structs.replace(robot.sim, fidelity=fidelity, lidar=lidar))
 
 
 def _object(path: Path) -> dict[str, Any]:
@@ -194,8 +216,9 @@ def _check_starts(scenario: Scenario) -> None:
     for robot in scenario.robots:
         place = robot.start.position
         shown = f"({', '.join(f'{v:g}' for v in place)})"
-        if not _inside(scenario.geofence, place):
-            raise BadScenario(f"{robot.name} starts at {shown}, outside the geofence", hint)
+        for name, box in (("arena", scenario.world.arena), ("geofence", scenario.geofence)):
+            if box is not None and not _inside(box, place):
+                raise BadScenario(f"{robot.name} starts at {shown}, outside the {name}", hint)
         for number, obstacle in enumerate(scenario.obstacles):
             if _within(obstacle, Point(*place)):
                 raise BadScenario(f"{robot.name} starts at {shown}, inside obstacle {number}", hint)

@@ -239,7 +239,9 @@ def test_two_quads_that_meet_collide_and_momentum_stays(
         met = (0, 1) in world.touched().bodies
     assert met
     run(world, 3 * STEP)
-    assert one.state().velocity[0] + other.state().velocity[0] == pytest.approx(0.5 * _slowed(one, world.time), abs=0.01)
+    assert one.state().velocity[0] + other.state().velocity[0] == pytest.approx(
+        0.5 * _slowed(one, world.time), abs=0.01
+    )
     assert other.state().position[0] - one.state().position[0] == pytest.approx(2 * quadrotor.RADIUS, abs=0.03)
     assert one.state().velocity[0] < other.state().velocity[0] + 0.05, "they do not go through one another"
 

@@ -1,0 +1,62 @@
+"""What is to be shown, as data: facts, a goal, and which terms are which variables of the program.
+
+`obligations` of generate.py makes them; others print, solve and explain them.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from koordgen.ir.types import Type
+from koordgen.node import Node
+from koordgen.prove.term import Term
+
+Kind = Literal["base", "event", "environment", "well-defined", "consistency"]
+Moment = Literal["round start", "before", "after"]
+
+
+class Fact(Node):
+    """A formula and where it comes from: its label says what it is ("invariant Geofence", "guard of Assign"), `file`
+    and `line` where the program says so."""
+
+    label: str
+    term: Term
+    file: str
+    line: int
+
+
+class Cell(Node):
+    """One variable of the program at one moment: `terms` are its value's parts, in the order in which parts.py
+    flattens its type. `robot`: whose it is, a term of sort Int; None of an allwrite variable. `name` as the program
+    writes it: "x", "leader", "Motion.position"; params are cells, too."""
+
+    name: str
+    robot: Term | None
+    type: Type
+    terms: tuple[Term, ...]
+    moment: Moment
+
+
+class Obligation(Node):
+    """The facts imply the goal, where `expected` is "unsat" (of the facts and the goal's negation); a consistency
+    obligation has no goal and its facts are satisfiable. `invariant` is its name ("(well-defined)" for that one);
+    `event` the event's or "init", "(environment)", "" where there is none. `conjuncts`: the goal in parts, so that a
+    counterexample can tell which of them fails. `robots`: None for every N_SYS. `complete`: what the solver finds is a
+    counterexample of the formulas with quantifiers, too, so that no instance of a quantifier is missing. `notes`: each
+    approximation that was made, and what is assumed without being in the program."""
+
+    name: str
+    kind: Kind
+    invariant: str
+    event: str
+    file: str
+    line: int
+    logic: str
+    facts: tuple[Fact, ...]
+    goal: Fact | None
+    expected: Literal["unsat", "sat"]
+    conjuncts: tuple[Fact, ...]
+    cells: tuple[Cell, ...]
+    complete: bool
+    robots: int | None
+    notes: tuple[str, ...]
