@@ -120,7 +120,7 @@ class Quadrotors(Kind):
     def _lift(self) -> Array:
         """The acceleration that thrust must give: what was asked for and gravity, within the limits of tilt and climb.
         Its vertical part is positive, so it has a direction."""
-        lift = np.minimum(np.maximum(self.asked, _SINKING), _CLIMBING)
+        lift: Array = np.minimum(np.maximum(self.asked, _SINKING), _CLIMBING)
         lift[2] += GRAVITY
         most = lift[2] * math.tan(MAX_TILT)
         most /= np.maximum(np.hypot(lift[0], lift[1]), most)

@@ -46,7 +46,7 @@ def flying(world: World, place: Vector = (0.0, 0.0, 5.0), yaw: float = 0.0) -> S
     return quad
 
 
-@given(st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: 0.1 < math.hypot(*q)))
+@given(st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: math.hypot(*q) > 0.1))
 def test_a_rotation_matrix_turns_as_its_quaternion(parts: tuple[float, float, float, float]) -> None:
     size = math.hypot(*parts)
     x, y, z, w = (part / size for part in parts)
@@ -309,8 +309,10 @@ def swarm(far: bool) -> list[list[BodyState]]:
     simple = [SimpleQuadrotor(world, (0.5 * k - 1.5, -1.0, 0.5), 0.0) for k in range(3)]
     cars = [SimulatedCar(world, (-3.0 + k, 2.5, 0.0), 0.0, 0.33, 0.4) for k in range(2)]
     seen = []
-    for quad in (*quads, *simple):
+    for quad in quads:
         quad.motors(True)
+    for plain in simple:
+        plain.motors(True)
     for k in range(720):
         for i, body in enumerate(quads):
             body.accelerate((math.sin(k / 60 + i), 0.4, 0.5 if k < 200 else -0.3), 0.1 * i)
@@ -320,7 +322,7 @@ def swarm(far: bool) -> list[list[BodyState]]:
             car.drive(1.5 if car is cars[0] else 0.0, 0.0)
         world.step()
         if far or k % 7 == 0:
-            seen.append([body.state() for body in (*quads, *simple, *cars)])
+            seen.append([b.state() for b in quads] + [b.state() for b in simple] + [b.state() for b in cars])
     world.close()
     return seen[::7] if far else seen
 
