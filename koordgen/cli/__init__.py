@@ -236,9 +236,15 @@ def _key(options: Namespace) -> int:
     return HOLDS
 
 
+def _campaign(options: Namespace) -> int:
+    from koordgen.cli.campaign import campaign
+
+    return campaign(options)
+
+
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "check": _check, "dump": _dump, "build": _build, "fmt": _fmt, "explain": _explain, "estop": _estop,
-    "basestation": _basestation, "doctor": _doctor, "key": _key,
+    "basestation": _basestation, "doctor": _doctor, "key": _key, "campaign": _campaign,
 }  # fmt: skip
 
 
