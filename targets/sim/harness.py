@@ -104,10 +104,11 @@ def _check(root: Path, scenario: Scenario) -> int:
 
 def _run(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespace) -> int:
     from targets.sim.progress import Progress
+    from targets.sim.realtime import RealTime
     from targets.sim.run import Run
 
     progress = Progress(sys.stderr, options.quiet)
-    run = Run(scenario, root, folder, options.seed, options.duration, progress)
+    run = Run(scenario, RealTime(scenario, root, folder, options.seed), folder, options.duration, progress)
     try:
         outcome = run.execute()
     finally:
@@ -121,7 +122,7 @@ def _run(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespa
         scenario.obstacles, scenario.shared, scenario.records,
     )  # fmt: skip
     merged = folder / "trace.jsonl"
-    trace.merge(merged, header, outcome.zero, run.poses_file, [a.trace_file for a in run.agents], outcome.marks)
+    trace.merge(merged, header, outcome.zero, run.poses_file, [a.trace_file for a in run.conduct.agents], outcome.marks)
     run.poses_file.unlink()
     found = summary.summarise(*trace.read(merged), outcome)
     summary.write(found, folder)

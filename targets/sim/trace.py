@@ -1,7 +1,8 @@
 """The run's trace, format koord-trace/1: its records, following the agents' own files, and the one merged file.
 
-In an agent's file `time` is the host's monotonic clock; in the merged one every record has `t`, seconds since the
-start of round 1 (negative before), and the agents' records a `pid`. Points are [x, y, z], metres, local ENU.
+In an agent's file `time` is the run's clock (the host's monotonic one in real time, from 0 in lockstep); in the merged
+one every record has `t`, seconds since the start of round 1 (negative before), and the agents' records a `pid`. Points
+are [x, y, z], metres, local ENU.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import heapq
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Literal
 
 import msgspec
 
@@ -64,14 +65,47 @@ class Phase(msgspec.Struct, frozen=True, tag_field="kind", tag="phase"):
     pid: int = -1
 
 
+Values = dict[str, msgspec.Raw]  # by name, as JSON: their types are the program's
+
+
+class Init(msgspec.Struct, frozen=True, tag_field="kind", tag="init"):
+    """An agent's `init`: what it saw and wrote of the shared store, all own variables after it."""
+
+    sensors: Values = {}
+    locals: Values = {}
+    shared: Values = {}
+    actuators: Values = {}
+    time: float = 0.0
+    t: float = 0.0
+    pid: int = -1
+
+
+class Restored(msgspec.Struct, frozen=True):
+    """What a robot that came back went on with: its own variables after its event of `round`."""
+
+    round: int
+    locals: Values = {}
+    actuators: Values = {}
+    stopped: bool = False
+
+
 class Round(msgspec.Struct, frozen=True, tag_field="kind", tag="round"):
-    """An agent's round; of its fields those that are looked at here. `late` is seconds after the tick."""
+    """An agent's round; of its fields those that are looked at here. `late` is seconds after the tick. Of locals, the
+    shared store and actuators it has what the event wrote; `calls` are those of callable ports: port, arguments,
+    answer."""
 
     round: int
     event: str | None = None
     skipped: str | None = None
     fault: Any = None
     late: float = 0.0
+    sensors: Values = {}
+    locals: Values = {}
+    shared: Values = {}
+    actuators: Values = {}
+    calls: tuple[tuple[str, tuple[msgspec.Raw, ...], msgspec.Raw], ...] = ()
+    stopped: bool = False
+    restored: Restored | None = None
     time: float = 0.0
     t: float = 0.0
     pid: int = -1
@@ -107,13 +141,46 @@ class Metrics(msgspec.Struct, frozen=True, tag_field="kind", tag="metrics"):
     pid: int = -1
 
 
+class View(msgspec.Struct, frozen=True, tag_field="kind", tag="view"):
+    """An agent has heard who counts from round `since` on: each robot's incarnation, -1 of one that does not."""
+
+    number: int
+    since: int
+    members: tuple[int, ...]
+    time: float = 0.0
+    t: float = 0.0
+    pid: int = -1
+
+
 class Violation(msgspec.Struct, frozen=True, tag_field="kind", tag="violation"):
-    """What must not happen and did: `what` is separation, collision, ended, fault or unrest."""
+    """What must not happen and did: `what` is separation, collision, ended, fault, unrest, property or idle. Of a
+    property `name` and `line` ("app.koord:12") say which."""
 
     t: float
     what: str
     robots: tuple[str, ...]
     detail: str
+    name: str = ""
+    line: str = ""
+
+
+Found = Literal["held", "violated", "no value", "unchecked", "out of model"]
+
+
+class Verdict(msgspec.Struct, frozen=True, tag_field="kind", tag="verdict"):
+    """What a run has shown of one property, told at the mission's end: `of` is invariant, initially, assume or axiom.
+    `since` is when it was first violated, had no value, or was about a robot that was out of the model. `moments`:
+    at how many it was evaluated."""
+
+    t: float
+    of: str
+    name: str
+    line: str
+    outcome: Found
+    since: float | None = None
+    robots: tuple[str, ...] = ()
+    detail: str = ""
+    moments: int = 0
 
 
 class End(msgspec.Struct, frozen=True, tag_field="kind", tag="end"):
@@ -127,8 +194,9 @@ class _Kind(msgspec.Struct):
     kind: str
 
 
-Record = Header | Pose | Phase | Round | Log | Stream | Metrics | Violation | End
-_KINDS = {"header", "pose", "phase", "round", "log", "stream", "metrics", "violation", "end"}
+Mark = Violation | Verdict | End
+Record = Header | Pose | Phase | Init | Round | View | Log | Stream | Metrics | Violation | Verdict | End
+_KINDS = {kind.__struct_config__.tag for kind in Record.__args__}
 _decoder = msgspec.json.Decoder(Record)
 _kind_decoder = msgspec.json.Decoder(_Kind)
 _encoder = msgspec.json.Encoder()
@@ -202,9 +270,7 @@ class Poses:
         self._file.close()
 
 
-def merge(
-    path: Path, header: Header, zero: float, poses: Path, agents: list[Path], marks: list[Violation | End]
-) -> None:
+def merge(path: Path, header: Header, zero: float, poses: Path, agents: list[Path], marks: list[Mark]) -> None:
     """Write the merged trace: all records by time, `zero` the host time of t = 0; the agents' files in the order of
     their pids. Raises OSError."""
     streams = [
@@ -218,7 +284,7 @@ def merge(
             out.write(line + b"\n")
 
 
-def _marked(marks: list[Violation | End]) -> Iterator[tuple[float, bytes]]:
+def _marked(marks: list[Mark]) -> Iterator[tuple[float, bytes]]:
     for mark in sorted(marks, key=lambda m: m.t):
         yield mark.t, _encoder.encode(mark)
 
