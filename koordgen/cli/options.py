@@ -141,6 +141,11 @@ def _count(text: str) -> int:
     return value
 
 
+def _report(command: argparse.ArgumentParser) -> None:
+    command.add_argument("trace", metavar="TRACE", help="a run's folder, or its trace.jsonl")
+    command.add_argument("-o", "--out", metavar="FILE", help="the page (default: report.html beside the trace)")
+
+
 def _of_a_build(command: argparse.ArgumentParser, fleet_required: bool = False) -> None:
     command.add_argument("--fleet", metavar="FILE", required=fleet_required, help="the fleet file (YAML)")
     command.add_argument(
@@ -168,6 +173,7 @@ _COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "doctor": ("look whether a robot is ready for a mission, on its own computer; nothing moves", _doctor),
     "key": ("make a fleet's key", _key),
     "campaign": ("run a fleet many times, and tell what came of it", _campaign),
+    "report": ("make the page that shows a run: moving pictures, rounds, shared variables, network", _report),
 }
 
 
