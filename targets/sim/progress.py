@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import shutil
+from collections.abc import Sequence
 from typing import TextIO
 
+from targets.sim.crew import Agent
 from targets.sim.stage import Watch
-from targets.sim.supervise import Agent
 
 PLAIN_EVERY = 10.0  # seconds between lines where they cannot be rewritten
 LIVE_EVERY = 0.2
@@ -30,7 +31,7 @@ class Progress:
             self._open = False
 
     def show(
-        self, now: float, zero: float | None, duration: float, agents: list[Agent], watch: Watch, factor: float
+        self, now: float, zero: float | None, duration: float, agents: Sequence[Agent], watch: Watch, factor: float
     ) -> None:
         """The present state, when it is time for it again."""
         if self._quiet or now < self._next:
@@ -59,11 +60,11 @@ class Progress:
             self._quiet = True
 
 
-def _starting(agents: list[Agent]) -> str:
+def _starting(agents: Sequence[Agent]) -> str:
     return " | ".join(f"{agent.robot.name} {agent.waiting_for()}" for agent in agents)
 
 
-def _running(t: float, duration: float, agents: list[Agent], watch: Watch, factor: float) -> str:
+def _running(t: float, duration: float, agents: Sequence[Agent], watch: Watch, factor: float) -> str:
     parts = [
         f"{min(t, duration):5.1f} of {duration:g} s",
         f"round {max(agent.round for agent in agents)}",

@@ -1,27 +1,24 @@
-"""One run: launches the agents, steps the world in real time beside them, and brings everything to rest at the end."""
+"""One run, on either clock: launches the agents, steps the world beside them, and brings all to rest at the end."""
 
 from __future__ import annotations
 
-import os
-import secrets
 import signal
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 
-from targets.sim.pace import Pace
+import msgspec
+
+from targets.sim.crew import Agent, Companion, Conduct
 from targets.sim.progress import Progress
 from targets.sim.scenario import Scenario
-from targets.sim.stage import Closest, Stage
-from targets.sim.supervise import Agent, free_ports, overrides
-from targets.sim.trace import End, Poses, Violation
-from targets.sim.world import STEP
+from targets.sim.stage import Closest
+from targets.sim.trace import End, Mark, Poses, Violation
 
 POSE_EVERY = 12  # steps: 20 poses a second
-LOOK_EVERY = 0.05  # seconds between two looks at agents
+LOOK_EVERY = 0.05  # seconds between two looks at the agents
 REST_WITHIN = 20.0  # seconds from the end of the mission until every agent must have ended
 SETTLE = 0.5  # seconds that the world goes on after the last agent
 START_TIMEOUT = 90.0
@@ -29,15 +26,15 @@ START_TIMEOUT = 90.0
 
 @dataclass(slots=True)
 class Outcome:
-    """How a run went. `zero` is the host time of t = 0: round 1's start, or without one the launch. `ended` says why
-    the mission ended: completed, stopped (all agents ended by themselves), died (before the start), timeout (no
-    start), interrupted. Times of `marks` and `closest` are t."""
+    """How a run went. `zero` is the time of t = 0 on the run's clock: round 1's start, or without one the launch.
+    `ended` says why the mission ended: completed, stopped (all agents ended by themselves), died (before the start),
+    timeout (no start), interrupted. Times of `marks` and `closest` are t."""
 
     started: bool
     ended: str
     zero: float
     duration: float  # of the mission, seconds
-    marks: list[Violation | End]
+    marks: list[Mark]
     closest: Closest | None
     real_time_factor: float
     late_steps: int
@@ -52,37 +49,37 @@ class Outcome:
 
 
 class Run:
-    """`folder` gets what the run writes: key, poses, and a folder of each robot under `robots/`."""
+    """`folder` gets what the run writes: poses, and a folder of each robot under `robots/`. All times here are those of
+    the run's clock, `conduct.now`; `zero` is when round 1 began, None before. Owns `conduct` and `stage`."""
 
-    def __init__(
-        self, scenario: Scenario, root: Path, folder: Path, seed: int, duration: float, progress: Progress
-    ) -> None:
-        self._scenario = scenario
-        self._folder = folder
+    def __init__(self, scenario: Scenario, conduct: Conduct, folder: Path, duration: float, progress: Progress) -> None:
+        self.scenario = scenario
+        self.conduct = conduct
+        self.companions: list[Companion] = []
+        self.zero: float | None = None
+        self.poses_file = folder / "poses.jsonl"
         self._duration = duration
         self._progress = progress
         self._interrupts = 0
-        self._key_file = folder / "fleet.key"
-        key = secrets.token_bytes(32)
-        with open(os.open(self._key_file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
-            file.write(key)
-        self.agents: list[Agent] = []
-        for robot in scenario.robots:
-            own = folder / "robots" / robot.name
-            own.mkdir(parents=True)
-            self.agents.append(Agent(robot, root / robot.bundle, own))
-        self.poses_file = folder / "poses.jsonl"
-        self._poses = Poses(self.poses_file)
-        try:
-            self._stage = Stage(scenario, seed, key)
-        except BaseException:
-            self._give_up_files()
-            raise
-        self._pace = Pace(0.0, STEP)
-        self._zero: float | None = None
+        self._steps = 0
+        self._marks: list[Mark] = []  # with times of the run's clock
         self._next_look = 0.0
         self._left: set[str] = set()  # robots that came to rest unasked
-        self._failed: dict[str, tuple[float, str]] = {}  # robot -> host time and how its process failed
+        self._failed: dict[str, tuple[float, str]] = {}  # robot -> when and how its agent failed
+        try:
+            self.stage = conduct.stage()
+            self._poses = Poses(self.poses_file)
+        except BaseException:
+            conduct.close()
+            raise
+
+    def mark(self, mark: Mark) -> None:
+        """What belongs into the merged trace; its `t` is a time of the run's clock here."""
+        self._marks.append(mark)
+
+    def t(self, at: float) -> float | None:
+        """Seconds since the start of round 1, None before that is known."""
+        return None if self.zero is None else at - self.zero
 
     def execute(self) -> Outcome:
         """From launch to rest. Raises OSError when the surroundings give way; the agents are gone then, too."""
@@ -90,45 +87,39 @@ class Run:
             with self._interruptible():
                 return self._execute()
         finally:
-            for agent in self.agents:
-                agent.kill()
-            self._stage.close()
-            self._give_up_files()
-
-    def _give_up_files(self) -> None:
-        self._key_file.unlink(missing_ok=True)
-        self._poses.close()
+            self.conduct.close()
+            self.stage.close()
+            self._poses.close()
 
     def _execute(self) -> Outcome:
-        count = len(self.agents)
-        free = free_ports(2 * count)
-        ports, controls = free[:count], free[count:]
-        launched = time.monotonic()
-        robots = self._scenario.robots
-        for agent, actor, control in zip(self.agents, self._stage.actors, controls, strict=True):
-            laid_over = overrides(robots, ports, control, actor.overrides, self._key_file, agent.trace_file)
-            agent.launch(laid_over, self._scenario.delta)
-        self._pace = Pace(time.monotonic(), STEP)
-        timeout = launched + self._scenario.number("start_timeout", START_TIMEOUT)
-        self._progress.say("1 robot is starting" if len(robots) == 1 else f"{len(robots)} robots are starting")
+        agents, count = self.conduct.agents, len(self.conduct.agents)
+        for companion in self.companions:
+            companion.launched(self)
+        launched = self.conduct.now()
+        self.conduct.launch(self.stage)
+        timeout = launched + self.scenario.number("start_timeout", START_TIMEOUT)
+        self._progress.say("1 robot is starting" if count == 1 else f"{count} robots are starting")
         ended = self._until(lambda now: self._before_start(now, timeout))
-        zero = launched if self._zero is None else self._zero
-        waiting = {agent.robot.name: agent.waiting_for() for agent in self.agents} if ended else {}
+        zero = launched if self.zero is None else self.zero
+        waiting = {agent.robot.name: agent.waiting_for() for agent in agents} if ended else {}
         if not ended:
             self._progress.say(f"round 1 began {zero - launched:.1f} s after the launch")
             ended = self._until(lambda now: self._during_mission(now, zero))
-        end = time.monotonic()
+        end = self.conduct.now()
         self._rest(ended)
+        now = self.conduct.now()
+        for companion in self.companions:
+            companion.end(now)
         return self._outcome(ended, zero, end, waiting)
 
     def _before_start(self, now: float, timeout: float) -> str:
         if self._interrupts:
             return "interrupted"
-        starts = [agent.first_round_start for agent in self.agents if agent.first_round_start is not None]
+        starts = [agent.first_round_start for agent in self.conduct.agents if agent.first_round_start is not None]
         if starts:
-            self._zero = min(starts)
+            self.zero = min(starts)
             return "started"
-        if self._failed or not all(agent.alive for agent in self.agents):
+        if self._failed or not all(agent.alive for agent in self.conduct.agents):
             return "died"
         return "timeout" if now >= timeout else ""
 
@@ -137,32 +128,32 @@ class Run:
             return "interrupted"
         if now - zero >= self._duration:
             return "completed"
-        return "" if any(agent.alive for agent in self.agents) else "stopped"
+        return "" if any(agent.alive for agent in self.conduct.agents) else "stopped"
 
     def _until(self, done: Callable[[float], str]) -> str:
         """Go on until `done` says why not; "" when that is the mission's start."""
         while True:
-            now = time.monotonic()
-            self._advance(now)
+            self.conduct.go_on(self._step)
+            now = self.conduct.now()
             if now >= self._next_look:
                 self._next_look = now + LOOK_EVERY
                 self._look(now)
                 why = done(now)
                 if why:
                     return "" if why == "started" else why
-            time.sleep(max(0.0, self._pace.tick(self._pace.done) - time.monotonic()))
 
-    def _advance(self, now: float) -> None:
-        first = self._pace.done
-        for k in range(first, first + self._pace.due(now)):
-            at = self._pace.tick(k)
-            states = self._stage.step(at)
-            if k % POSE_EVERY == 0:
-                self._poses.write(at, states)
+    def _step(self, at: float) -> None:
+        """One step of the world."""
+        states = self.stage.step(at)
+        if self._steps % POSE_EVERY == 0:
+            self._poses.write(at, states)
+        self._steps += 1
+        for companion in self.companions:
+            companion.step(at, states)
 
     def _look(self, now: float) -> None:
-        for agent in self.agents:
-            agent.look()
+        for agent in self.conduct.agents:
+            self._hear(agent)
             name = agent.robot.name
             if agent.resting and name not in self._left:
                 self._left.add(name)
@@ -172,38 +163,47 @@ class Run:
                 since = agent.resting.time if agent.resting and not agent.killed else now
                 self._failed[name] = (since, failure)
                 self._progress.say(f"{name} {failure}")
-        self._progress.show(now, self._zero, self._duration, self.agents, self._stage.watch, self._pace.factor(now))
+        self._progress.show(now, self.zero, self._duration, self.conduct.agents, self.stage.watch, self.conduct.factor)
+
+    def _hear(self, agent: Agent) -> bool:
+        """Take what an agent has traced; whether there was anything."""
+        records = agent.look()
+        if records:
+            for companion in self.companions:
+                companion.heard(agent, records)
+        return bool(records)
 
     def _rest(self, ended: str) -> None:
         """Tell the agents to come to rest, and give them the world and the time for it."""
         self._progress.say({"completed": "the mission is over, robots come to rest"}.get(ended, f"{ended}: ending"))
-        for agent in self.agents:
-            agent.look()
+        for agent in self.conduct.agents:
+            self._hear(agent)
             agent.tell_end()
-        deadline = time.monotonic() + REST_WITHIN
+        deadline = self.conduct.now() + REST_WITHIN
         hurry = self._interrupts + 1
 
         def rested(now: float) -> str:
             over = now >= deadline or self._interrupts >= hurry
-            return "yes" if over or not any(agent.alive for agent in self.agents) else ""
+            return "yes" if over or not any(agent.alive for agent in self.conduct.agents) else ""
 
         self._until(rested)
-        for agent in self.agents:
+        for agent in self.conduct.agents:
             agent.kill()
-            while agent.look():
+            while self._hear(agent):
                 pass
-        settled = time.monotonic() + SETTLE
+        settled = self.conduct.now() + SETTLE
         self._until(lambda now: "yes" if now >= settled else "")
 
     def _outcome(self, ended: str, zero: float, end: float, waiting: dict[str, str]) -> Outcome:
-        now = time.monotonic()
-        watch = self._stage.watch
-        names = [robot.name for robot in self._scenario.robots]
+        now = self.conduct.now()
+        watch = self.stage.watch
+        names = [robot.name for robot in self.scenario.robots]
 
-        def t(host_time: float) -> float:
-            return round(host_time - zero, 6)
+        def t(time: float) -> float:
+            return round(time - zero, 6)
 
-        marks: list[Violation | End] = [End(t(end), ended)]
+        marks: list[Mark] = [End(t(end), ended)]
+        marks += [msgspec.structs.replace(mark, t=t(mark.t)) for mark in self._marks]
         for (i, j), close in watch.too_close.items():
             detail = f"{close.distance:.3f} m apart, less than {watch.min_separation:g} m"
             marks.append(Violation(t(close.time), "separation", (names[i], names[j]), detail))
@@ -213,28 +213,28 @@ class Run:
             marks.append(Violation(t(at), "collision", (names[i],), f"touched obstacle {number}"))
         for name, (at, failure) in self._failed.items():
             marks.append(Violation(t(at), "ended", (name,), failure))
-        for pid, agent in enumerate(self.agents):
+        for pid, agent in enumerate(self.conduct.agents):
             fault = agent.first_fault
             if fault is not None:
                 marks.append(Violation(t(fault.time), "fault", (agent.robot.name,), agent.fault_text()))
-            if agent.robot.name not in self._failed and not self._stage.standing(pid):
+            if agent.robot.name not in self._failed and not self.stage.standing(pid):
                 detail = "still moved or was in the air when its agent had ended"
                 marks.append(Violation(t(now), "unrest", (agent.robot.name,), detail))
         found = watch.closest
         closest = None if len(names) < 2 else Closest(found.distance, t(found.time), found.pids)
         return Outcome(
-            started=self._zero is not None,
+            started=self.zero is not None,
             ended=ended,
             zero=zero,
             duration=round(max(0.0, end - zero), 3),
             marks=sorted(marks, key=lambda mark: mark.t),
             closest=closest,
-            real_time_factor=round(self._pace.factor(now), 4),
-            late_steps=self._pace.late,
-            steps=self._pace.done,
+            real_time_factor=round(self.conduct.factor, 4),
+            late_steps=self.conduct.late,
+            steps=self.conduct.steps,
             waiting=waiting,
-            last_lines={a.robot.name: a.last_lines(5) for a in self.agents if a.robot.name in self._failed},
-            statuses={a.robot.name: a.status for a in self.agents},
+            last_lines={a.robot.name: a.last_lines(5) for a in self.conduct.agents if a.robot.name in self._failed},
+            statuses={a.robot.name: a.status for a in self.conduct.agents},
         )
 
     @contextmanager

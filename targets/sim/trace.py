@@ -1,7 +1,8 @@
 """The run's trace, format koord-trace/1: its records, following the agents' own files, and the one merged file.
 
-In an agent's file `time` is the host's monotonic clock; in the merged one every record has `t`, seconds since the
-start of round 1 (negative before), and the agents' records a `pid`. Points are [x, y, z], metres, local ENU.
+In an agent's file `time` is the run's clock (the host's monotonic one in real time, from 0 in lockstep); in the merged
+one every record has `t`, seconds since the start of round 1 (negative before), and the agents' records a `pid`. Points
+are [x, y, z], metres, local ENU.
 """
 
 from __future__ import annotations
@@ -10,12 +11,13 @@ import heapq
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Literal
 
 import msgspec
 
 from koordgen.runtime.obstacles import Obstacle
 from targets.sim.bodies import BodyState, Vector
+from targets.sim.scenario import Shared
 
 FORMAT = "koord-trace/1"
 MOST_AT_ONCE = 1 << 20  # bytes of one file in one look
@@ -29,7 +31,7 @@ class RobotName(msgspec.Struct, frozen=True):
 
 class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
     """The merged file's first record. `started` tells whether there was a round 1; without one, t counts from the
-    agents' launch. `geofence` are the two corners."""
+    agents' launch. `geofence` are the two corners; `shared` and `records` as in the scenario."""
 
     format: str
     app: str
@@ -42,6 +44,8 @@ class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
     min_separation: float = 0.0  # asked for, metres
     geofence: tuple[Vector, Vector] | None = None
     obstacles: tuple[Obstacle, ...] = ()
+    shared: tuple[Shared, ...] = ()
+    records: dict[str, tuple[tuple[str, str], ...]] = {}
 
 
 class Pose(msgspec.Struct, frozen=True, tag_field="kind", tag="pose"):
@@ -50,6 +54,7 @@ class Pose(msgspec.Struct, frozen=True, tag_field="kind", tag="pose"):
     pid: int
     position: Vector
     yaw: float
+    time: float = 0.0
     t: float = 0.0
 
 
@@ -61,14 +66,47 @@ class Phase(msgspec.Struct, frozen=True, tag_field="kind", tag="phase"):
     pid: int = -1
 
 
+Values = dict[str, msgspec.Raw]  # by name, as JSON: their types are the program's
+
+
+class Init(msgspec.Struct, frozen=True, tag_field="kind", tag="init"):
+    """An agent's `init`: what it saw and wrote of the shared store, all own variables after it."""
+
+    sensors: Values = {}
+    locals: Values = {}
+    shared: Values = {}
+    actuators: Values = {}
+    time: float = 0.0
+    t: float = 0.0
+    pid: int = -1
+
+
+class Restored(msgspec.Struct, frozen=True):
+    """What a robot that came back went on with: its own variables after its event of `round`."""
+
+    round: int
+    locals: Values = {}
+    actuators: Values = {}
+    stopped: bool = False
+
+
 class Round(msgspec.Struct, frozen=True, tag_field="kind", tag="round"):
-    """An agent's round; of its fields those that are looked at here. `late` is seconds after the tick."""
+    """An agent's round; of its fields those that are looked at here. `late` is seconds after the tick. Of locals, the
+    shared store and actuators it has what the event wrote; `calls` are those of callable ports: port, arguments,
+    answer."""
 
     round: int
     event: str | None = None
     skipped: str | None = None
     fault: Any = None
     late: float = 0.0
+    sensors: Values = {}
+    locals: Values = {}
+    shared: Values = {}
+    actuators: Values = {}
+    calls: tuple[tuple[str, tuple[msgspec.Raw, ...], msgspec.Raw], ...] = ()
+    stopped: bool = False
+    restored: Restored | None = None
     time: float = 0.0
     t: float = 0.0
     pid: int = -1
@@ -82,13 +120,68 @@ class Log(msgspec.Struct, frozen=True, tag_field="kind", tag="log"):
     pid: int = -1
 
 
+class Stream(msgspec.Struct, frozen=True, tag_field="kind", tag="stream"):
+    """A line that the program put out; round 0 is `init`."""
+
+    port: str
+    text: str
+    round: int = 0
+    time: float = 0.0
+    t: float = 0.0
+    pid: int = -1
+
+
+class Metrics(msgspec.Struct, frozen=True, tag_field="kind", tag="metrics"):
+    """How well a robot hears its peers and keeps its rounds, as its runtime's metrics say; `peers` by pid."""
+
+    late_ms: dict[str, float] = {}
+    rejected: dict[str, int] = {}
+    peers: dict[str, dict[str, Any]] = {}
+    time: float = 0.0
+    t: float = 0.0
+    pid: int = -1
+
+
+class View(msgspec.Struct, frozen=True, tag_field="kind", tag="view"):
+    """An agent has heard who counts from round `since` on: each robot's incarnation, -1 of one that does not."""
+
+    number: int
+    since: int
+    members: tuple[int, ...]
+    time: float = 0.0
+    t: float = 0.0
+    pid: int = -1
+
+
 class Violation(msgspec.Struct, frozen=True, tag_field="kind", tag="violation"):
-    """What must not happen and did: `what` is separation, collision, ended, fault or unrest."""
+    """What must not happen and did: `what` is separation, collision, ended, fault, unrest, property or idle. Of a
+    property `name` and `line` ("app.koord:12") say which."""
 
     t: float
     what: str
     robots: tuple[str, ...]
     detail: str
+    name: str = ""
+    line: str = ""
+
+
+Found = Literal["held", "violated", "no value", "unchecked", "out of model"]
+
+
+class Verdict(msgspec.Struct, frozen=True, tag_field="kind", tag="verdict"):
+    """What a run has shown of one property, told at the mission's end: `of` is invariant, initially, assume or axiom.
+    `since` is when it was first violated, had no value, or was about a robot that was out of the model. `moments`:
+    at how many it was evaluated."""
+
+    t: float
+    of: str
+    name: str
+    line: str
+    outcome: Found
+    since: float | None = None
+    robots: tuple[str, ...] = ()
+    detail: str = ""
+    moments: int = 0
 
 
 class End(msgspec.Struct, frozen=True, tag_field="kind", tag="end"):
@@ -98,13 +191,31 @@ class End(msgspec.Struct, frozen=True, tag_field="kind", tag="end"):
     why: str
 
 
-Record = Header | Pose | Phase | Round | Log | Violation | End
+class _Kind(msgspec.Struct):
+    kind: str
+
+
+Mark = Violation | Verdict | End
+Record = Header | Pose | Phase | Init | Round | View | Log | Stream | Metrics | Violation | Verdict | End
+_KINDS = {kind.__struct_config__.tag for kind in Record.__args__}
 _decoder = msgspec.json.Decoder(Record)
+_kind_decoder = msgspec.json.Decoder(_Kind)
 _encoder = msgspec.json.Encoder()
 
 
 class BadTrace(Exception):
     """A trace that cannot be used; the message names the file."""
+
+
+def decoded(line: bytes) -> Record | None:
+    """A line of a trace; None when its kind is not known here. Raises msgspec.DecodeError."""
+    try:
+        record: Record = _decoder.decode(line)
+    except msgspec.ValidationError:
+        if _kind_decoder.decode(line).kind in _KINDS:
+            raise
+        return None
+    return record
 
 
 def fault_text(fault: Any) -> str:
@@ -137,8 +248,8 @@ class Tail:
         for line in lines:
             try:
                 # An agent's header says other things than the merged file's.
-                if b'"kind":"header"' not in line[:40]:
-                    found.append(_decoder.decode(line))
+                if b'"kind":"header"' not in line[:40] and (record := decoded(line)) is not None:
+                    found.append(record)
             except msgspec.DecodeError:
                 self.malformed += 1
         return found
@@ -160,9 +271,7 @@ class Poses:
         self._file.close()
 
 
-def merge(
-    path: Path, header: Header, zero: float, poses: Path, agents: list[Path], marks: list[Violation | End]
-) -> None:
+def merge(path: Path, header: Header, zero: float, poses: Path, agents: list[Path], marks: list[Mark]) -> None:
     """Write the merged trace: all records by time, `zero` the host time of t = 0; the agents' files in the order of
     their pids. Raises OSError."""
     streams = [
@@ -176,7 +285,7 @@ def merge(
             out.write(line + b"\n")
 
 
-def _marked(marks: list[Violation | End]) -> Iterator[tuple[float, bytes]]:
+def _marked(marks: list[Mark]) -> Iterator[tuple[float, bytes]]:
     for mark in sorted(marks, key=lambda m: m.t):
         yield mark.t, _encoder.encode(mark)
 
@@ -189,7 +298,7 @@ def _timed(path: Path, zero: float, pid: int | None) -> Iterator[tuple[float, by
             if not line.endswith(b"\n") or b'"kind":"header"' in line[:40]:
                 continue
             try:
-                _decoder.decode(line)
+                decoded(line)
             except msgspec.DecodeError:
                 if pid is None:
                     raise
@@ -201,7 +310,8 @@ def _timed(path: Path, zero: float, pid: int | None) -> Iterator[tuple[float, by
 
 
 def read(path: Path) -> tuple[Header, Iterator[Record]]:
-    """A merged trace: its header, and everything else in order. Raises BadTrace, also while being read."""
+    """A merged trace: its header, and everything else in order, but for kinds that are not known here. Raises BadTrace,
+    also while being read."""
     records = _records(path)
     header = next(records, None)
     if not isinstance(header, Header) or header.format != FORMAT:
@@ -214,8 +324,11 @@ def _records(path: Path) -> Iterator[Record]:
         with path.open("rb") as file:
             for number, line in enumerate(file, 1):
                 try:
-                    yield _decoder.decode(line)
+                    record = decoded(line)
                 except msgspec.DecodeError as error:
-                    raise BadTrace(f"{path}:{number}: {error}") from None
+                    cut = "" if line.endswith(b"\n") else "; the file is cut off there"
+                    raise BadTrace(f"{path}:{number}: {error}{cut}") from None
+                if record is not None:
+                    yield record
     except OSError as error:
         raise BadTrace(f"{path}: {error.strerror or error}") from None

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import re
+from base64 import b64encode
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -13,9 +16,10 @@ from matplotlib import pyplot as plt
 
 from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Sphere
 from koordgen.runtime.values import Point
-from targets.sim import plots, report, summary, trace
+from targets.sim import summary, trace
 from targets.sim.pace import BURST, MOST_BEHIND, Pace
 from targets.sim.trace import End, Violation
+from targets.sim.view import plots, report
 from tests.sim.canned import header, moving, outcome, write
 
 NAMES = ["alice", "bert", "<script>cleo"]
@@ -95,20 +99,44 @@ class Page(HTMLParser):
 
 def test_the_report_stands_alone_and_escapes_all_it_was_told(canned: Path) -> None:
     found = summary.summarise(*trace.read(canned), outcome(last_lines={"bert": ["</pre><script>x</script>"]}))
-    pictures = plots.draw(plots.tracks(*trace.read(canned)), canned.parent / "plots")
-    lines = report.important(*trace.read(canned))
-    text = report.html(found, lines, pictures, {"command": "python3 'a & <b>'"})
+    found.reproduce = {"command": "python3 'a & <b>'"}
+    summary.write(found, canned.parent)
+    report.write(canned.parent / "report.html", canned)
+    text = (canned.parent / "report.html").read_text()
     page = Page()
     page.feed(text)
-    tags = {tag for tag, _ in page.tags}
-    assert not tags & {"script", "link", "iframe", "b"}
-    images = [attributes["src"] or "" for tag, attributes in page.tags if tag == "img"]
-    assert len(images) == len(pictures) == 5
-    assert all(source.startswith("data:image/png;base64,") for source in images)
-    assert "http" not in text.replace("http-equiv", "")
-    assert not any(name.startswith("on") for _, attributes in page.tags for name in attributes)
+    tags = [tag for tag, _ in page.tags]
+    assert tags.count("script") == 2 and not set(tags) & {"link", "iframe", "b", "img"}
+    for address in re.findall(r"https?://[^\s\"']*", text):
+        assert address == "http://www.w3.org/2000/svg"  # a name, which nothing is fetched from
+    assert not any(name.startswith("on") or name == "src" for _, attributes in page.tags for name in attributes)
     assert text.index("Violated") < text.index("<table>")
     assert "a &amp; &lt;b&gt;" in text
+
+
+def test_the_page_runs_its_own_script_and_no_other(canned: Path) -> None:
+    report.write(canned.parent / "report.html", canned)
+    text = (canned.parent / "report.html").read_text()
+    script = text.rpartition("<script>")[2].partition("</script>")[0]
+    digest = b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    policy = re.search(r'Content-Security-Policy" content="([^"]*)"', text)
+    assert policy is not None
+    assert policy[1] == (f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'")
+
+
+def test_a_trace_alone_has_a_report_too(canned: Path) -> None:
+    report.write(canned.parent / "page.html", canned)
+    text = (canned.parent / "page.html").read_text()
+    assert "Violated" in text and "at 0.70 s bert: fault" in text
+    assert "To do it again" not in text and "real-time factor" not in text
+
+
+def test_another_runs_summary_is_not_taken_for_this_ones(canned: Path) -> None:
+    found = summary.summarise(*trace.read(canned), outcome())
+    found.seed, found.why = 99, "of another run"
+    summary.write(found, canned.parent)
+    report.write(canned.parent / "page.html", canned)
+    assert "of another run" not in (canned.parent / "page.html").read_text()
 
 
 def test_violations_are_told_however_much_else_there_is(tmp_path: Path) -> None:
@@ -154,6 +182,30 @@ def test_a_file_that_is_no_trace_is_refused(tmp_path: Path) -> None:
             trace.read(path)
     with pytest.raises(trace.BadTrace):
         trace.read(tmp_path / "none")
+
+
+def test_what_is_not_known_here_is_kept_by_merging_and_passed_over_by_reading(tmp_path: Path) -> None:
+    own, path = tmp_path / "own.jsonl", tmp_path / "trace.jsonl"
+    lines: list[dict[str, Any]] = [
+        {"kind": "metrics", "time": 101.0, "late_ms": {"p50": 1.0}, "rejected": {}, "peers": {}},
+        {"kind": "stream", "time": 102.0, "round": 3, "port": "Log.out", "text": "hello"},
+        {"kind": "of tomorrow", "time": 103.0, "more": [1]},
+    ]
+    own.write_bytes(b"".join(msgspec.json.encode(line) + b"\n" for line in lines))
+    trace.merge(path, header(["alice"]), 100.0, tmp_path / "none", [own], [End(10.0, "completed")])
+    _, *written = (json.loads(line) for line in path.read_bytes().splitlines())
+    assert [(r["kind"], r["t"], r.get("pid")) for r in written[:3]] == [
+        ("metrics", 1.0, 0), ("stream", 2.0, 0), ("of tomorrow", 3.0, 0),
+    ]  # fmt: skip
+    assert written[2]["more"] == [1]
+    assert [type(record).__name__ for record in trace.read(path)[1]] == ["Metrics", "Stream", "End"]
+
+
+def test_a_trace_that_is_cut_off_is_told_with_its_place(canned: Path) -> None:
+    whole = canned.read_bytes()
+    canned.write_bytes(whole[:-20])
+    with pytest.raises(trace.BadTrace, match=rf"trace.jsonl:{whole.count(10)}: .*cut off"):
+        list(trace.read(canned)[1])
 
 
 def test_following_an_agents_file_waits_for_whole_lines_and_passes_over_the_rest(tmp_path: Path) -> None:

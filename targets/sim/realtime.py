@@ -1,0 +1,74 @@
+"""A run in real time: a process for each agent, UDP between them, and a world that keeps up with the host's clock."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import time
+from pathlib import Path
+
+from targets.sim.crew import Step
+from targets.sim.pace import Pace
+from targets.sim.scenario import Scenario
+from targets.sim.stage import Stage
+from targets.sim.supervise import Process, free_ports, overrides
+from targets.sim.world import STEP
+
+
+class RealTime:
+    """Implements `crew.Conduct`. `root` is the sim bundle, `folder` gets the key and a folder of each robot."""
+
+    def __init__(self, scenario: Scenario, root: Path, folder: Path, seed: int) -> None:
+        self._scenario, self._seed = scenario, seed
+        self._key_file = folder / "fleet.key"
+        self._key = secrets.token_bytes(32)
+        with open(os.open(self._key_file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+            file.write(self._key)
+        self._agents: list[Process] = []
+        for robot in scenario.robots:
+            own = folder / "robots" / robot.name
+            own.mkdir(parents=True)
+            self._agents.append(Process(robot, root / robot.bundle, own, scenario.delta))
+        self._pace = Pace(time.monotonic(), STEP)
+
+    @property
+    def agents(self) -> list[Process]:
+        return self._agents
+
+    def stage(self) -> Stage:
+        return Stage(self._scenario, self._seed, self._key)
+
+    def launch(self, stage: Stage) -> None:
+        count = len(self._agents)
+        free = free_ports(2 * count)
+        ports, controls = free[:count], free[count:]
+        for agent, actor, control in zip(self._agents, stage.actors, controls, strict=True):
+            agent.launch(overrides(self._scenario.robots, ports, control, actor.overrides, self._key_file, agent))
+        self._pace = Pace(time.monotonic(), STEP)
+
+    def now(self) -> float:
+        return time.monotonic()
+
+    def go_on(self, step: Step) -> None:
+        """The steps that are due, then sleep until the next."""
+        first = self._pace.done
+        for k in range(first, first + self._pace.due(time.monotonic())):
+            step(self._pace.tick(k))
+        time.sleep(max(0.0, self._pace.tick(self._pace.done) - time.monotonic()))
+
+    @property
+    def steps(self) -> int:
+        return self._pace.done
+
+    @property
+    def late(self) -> int:
+        return self._pace.late
+
+    @property
+    def factor(self) -> float:
+        return self._pace.factor(time.monotonic())
+
+    def close(self) -> None:
+        for agent in self._agents:
+            agent.kill()
+        self._key_file.unlink(missing_ok=True)
