@@ -10,6 +10,7 @@ from koordgen.ir.types import Type
 from koordgen.node import Node
 from koordgen.prove import term as t
 from koordgen.prove.encode.function import Functions
+from koordgen.prove.encode.quantifier import domain as domain_of
 from koordgen.prove.encode.room import Room, symbol
 from koordgen.prove.encode.scope import NotHere, OfFleet, OfRobot
 from koordgen.prove.encode.state import Key, State, declared, sensors
@@ -80,7 +81,7 @@ class Stage:
                 self.assume(left, scope, guard)
                 self.assume(right, scope, guard)
             case ir.Quantified("forall", name, domain, body):
-                over = self.encoder.domain(domain, scope)
+                over = domain_of(self.encoder, domain, scope)
                 temps = dict(scope.temps)
 
                 def instance(value: Val, within: Term) -> None:
@@ -209,7 +210,7 @@ class Stage:
             else:
                 yield room.some_robot(f"{_NAMES[depth % 5]}@{'goal' if depth < 5 else depth}"), t.TRUE
             return
-        over = self.encoder.domain(domain, scope)
+        over = domain_of(self.encoder, domain, scope)
         if over.few is not None:
             yield from [(value, t.TRUE) for value in over.few]
             return

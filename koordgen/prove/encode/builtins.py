@@ -9,6 +9,7 @@ from koordgen.ir.builtins import UPDATE_SIGNATURES
 from koordgen.ir.types import INT, MapOf, Sized
 from koordgen.prove import term as t
 from koordgen.prove.encode.geometry import path_of
+from koordgen.prove.encode.quantifier import proxy
 from koordgen.prove.encode.values import Changed, Fleet, Known, Val, pick, truth
 from koordgen.prove.term import Term
 
@@ -105,7 +106,8 @@ def _clear(e: Encoder, args: tuple[Val, ...]) -> Val:
     if isinstance(others, Known):
         return t.all_of([far(other) for other in others.items])
     long = e.lists.length(others)
-    return e.proxy(
+    return proxy(
+        e.room,
         lambda i: t.implies(t.and_(t.at_most(_ZERO, i), t.less(i, long)), far(e.lists.element(others, i))), "other",
         isinstance(others, Fleet), not isinstance(others, Fleet),
     )  # fmt: skip

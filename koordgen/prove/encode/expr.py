@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 from koordgen.diagnostics import InternalError
 from koordgen.ir import expr as ir
-from koordgen.ir.types import INT, MapOf, PerRobot, Sequence, Sized, Type
+from koordgen.ir.types import INT, PerRobot, Sized, Type
 from koordgen.prove import term as t
 from koordgen.prove.encode.geometry import Geometry, path_of
 from koordgen.prove.encode.lists import Lists
+from koordgen.prove.encode.quantifier import any_of, quantified
 from koordgen.prove.encode.room import Room
 from koordgen.prove.encode.types import parts_of
 from koordgen.prove.encode.values import Changed, Fleet, Known, Val, is_collection, pick, truth
@@ -206,7 +207,7 @@ class Encoder:
             case "string":
                 return self.room.function("string.has", (truth(held), truth(item)), node.type)
         if isinstance(held, Fleet):
-            return self.any_of(held, lambda element: self.lists.same(element, item))
+            return any_of(self.room, held, lambda element: self.lists.same(element, item))
         return self.lists.has(path_of(held), item)
 
     def logic(self, node: ir.Logic, scope: Scope) -> Val:
@@ -296,24 +297,6 @@ class Encoder:
 
         return builtin(self, node, tuple([self.value(arg, scope) for arg in node.args]))
 
-    # Quantifiers
-
-    def quantified(self, node: ir.Quantified, scope: Scope) -> Val:
-        """As a truth value of its own, which every instance that is looked at agrees with."""
-
-        def holds(element: Val) -> Term:
-            kept = scope.temps.get(node.name)
-            scope.temps[node.name] = element
-            try:
-                return self.defined(node.body, scope)
-            finally:
-                if kept is None:
-                    del scope.temps[node.name]
-                else:
-                    scope.temps[node.name] = kept
-
-        return self.among(node.domain, scope, holds, node.kind, node.name)
-
     def defined(self, node: ir.Expr, scope: Scope) -> Term:
         """That a formula has a value, and that it is true."""
         kept, self.room.path = self.room.path, ()
@@ -321,105 +304,6 @@ class Encoder:
             formula = self.term(node, scope)
         self.room.path = kept
         return t.and_(*[demand.term for demand in demands], formula)
-
-    def among(self, domain: ir.Expr, scope: Scope, holds: Callable[[Val], Term], kind: str, name: str) -> Term:
-        """Whether something holds of all elements (of some) of a domain."""
-        every = kind == "forall"
-        over = self.domain(domain, scope)
-        if over.few is not None:
-            parts = [holds(e) for e in over.few]
-            return t.all_of(parts) if every else t.any_of(parts)
-        temps = dict(scope.temps)
-
-        def instance(index: Term) -> Term:
-            kept, scope.temps = scope.temps, dict(temps)
-            try:
-                held = holds(over.element(index))
-                return t.implies(over.inside(index), held if every else t.not_(held))
-            finally:
-                scope.temps = kept
-
-        found = self.proxy(instance, name, over.robots, over.places)
-        return found if every else t.not_(found)
-
-    def proxy(self, instance: Callable[[Term], Term], name: str, robots: bool = True, places: bool = False) -> Term:
-        """A truth value: whether every instance holds."""
-        room = self.room
-        some = room.new(name, t.INT)
-        first = instance(some)
-        found = room.new(f"forall {name}", t.BOOL)
-        room.element(some, robots, places)
-        room.fact(t.or_(found, t.not_(first)), "one of which it does not hold")
-        room.for_all(lambda index: t.implies(found, instance(index)), robots, places)
-        return found
-
-    def any_of(self, xs: Fleet, holds: Callable[[Val], Term]) -> Term:
-        """Whether something holds of an element of what has one a robot."""
-        room = self.room
-        return t.not_(self.proxy(lambda index: t.implies(room.within(index), t.not_(holds(xs.slot(index)))), "robot"))
-
-    def domain(self, node: ir.Expr, scope: Scope) -> Domain:
-        """What a quantifier or a loop runs over."""
-        if isinstance(node, ir.Range):
-            return self.range(node, scope)
-        xs = path_of(self.value(node, scope))
-        if isinstance(xs, Known) and len(xs.items) <= _EXPANDED and (len(xs.items) < 2 or not _unordered(node.type)):
-            return Domain(_never, _int, [_key(item, node.type) for item in xs.items], False, False)
-        room, long, fleet = self.room, self.lists.length(xs), isinstance(xs, Fleet)
-
-        def inside(index: Term) -> Term:
-            if fleet and room.indices.get(index, False):
-                return t.TRUE
-            return t.and_(t.at_most(_ZERO, index), t.less(index, long))
-
-        return Domain(inside, lambda i: _key(self.lists.element(xs, i), node.type), None, fleet, not fleet)
-
-    def range(self, node: ir.Range, scope: Scope) -> Domain:
-        start, stop = self.term(node.start, scope), self.term(node.stop, scope)
-        low, high = t.number(start), t.number(stop)
-        if low is not None and high is not None and len(range(int(low), int(high), node.step)) <= _EXPANDED:
-            return Domain(_never, _int, [t.integer(i) for i in range(int(low), int(high), node.step)], False, False)
-        first, last = (start, stop) if node.step > 0 else (t.add(stop, _ONE), t.add(start, _ONE))
-        step = t.integer(abs(node.step))
-
-        def inside(index: Term) -> Term:
-            within = t.and_(t.at_most(first, index), t.less(index, last))
-            if abs(node.step) == 1:
-                return within
-            return t.and_(within, t.equals(t.remainder(t.subtract(index, start), step), _ZERO))
-
-        return Domain(inside, _int, None, True, start is not _ZERO or stop is not self.room.size)
-
-
-class Domain(NamedTuple):
-    """`inside`: whether an int is a place in it; `element`: what is there; `few`: all elements, where they are few.
-    `robots`, `places`: what its places are."""
-
-    inside: Callable[[Term], Term]
-    element: Callable[[Term], Val]
-    few: list[Val] | None
-    robots: bool
-    places: bool
-
-
-def _never(index: Term) -> Term:
-    return t.FALSE
-
-
-def _int(index: Term) -> Val:
-    return index
-
-
-def _key(item: Val, type_: Type) -> Val:
-    """Of a map one goes through the keys."""
-    if isinstance(type_, MapOf):
-        assert isinstance(item, tuple)
-        return item[0]
-    return item
-
-
-def _unordered(type_: Type) -> bool:
-    return isinstance(type_, MapOf) or (isinstance(type_, Sequence) and type_.name == "Set")
 
 
 def _between(x: Term, a: Term, b: Term) -> Term:
@@ -470,7 +354,7 @@ _READERS: dict[type, Callable[[Encoder, Any, Scope], Val]] = {
     ir.Contains: Encoder.contains,
     ir.Logic: Encoder.logic,
     ir.Conditional: Encoder.conditional,
-    ir.Quantified: Encoder.quantified,
+    ir.Quantified: quantified,
     ir.Make: Encoder.make,
     ir.Field: Encoder.field,
     ir.Item: Encoder.item,

@@ -14,7 +14,8 @@ from koordgen.ir import expr as ir
 from koordgen.ir import stmt
 from koordgen.ir.types import Type
 from koordgen.prove import term as t
-from koordgen.prove.encode.expr import Domain, Encoder
+from koordgen.prove.encode.expr import Encoder
+from koordgen.prove.encode.quantifier import Domain, domain
 from koordgen.prove.encode.state import Key, State, Written, slots
 from koordgen.prove.encode.values import Fleet, Val, pick
 from koordgen.prove.term import Term
@@ -166,7 +167,7 @@ class Frame:
         around, self.exits = self.exits, []
         start, depth = self.snapshot(), len(self.room.path)
         if isinstance(loop, stmt.For):
-            over = self.e.domain(loop.values, self)
+            over = domain(self.e, loop.values, self)
             if over.few is not None:
                 live = self.unrolled(loop, over.few)
             elif not (kept := kept_by(loop.block, frozenset(self.temps))):
