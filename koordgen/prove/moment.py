@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 
 from koordgen.ir import decl, stmt
 from koordgen.ir import expr as ir
@@ -14,6 +14,7 @@ from koordgen.prove.encode.quantifier import domain as domain_of
 from koordgen.prove.encode.room import Room, symbol
 from koordgen.prove.encode.scope import NotHere, OfFleet, OfRobot
 from koordgen.prove.encode.state import Key, State, declared, sensors
+from koordgen.prove.encode.stmt import Cut
 from koordgen.prove.encode.types import build, shape
 from koordgen.prove.encode.values import Val
 from koordgen.prove.obligation import Cell, Fact, Moment
@@ -24,9 +25,13 @@ _NAMES = ("i", "j", "k", "l", "m")
 
 
 class Setting:
-    """A program, how many robots it has (None: any number), the params that have values."""
+    """A program, how many robots it has (None: any number), the params that have values, whether distances are told by
+    squares."""
 
-    def __init__(self, program: decl.Program, robots: int | None, params: Mapping[str, ir.Expr] | None) -> None:
+    def __init__(
+        self, program: decl.Program, robots: int | None, params: Mapping[str, ir.Expr] | None, exact: bool
+    ) -> None:
+        self.exact = exact
         self.program, self.robots, self.params = program, robots, params or {}
         self.types = declared(program)
         self.sensors = sensors(program)
@@ -34,6 +39,10 @@ class Setting:
         self.axioms = [p for p in program.properties if p.kind == "axiom"]
         self.initially = [p for p in program.properties if p.kind == "initially"]
         self.mentions = {p.name: frozenset(mentioned(p.formula)) for p in self.invariants}
+
+    def touched(self, keys: Collection[Key]) -> list[decl.Property]:
+        """The invariants that speak of one of these variables: the others stay as they are."""
+        return [p for p in self.invariants if not self.mentions[p.name].isdisjoint(keys)]
 
 
 class Stage:
@@ -101,6 +110,11 @@ class Stage:
                     self.room.for_all(each, over.robots, over.places)
             case _:
                 self.room.fact(t.implies(guard, self.encoder.defined(formula, scope)))
+
+    def known_at(self, cut: Cut) -> None:
+        """At the start of a run of a loop the invariants hold."""
+        if cut.kind == "run":
+            self.holds(self.setting.touched(cut.state.writes), cut.state, t.all_of(cut.path), " in a loop")
 
     def ports(self, before: State, after: State) -> None:
         """Every robot keeps its modules' assumptions in a step of the environment."""
@@ -171,7 +185,7 @@ class Stage:
             many = len(self.room.facts)
             self.room.instantiate()
             self.axioms()
-            self.encoder.geometry.lemmas()
+            self.encoder.geometry.lemmas(self.setting.exact)
             if len(self.room.facts) == many:
                 break
         return tuple(self.room.facts)
@@ -207,8 +221,12 @@ class Stage:
         if isinstance(domain, ir.Ids):
             if room.robots is not None:
                 yield from [(t.integer(i), t.TRUE) for i in range(room.robots)]
+            elif room.own is None:
+                yield room.some_robot(_robot(depth)), t.TRUE
             else:
-                yield room.some_robot(f"{_NAMES[depth % 5]}@{'goal' if depth < 5 else depth}"), t.TRUE
+                yield room.own, t.TRUE
+                other = room.another(_robot(depth))
+                yield other, room.within(other)
             return
         over = domain_of(self.encoder, domain, scope)
         if over.few is not None:
@@ -242,6 +260,10 @@ class _Nowhere:
 
     def of(self, key: Key, robot: Term) -> Val:
         raise AssertionError(f"{key} where only params are read")
+
+
+def _robot(depth: int) -> str:
+    return f"{_NAMES[depth % 5]}@{'goal' if depth < 5 else depth}"
 
 
 def conjuncts(formula: ir.Expr) -> Iterator[ir.Expr]:
