@@ -146,6 +146,12 @@ def _fmt(options: Namespace) -> int:
     return WRONG if mistakes or (dry and any(r.changed for r in results)) else HOLDS
 
 
+def _prove(options: Namespace) -> int:
+    from koordgen.cli.prove import run
+
+    return run(options)
+
+
 def _explain(options: Namespace) -> int:
     from koordgen.diagnostics import CATALOGUE
 
@@ -237,7 +243,7 @@ def _key(options: Namespace) -> int:
 
 
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {
-    "check": _check, "dump": _dump, "build": _build, "fmt": _fmt, "explain": _explain, "estop": _estop,
+    "check": _check, "dump": _dump, "build": _build, "prove": _prove, "fmt": _fmt, "explain": _explain, "estop": _estop,
     "basestation": _basestation, "doctor": _doctor, "key": _key,
 }  # fmt: skip
 
@@ -292,6 +298,15 @@ def _write(bundles: dict[str, dict[str, bytes]], folder: object) -> None:
         write(bundles, Path(str(folder)))
     except CannotWrite as error:
         raise Failure(SURROUNDINGS, str(error), error.hint) from None
+
+
+def _save(path: str, text: str) -> None:
+    """A file that was asked for by name. Raises Failure."""
+    try:
+        with open(path, "w", encoding="utf-8") as file:
+            file.write(text)
+    except OSError as error:
+        raise Failure(SURROUNDINGS, f"{path}: {error.strerror or error}") from None
 
 
 def _require_packages() -> None:
