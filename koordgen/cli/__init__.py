@@ -242,9 +242,41 @@ def _key(options: Namespace) -> int:
     return HOLDS
 
 
+def _campaign(options: Namespace) -> int:
+    from koordgen.cli.campaign import campaign
+
+    return campaign(options)
+
+
+def _afterwards(options: Namespace) -> int:
+    """What is made of a run that is over: the harness that left it knows how."""
+    from koordgen import resources
+
+    sys.path.append(str(resources.targets().parent))
+    try:
+        from targets.sim.trace import BadTrace
+        from targets.sim.view import commands
+    except ModuleNotFoundError as error:
+        message = f"the package {error.name} is missing"
+        raise Failure(SURROUNDINGS, message, f"{sys.executable} -m pip install 'koordgen[sim]'") from None
+    try:
+        made = commands.report(options.trace, options.out)
+    except BadTrace as error:
+        raise Failure(WRONG, str(error), "a run's folder is expected, or the trace.jsonl that it left") from None
+    except OSError as error:
+        raise Failure(SURROUNDINGS, f"{error.filename or options.trace}: {error.strerror or error}") from None
+    print(made)
+    return HOLDS
+
+
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {
+<<<<<<< HEAD
     "check": _check, "dump": _dump, "build": _build, "prove": _prove, "fmt": _fmt, "explain": _explain, "estop": _estop,
     "basestation": _basestation, "doctor": _doctor, "key": _key,
+=======
+    "check": _check, "dump": _dump, "build": _build, "fmt": _fmt, "explain": _explain, "estop": _estop,
+    "basestation": _basestation, "doctor": _doctor, "key": _key, "report": _afterwards, "campaign": _campaign,
+>>>>>>> main
 }  # fmt: skip
 
 

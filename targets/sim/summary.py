@@ -64,6 +64,7 @@ class Summary(msgspec.Struct):
     real_time_factor: float
     late_steps: int
     steps: int
+    reproduce: dict[str, str] = {}  # what one needs to do it again
 
 
 def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Summary:
