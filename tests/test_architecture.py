@@ -54,6 +54,7 @@ FLOORS = {
         "pipeline",
         "bundle",
         "check",
+        "ir",
         "prove",
         "manifest",
         "explain",

@@ -270,13 +270,9 @@ def _afterwards(options: Namespace) -> int:
 
 
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {
-<<<<<<< HEAD
-    "check": _check, "dump": _dump, "build": _build, "prove": _prove, "fmt": _fmt, "explain": _explain, "estop": _estop,
-    "basestation": _basestation, "doctor": _doctor, "key": _key,
-=======
-    "check": _check, "dump": _dump, "build": _build, "fmt": _fmt, "explain": _explain, "estop": _estop,
-    "basestation": _basestation, "doctor": _doctor, "key": _key, "report": _afterwards, "campaign": _campaign,
->>>>>>> main
+    "check": _check, "dump": _dump, "build": _build, "prove": _prove, "fmt": _fmt, "explain": _explain,
+    "estop": _estop, "basestation": _basestation, "doctor": _doctor, "key": _key, "report": _afterwards,
+    "campaign": _campaign,
 }  # fmt: skip
 
 
@@ -330,15 +326,6 @@ def _write(bundles: dict[str, dict[str, bytes]], folder: object) -> None:
         write(bundles, Path(str(folder)))
     except CannotWrite as error:
         raise Failure(SURROUNDINGS, str(error), error.hint) from None
-
-
-def _save(path: str, text: str) -> None:
-    """A file that was asked for by name. Raises Failure."""
-    try:
-        with open(path, "w", encoding="utf-8") as file:
-            file.write(text)
-    except OSError as error:
-        raise Failure(SURROUNDINGS, f"{path}: {error.strerror or error}") from None
 
 
 def _require_packages() -> None:

@@ -14,7 +14,6 @@ from koordgen.cli import (
     VIOLATED,
     Failure,
     _params,
-    _save,
     _tell,
     _write,
 )
@@ -52,7 +51,7 @@ def run(options: Namespace) -> int:
     except SolverMissing as error:
         raise Failure(SURROUNDINGS, str(error), f"{sys.executable} -m pip install 'koordgen[prove]'") from None
     if options.trace:
-        _save(options.trace, trace_of(checked.program, found))
+        save(options.trace, trace_of(checked.program, found))
     tell(options, found)
     return status(found)
 
@@ -130,3 +129,12 @@ def emit(folder: str, files: dict[str, bytes]) -> None:
 
     place = Path(folder).absolute()
     _write({place.name: {**files, SUMS: sums(files)}}, place.parent)
+
+
+def save(path: str, text: str) -> None:
+    """A file that was asked for by name. Raises Failure."""
+    try:
+        with open(path, "w", encoding="utf-8") as file:
+            file.write(text)
+    except OSError as error:
+        raise Failure(SURROUNDINGS, f"{path}: {error.strerror or error}") from None

@@ -79,7 +79,7 @@ class Explainer:
         reasons = []
         for robots in (self.robots,) if self.robots is not None else FLEETS:
             for same in self.of(relied, robots):
-                if (same.kind, same.invariant, same.event) != (obligation.kind, obligation.invariant, obligation.event):
+                if (same.name, same.kind) != (obligation.name, obligation.kind):
                     continue
                 for answer in self.models(same):
                     try:

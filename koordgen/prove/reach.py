@@ -116,7 +116,7 @@ class _Search:
         fleets = islice(product(single, repeat=n_sys), self.bounds.states)
         count = 0
         for fleet in fleets:
-            state = sense(first, fleet)
+            state = made_state(initial(self.program, n_sys, fleet))
             if count < self.bounds.moves and all(true(rule, self.program, state) for rule in rules):
                 count += 1
                 yield state

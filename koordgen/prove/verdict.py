@@ -59,7 +59,7 @@ def prove(question: Question, solver: Solver | Both) -> list[Verdict]:
     solver.start()
     program = question.program
     outcomes = _asked(question, program, solver)
-    contradiction, doubt = _consistency(question, outcomes, solver)
+    names = _names(program, outcomes)
     groups = _groups(outcomes)
     failed: dict[str, tuple[tuple[Outcome, ...], decl.Program]] = {}
     while failing := [name for name, group in groups.items() if not all(o.holds for o in group)]:
@@ -68,11 +68,12 @@ def prove(question: Question, solver: Solver | Both) -> list[Verdict]:
         if not dropped:
             break
         program = replace(program, properties=tuple([p for p in program.properties if p not in dropped]))
-        again = _groups(_asked(question, program, solver))
-        groups = {name: group for name, group in again.items() if name not in failed}
+        outcomes = _asked(question, program, solver)
+        groups = {name: group for name, group in _groups(outcomes).items() if name not in failed}
+    contradiction, doubt = _consistency(outcomes, solver)
     explainer = Explainer(question.program, question.robots, question.params, solver, program)
     found = []
-    for name in _names(question.program, outcomes):
+    for name in names:
         group, before = failed.get(name) or (groups[name], program)
         told = None if contradiction or name not in failed else explainer.explain(name, group, before)
         verdict, reason = _verdict(group, told, contradiction, doubt)
@@ -101,7 +102,7 @@ def _names(program: decl.Program, outcomes: Sequence[Outcome]) -> list[str]:
     return list(found)
 
 
-def _consistency(question: Question, outcomes: Sequence[Outcome], solver: Solver | Both) -> tuple[str, str]:
+def _consistency(outcomes: Sequence[Outcome], solver: Solver | Both) -> tuple[str, str]:
     """What of the assumptions contradicts itself, and why that could not be decided; both empty where all is well."""
     doubt = ""
     for outcome in outcomes:

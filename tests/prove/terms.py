@@ -20,10 +20,10 @@ def x(index: Term) -> Term:
 def obligation(facts: dict[str, Term], goal: Term | None, **more: Any) -> Obligation:
     """Of these facts by their labels, each on a line of its own from 1 on."""
     listed = tuple([Fact(label, fact, "app.koord", line) for line, (label, fact) in enumerate(facts.items(), 1)])
+    shown = Fact("invariant Bounded", goal, "app.koord", 9) if goal else None
     fields = {
-        "name": "event Bounded Go", "kind": "event", "invariant": "Bounded", "event": "Go", "file": "app.koord",
-        "line": 9, "logic": "QF_UFLIRA", "facts": listed,
-        "goal": Fact("invariant Bounded", goal, "app.koord", 9) if goal else None, "expected": "unsat" if goal else "sat", "conjuncts": (),
+        "name": "Bounded-Go", "kind": "event", "invariant": "Bounded", "event": "Go", "file": "app.koord", "line": 9,
+        "logic": "QF_UFLIRA", "facts": listed, "goal": shown, "expected": "unsat" if goal else "sat", "conjuncts": (),
         "cells": (), "complete": True, "robots": None, "notes": (),
     }  # fmt: skip
     return Obligation(**{**fields, **more})
