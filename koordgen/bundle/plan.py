@@ -101,6 +101,7 @@ def _harness(these: Ingredients, target: Target, agents: dict[str, Files]) -> Fi
     files = {
         **these.common,
         **these.target_files[target.name],
+        **{path: data for name in sorted({r[1] for r in robots}) for path, data in these.target_files[name].items()},
         "__main__.py": render("main_harness.py", module=module, name=name).encode(),
         "requirements.txt": _requirements(None, target, *(t for t in these.targets if t.kind == "agent")),
         "README.md": render(
@@ -174,6 +175,7 @@ def _scenario(these: Ingredients, fleet: Fleet, harness: Target) -> dict[str, An
         **{k: facts[k] for k in ("program_hash", "delta", "origin", "geofence", "obstacles")},
         "shared": [{"name": v.name, "kind": v.kind, "type": str(v.type)} for v in these.program.shared],
         "records": {str(r.type): [[name, str(t)] for name, t in r.type.fields] for r in these.program.records},
+        "drivers": _drivers(these),
         "harness": fleet.harness.get(harness.name) or {k: s.default for k, s in harness.settings.items()},
         "robots": [
             {

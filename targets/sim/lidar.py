@@ -10,7 +10,6 @@ from typing import Any, Protocol
 from koordgen.runtime.scans import Sweep, encode, packed
 from koordgen.runtime.values import Point
 from targets.sim.bodies import BodyState, DeviceContext, Vector
-from targets.sim.ports import UdpPort
 from targets.sim.world import Rigid, World
 
 RAYS = 180  # evenly over the full turn, the first to the east
@@ -43,7 +42,7 @@ class SimulatedLidar:
         self._ways = [(MAX_RANGE * math.cos(a), MAX_RANGE * math.sin(a)) for a in turn]
         self._next = self._random.uniform(0.0, PERIOD)
         self._sequence = 0
-        self._port = UdpPort()
+        self._port = context.wiring.port()
         self.overrides: Mapping[str, Any] = {SETTING: f"udp:127.0.0.1:{self._port.number}"}
 
     def look(self) -> tuple[Vector, list[float | None]]:

@@ -61,6 +61,7 @@ class Robot(msgspec.Struct, frozen=True):
     device: str
     start: Start
     settings: dict[str, Any] = {}
+    inside: str = ""  # "module:function" that makes the robot's platform in lockstep; empty: it cannot be
 
 
 class Shared(msgspec.Struct, frozen=True):
@@ -84,6 +85,8 @@ class Scenario(msgspec.Struct, frozen=True):
     robots: tuple[Robot, ...]
     obstacles: tuple[Obstacle, ...] = ()  # what stands in the world; numbered from 0
     harness: dict[str, Any] = {}
+    # (module of the program, Python module, class) of each driver that agents have.
+    drivers: tuple[tuple[str, str, str], ...] = ()
     shared: tuple[Shared, ...] = ()
     records: dict[str, tuple[tuple[str, str], ...]] = {}
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import math
 import random
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -12,6 +13,7 @@ from typing import Any, Protocol
 from targets.sim.bodies import BodyState, Device, DeviceContext, Vector
 from targets.sim.car import Running, SimulatedCar
 from targets.sim.lidar import SETTING, SimulatedLidar
+from targets.sim.ports import Loopback, Wiring
 from targets.sim.quadrotor import SimulatedQuadrotor
 from targets.sim.scenario import BadScenario, Robot, Scenario
 from targets.sim.station import SimulatedFeed, fed
@@ -44,6 +46,9 @@ DEVICES: dict[str, str] = {
     "autopilot": "targets.sim.autopilot:SimulatedAutopilot",
     "drive": "targets.sim.drive:simulated",
 }
+
+
+Clock = Callable[[], float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,14 +104,18 @@ class Stage:
     """Owns world, bodies and devices; `close` gives all of them back. The same scenario, seed and commands give the
     same motion. `check` the scenario before."""
 
-    def __init__(self, scenario: Scenario, seed: int, key: bytes) -> None:
+    def __init__(
+        self, scenario: Scenario, seed: int, key: bytes, wiring: Wiring | None = None, clock: Clock = time.monotonic
+    ) -> None:
+        """`clock` is the run's, by which agents live."""
         self.world = World()
         self.actors: list[Actor] = []
         self.watch = Watch(scenario.number("min_separation", 0.0))
+        self.spent = 0.0  # host seconds on devices
         try:
             self._obstacles = {self.world.obstacle(o): k for k, o in enumerate(scenario.obstacles)}
             for robot in scenario.robots:
-                self.actors.append(_actor(self.world, scenario, robot, seed, key))
+                self.actors.append(_actor(self.world, scenario, robot, seed, key, wiring or Loopback(), clock))
         except BaseException:
             self.close()
             raise
@@ -117,9 +126,11 @@ class Stage:
         now = self.world.time
         states = [actor.body.state() for actor in self.actors]
         self.watch.look(at, [state.position for state in states])
+        began = time.perf_counter()
         for actor in self.actors:
             for device in actor.devices:
                 device.step(now)
+        self.spent += time.perf_counter() - began
         for actor in self.actors:
             actor.body.step()
         self.world.step()
@@ -163,16 +174,18 @@ def check(scenario: Scenario) -> None:
         device_class(robot.device)
 
 
-def _actor(world: World, scenario: Scenario, robot: Robot, seed: int, key: bytes) -> Actor:
+def _actor(
+    world: World, scenario: Scenario, robot: Robot, seed: int, key: bytes, wiring: Wiring, clock: Clock
+) -> Actor:
     make = device_class(robot.device)
     origin = scenario.origin
     harness: Mapping[str, Any] = scenario.harness
     body = BODIES[robot.body](world, robot, harness)
     own_seed = random.Random(f"{seed}/{robot.pid}").getrandbits(32)
     place = (origin.latitude, origin.longitude, origin.altitude)
-    context = DeviceContext(robot.name, robot.settings, harness, place, own_seed, key)
+    context = DeviceContext(robot.name, robot.settings, harness, place, own_seed, key, wiring)
     device = make(body, context)
     sensors: list[Device] = [SimulatedLidar(world, body, context)] if SETTING in robot.settings else []
     if setting := fed(robot.settings):
-        sensors.append(SimulatedFeed(body, context, setting))
+        sensors.append(SimulatedFeed(body, context, setting, clock))
     return Actor(robot, body, device, tuple(sensors))
