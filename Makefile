@@ -13,8 +13,9 @@ demo: $(STAMP)
 	  --duration 30 --seed 1 --out build/demo
 	$(PY) examples/lineform/verdict.py build/demo
 
+# Two at a time, as many as there are cores on the smallest machine that it must be quick on; a file's tests stay together.
 test: lint
-	$(PY) -m pytest -m "not slow"
+	$(PY) -m pytest -n 2 --dist loadfile -m "not slow"
 
 lint: $(STAMP)
 	$(VENV)/bin/ruff check .

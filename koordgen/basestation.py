@@ -15,11 +15,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from koordgen import fleet as fleet_file
 from koordgen.fleet import Fleet
 from koordgen.manifest import Target, available, load
 from koordgen.mocap import Mocap, Quaternion, Vector
 from koordgen.node import Node
+from koordgen.robots import parse_address
 from koordgen.runtime.seal import BadKey, load_key
 
 RATE = 50.0  # datagrams a second to each robot at most, where nothing else is asked for
@@ -56,7 +56,7 @@ def receivers(fleet: Fleet, targets: Mapping[str, Target]) -> tuple[Receiver, ..
         if feed is None or any(robot.settings.get(key) == value for key, value in feed.unless.items()):
             continue
         kind, _, address = str(robot.settings[feed.setting]).partition(":")
-        host, port = fleet_file.parse_address(address)
+        host, port = parse_address(address)
         if kind != "udp" or not port:
             raise CannotServe(
                 f"{robot.name}: {feed.setting} {robot.settings[feed.setting]!r} is not understood",

@@ -18,8 +18,8 @@ from typing import Any
 
 import yaml
 
-from koordgen.fleet import control_port, parse_address
 from koordgen.node import Node
+from koordgen.robots import control_port, parse_address
 from koordgen.runtime.orders import NONCE, SHORT, Ask, Offer, Stop, Stopped, decode, encode
 from koordgen.runtime.seal import KEY_SIZE, BadKey, load_key
 

@@ -30,6 +30,9 @@ class Setting(Node):
     methods: tuple[str, ...] = ()
 
 
+Offered = dict[str, Setting | dict[str, Setting]]
+
+
 class Feed(Node):
     """How robots of a target are told their poses: at the address in the setting `setting`, unless their settings are
     as `unless` says."""
@@ -42,7 +45,11 @@ class Target(Node):
     """One target. `kind` "agent" runs one robot (`entry` is its Platform class), "harness" a whole fleet on one host
     (`entry` is its main function), both as "module:name". `sensors`, `actuators` and `callables` are keyed by
     "Module.port" and say the Koord type. `simulation` names the body and the device that stand in for the real ones;
-    `feed` how a base station finds it; `also` the other folders of targets/ whose files this one's code imports."""
+    `feed` how a base station finds it; `also` the other folders of targets/ whose files this one's code imports.
+    `robot` is what a harness lets the file say of each robot, single settings and groups of them, without defaults: the
+    harness has these. `footprint` names the settings (m) that tell how much room the body takes: `radius` about its
+    reference point, or `length`, `width` and `behind`, which is how much of the length is behind that; and `height`, if
+    not the radius."""
 
     name: str
     summary: str
@@ -57,6 +64,8 @@ class Target(Node):
     feed: Feed | None
     also: tuple[str, ...]
     folder: Path
+    robot: Offered
+    footprint: dict[str, str]
 
     @property
     def modules(self) -> set[str]:
@@ -111,7 +120,16 @@ def _target(raw: dict[str, Any], path: Path) -> Target:
         feed=Feed(raw["feed"]["setting"], raw["feed"].get("unless", {})) if "feed" in raw else None,
         also=tuple(raw.get("also", ())),
         folder=path.parent,
+        robot={key: _offered(key, value) for key, value in raw.get("robot", {}).items()},
+        footprint=raw.get("footprint", {}),
     )
+
+
+def _offered(key: str, raw: dict[str, Any]) -> Setting | dict[str, Setting]:
+    """One setting, or a group of them; their defaults are not the file's to know."""
+    if not isinstance(raw.get("type"), str):
+        return {name: _setting(f"{key}.{name}", {"default": 0, **value}) for name, value in raw.items()}
+    return _setting(key, {"default": 0, **raw})
 
 
 def _setting(key: str, raw: dict[str, Any]) -> Setting:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from typing import TYPE_CHECKING
 
 from koordgen.check import check
 from koordgen.diagnostics import Diagnostic, in_order, together
 from koordgen.ir.decl import Program
-from koordgen.ir.types import POINT, list_of
+from koordgen.ir.types import POINT, RecordType, Sequence, list_of
 from koordgen.ir.verify import verify
 from koordgen.node import Node, replace
 from koordgen.source import Source, Span
@@ -20,14 +20,15 @@ if TYPE_CHECKING:  # what `check` does not need is imported where it is: pathlib
 
     from koordgen.bundle.plan import Files
     from koordgen.check.params import Value
-    from koordgen.fleet import Driver, Fleet, Known
+    from koordgen.fleet import Fleet
     from koordgen.manifest import Target
+    from koordgen.offered import Driver, Known
 
 
 class Rejected(Exception):
     """The user's files are wrong: the diagnostics say where and why, each with the source it points into."""
 
-    def __init__(self, found: Sequence[tuple[Source, Diagnostic]]) -> None:
+    def __init__(self, found: Collection[tuple[Source, Diagnostic]]) -> None:
         super().__init__("the user's files are wrong")
         self.found = tuple(found)
 
@@ -88,7 +89,7 @@ def dump(path: str, after: str) -> str:
 
 def plan_file(
     path: str,
-    wanted: Sequence[str],
+    wanted: Collection[str],
     fleet_path: str | None,
     params: Mapping[str, Value],
     functions: str | None = None,
@@ -184,6 +185,7 @@ def read_fleet(
     """The fleet and its params as values; without a program nothing is known of those. Beside the fleet file and the
     program stand the classes that settings name. Raises Rejected."""
     from koordgen import fleet
+    from koordgen.offered import Known
 
     source = read_source(path)
     found: list[tuple[Source, Diagnostic]] = []
@@ -192,7 +194,7 @@ def read_fleet(
         found.append((source, Diagnostic(code, "error", message, span, help=help)))
 
     params = {p.name: _fits(program, p.name) for p in program.params} if program is not None else None
-    known = _known(program, path, program_path or path) if program is not None else fleet.Known()
+    known = _known(program, path, program_path or path) if program is not None else Known()
     read = fleet.read(source, targets, params, report, known)
     if read is None:
         raise Rejected(found)
@@ -204,7 +206,7 @@ def _known(program: Program, fleet_path: str, program_path: str) -> Known:
     from pathlib import Path
 
     from koordgen.bundle.drivers import own_class
-    from koordgen.fleet import Driver, Known
+    from koordgen.offered import Driver, Known
 
     folders = [Path(fleet_path).parent, Path(program_path).parent]
 
@@ -217,11 +219,21 @@ def _known(program: Program, fleet_path: str, program_path: str) -> Known:
             f"avoid is {name!r}: the program has no allread variable of that name that is a Point or List<Point>{there}"
         )
 
+    def unmarked(name: str, position: str) -> str:
+        found = next((s.type for s in program.shared if s.name == name), None)
+        element = found.element if isinstance(found, Sequence) else None
+        places = [field for field, type_ in element.fields if type_ == POINT] if isinstance(element, RecordType) else []
+        if position in places or (element == POINT and not position):
+            return ""
+        field = f"whose elements have a Point in {position!r}" if position else "of Points"
+        there = f"; there are: {', '.join(places)}" if places else ""
+        return f"marker_list.variable is {name!r}: the program has no shared list of that name {field}{there}"
+
     @cache  # all robots name the same class, mostly, and it takes a process to look at one
     def unfit(module: str, name: str, methods: tuple[str, ...]) -> str:
         return own_class(Driver(module, name), methods, program, folders)
 
-    return Known(unpublished, lambda driver, methods: unfit(driver.module, driver.name, methods))
+    return Known(unpublished, unmarked, lambda driver, methods: unfit(driver.module, driver.name, methods))
 
 
 def _fits(program: Program, name: str) -> Callable[[Value], str]:

@@ -38,12 +38,16 @@ FLOORS = {
     "mesh": {"node"},
     "obstacles": BASE | {"located", "mesh"},
     "medium": BASE | {"located"},
-    "fleet": BASE | {"located", "manifest", "medium", "obstacles", "mocap"},
-    "bundle": BASE | {"ir", "emit", "manifest", "medium", "fleet"},
-    "estop": BASE | {"fleet", "runtime"},  # what people and agents say to one another
-    "basestation": BASE | {"fleet", "manifest", "mocap", "runtime"},
+    "offered": {"node", "located", "manifest"},
+    "robots": {"node", "located", "manifest", "offered"},
+    "world": {"node", "located", "obstacles", "offered"},
+    "starts": {"node", "located", "manifest", "obstacles", "robots", "world"},
+    "fleet": BASE | {"located", "manifest", "medium", "obstacles", "mocap", "offered", "robots", "starts", "world"},
+    "bundle": BASE | {"ir", "emit", "manifest", "medium", "fleet", "offered", "robots"},
+    "estop": BASE | {"fleet", "robots", "runtime"},  # what people and agents say to one another
+    "basestation": BASE | {"fleet", "manifest", "mocap", "robots", "runtime"},
     "doctor": BASE,
-    "pipeline": BASE | {"syntax", "ir", "check", "emit", "manifest", "fleet", "bundle"},
+    "pipeline": BASE | {"syntax", "ir", "check", "emit", "manifest", "fleet", "offered", "bundle"},
     "cli": BASE
     | {
         "pipeline",

@@ -8,9 +8,9 @@ from typing import Any
 
 from koordgen.diagnostics import Diagnostic
 from koordgen.emit.program import functions_module
-from koordgen.fleet import Driver
 from koordgen.ir.decl import Module, Port, Program
 from koordgen.manifest import Target
+from koordgen.offered import Driver
 
 _OURS = ("koordgen", "targets", "program", "__main__")  # in every bundle
 

@@ -17,7 +17,8 @@ from koordgen.manifest import Target
 from koordgen.node import Node
 
 if TYPE_CHECKING:  # reading YAML costs too much for builds that have no fleet
-    from koordgen.fleet import Fleet, Robot
+    from koordgen.fleet import Fleet
+    from koordgen.robots import Robot
 
 Files = dict[str, bytes]
 ZENOH = "eclipse-zenoh>=1.10"
@@ -173,6 +174,7 @@ def _scenario(these: Ingredients, fleet: Fleet, harness: Target) -> dict[str, An
         "app": these.program.name,
         "source": these.program.path,
         **{k: facts[k] for k in ("program_hash", "delta", "origin", "geofence", "obstacles")},
+        "world": fleet.world.facts,
         "shared": [{"name": v.name, "kind": v.kind, "type": str(v.type)} for v in these.program.shared],
         "records": {str(r.type): [[name, str(t)] for name, t in r.type.fields] for r in these.program.records},
         "drivers": _drivers(these),
@@ -186,6 +188,7 @@ def _scenario(these: Ingredients, fleet: Fleet, harness: Target) -> dict[str, An
                 **by_name[r.target].simulation,
                 "start": r.start,
                 "settings": r.settings,
+                harness.name: r.harness.get(harness.name, {}),
             }
             for r in fleet.robots
         ],

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from koordgen.runtime.clock import Clock, FleetClock
 from koordgen.runtime.metrics import Metrics
-from koordgen.runtime.trace import Observe, Record, Trace
+from koordgen.runtime.program import Effects, Life
+from koordgen.runtime.trace import Calls, Observe, Record, Trace
+from koordgen.runtime.views import described
+from koordgen.runtime.wire import View
 
 METRICS_EVERY = 10.0  # seconds between two of them in the trace
 
@@ -68,6 +72,17 @@ class Journal:
         for port, text in lines:
             self._trace.stream(time, round_, port, text)
             self._line("info", f"{port}: {text}")
+
+    def init(self, sensors: Mapping[str, Any], effects: Effects, after: Life, calls: Calls, time: float) -> None:
+        """`init` has run."""
+        self._trace.init(time, sensors, effects, after, calls)
+        self.streams(effects.streams, 0, time)
+
+    def view(self, view: View, names: Sequence[str]) -> None:
+        """Another view decides who counts; at the mission's beginning all do."""
+        self._trace.view(self._clock.now(), view.number, view.since, view.members)
+        if view.number:
+            self.warn(described(view, names))
 
     def observe(self, record: Record, counters: Mapping[str, int]) -> None:
         """A round's record, now that it is certain; `counters` is everything counted so far."""

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from koordgen.runtime.outbox import Life
-from koordgen.runtime.program import Program
+from koordgen.runtime.program import Life, Program
 from koordgen.runtime.store import Acceptor, Keeper, Loaded, Locals, LocalsCodec, Mission
 from koordgen.runtime.views import Vote
 from koordgen.runtime.wire import View, encoder

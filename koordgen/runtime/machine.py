@@ -19,9 +19,8 @@ from koordgen.runtime.layout import Layout
 from koordgen.runtime.link import Link
 from koordgen.runtime.memory import Memory
 from koordgen.runtime.metrics import Metrics
-from koordgen.runtime.outbox import Life
 from koordgen.runtime.platform import Platform, Unready
-from koordgen.runtime.program import Fault, Program
+from koordgen.runtime.program import Fault, Life, Program
 from koordgen.runtime.replica import Replica
 from koordgen.runtime.rounds import Counters, Lost, Rounds
 from koordgen.runtime.runner import Limit, Runner, unlimited
@@ -30,7 +29,7 @@ from koordgen.runtime.settings import Settings
 from koordgen.runtime.store import Keeper
 from koordgen.runtime.trace import Observe, Record, Trace
 from koordgen.runtime.transport import Transport
-from koordgen.runtime.views import Vote, described
+from koordgen.runtime.views import Vote
 from koordgen.runtime.wire import Closing, Hello, View, encoder
 
 OK, WRONG_PROGRAM, SURROUNDINGS, INTERNAL = 0, 1, 5, 70
@@ -97,7 +96,9 @@ class Agent:
         self.phase = ""
         self.status = OK
         self.done = False
-        trace.header(program.name, settings.robot, settings.pid, len(self._names), settings.delta, program.program_hash)
+        slots = [v.name for v in program.shared if v.kind == "allread"]
+        n_sys = len(self._names)
+        trace.header(program.name, settings.robot, settings.pid, n_sys, settings.delta, program.program_hash, slots)
 
     @property
     def round(self) -> int:
@@ -220,8 +221,7 @@ class Agent:
         view = replica.views.view
         if view.number != self._view:
             self._view = view.number
-            if view.number:
-                self._journal.warn(described(view, self._names))
+            self._journal.view(view, self._names)
             self._fleet_clock.follow(next(p for p, m in enumerate(view.members) if m >= 0), now)
         return wake
 
@@ -283,7 +283,7 @@ class Agent:
         shared = self._layout.initial()
         frame = self._runner.frame(shared, self._body.sensors(sensed), self._body.actuators, self._body.call)
         done = self._runner.init(frame)
-        self._body.calls()  # no round's
+        calls = self._body.calls()
         if isinstance(done, Fault):
             self._journal.error(f"{done} (in init)")
             self._rest("init failed", WRONG_PROGRAM)
@@ -296,8 +296,8 @@ class Agent:
             self._rest("init failed", WRONG_PROGRAM)
             return
         self._body.command(done.actuators, now)
-        self._journal.streams(done.streams, 0, now)
         self._init = Life(0, done.locals, self._body.actuators, done.stopped)
+        self._journal.init(frame.sensors, done, self._init, calls, now)
         self._joining.ready(result)
 
     def _begin_rounds(self, now: float) -> None:

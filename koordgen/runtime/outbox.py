@@ -7,26 +7,14 @@ waits until the round is stable: nothing that the fleet does not count ever move
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 from koordgen.runtime.memory import Memory
-from koordgen.runtime.program import Effects
+from koordgen.runtime.program import Effects, Life
 from koordgen.runtime.trace import Record
 
 MOST_WAITING = 64  # records; behind so many that of a round in which nothing was done is not told
 AHEAD = 3  # rounds beyond the last stable one in which events without outputs may still run
-
-
-@dataclass(frozen=True, slots=True)
-class Life:
-    """A robot's own variables after its event of a round; of round 0, after `init`."""
-
-    round: int
-    locals: Mapping[str, Any]
-    actuators: Mapping[str, Any]
-    stopped: bool
 
 
 @dataclass(slots=True)

@@ -55,6 +55,16 @@ class Effects:
 
 
 @dataclass(frozen=True, slots=True)
+class Life:
+    """A robot's own variables after its event of a round; of round 0, after `init`."""
+
+    round: int
+    locals: Mapping[str, Any]
+    actuators: Mapping[str, Any]
+    stopped: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Fault:
     """Why an event was discarded: the Koord file and line (0 when unknown) and the reason in words. The line is that on
     which the failing statement begins, within a function the function's; of an extern function's contract, the call's;

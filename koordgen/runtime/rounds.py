@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from koordgen.runtime.body import Body, unusable
 from koordgen.runtime.clock import FleetClock
 from koordgen.runtime.memory import Memory
-from koordgen.runtime.outbox import AHEAD, Life, Outbox, has_outputs
+from koordgen.runtime.outbox import AHEAD, Outbox, has_outputs
 from koordgen.runtime.platform import Sensed
-from koordgen.runtime.program import Frame
+from koordgen.runtime.program import Frame, Life
 from koordgen.runtime.replica import SLOTS, Replica, Talk
 from koordgen.runtime.runner import LATE, Outcome, Runner
 from koordgen.runtime.trace import Observe, Record
@@ -94,6 +94,7 @@ class Rounds:
         self._wake = 0.0
         self._asked = 0  # the last round in which this robot asked
         self._left = False
+        self._restored: Life | None = None  # to be told with the next record
         self._outbox = Outbox(lives[0])
         self._outbox.lives = list(lives)
         self._returns = replica.returns
@@ -232,6 +233,7 @@ class Rounds:
                 "of that round are not kept any more: it cannot come back to this mission"
             )
         self._runner.locals, self.stopped = life.locals, life.stopped
+        self._restored = life
         self._body.restore(life.actuators, now)
         self._body.hold("stopped", self.stopped, now)
         for record in records:
@@ -341,6 +343,8 @@ class Rounds:
         """The closing leaves. What the event does beyond the shared memory waits until it is certain that it counts."""
         effects, memory, round_ = record.effects, self._replica.memory, self._present.round
         self._present.open = False
+        if self._restored is not None:
+            record, self._restored = replace(record, restored=self._restored), None
         life = None
         if effects is not None:
             assert memory is not None

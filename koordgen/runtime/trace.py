@@ -1,21 +1,24 @@
 """A robot's trace: JSON lines of format koord-trace/1, one a round, which the simulator and the replayer read.
 
-`time` is the agent's local monotonic clock in seconds. Points are [x, y, z], metres, local ENU. Kinds: header,
-phase, round, log, stream, metrics. A disk that is full or gone ends the trace with one warning, never the robot.
+`time` is the agent's local monotonic clock in seconds. Points are [x, y, z], metres, local ENU. Kinds: header, phase,
+init, round, view, log, stream, metrics. What an event saw and did can be told from it alone: `replay` does. A disk that
+is full or gone ends the trace with one warning, never the robot.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import IO, Any
 
 import msgspec
 
-from koordgen.runtime.program import Effects, Fault, Frame
+from koordgen.runtime.program import Effects, Fault, Frame, Life
 
 FORMAT = "koord-trace/1"
+
+Calls = tuple[tuple[str, tuple[Any, ...], Any], ...]  # of callable ports: port, arguments, answer
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +34,8 @@ class Record:
     effects: Effects | None = None
     skipped: str | None = None
     fault: Fault | None = None
-    calls: tuple[tuple[str, tuple[Any, ...], Any], ...] = ()  # of callable ports: port, arguments, answer
+    calls: Calls = ()
+    restored: Life | None = None  # what the robot went on with, when it came back before this round
 
 
 Observe = Callable[[Record], None]
@@ -44,8 +48,16 @@ class Trace:
         self._file = file
         self._warn = warn
         self._encoder = msgspec.json.Encoder(enc_hook=repr)
+        self._pid = -1
+        self._slots: Collection[str] = ()
+        self._told: dict[str, Any] = {}  # of the shared store, as this trace has told it
 
-    def header(self, app: str, robot: str, pid: int, n_sys: int, delta: float, program_hash: str) -> None:
+    def header(
+        self, app: str, robot: str, pid: int, n_sys: int, delta: float, program_hash: str, slots: Collection[str] = ()
+    ) -> None:
+        """First of all. `slots` are the allread variables."""
+        self._slots = slots
+        self._pid = pid
         self._write(
             {
                 "kind": "header",
@@ -62,6 +74,24 @@ class Trace:
     def phase(self, time: float, phase: str, detail: str) -> None:
         self._write({"kind": "phase", "time": time, "phase": phase, "detail": detail})
 
+    def init(self, time: float, sensors: Mapping[str, Any], effects: Effects, after: Life, calls: Calls) -> None:
+        """`init` has run: what it saw and wrote, all own variables `after` it."""
+        self._told = {}
+        line = {
+            "kind": "init",
+            "time": time,
+            "sensors": sensors,
+            "locals": after.locals,
+            "shared": effects.shared,
+            "actuators": after.actuators,
+            "stopped": after.stopped,
+        }
+        self._write(line | ({"calls": calls} if calls else {}))
+
+    def view(self, time: float, number: int, since: int, members: Sequence[int]) -> None:
+        """Who counts from round `since` on: each robot's incarnation, -1 of one that does not."""
+        self._write({"kind": "view", "time": time, "number": number, "since": since, "members": members})
+
     def log(self, time: float, level: str, message: str) -> None:
         self._write({"kind": "log", "time": time, "level": level, "message": message})
 
@@ -74,8 +104,12 @@ class Trace:
         self._write({"kind": "metrics", "time": time, **snapshot})
 
     def round(self, record: Record, clock_bound: float, counters: Mapping[str, int]) -> None:
-        """One round; `clock_bound` is how far fleet time may be off (s), `counters` those that changed."""
-        fault, effects = record.fault, record.effects
+        """One round; `clock_bound` is how far fleet time may be off (s), `counters` those that changed. Of its
+        locals those that the event wrote. `copy` is what has changed in this robot's copy of the shared store since it
+        was told last, of an allread variable by pid."""
+        if self._file is None:
+            return
+        fault, effects, restored = record.fault, record.effects, record.restored
         line = {
             "kind": "round",
             "time": record.time,
@@ -89,8 +123,37 @@ class Trace:
             "late": round(record.late, 6),
             "clock_bound": round(clock_bound, 6),
         }
-        extra = {"counters": counters, "calls": record.calls}
+        extra = {
+            "locals": _written(record),
+            "copy": self._changed(record),
+            "stopped": effects is not None and effects.stopped,
+            "restored": restored and {name: getattr(restored, name) for name in Life.__slots__},
+            "counters": counters,
+            "calls": record.calls,
+        }
         self._write(line | {key: value for key, value in extra.items() if value})
+
+    def _changed(self, record: Record) -> dict[str, Any]:
+        """What is another object than before has been written since. A robot's own slots were told with its events; of
+        an allwrite variable another robot's write may have counted."""
+        found: dict[str, Any] = {}
+        frame, told = record.frame, self._told
+        if frame is None:
+            return found
+        for name, value in frame.shared.items():
+            before = told.get(name)
+            if value is before:
+                continue
+            told[name] = value
+            if name not in self._slots:
+                found[name] = value
+            elif before is None:
+                found[name] = dict(enumerate(value))
+            else:
+                news = {p: v for p, v in enumerate(value) if v is not before[p] and p != self._pid}
+                if news:
+                    found[name] = news
+        return found
 
     def close(self) -> None:
         if self._file is not None:
@@ -107,3 +170,11 @@ class Trace:
         except OSError as error:
             self.close()
             self._warn(f"the trace ends here: {error.strerror or error}")
+
+
+def _written(record: Record) -> dict[str, Any]:
+    """The locals that the event wrote."""
+    effects, frame = record.effects, record.frame
+    if effects is None or frame is None:
+        return {}
+    return {name: value for name, value in effects.locals.items() if value is not frame.locals.get(name)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 
@@ -49,9 +49,62 @@ class Start(msgspec.Struct, frozen=True):
     yaw: float = 0.0
 
 
+class Lidar(msgspec.Struct, frozen=True):
+    """`rays` evenly over the full turn, up to `range` (m), `rate` turns a second; `noise` is the standard deviation (m)
+    of ranges: None is that of positions."""
+
+    rays: int = 180
+    range: float = 6.0
+    rate: float = 5.0
+    noise: float | None = None
+
+
+class Sim(msgspec.Struct, frozen=True):
+    """How a robot is simulated. `load` puts the harness's `fidelity` and noise where the file says nothing."""
+
+    fidelity: Literal["full", "simple", ""] = ""
+    lidar: Lidar = Lidar()
+    autopilot: Literal["simulated", "external"] = "simulated"
+
+
+class Wind(msgspec.Struct, frozen=True):
+    """Of the air: mean velocity (m/s, ENU), standard deviation of the gusts in each direction (m/s), and the time (s)
+    in which these change."""
+
+    mean: Vector = (0.0, 0.0, 0.0)
+    gust: float = 0.0
+    correlation: float = 1.0
+
+
+class Marker(msgspec.Struct, frozen=True):
+    """A place of interest (m, ENU), reached within `radius`."""
+
+    name: str
+    position: Vector
+    radius: float = 0.3
+
+
+class MarkerList(msgspec.Struct, frozen=True):
+    """A shared list whose elements at the mission's start are markers, at their field `position` ("": Points)."""
+
+    variable: str
+    position: str = ""
+    radius: float = 0.3
+
+
+class World(msgspec.Struct, frozen=True):
+    """What the world is like. `floor_friction` multiplies what bodies' own friction is on a usual floor."""
+
+    arena: Box | None = None
+    floor_friction: float = 1.0
+    wind: Wind = Wind()
+    markers: tuple[Marker, ...] = ()
+    marker_list: MarkerList | None = None
+
+
 class Robot(msgspec.Struct, frozen=True):
     """One robot: its bundle's folder within the sim bundle, the simulated body and device that stand in for the real
-    ones, and the settings that body has on the robot."""
+    ones, the settings that body has on the robot, and how it is simulated."""
 
     name: str
     pid: int
@@ -62,6 +115,7 @@ class Robot(msgspec.Struct, frozen=True):
     start: Start
     settings: dict[str, Any] = {}
     inside: str = ""  # "module:function" that makes the robot's platform in lockstep; empty: it cannot be
+    sim: Sim = Sim()
 
 
 class Shared(msgspec.Struct, frozen=True):
@@ -83,7 +137,8 @@ class Scenario(msgspec.Struct, frozen=True):
     origin: Origin
     geofence: Box
     robots: tuple[Robot, ...]
-    obstacles: tuple[Obstacle, ...] = ()  # what stands in the world; numbered from 0
+    obstacles: tuple[Obstacle, ...] = ()  # what stands in the world, walls last; numbered from 0
+    world: World = World()
     harness: dict[str, Any] = {}
     # (module of the program, Python module, class) of each driver that agents have.
     drivers: tuple[tuple[str, str, str], ...] = ()
@@ -108,9 +163,20 @@ def load(root: Path, settings: Path | None = None) -> Scenario:
     except msgspec.ValidationError as error:
         raise BadScenario(f"{path}: {error}", "build the bundle again") from None
     _check(path, root, scenario)
-    if settings is None:
-        return scenario
-    return msgspec.structs.replace(scenario, harness=_laid_over(scenario.harness, settings))
+    if settings is not None:
+        scenario = msgspec.structs.replace(scenario, harness=_laid_over(scenario.harness, settings))
+    return msgspec.structs.replace(scenario, robots=tuple(_filled(robot, scenario) for robot in scenario.robots))
+
+
+def _filled(robot: Robot, scenario: Scenario) -> Robot:
+    """A robot for which the harness's settings hold where its own say nothing. Raises BadScenario."""
+    fidelity = robot.sim.fidelity or scenario.harness.get("fidelity", "full")
+    if fidelity not in ("full", "simple"):
+        raise BadScenario(f"fidelity is {fidelity!r}", "there are: full, simple")
+    lidar = robot.sim.lidar
+    if lidar.noise is None:
+        lidar = msgspec.structs.replace(lidar, noise=scenario.number("position_noise", 0.0))
+    return msgspec.structs.replace(robot, sim=msgspec.structs.replace(robot.sim, fidelity=fidelity, lidar=lidar))
 
 
 def _object(path: Path) -> dict[str, Any]:
@@ -153,8 +219,9 @@ def _check_starts(scenario: Scenario) -> None:
     for robot in scenario.robots:
         place = robot.start.position
         shown = f"({', '.join(f'{v:g}' for v in place)})"
-        if not _inside(scenario.geofence, place):
-            raise BadScenario(f"{robot.name} starts at {shown}, outside the geofence", hint)
+        for name, box in (("arena", scenario.world.arena), ("geofence", scenario.geofence)):
+            if box is not None and not _inside(box, place):
+                raise BadScenario(f"{robot.name} starts at {shown}, outside the {name}", hint)
         for number, obstacle in enumerate(scenario.obstacles):
             if _within(obstacle, Point(*place)):
                 raise BadScenario(f"{robot.name} starts at {shown}, inside obstacle {number}", hint)

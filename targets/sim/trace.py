@@ -11,7 +11,7 @@ import heapq
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Literal
 
 import msgspec
 
@@ -65,14 +65,47 @@ class Phase(msgspec.Struct, frozen=True, tag_field="kind", tag="phase"):
     pid: int = -1
 
 
+Values = dict[str, msgspec.Raw]  # by name, as JSON: their types are the program's
+
+
+class Init(msgspec.Struct, frozen=True, tag_field="kind", tag="init"):
+    """An agent's `init`: what it saw and wrote of the shared store, all own variables after it."""
+
+    sensors: Values = {}
+    locals: Values = {}
+    shared: Values = {}
+    actuators: Values = {}
+    time: float = 0.0
+    t: float = 0.0
+    pid: int = -1
+
+
+class Restored(msgspec.Struct, frozen=True):
+    """What a robot that came back went on with: its own variables after its event of `round`."""
+
+    round: int
+    locals: Values = {}
+    actuators: Values = {}
+    stopped: bool = False
+
+
 class Round(msgspec.Struct, frozen=True, tag_field="kind", tag="round"):
-    """An agent's round; of its fields those that are looked at here. `late` is seconds after the tick."""
+    """An agent's round; of its fields those that are looked at here. `late` is seconds after the tick. Of locals, the
+    shared store and actuators it has what the event wrote; `calls` are those of callable ports: port, arguments,
+    answer."""
 
     round: int
     event: str | None = None
     skipped: str | None = None
     fault: Any = None
     late: float = 0.0
+    sensors: Values = {}
+    locals: Values = {}
+    shared: Values = {}
+    actuators: Values = {}
+    calls: tuple[tuple[str, tuple[msgspec.Raw, ...], msgspec.Raw], ...] = ()
+    stopped: bool = False
+    restored: Restored | None = None
     time: float = 0.0
     t: float = 0.0
     pid: int = -1
@@ -108,13 +141,46 @@ class Metrics(msgspec.Struct, frozen=True, tag_field="kind", tag="metrics"):
     pid: int = -1
 
 
+class View(msgspec.Struct, frozen=True, tag_field="kind", tag="view"):
+    """An agent has heard who counts from round `since` on: each robot's incarnation, -1 of one that does not."""
+
+    number: int
+    since: int
+    members: tuple[int, ...]
+    time: float = 0.0
+    t: float = 0.0
+    pid: int = -1
+
+
 class Violation(msgspec.Struct, frozen=True, tag_field="kind", tag="violation"):
-    """What must not happen and did: `what` is separation, collision, ended, fault or unrest."""
+    """What must not happen and did: `what` is separation, collision, ended, fault, unrest, property or idle. Of a
+    property `name` and `line` ("app.koord:12") say which."""
 
     t: float
     what: str
     robots: tuple[str, ...]
     detail: str
+    name: str = ""
+    line: str = ""
+
+
+Found = Literal["held", "violated", "no value", "unchecked", "out of model"]
+
+
+class Verdict(msgspec.Struct, frozen=True, tag_field="kind", tag="verdict"):
+    """What a run has shown of one property, told at the mission's end: `of` is invariant, initially, assume or axiom.
+    `since` is when it was first violated, had no value, or was about a robot that was out of the model. `moments`:
+    at how many it was evaluated."""
+
+    t: float
+    of: str
+    name: str
+    line: str
+    outcome: Found
+    since: float | None = None
+    robots: tuple[str, ...] = ()
+    detail: str = ""
+    moments: int = 0
 
 
 class End(msgspec.Struct, frozen=True, tag_field="kind", tag="end"):
@@ -128,9 +194,9 @@ class _Kind(msgspec.Struct):
     kind: str
 
 
-Mark = Violation | End
-Record = Header | Pose | Phase | Round | Log | Stream | Metrics | Violation | End
-_KINDS = {"header", "pose", "phase", "round", "log", "stream", "metrics", "violation", "end"}
+Mark = Violation | Verdict | End
+Record = Header | Pose | Phase | Init | Round | View | Log | Stream | Metrics | Violation | Verdict | End
+_KINDS = {kind.__struct_config__.tag for kind in Record.__args__}
 _decoder = msgspec.json.Decoder(Record)
 _kind_decoder = msgspec.json.Decoder(_Kind)
 _encoder = msgspec.json.Encoder()

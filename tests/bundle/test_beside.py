@@ -12,7 +12,8 @@ import pytest
 
 from koordgen import manifest
 from koordgen.bundle.write import write
-from koordgen.fleet import Driver, Fleet, read
+from koordgen.fleet import Fleet, read
+from koordgen.offered import Driver
 from koordgen.pipeline import Rejected, plan_file
 from koordgen.source import Source, Span
 from tests.emit.generated import checked

@@ -8,7 +8,7 @@ import pytest
 
 from koordgen import manifest
 from koordgen.bundle.drivers import check_drivers, driver_files
-from koordgen.fleet import Driver
+from koordgen.offered import Driver
 from tests.emit.generated import checked
 
 PROGRAM = checked(

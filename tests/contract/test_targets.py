@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from koordgen import fleet, manifest
+from koordgen import manifest, robots
 from koordgen.ir.types import GENERIC, NAMED
 from koordgen.runtime.findings import OWN
 from koordgen.runtime.platform import Platform
@@ -164,4 +164,4 @@ def test_the_bundle_compiles_for_python_3_10(target: manifest.Target) -> None:
 def test_robots_limit_is_the_wires() -> None:
     from koordgen.runtime.wire import MAX_ROBOTS
 
-    assert fleet.MOST_ROBOTS == MAX_ROBOTS
+    assert robots.MOST_ROBOTS == MAX_ROBOTS

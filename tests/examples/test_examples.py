@@ -33,8 +33,8 @@ def commands(text: str) -> list[list[str]]:
     return [line for line in lines if line]
 
 
-def test_all_eleven_are_here() -> None:
-    assert len(NAMES) == 11
+def test_all_twelve_are_here() -> None:
+    assert len(NAMES) == 12
 
 
 @each

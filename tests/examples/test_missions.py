@@ -64,6 +64,24 @@ def test_task_whose_way_is_taken_waits(skips: float) -> None:
 
 
 @SKIPS
+def test_crossing_all_come_across_one_by_one(skips: float) -> None:
+    stage = Stage("crossing", skips)
+    starts = [plan(body.position) for body in stage.bodies]
+    seen: list[int] = []  # who held the crossing, in turn
+
+    def done(state: State) -> bool:
+        holder = state.store.cells["holder"]
+        if isinstance(holder, int) and holder >= 0 and seen[-1:] != [holder]:
+            seen.append(holder)
+        return stopped(state)
+
+    stage.until(done, 900)
+    assert sorted(seen) == list(range(len(starts)))
+    for (x, y), body in zip(starts, stage.bodies, strict=True):
+        assert math.dist(plan(body.position), (x, y)) > 5.9
+
+
+@SKIPS
 def test_mapping_finds_the_walls(skips: float) -> None:
     stage = Stage("mapping", skips)
     starts = [body.position for body in stage.bodies]

@@ -19,9 +19,9 @@ from koordgen.check import check
 from koordgen.cli import main
 from koordgen.diagnostics import CATALOGUE, Diagnostic, together
 from koordgen.explain import Explanation, explanation, show
-from koordgen.fleet import Driver
 from koordgen.ir.decl import Program
 from koordgen.medium import Link
+from koordgen.offered import Driver
 from koordgen.pipeline import Rejected, read_source
 from koordgen.source import Source, Span
 from koordgen.syntax.parse import parse

@@ -11,13 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from koordgen import fleet, manifest, medium
+from koordgen.offered import Fits
+from koordgen.robots import control_port
 from koordgen.runtime.settings import Network, Safety, Settings
 from koordgen.source import Source, Span
 
 EXAMPLE = Path(__file__).parents[2] / "examples/lineform/fleet.yaml"
 TARGETS = {name: manifest.load(name) for name in manifest.available()}
 
-PARAMS: dict[str, fleet.Fits] = {
+PARAMS: dict[str, Fits] = {
     "margin": lambda v: "" if type(v) in (int, float) else f"param margin is of type float; {v!r} does not fit",
     "laps": lambda v: "" if type(v) is int else f"param laps is of type int; {v!r} does not fit",
     "home": lambda v: "" if type(v) is list and len(v) == 3 else f"param home is of type Point; {v!r} does not fit",
@@ -261,7 +263,7 @@ def test_control_ports_are_the_runtimes_by_default() -> None:
         robot = {"robot": "a", "pid": 0, "peers": [{"name": "a", "host": "h", "port": port}]}
         plain = {"app": "a", "delta": 0.1, "origin": {"latitude": 0.0, "longitude": 0.0, "altitude": 0.0}}
         fence = {"geofence": {"lo": [0, 0, 0], "hi": [1, 1, 1]}}
-        assert msgspec.convert({**plain, **robot, **fence}, Settings).control_port == fleet.control_port(port)
+        assert msgspec.convert({**plain, **robot, **fence}, Settings).control_port == control_port(port)
 
 
 @pytest.mark.parametrize(

@@ -16,9 +16,8 @@ from koordgen.runtime.bounds import Fixed
 from koordgen.runtime.layout import Layout
 from koordgen.runtime.memory import Memory
 from koordgen.runtime.metrics import Metrics
-from koordgen.runtime.outbox import Life
 from koordgen.runtime.platform import Sensed
-from koordgen.runtime.program import Effects, Variable
+from koordgen.runtime.program import Effects, Life, Variable
 from koordgen.runtime.replica import Replica
 from koordgen.runtime.rounds import Lost, Rounds
 from koordgen.runtime.runner import Outcome

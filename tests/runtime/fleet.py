@@ -163,7 +163,11 @@ class Robot:
         return self.agent.done
 
     def trace(self, kind: str) -> list[dict[str, Any]]:
-        return [t for t in map(json.loads, self.file.getvalue().splitlines()) if t["kind"] == kind]
+        return self.lines_of(kind)
+
+    def lines_of(self, *kinds: str, with_: str = "kind") -> list[dict[str, Any]]:
+        """The trace's lines of these kinds that have a field."""
+        return [t for t in map(json.loads, self.file.getvalue().splitlines()) if t["kind"] in kinds and with_ in t]
 
 
 class Fleet:

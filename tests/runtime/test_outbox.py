@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from typing import Any, cast
 
 from koordgen.runtime.memory import Memory
-from koordgen.runtime.outbox import MOST_WAITING, Life, Outbox, has_outputs
-from koordgen.runtime.program import Effects
+from koordgen.runtime.outbox import MOST_WAITING, Outbox, has_outputs
+from koordgen.runtime.program import Effects, Life
 from koordgen.runtime.trace import Record
 
 

@@ -225,7 +225,7 @@ def test_the_trace_is_what_its_readers_rely_on() -> None:
     assert [r["round"] for r in rounds] == [1, 2, 3, 4]
     assert set(rounds[0]) - {"counters"} == {
         *("kind", "time", "round", "event", "skipped", "fault", "sensors", "shared", "actuators", "late"),
-        "clock_bound",
+        *("clock_bound", "locals", "copy"),
     }
     assert rounds[0]["event"] == "TargetUpdate" and rounds[0]["shared"]["x"] == [-3.0, 2.5, 0.0]
     assert all(b["time"] - a["time"] == pytest.approx(0.1, abs=0.02) for a, b in pairwise(rounds))

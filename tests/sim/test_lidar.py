@@ -171,7 +171,7 @@ def room() -> Scenario:
     fence = scenario.Box((-4.0, -4.0, -1.0), (4.0, 4.0, 2.0))
     walls = tuple(Block(Point(*lo), Point(*hi)) for lo, hi in WALLS)
     place = scenario.Origin(47.0, 8.0, 400.0)
-    return Scenario("map", "map.koord", "0", 0.1, place, fence, (robot,), walls, {"position_noise": 0.003})
+    return Scenario("map", "map.koord", "0", 0.1, place, fence, (robot,), walls, harness={"position_noise": 0.003})
 
 
 def test_a_car_in_a_walled_room_gets_scans_of_its_walls() -> None:
