@@ -102,8 +102,7 @@ def _harness(options: Namespace) -> int:
     passed = [f"--{key}={value}" for key in ("duration", "seed") if (value := getattr(options, key)) is not None]
     passed.append(f"--out={options.out or f'run-{app}'}")
     passed.append(f"--invoked-as={shlex.join(['koordgen', *sys.argv[1:]])}")
-    if options.quiet:
-        passed.append("--quiet")
+    passed += [f"--{flag}" for flag in ("lockstep", "quiet") if getattr(options, flag)]
     with tempfile.TemporaryDirectory(prefix="koordgen-") as folder:
         _write({options.command: bundles[options.command]}, Path(folder))
         # The child ends its run and writes its report; asked again, it ends at once. In a group of its own it is asked
@@ -236,9 +235,36 @@ def _key(options: Namespace) -> int:
     return HOLDS
 
 
+def _campaign(options: Namespace) -> int:
+    from koordgen.cli.campaign import campaign
+
+    return campaign(options)
+
+
+def _afterwards(options: Namespace) -> int:
+    """What is made of a run that is over: the harness that left it knows how."""
+    from koordgen import resources
+
+    sys.path.append(str(resources.targets().parent))
+    try:
+        from targets.sim.trace import BadTrace
+        from targets.sim.view import commands
+    except ModuleNotFoundError as error:
+        message = f"the package {error.name} is missing"
+        raise Failure(SURROUNDINGS, message, f"{sys.executable} -m pip install 'koordgen[sim]'") from None
+    try:
+        made = commands.report(options.trace, options.out)
+    except BadTrace as error:
+        raise Failure(WRONG, str(error), "a run's folder is expected, or the trace.jsonl that it left") from None
+    except OSError as error:
+        raise Failure(SURROUNDINGS, f"{error.filename or options.trace}: {error.strerror or error}") from None
+    print(made)
+    return HOLDS
+
+
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "check": _check, "dump": _dump, "build": _build, "fmt": _fmt, "explain": _explain, "estop": _estop,
-    "basestation": _basestation, "doctor": _doctor, "key": _key,
+    "basestation": _basestation, "doctor": _doctor, "key": _key, "report": _afterwards, "campaign": _campaign,
 }  # fmt: skip
 
 

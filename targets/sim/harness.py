@@ -12,13 +12,9 @@ import shlex
 import sys
 import traceback
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from targets.sim.folder import Foreign, RunFolder
 from targets.sim.scenario import FILE, BadScenario, Scenario, load
-
-if TYPE_CHECKING:
-    from targets.sim.summary import Summary
 
 HELD, BAD_FILES, USAGE, VIOLATED, SURROUNDINGS, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 5, 70, 130
 STATUS = {"held": HELD, "violated": VIOLATED, "interrupted": INTERRUPTED, "not started": SURROUNDINGS}
@@ -128,30 +124,35 @@ def _run(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespa
     trace.merge(merged, header, outcome.zero, run.poses_file, [a.trace_file for a in run.conduct.agents], outcome.marks)
     run.poses_file.unlink()
     found = summary.summarise(*trace.read(merged), outcome)
+    found.reproduce = _reproduce(root, scenario, folder, options)
     summary.write(found, folder)
     progress.say("drawing the report")
-    _report(root, scenario, folder, options, found)
+    _report(folder)
     print(summary.as_text(found))
     print(f"report: {folder / 'report.html'}")
     return STATUS[found.verdict] if outcome.ended != "died" else VIOLATED
 
 
-def _report(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespace, found: Summary) -> None:
-    from targets.sim import plots, report, trace
+def _report(folder: Path) -> None:
+    from targets.sim import trace
+    from targets.sim.view import plots, report
 
     merged = folder / "trace.jsonl"
-    pictures = plots.draw(plots.tracks(*trace.read(merged)), folder / "plots")
+    plots.draw(plots.tracks(*trace.read(merged)), folder / "plots")
+    report.write(folder / "report.html", merged)
+
+
+def _reproduce(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespace) -> dict[str, str]:
+    """What one needs to do it again, by name."""
     command = ["python3", str(root), "--duration", f"{options.duration:g}", "--seed", str(options.seed)]
     if options.lockstep:
         command.append("--lockstep")
     if options.settings:
         command += ["--settings", str(options.settings)]
-    reproduce = {
+    return {
         "command": options.invoked_as or shlex.join([*command, "--out", str(folder)]),
         "program": f"{scenario.source}, hash {scenario.program_hash}",
         "scenario": f"{FILE}, SHA-256 {hashlib.sha256((root / FILE).read_bytes()).hexdigest()}",
         "settings": ", ".join(f"{key} {value}" for key, value in sorted(scenario.harness.items())),
         "host": f"Python {platform.python_version()}, {platform.system()} {platform.machine()}",
     }
-    lines = report.important(*trace.read(merged))
-    report.write(folder / "report.html", found, lines, pictures, reproduce)

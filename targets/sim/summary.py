@@ -64,7 +64,8 @@ class Summary(msgspec.Struct):
     real_time_factor: float
     late_steps: int
     steps: int
-    shares: dict[str, float]  # of the processor's time, by part; empty in real time
+    shares: dict[str, float] = {}  # of the processor's time, by part; empty in real time
+    reproduce: dict[str, str] = {}  # what one needs to do it again
 
 
 def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Summary:

@@ -54,6 +54,7 @@ class Pose(msgspec.Struct, frozen=True, tag_field="kind", tag="pose"):
     pid: int
     position: Vector
     yaw: float
+    time: float = 0.0
     t: float = 0.0
 
 

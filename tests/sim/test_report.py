@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import re
+from base64 import b64encode
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -13,9 +16,10 @@ from matplotlib import pyplot as plt
 
 from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Sphere
 from koordgen.runtime.values import Point
-from targets.sim import plots, report, summary, trace
+from targets.sim import summary, trace
 from targets.sim.pace import BURST, MOST_BEHIND, Pace
 from targets.sim.trace import End, Violation
+from targets.sim.view import plots, report
 from tests.sim.canned import header, moving, outcome, write
 
 NAMES = ["alice", "bert", "<script>cleo"]
@@ -95,20 +99,44 @@ class Page(HTMLParser):
 
 def test_the_report_stands_alone_and_escapes_all_it_was_told(canned: Path) -> None:
     found = summary.summarise(*trace.read(canned), outcome(last_lines={"bert": ["</pre><script>x</script>"]}))
-    pictures = plots.draw(plots.tracks(*trace.read(canned)), canned.parent / "plots")
-    lines = report.important(*trace.read(canned))
-    text = report.html(found, lines, pictures, {"command": "python3 'a & <b>'"})
+    found.reproduce = {"command": "python3 'a & <b>'"}
+    summary.write(found, canned.parent)
+    report.write(canned.parent / "report.html", canned)
+    text = (canned.parent / "report.html").read_text()
     page = Page()
     page.feed(text)
-    tags = {tag for tag, _ in page.tags}
-    assert not tags & {"script", "link", "iframe", "b"}
-    images = [attributes["src"] or "" for tag, attributes in page.tags if tag == "img"]
-    assert len(images) == len(pictures) == 5
-    assert all(source.startswith("data:image/png;base64,") for source in images)
-    assert "http" not in text.replace("http-equiv", "")
-    assert not any(name.startswith("on") for _, attributes in page.tags for name in attributes)
+    tags = [tag for tag, _ in page.tags]
+    assert tags.count("script") == 2 and not set(tags) & {"link", "iframe", "b", "img"}
+    for address in re.findall(r"https?://[^\s\"']*", text):
+        assert address == "http://www.w3.org/2000/svg"  # a name, which nothing is fetched from
+    assert not any(name.startswith("on") or name == "src" for _, attributes in page.tags for name in attributes)
     assert text.index("Violated") < text.index("<table>")
     assert "a &amp; &lt;b&gt;" in text
+
+
+def test_the_page_runs_its_own_script_and_no_other(canned: Path) -> None:
+    report.write(canned.parent / "report.html", canned)
+    text = (canned.parent / "report.html").read_text()
+    script = text.rpartition("<script>")[2].partition("</script>")[0]
+    digest = b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    policy = re.search(r'Content-Security-Policy" content="([^"]*)"', text)
+    assert policy is not None
+    assert policy[1] == (f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'")
+
+
+def test_a_trace_alone_has_a_report_too(canned: Path) -> None:
+    report.write(canned.parent / "page.html", canned)
+    text = (canned.parent / "page.html").read_text()
+    assert "Violated" in text and "at 0.70 s bert: fault" in text
+    assert "To do it again" not in text and "real-time factor" not in text
+
+
+def test_another_runs_summary_is_not_taken_for_this_ones(canned: Path) -> None:
+    found = summary.summarise(*trace.read(canned), outcome())
+    found.seed, found.why = 99, "of another run"
+    summary.write(found, canned.parent)
+    report.write(canned.parent / "page.html", canned)
+    assert "of another run" not in (canned.parent / "page.html").read_text()
 
 
 def test_violations_are_told_however_much_else_there_is(tmp_path: Path) -> None:

@@ -55,7 +55,7 @@ class Lockstep:
 
     def stage(self) -> Stage:
         shared = self._shared
-        self._stage = Stage(shared.scenario, shared.seed, shared.key, shared.hub, shared.clock.now)
+        self._stage = Stage(shared.scenario, shared.seed, shared.key, wiring=shared.hub, clock=shared.clock.now)
         return self._stage
 
     def launch(self, stage: Stage) -> None:

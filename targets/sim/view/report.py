@@ -1,31 +1,27 @@
-"""The report of a run: one HTML file that shows all of it, without a network, scripts or other files."""
+"""The report of a run: one HTML file that shows all of it, without a network or other files."""
 
 from __future__ import annotations
 
-from base64 import b64encode
 from collections.abc import Iterable, Mapping
 from html import escape
 from pathlib import Path
 
-from targets.sim.summary import RobotSummary, Summary, place, told
-from targets.sim.trace import Header, Log, Phase, Record, Round, Violation, fault_text
+import msgspec
+
+from targets.sim.run import Outcome
+from targets.sim.stage import Closest
+from targets.sim.summary import RobotSummary, Summary, place, summarise, told
+from targets.sim.trace import Header, Log, Phase, Record, Round, Violation, fault_text, read
+from targets.sim.view.history import gathered
+from targets.sim.view.page import page
+from targets.sim.view.rows import Chunk
 
 MOST_LINES = 200  # of events and log lines
 COLOURS = {"held": "#1B7F4B", "violated": "#B00020", "interrupted": "#8A5A00", "not started": "#B00020"}
-STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; color: #1d1d1f; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; }
-h1 { font-size: 1.6rem; margin-bottom: .3rem; } h2 { font-size: 1.15rem; margin-top: 2.2rem; }
-.verdict { border-left: .5rem solid; padding: .6rem 1rem; background: #f6f6f7; }
-.verdict strong { font-size: 1.25rem; } .verdict p { margin: .2rem 0 0; }
-table { border-collapse: collapse; width: 100%; font-size: .9rem; } .wide { overflow-x: auto; }
-th, td { text-align: left; padding: .3rem .8rem .3rem 0; border-bottom: 1px solid #ddd; vertical-align: top; }
-td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; } td.p { white-space: nowrap; }
-img { max-width: 100%; display: block; } figure { margin: 1.2rem 0; }
-pre { background: #f6f6f7; padding: .8rem; overflow-x: auto; font-size: .85rem; }
-dl { display: grid; grid-template-columns: max-content 1fr; gap: .2rem 1.2rem; } dt { color: #666; } dd { margin: 0; }
-.bad { color: #B00020; } .dim { color: #666; }
-@media print { body { margin: 0; } figure { break-inside: avoid; } }
-"""
+TIMING = (
+    "Agents run in real time on this host: the same seed gives the same world and the same sensor noise, but not the "
+    "same timing of processes and datagrams."
+)
 
 
 def important(header: Header, records: Iterable[Record]) -> list[tuple[float, str, str, str]]:
@@ -57,51 +53,45 @@ def important(header: Header, records: Iterable[Record]) -> list[tuple[float, st
     return found
 
 
-def write(
-    path: Path,
-    summary: Summary,
-    lines: list[tuple[float, str, str, str]],
-    pictures: Mapping[str, Path],
-    reproduce: Mapping[str, str],
-) -> None:
-    """`pictures` are caption -> PNG file, `reproduce` what one needs to do it again, by name. Raises OSError."""
-    path.write_text(html(summary, lines, pictures, reproduce), encoding="utf-8")
+def write(path: Path, trace: Path) -> None:
+    """The report of a merged trace. What the run's own `summary.json` beside it says more is in it, too. Raises
+    BadTrace, OSError."""
+    header, records = read(trace)
+    rows = gathered(header, records)
+    summary = _summary(trace, header, rows)
+    path.write_text(html(header, summary, rows, important(*read(trace))), encoding="utf-8")
 
 
-def html(
-    summary: Summary,
-    lines: list[tuple[float, str, str, str]],
-    pictures: Mapping[str, Path],
-    reproduce: Mapping[str, str],
-) -> str:
+def html(header: Header, summary: Summary, rows: Chunk, lines: list[tuple[float, str, str, str]]) -> str:
     """The whole page."""
-    title = escape(f"{summary.app}, simulated")
-    parts = [
-        f"<h1>{title}</h1>",
-        _verdict(summary),
-        "<h2>The fleet</h2>",
-        _facts(summary),
+    title = f"{summary.app}, simulated"
+    before = f"<h1>{escape(title)}</h1>\n{_verdict(summary)}\n{_facts(summary)}"
+    after = [
         "<h2>Robots</h2>",
         _robots(summary.robots),
         *_logs(summary.robots),
-        "<h2>Pictures</h2>",
-        *(_picture(caption, file) for caption, file in pictures.items()),
         "<h2>What happened</h2>",
         _lines(lines),
-        "<h2>To do it again</h2>",
-        _pairs(reproduce),
-        '<p class="dim">Agents run in real time on this host: the same seed gives the same world and the same sensor '
-        "noise, but not the same timing of processes and datagrams.</p>",
     ]
-    policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
-    return (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{title}: {escape(summary.verdict)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
-        + "\n".join(parts)
-        + "\n</body>\n</html>\n"
-    )
+    if summary.reproduce:
+        after += ["<h2>To do it again</h2>", _pairs(summary.reproduce), f'<p class="dim">{TIMING}</p>']
+    return page(f"{title}: {summary.verdict}", header, rows, before, "\n".join(after))
+
+
+def _summary(trace: Path, header: Header, rows: Chunk) -> Summary:
+    """The run's own, if it is there and of this very trace; else what the trace alone tells."""
+    try:
+        found = msgspec.json.decode((trace.parent / "summary.json").read_bytes(), type=Summary)
+        if (found.app, found.program_hash, found.seed) == (header.app, header.program_hash, header.seed):
+            return found
+    except (OSError, msgspec.DecodeError):
+        pass
+    ends = [(row[0], row[2]) for row in rows["marks"] if row[1] == "end"]
+    duration, ended = ends[0] if ends else (max((row[1] for row in rows["poses"]), default=0.0), "interrupted")
+    near = min(rows["near"], key=lambda row: float(row[1]), default=None)
+    closest = Closest(near[1], near[0], (near[2], near[3])) if near else None
+    outcome = Outcome(header.started, ended, 0.0, duration, [], closest, 0.0, 0, 0)
+    return summarise(*read(trace), outcome)
 
 
 def _verdict(summary: Summary) -> str:
@@ -123,9 +113,10 @@ def _facts(summary: Summary) -> str:
             "(in space, between the robots' reference points, at every physics step of the run)"
         )
     facts["collisions"] = str(summary.collisions)
-    facts["world"] = (
-        f"real-time factor {summary.real_time_factor:.3f}; {summary.late_steps} of {summary.steps} steps late"
-    )
+    if summary.steps:
+        facts["world"] = (
+            f"real-time factor {summary.real_time_factor:.3f}; {summary.late_steps} of {summary.steps} steps late"
+        )
     return _pairs(facts)
 
 
@@ -174,11 +165,6 @@ def _logs(robots: list[RobotSummary]) -> list[str]:
             log = escape("\n".join(robot.last_lines))
             found.append(f"<p>The last lines of {escape(robot.name)}'s log:</p><pre>{log}</pre>")
     return found
-
-
-def _picture(caption: str, file: Path) -> str:
-    data = b64encode(file.read_bytes()).decode("ascii")
-    return f'<figure><img alt="{escape(caption)}" src="data:image/png;base64,{data}"></figure>'
 
 
 def _lines(lines: list[tuple[float, str, str, str]]) -> str:

@@ -1,0 +1,101 @@
+"""The page that shows a run: the report, which holds all it needs, and the live view, which is sent more. Both run the
+same scripts, `page/*.js`; whatever a trace says gets into them as JSON, and there only ever becomes text."""
+
+from __future__ import annotations
+
+import hashlib
+from base64 import b64encode
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from targets.sim.trace import Header
+from targets.sim.view.rows import Chunk
+
+FOLDER = Path(__file__).parent / "page"
+SCRIPTS = ("model.js", "draw.js", "views.js", "timeline.js", "main.js")
+
+PLAYER = """
+<div class="player">
+<button id="play" aria-label="play" title="play or pause (space)">▶</button>
+<select id="speed" title="speed"><option value="0.25">¼ ×</option><option value="0.5">½ ×</option>
+<option value="1" selected>1 ×</option><option value="2">2 ×</option><option value="5">5 ×</option>
+<option value="10">10 ×</option><option value="30">30 ×</option></select>
+<input id="scrub" type="range" step="0.02" aria-label="time">
+<output id="time"></output>
+<button id="follow" title="follow the run">live</button> <span id="status" class="dim"></span>
+<span><button id="out" title="show more time in the charts">−</button>
+<button id="in" title="show less time in the charts">+</button></span>
+<select id="tail" title="trails"><option value="0">no trails</option><option value="10">trails of 10 s</option>
+<option value="1000000" selected>whole trails</option></select>
+<select id="map" title="map"></select>
+</div>
+<div class="views">
+<figure><canvas id="top" aria-label="the fleet from above"></canvas>
+<figcaption>From above. Dotted: where a robot was told to go. Dashed frame: geofence.
+<span id="closest"></span> <span id="alarm" class="bad"></span></figcaption>
+<div class="chips robots"></div></figure>
+<div>
+<figure><canvas id="side" aria-label="the fleet from the side"></canvas>
+<figcaption>From the side: <select id="side-axis"><option value="0">along x</option><option value="1">along y</option>
+</select></figcaption></figure>
+<h2>Shared variables at this time</h2>
+<div class="wide scroll"><table><thead><tr><th>variable</th><th>of</th><th>value</th><th>written</th></tr></thead>
+<tbody id="shared"></tbody></table></div>
+</div></div>
+<h2>Violations, verdicts, causes</h2>
+<div class="wide scroll"><table><thead><tr><th class="n">time (s)</th><th>kind</th><th>what</th><th>robots</th><th></th>
+</tr></thead><tbody id="marks"></tbody></table></div>
+<h2>Rounds</h2>
+<div class="chips" id="events"></div>
+<figure><canvas id="timeline" aria-label="rounds over time"></canvas>
+<figcaption>Thin band: phases. Triangles: what a robot said. Point at anything for more; click to go
+there.</figcaption></figure>
+<h2>Coordinates</h2>
+<div class="chips robots"></div>
+<figure><canvas id="x-t" aria-label="x over time"></canvas></figure>
+<figure><canvas id="y-t" aria-label="y over time"></canvas></figure>
+<figure><canvas id="z-t" aria-label="z over time"></canvas></figure>
+<h2>Smallest separation</h2>
+<figure><canvas id="near" aria-label="smallest separation over time"></canvas>
+<figcaption>In space, between the robots' reference points, at the poses of the trace.</figcaption></figure>
+<h2>Network</h2>
+<figure><canvas id="late" aria-label="lateness of rounds over time"></canvas>
+<figcaption>How long after its tick the latest round of each second was decided.</figcaption></figure>
+<figure><canvas id="loss" aria-label="loss of datagrams over time"></canvas>
+<figcaption>Datagrams lost, of those sent lately, on each robot's worst link.</figcaption></figure>
+<div class="wide scroll"><table><thead><tr><th>robot</th><th>hears</th><th class="n">lost</th>
+<th class="n">delay p50 (ms)</th><th class="n">p99 (ms)</th><th class="n">silent (ms)</th><th class="n">asked again</th>
+<th class="n">told at (s)</th></tr></thead><tbody id="links"></tbody></table></div>
+<details id="history"><summary>What was written into shared variables</summary><div class="wide scroll"><table>
+<thead><tr><th class="n">time (s)</th><th class="n">round</th><th>by</th><th>variable</th><th>value</th></tr></thead>
+<tbody id="writes"></tbody></table></div></details>
+<div id="tip" hidden></div>
+<noscript><p class="bad">The pictures are drawn by this page's own scripts, which are switched off.</p></noscript>
+"""
+
+
+def page(title: str, header: Header, rows: Chunk, before: str, after: str, live: bool = False) -> str:
+    """The whole page; `before` and `after` are HTML that stands around the pictures. It asks for nothing from anywhere,
+    but a live one for the events of the server that gave it."""
+    script = "\n".join((FOLDER / name).read_text(encoding="utf-8") for name in SCRIPTS)
+    digest = b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    connect = "connect-src 'self'; " if live else ""
+    policy = f"default-src 'none'; {connect}img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
+    given = {"header": msgspec.to_builtins(header), "rows": rows, "live": live}
+    return (
+        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(title)}</title>\n<style>{(FOLDER / 'page.css').read_text(encoding='utf-8')}</style>\n"
+        f"</head>\n<body>\n{before}\n{PLAYER}\n{after}\n"
+        f'<script type="application/json" id="data">{_json(given)}</script>\n<script>{script}</script>\n'
+        "</body>\n</html>\n"
+    )
+
+
+def _json(value: Any) -> str:
+    """JSON that cannot end the element it stands in, whatever its strings are."""
+    return msgspec.json.encode(value).decode().replace("<", "\\u003c")

@@ -1,0 +1,271 @@
+// The page: player, charts, tables; of a report, or live by server-sent events. What a trace says is only ever text.
+"use strict";
+
+const given = JSON.parse(document.getElementById("data").textContent);
+const model = new Model(given.header);
+const $ = (id) => document.getElementById(id);
+const state = { now: 0, playing: false, live: Boolean(given.live), zoom: 1, moved: true, due: 0 };
+const charts = {};
+
+function make(tag, words, attributes = {}) {
+  const element = document.createElement(tag);
+  if (words !== undefined) element.textContent = words;
+  for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
+  return element;
+}
+
+function span() {
+  const whole = model.last - model.first, wide = whole / state.zoom;
+  if (state.zoom === 1) return [model.first, model.last];
+  const from = Math.max(model.first, Math.min(state.now - wide / 2, model.last - wide));
+  return [from, from + wide];
+}
+
+function seek(t) {
+  state.now = Math.max(model.first, Math.min(model.last, t));
+  state.moved = true;
+}
+
+// ---- robots to show
+
+function chips() {
+  for (const holder of document.querySelectorAll(".chips.robots")) {
+    holder.replaceChildren(...model.robots.map((robot) => {
+      const label = make("label", undefined, { title: `${robot.name}, ${robot.target}: click to hide or show` });
+      const box = make("input", undefined, { type: "checkbox" });
+      box.checked = robot.shown;
+      label.classList.toggle("off", !robot.shown);
+      box.onchange = () => { robot.shown = box.checked; state.moved = true; chips(); };
+      label.append(box, swatch(robot.pid), make("span", robot.name));
+      return label;
+    }));
+  }
+}
+
+function swatch(pid) {
+  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg"), line = document.createElementNS(svg.namespaceURI, "line");
+  svg.setAttribute("viewBox", "0 0 36 10");
+  const look = { x1: 1, y1: 5, x2: 35, y2: 5, stroke: colour(pid), "stroke-width": 3, "stroke-dasharray": dash(pid).join(" ") };
+  for (const [key, value] of Object.entries(look)) line.setAttribute(key, value);
+  svg.append(line);
+  return svg;
+}
+
+function eventChips() {
+  const box = (ink, words) => {
+    const label = make("label"), svg = swatch(0);
+    svg.firstChild.setAttribute("stroke", ink);
+    svg.firstChild.setAttribute("stroke-width", 9);
+    label.append(svg, make("span", words));
+    return label;
+  };
+  const key = [...model.events.map((name) => box(eventInk(model, name), name)), box(SKIP, "no event"), box(RED, "fault")];
+  $("events").replaceChildren(...key);
+}
+
+// ---- maps
+
+function mapChoices() {
+  const choices = [["", "no map"]];
+  for (const variable of model.shared.filter((v) => v.type === "GridMap"))
+    for (const key of [...variable.series.keys()].sort((a, b) => a - b))
+      choices.push([`${variable.name} ${key}`, variable.name + (key >= 0 ? ` of ${(model.robots[key] || {}).name}` : "")]);
+  if ($("map").options.length === choices.length) return;
+  const before = $("map").value;
+  $("map").replaceChildren(...choices.map(([value, words]) => make("option", words, { value })));
+  $("map").value = before || (choices[1] || choices[0])[0];
+  $("map").hidden = choices.length < 2;
+}
+
+function chosenMap() {
+  const [name, key] = $("map").value.split(" ");
+  const variable = name && model.shared.find((each) => each.name === name);
+  const found = variable && model.value(variable.series.get(Number(key)), state.now);
+  return found && found.value;
+}
+
+// ---- tables
+
+function cellsOf(row, values, classes = []) {
+  values.forEach((value, k) => row.append(make("td", value, classes[k] ? { class: classes[k] } : {})));
+  return row;
+}
+
+function sharedTable() {
+  const rows = [], records = model.header.records || {};
+  for (const variable of model.shared) {
+    const keys = variable.kind === "allwrite" ? [-1] : model.robots.map((robot) => robot.pid);
+    for (const key of keys) {
+      const found = model.value(variable.series.get(key), state.now);
+      const row = make("tr", undefined, found && state.now - found.t < 3 * model.header.delta ? { class: "fresh" } : {});
+      const by = found ? `${number(found.t)} s, round ${found.round}, ${(model.robots[found.pid] || {}).name}` : "not yet";
+      rows.push(cellsOf(row, [key < 0 ? variable.name : `${variable.name}[${key}]`, key < 0 ? "all" : model.robots[key].name,
+        found ? shown(found.value, variable.type, records) : "first value", by], ["p", "p", "v", "p"]));
+    }
+  }
+  $("shared").replaceChildren(...rows);
+}
+
+function writes() {
+  const all = [];
+  for (const variable of model.shared)
+    for (const series of variable.series.values()) for (const write of series) all.push({ ...write, variable });
+  all.sort((a, b) => a.t - b.t);
+  const shownNow = all.slice(-400);
+  $("writes").replaceChildren(...shownNow.map(({ t, round, pid, value, variable }) => {
+    const name = variable.kind === "allwrite" ? variable.name : `${variable.name}[${pid}]`;
+    return seekable(t, [number(t), String(round), (model.robots[pid] || {}).name, name, shown(value, variable.type, model.header.records)], ["n", "n", "p", "p", "v"]);
+  }));
+}
+
+function seekable(t, values, classes) {
+  const row = make("tr", undefined, { class: "to", tabindex: "0", title: "go there" });
+  row.onclick = () => seek(t);
+  row.onkeydown = (event) => event.key === "Enter" && seek(t);
+  return cellsOf(row, values, classes);
+}
+
+function marksTable() {
+  const rows = model.marks.map(([t, kind, what, who, detail]) => {
+    const row = seekable(t, [number(t), kind, what, who.join(", "), detail], ["n", "p", "p", "", ""]);
+    row.classList.toggle("bad", kind === "violation");
+    return row;
+  });
+  $("marks").replaceChildren(...(rows.length ? rows : [cellsOf(make("tr"), ["", "nothing so far"])]));
+}
+
+function linksTable() {
+  const digits = (value, many = 1) => (typeof value === "number" ? number(value, many) : "–");
+  const rows = [];
+  for (const robot of model.robots) {
+    const row = model.at(robot.links, state.now);
+    for (const [peer, loss, p50, p99, silent, repeats] of row ? row[2] : [])
+      rows.push(cellsOf(make("tr"), [robot.name, (model.robots[peer] || {}).name, loss === null ? "–" : number(100 * loss, 1) + " %",
+        digits(p50), digits(p99), digits(silent), String(repeats ?? "–"), number(row[1], 1)], ["p", "p", "n", "n", "n", "n", "n", "n"]));
+  }
+  $("links").replaceChildren(...(rows.length ? rows : [cellsOf(make("tr"), ["no figures by then: robots tell them every 10 s"])]));
+}
+
+// ---- drawing
+
+function maximum(robot) { return robot.shown ? { points: robot.late.map(([, t, worst]) => [t + 0.5, 1000 * worst]), ink: colour(robot.pid), lines: dash(robot.pid) } : { points: [] }; }
+
+function draw() {
+  const now = state.now, at = span(), tail = Number($("tail").value), map = chosenMap();
+  scene($("top"), model, now, { across: 0, up: 1, labels: { xlabel: "x, east (m)", ylabel: "y, north (m)" }, most: 620, tail, map });
+  const across = Number($("side-axis").value), side = { xlabel: across ? "y, north (m)" : "x, east (m)", ylabel: "z, up (m)" };
+  scene($("side"), model, now, { across, up: 2, labels: side, most: 260, tail });
+  for (const axis of ["x", "y", "z"]) charts[axis] = coordinate($(`${axis}-t`), model, axis, at, now, 190);
+  charts.timeline = timeline($("timeline"), model, at, now);
+  const asked = model.header.min_separation || 0;
+  const near = model.near.filter(([t]) => t >= at[0] - 1 && t <= at[1] + 1), each = Math.max(1, Math.floor(near.length / 2000));
+  charts.near = lines($("near"), model, at, now, 170, [{ points: near.filter((_, k) => k % each === 0).map(([t, d]) => [t, d]), ink: COLOURS[0] }],
+    { ylabel: "closest pair (m)", bound: asked, words: `at least ${asked} m asked` });
+  const half = 500 * (model.header.delta || 0.1);
+  charts.late = lines($("late"), model, at, now, 170, model.robots.map(maximum), { ylabel: "latest round (ms)", bound: half, words: `late: over ${number(half, 0)} ms` });
+  const loss = (robot) => robot.links.map(([, t, peers]) => [t, 100 * Math.max(0, ...peers.map((peer) => peer[1] || 0))]);
+  charts.loss = lines($("loss"), model, at, now, 150, model.robots.filter((r) => r.shown).map((robot) => ({ points: loss(robot), ink: colour(robot.pid), lines: dash(robot.pid), step: true })),
+    { ylabel: "worst loss (%)" });
+  closest();
+  $("time").textContent = `${number(now)} s`;
+  if (document.activeElement !== $("scrub") || state.playing || state.live) $("scrub").value = now;
+}
+
+function closest() {
+  const row = model.at(model.near, state.now, 0);
+  $("closest").textContent = row ? `closest: ${model.robots[row[2]].name} and ${model.robots[row[3]].name}, ${number(row[1])} m` : "";
+  const upcoming = model.marks.filter(([t, kind]) => kind !== "end" && t <= state.now && t > state.now - 3).map(([, kind, what, who]) => `${kind}: ${what} ${who.join(", ")}`);
+  $("alarm").textContent = upcoming.slice(-2).join("; ");
+}
+
+// What changes only when rows came.
+function refresh() {
+  for (const key of ["min", "max"]) $("scrub")[key] = key === "min" ? model.first : model.last;
+  mapChoices();
+  eventChips();
+  marksTable();
+  if ($("history").open) writes();
+  state.moved = true;
+}
+
+let before = 0;
+function tick(time) {
+  const passed = Math.min(0.25, (time - before) / 1000);
+  before = time;
+  if (state.live) seek(model.last);
+  else if (state.playing) {
+    seek(state.now + passed * Number($("speed").value));
+    if (state.now >= model.last) play(false);
+  }
+  if (state.moved && !document.hidden) {
+    draw();
+    state.moved = false;
+    if (time > state.due) { sharedTable(); linksTable(); state.due = time + 150; }
+    else setTimeout(() => { state.moved = true; }, 160);
+  }
+  requestAnimationFrame(tick);
+}
+
+function play(on) {
+  if (on && state.now >= model.last) seek(model.first < 0 ? 0 : model.first);
+  state.playing = on;
+  $("play").textContent = on ? "❚❚" : "▶";
+  $("play").setAttribute("aria-label", on ? "pause" : "play");
+  if (on) follow(false);
+}
+
+function follow(on) {
+  state.live = on;
+  $("follow").disabled = on;
+}
+
+// ---- live
+
+function listen() {
+  const source = new EventSource("events");
+  const hear = (name, act) => source.addEventListener(name, (event) => { act(JSON.parse(event.data)); refresh(); });
+  $("status").textContent = "connecting";
+  source.onopen = () => { $("status").textContent = "live"; };
+  source.onerror = () => { $("status").textContent = "no connection"; };
+  hear("whole", (chunk) => { Object.assign(model, new Model(given.header)); chips(); model.extend(chunk); });
+  hear("rows", (chunk) => model.extend(chunk));
+  hear("over", ({ words }) => { source.close(); follow(false); $("status").textContent = words; });
+}
+
+function wire() {
+  $("play").onclick = () => play(!state.playing);
+  $("scrub").oninput = () => { play(false); follow(false); seek(Number($("scrub").value)); };
+  $("follow").onclick = () => { play(false); follow(true); };
+  $("in").onclick = () => { state.zoom = Math.min(64, state.zoom * 2); state.moved = true; };
+  $("out").onclick = () => { state.zoom = Math.max(1, state.zoom / 2); state.moved = true; };
+  for (const id of ["tail", "map", "side-axis"]) $(id).onchange = () => { state.moved = true; };
+  $("history").ontoggle = () => $("history").open && writes();
+  for (const [name, id] of Object.entries({ x: "x-t", y: "y-t", z: "z-t", timeline: "timeline", near: "near", late: "late", loss: "loss" }))
+    $(id).onclick = (event) => { play(false); follow(false); seek(charts[name].time(event.offsetX)); };
+  $("timeline").onmousemove = (event) => tip(event, hovered(model, charts.timeline, event.offsetX, event.offsetY));
+  $("timeline").onmouseleave = () => tip(null, "");
+  window.onresize = () => { state.moved = true; };
+  document.onkeydown = (event) => {
+    if (["INPUT", "SELECT", "BUTTON"].includes(event.target.tagName)) return;
+    if (event.key === " ") { event.preventDefault(); play(!state.playing); }
+    else if (event.key === "ArrowLeft" || event.key === "ArrowRight") { follow(false); seek(state.now + (event.key === "ArrowLeft" ? -1 : 1)); }
+  };
+}
+
+function tip(event, words) {
+  $("tip").hidden = !words;
+  if (!words) return;
+  $("tip").textContent = words;
+  $("tip").style.left = Math.min(event.clientX + 14, window.innerWidth - $("tip").offsetWidth - 10) + "px";
+  $("tip").style.top = Math.min(event.clientY + 14, window.innerHeight - $("tip").offsetHeight - 10) + "px";
+}
+
+model.extend(given.rows || {});
+chips();
+wire();
+refresh();
+const asked = /^#t=(-?[0-9.]+)$/.exec(location.hash); // so that a link can name a moment
+seek(asked ? Number(asked[1]) : state.live ? model.last : model.end ?? model.last);
+$("follow").hidden = !given.live;
+if (given.live) listen();
+requestAnimationFrame(tick);

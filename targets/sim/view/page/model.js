@@ -1,0 +1,154 @@
+// What is known of a run: rows as rows.py makes them, kept for drawing. Metres, local ENU; seconds since round 1.
+"use strict";
+
+const MOST_KEPT = 40000; // poses of one robot, of a view that stays open for long
+
+class Model {
+  constructor(header) {
+    this.header = header;
+    this.robots = header.robots.map((robot) => ({
+      ...robot, shown: true, t: [], x: [], y: [], z: [], yaw: [],
+      rounds: [], phases: [], logs: [], paths: [], late: [], links: [],
+    }));
+    this.shared = (header.shared || []).map((variable) => ({ ...variable, series: new Map() }));
+    this.near = [];
+    this.marks = [];
+    this.markers = ((header.world || {}).markers || []).map((marker) => ({ ...marker, states: [] }));
+    this.first = 0;
+    this.last = 0.1;
+    this.end = null;
+    this.events = []; // names, in the order of their first time
+  }
+
+  // Takes in a chunk of rows; unknown tables are passed over.
+  extend(chunk) {
+    for (const table of ["poses", "phases", "logs", "paths", "late", "links", "rounds"])
+      for (const row of chunk[table] || []) {
+        const robot = this.robots[row[0]];
+        if (robot) { this["_" + table](robot, row); this._seen(row[1]); }
+      }
+    for (const row of chunk.shared || []) this._write(row);
+    for (const row of chunk.near || []) this.near.push(row);
+    for (const row of chunk.marks || []) this._mark(row);
+    for (const [t, number, state, marker] of chunk.markers || []) {
+      if (marker && !this.markers[number]) this.markers[number] = { ...marker, states: [] };
+      if (this.markers[number]) this.markers[number].states.push([t, state]);
+    }
+    if (this.near.length > MOST_KEPT) this.near = this.near.filter((_, k) => k % 2);
+  }
+
+  _seen(t) {
+    this.first = Math.min(this.first, t);
+    this.last = Math.max(this.last, t);
+  }
+
+  _poses(robot, [, t, x, y, z, yaw]) {
+    robot.t.push(t); robot.x.push(x); robot.y.push(y); robot.z.push(z); robot.yaw.push(yaw);
+    if (robot.t.length > MOST_KEPT)
+      for (const key of ["t", "x", "y", "z", "yaw"]) robot[key] = robot[key].filter((_, k) => k % 2);
+  }
+
+  _phases(robot, row) { robot.phases.push(row); }
+  _logs(robot, row) { robot.logs.push(row); }
+  _paths(robot, row) { robot.paths.push(row); }
+  _late(robot, row) { robot.late.push(row); }
+  _links(robot, row) { robot.links.push(row); }
+
+  _rounds(robot, row) {
+    const before = robot.rounds[robot.rounds.length - 1];
+    if (row[4] === 0 && !this.events.includes(row[5])) this.events.push(row[5]);
+    if (before && before[4] === row[4] && before[5] === row[5]) {
+      before[2] = row[2];
+      before[3] += row[3];
+    } else robot.rounds.push([...row]);
+  }
+
+  _write([name, pid, t, round, value]) {
+    let variable = this.shared.find((each) => each.name === name);
+    if (!variable) this.shared.push((variable = { name, kind: "allread", type: "", series: new Map() }));
+    const key = variable.kind === "allwrite" ? -1 : pid;
+    if (!variable.series.has(key)) variable.series.set(key, []);
+    const series = variable.series.get(key);
+    let at = series.length; // of one round the highest pid's counts, so it comes last
+    while (at > 0 && (series[at - 1].round > round || (series[at - 1].round === round && series[at - 1].pid > pid))) at--;
+    series.splice(at, 0, { t, round, pid, value });
+    if (series.length > MOST_KEPT / 10) series.splice(0, series.length / 2);
+  }
+
+  _mark(row) {
+    this.marks.push(row);
+    this.marks.sort((a, b) => a[0] - b[0]);
+    if (row[1] === "end") this.end = row[0];
+  }
+
+  pid(name) { return this.robots.findIndex((robot) => robot.name === name); }
+
+  // Where a robot is at a time: [x, y, z, yaw], between two samples on the straight line; null before the first.
+  pose(robot, t) {
+    const k = upTo(robot.t, t);
+    if (k < 0) return null;
+    const next = Math.min(k + 1, robot.t.length - 1);
+    const span = robot.t[next] - robot.t[k];
+    const share = span > 0 && t > robot.t[k] ? Math.min(1, (t - robot.t[k]) / span) : 0;
+    const mix = (values) => values[k] + share * (values[next] - values[k]);
+    const turn = Math.atan2(Math.sin(robot.yaw[next] - robot.yaw[k]), Math.cos(robot.yaw[next] - robot.yaw[k]));
+    return [mix(robot.x), mix(robot.y), mix(robot.z), robot.yaw[k] + share * turn];
+  }
+
+  // The last row (its time in place `column`) that began by then, or null.
+  at(rows, t, column = 1) {
+    for (let k = rows.length - 1; k >= 0; k--) if (rows[k][column] <= t) return rows[k];
+    return null;
+  }
+
+  // What a variable's slot held: the last write by then, or null.
+  value(series, t) {
+    for (let k = (series || []).length - 1; k >= 0; k--) if (series[k].t <= t) return series[k];
+    return null;
+  }
+}
+
+// The last place of an ascending array whose value is at most t; -1 before all.
+function upTo(times, t) {
+  let low = 0, high = times.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (times[middle] <= t) low = middle + 1;
+    else high = middle;
+  }
+  return low - 1;
+}
+
+const number = (value, digits = 2) => (Object.is(value, -0) ? 0 : value).toFixed(digits).replace(/^-(0(\.0*)?)$/, "$1");
+
+// A value of a type as a person writes it; `records` are the program's record types.
+function shown(value, type, records) {
+  const inner = /^(List|Queue|Set)<(.*)>$/.exec(type || "");
+  if (value === null || value === undefined) return "?";
+  if (typeof value === "object" && !Array.isArray(value)) return value.cut !== undefined ? value.cut + " …" : JSON.stringify(value);
+  if (type === "GridMap" && isMap(value)) return told(value);
+  if (type === "Point" && Array.isArray(value)) return "(" + value.map((each) => (typeof each === "number" ? number(each) : "?")).join(", ") + ")";
+  if (inner && Array.isArray(value)) return "[" + value.map((each) => shown(each, inner[2], records)).join(", ") + "]";
+  if (records && Object.hasOwn(records, type) && Array.isArray(value))
+    return type + "(" + records[type].map(([name, of], k) => name + ": " + shown(value[k], of, records)).join(", ") + ")";
+  if (Array.isArray(value)) return "(" + value.map((each) => shown(each, "", records)).join(", ") + ")";
+  if (typeof value === "number") return Number.isInteger(value) ? String(value) : number(value);
+  return typeof value === "string" ? JSON.stringify(value) : String(value);
+}
+
+const isMap = (value) => Array.isArray(value) && value.length === 6 && typeof value[5] === "string";
+
+// The cells of a GridMap, row by row from its lower left corner: 0 unknown, 1 free, 3 occupied.
+function cells([, , , width, height, packed]) {
+  const bytes = atob(packed);
+  const found = new Uint8Array(Math.max(0, Math.min(width * height, 4 * bytes.length)));
+  for (let k = 0; k < found.length; k++) found[k] = (bytes.charCodeAt(k >> 2) >> (2 * (k & 3))) & 3;
+  return found;
+}
+
+function told(map) {
+  const all = cells(map);
+  const known = all.reduce((sum, cell) => sum + (cell > 0), 0);
+  const part = all.length ? Math.round((100 * known) / all.length) : 0;
+  return `${map[3]} × ${map[4]} cells of ${number(map[0])} m, ${part} % known`;
+}

@@ -1,0 +1,190 @@
+"""What the pages show of a trace, as rows: one form for the report, which embeds them, and for the live view, which
+sends them on. `page/model.js` reads them; numbers are rounded to what can be seen.
+
+| table | rows |
+|---|---|
+| poses | pid, t, x, y, z, yaw |
+| rounds | pid, first t, last t, how many in a row, outcome (0 event, 1 skipped, 2 fault), what |
+| phases | pid, t, phase, detail |
+| logs | pid, t, level, text |
+| shared | name, writer's pid, t, round, value as JSON |
+| paths | pid, t, points |
+| late | pid, t of a second, longest lateness in it (s), rounds, late rounds |
+| links | pid, t, [[peer, loss, delay p50, p99 (ms), silent (ms), repeats]], datagrams rejected |
+| near | t, distance of the closest pair (m), their pids |
+| marks | t, kind, what, robots' names, detail |
+| markers | t, number, state (0 to do, 1 taken, 2 done) |
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from targets.sim.bodies import Vector
+from targets.sim.summary import LATE
+from targets.sim.trace import (
+    End,
+    Header,
+    Init,
+    Log,
+    Metrics,
+    Phase,
+    Pose,
+    Record,
+    Round,
+    Stream,
+    Verdict,
+    Violation,
+    fault_text,
+)
+
+TABLES = ("poses", "rounds", "phases", "logs", "shared", "paths", "late", "links", "near", "marks", "markers")
+EVENT, SKIPPED, FAULT = 0, 1, 2
+Chunk = dict[str, list[list[Any]]]
+_decoder = msgspec.json.Decoder()
+
+
+class Rows:
+    """Makes rows of records, one after the other; `taken` gives those since the last time."""
+
+    def __init__(self, header: Header) -> None:
+        self._count = len(header.robots)
+        self._late_after = LATE * header.delta
+        self._chunk: Chunk = {}
+        self._second: dict[int, list[Any]] = {}
+        self._near = _Nearest(self._count)
+        self._paths: dict[int, bytes] = {}
+
+    def taken(self) -> Chunk:
+        """The rows since the last time, by table."""
+        chunk, self._chunk = self._chunk, {}
+        return chunk
+
+    def take(self, record: Record, t: float) -> None:
+        """Make rows of one record; `t` is its time, whatever it says itself."""
+        t = round(t, 3)
+        match record:
+            case Violation(what=what, robots=robots):
+                detail = " ".join(filter(None, (record.name, record.line, record.detail)))
+                self._add("marks", [t, "violation", what, list(robots), detail])
+            case End(why=why):
+                self._add("marks", [t, "end", why, [], ""])
+            case Verdict():
+                what = f"{record.of} {record.name}: {record.outcome}"
+                detail = ", ".join(filter(None, (record.line, record.detail)))
+                self._add("marks", [t, "verdict", what, list(record.robots), detail])
+            case Pose() | Phase() | Init() | Round() | Log() | Stream() | Metrics() if 0 <= record.pid < self._count:
+                self._of_robot(record, t)
+            case _:
+                pass
+
+    def _of_robot(self, record: Pose | Phase | Init | Round | Log | Stream | Metrics, t: float) -> None:
+        pid = record.pid
+        match record:
+            case Pose(position=position, yaw=yaw):
+                self._add("poses", [pid, t, *(_small(c) for c in position), round(yaw, 3)])
+                if (near := self._near.take(pid, t, position)) is not None:
+                    self._add("near", near)
+            case Phase(phase=phase, detail=detail):
+                self._add("phases", [pid, t, phase, detail])
+            case Log(level=level, message=message):
+                self._add("logs", [pid, t, level, message])
+            case Stream(port=port, text=text):
+                self._add("logs", [pid, t, port, text])
+            case Metrics():
+                self._add("links", [pid, t, _links(record), sum(record.rejected.values())])
+            case Init():
+                self._writes(record, 0, t)
+            case Round():
+                self._round(record, t)
+
+    def _add(self, table: str, row: list[Any]) -> None:
+        self._chunk.setdefault(table, []).append(row)
+
+    def _round(self, record: Round, t: float) -> None:
+        if record.fault is not None:
+            outcome, what = FAULT, fault_text(record.fault)
+        elif record.skipped is not None:
+            outcome, what = SKIPPED, record.skipped
+        else:
+            outcome, what = EVENT, record.event or ""
+        self._add("rounds", [record.pid, t, t, 1, outcome, what])
+        self._writes(record, record.round, t)
+        self._lateness(record, t)
+
+    def _writes(self, record: Init | Round, number: int, t: float) -> None:
+        """What was written into the shared store, and where a robot was told to go: a path, or a single target."""
+        for name, raw in record.shared.items():
+            self._add("shared", [name, record.pid, t, number, _decoder.decode(raw)])
+        for port, raw in record.actuators.items():
+            if not port.endswith((".target", ".path")) or bytes(raw) == self._paths.get(record.pid):
+                continue
+            self._paths[record.pid] = bytes(raw)
+            value = _decoder.decode(raw)
+            points = [value] if port.endswith(".target") else value
+            if isinstance(points, list) and all(map(_is_point, points)):
+                self._add("paths", [record.pid, t, [[_small(c) for c in point] for point in points]])
+
+    def _lateness(self, record: Round, t: float) -> None:
+        second = math.floor(t)
+        row = self._second.get(record.pid)
+        if row is None or row[1] != second:
+            if row is not None:
+                self._add("late", row)
+            row = self._second[record.pid] = [record.pid, second, 0.0, 0, 0]
+        row[2] = max(row[2], round(record.late, 4))
+        row[3] += 1
+        row[4] += record.late > self._late_after
+
+    def end(self) -> None:
+        """The trace is over: what was still gathered becomes rows."""
+        for row in self._second.values():
+            self._add("late", row)
+        self._second.clear()
+
+
+class _Nearest:
+    """The distance of the closest pair at each time at which all robots' poses are known."""
+
+    def __init__(self, count: int) -> None:
+        self._places = np.full((count, 3), np.nan)
+        self._left, self._right = np.triu_indices(count, 1)
+        self._last = count - 1
+
+    def take(self, pid: int, t: float, position: Vector) -> list[Any] | None:
+        self._places[pid] = position
+        if pid != self._last or pid == 0:
+            return None
+        apart = np.linalg.norm(self._places[self._left] - self._places[self._right], axis=1)
+        k = int(np.argmin(apart))  # a NaN comes first: someone has no pose yet
+        if math.isnan(apart[k]):
+            return None
+        return [t, _small(float(apart[k])), int(self._left[k]), int(self._right[k])]
+
+
+def _small(metres: float) -> float:
+    return round(metres, 3) + 0.0  # no -0.0
+
+
+def _is_point(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 3 and all(type(c) in (int, float) for c in value)
+
+
+def _links(record: Metrics) -> list[list[Any]]:
+    rows = []
+    for peer, found in record.peers.items():
+        delay = found.get("delay_ms") or {}
+        if peer.isdigit() and isinstance(delay, dict):
+            figures = (
+                found.get("loss"),
+                delay.get("p50"),
+                delay.get("p99"),
+                found.get("silent_ms"),
+                found.get("repeats"),
+            )
+            rows.append([int(peer), *figures])
+    return rows
