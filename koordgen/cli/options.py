@@ -139,6 +139,7 @@ def _harness(command: argparse.ArgumentParser) -> None:
     command.add_argument("program", metavar="APP.koord")
     command.add_argument("--duration", metavar="S", type=float, help="seconds of mission, from its first round")
     command.add_argument("--seed", metavar="N", type=int, help="seed of all that is random")
+    command.add_argument("--lockstep", action="store_true", help="all in one process: repeatable, as fast as it goes")
     command.add_argument("--out", metavar="DIR", help="where trace, summary, pictures and report go")
     command.add_argument("--quiet", action="store_true", help="no progress")
     _of_a_build(command, fleet_required=True)
