@@ -17,6 +17,7 @@ from koordgen.prove.encode.state import Begun, Free, Moved, State, Written
 from koordgen.prove.encode.stmt import Cut, Frame
 from koordgen.prove.encode.values import Val
 from koordgen.prove.fragment import complete
+from koordgen.prove.goal import goal
 from koordgen.prove.moment import Setting, Stage, temps_of
 from koordgen.prove.obligation import Cell, Fact, Kind, Moment, Obligation
 from koordgen.prove.term import Term
@@ -52,7 +53,7 @@ def base(setting: Setting) -> list[Obligation]:
         demands = run.demands
         goals += _at_cuts(stage, run.cuts)
     if setting.invariants:
-        goals += [(p, "", stage.goal(p, ready)) for p in setting.invariants]
+        goals += [(p, "", goal(stage, p, ready)) for p in setting.invariants]
     cells = stage.cells([("before", ready.launch), ("after", ready)])
     facts = stage.close()
     line = program.init[0].span.line if program.init else 1
@@ -89,7 +90,7 @@ def of_event(setting: Setting, event: decl.Event) -> list[Obligation]:
     for cut in frame.cuts:
         stage.known_at(cut)
     goals = _at_cuts(stage, frame.cuts)
-    goals += [(p, "", stage.goal(p, after)) for p in setting.touched(after.writes)]
+    goals += [(p, "", goal(stage, p, after)) for p in setting.touched(after.writes)]
     room.instantiate()
     moments: list[tuple[Moment, State]] = [("before", now), ("after", after)]
     if begun.used:
@@ -106,7 +107,7 @@ def environment(setting: Setting) -> list[Obligation]:
     after = Moved(now, Free(stage.room, setting.types, "@after"), setting.sensors)
     stage.holds(setting.invariants, now)
     stage.ports(now, after)
-    goals = [(p, "", stage.goal(p, after)) for p in setting.touched(setting.sensors)]
+    goals = [(p, "", goal(stage, p, after)) for p in setting.touched(setting.sensors)]
     if not goals:
         return []
     cells = stage.cells([("before", now), ("after", after)])
@@ -141,7 +142,7 @@ def consistent(setting: Setting) -> list[Obligation]:
 def _at_cuts(stage: Stage, cuts: Sequence[Cut]) -> list[Goal]:
     """The invariants where a loop begins, and where a run of it ends."""
     return [
-        (p, f"loop-{cut.line}-{cut.kind.replace(' ', '-')}", stage.goal(p, cut.state, t.all_of(cut.path)))
+        (p, f"loop-{cut.line}-{cut.kind.replace(' ', '-')}", goal(stage, p, cut.state, t.all_of(cut.path)))
         for cut in cuts
         if cut.kind != "run"
         for p in stage.setting.touched(cut.state.writes)

@@ -21,8 +21,6 @@ from koordgen.prove.obligation import Cell, Fact, Moment
 from koordgen.prove.term import Term
 from koordgen.source import Span
 
-_NAMES = ("i", "j", "k", "l", "m")
-
 
 class Setting:
     """A program, how many robots it has (None: any number), the params that have values, whether distances are told by
@@ -190,54 +188,6 @@ class Stage:
                 break
         return tuple(self.room.facts)
 
-    # What is to be shown
-
-    def goal(self, property_: decl.Property, state: State, guard: Term = t.TRUE) -> tuple[Fact, ...]:
-        """The parts of what a property says of a state, of any robots."""
-        found: list[Fact] = []
-        self._goal(property_.formula, OfFleet(state), guard, 0, found, property_.name)
-        return tuple(found)
-
-    def _goal(
-        self, formula: ir.Expr, scope: OfFleet, guard: Term, depth: int, found: list[Fact], name: str
-    ) -> None:  # fmt: skip
-        match formula:
-            case ir.Logic("and", left, right):
-                self._goal(left, scope, guard, depth, found, name)
-                self._goal(right, scope, guard, depth, found, name)
-            case ir.Quantified("forall", variable, domain, body):
-                for value, inside in self._any(domain, scope, depth):
-                    scope.temps[variable] = value
-                    self._goal(body, scope, t.and_(guard, inside), depth + 1, found, name)
-                    del scope.temps[variable]
-            case _:
-                term = t.implies(guard, self.encoder.defined(formula, scope))
-                label = f"invariant {name}: {shown(formula)}"
-                found.append(Fact(label, term, self.setting.program.path, formula.span.line))
-
-    def _any(self, domain: ir.Expr, scope: OfFleet, depth: int) -> Iterator[tuple[Val, Term]]:
-        """An element of a domain, whichever; each, for a number of robots that is known."""
-        room = self.room
-        if isinstance(domain, ir.Ids):
-            if room.robots is not None:
-                yield from [(t.integer(i), t.TRUE) for i in range(room.robots)]
-            elif room.own is None:
-                yield room.some_robot(_robot(depth)), t.TRUE
-            else:
-                yield room.own, t.TRUE
-                other = room.another(_robot(depth))
-                yield other, room.within(other)
-            return
-        over = domain_of(self.encoder, domain, scope)
-        if over.few is not None:
-            yield from [(value, t.TRUE) for value in over.few]
-            return
-        place = t.constant(f"place{depth}@goal", t.INT)
-        if over.robots:
-            room.robot(place)
-        room.element(place, False, over.places)
-        yield over.element(place), over.inside(place)
-
     def cells(self, moments: Iterable[tuple[Moment, State]]) -> tuple[Cell, ...]:
         """Which terms are which variables, of the robots that are spoken of."""
         lists, found = self.encoder.lists, []
@@ -260,10 +210,6 @@ class _Nowhere:
 
     def of(self, key: Key, robot: Term) -> Val:
         raise AssertionError(f"{key} where only params are read")
-
-
-def _robot(depth: int) -> str:
-    return f"{_NAMES[depth % 5]}@{'goal' if depth < 5 else depth}"
 
 
 def conjuncts(formula: ir.Expr) -> Iterator[ir.Expr]:
@@ -300,13 +246,6 @@ def mentioned(formula: object) -> Iterator[Key]:
                 yield "cell", name
             case _:
                 pass
-
-
-def shown(formula: ir.Expr) -> str:
-    """A formula as the program writes it, nearly."""
-    from koordgen.ir.printer import expression
-
-    return expression(formula)
 
 
 def temps_of(block: stmt.Block) -> dict[str, Type]:
