@@ -236,6 +236,12 @@ def _key(options: Namespace) -> int:
     return HOLDS
 
 
+def _campaign(options: Namespace) -> int:
+    from koordgen.cli.campaign import campaign
+
+    return campaign(options)
+
+
 def _afterwards(options: Namespace) -> int:
     """What is made of a run that is over: the harness that left it knows how."""
     from koordgen import resources
@@ -259,7 +265,7 @@ def _afterwards(options: Namespace) -> int:
 
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "check": _check, "dump": _dump, "build": _build, "fmt": _fmt, "explain": _explain, "estop": _estop,
-    "basestation": _basestation, "doctor": _doctor, "key": _key, "report": _afterwards,
+    "basestation": _basestation, "doctor": _doctor, "key": _key, "report": _afterwards, "campaign": _campaign,
 }  # fmt: skip
 
 

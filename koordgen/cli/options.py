@@ -117,6 +117,30 @@ def _harness(command: argparse.ArgumentParser) -> None:
     _of_a_build(command, fleet_required=True)
 
 
+def _campaign(command: argparse.ArgumentParser) -> None:
+    command.add_argument("program", metavar="APP.koord")
+    command.add_argument("--runs", metavar="N", type=_count, help="how many runs (default: every combination once)")
+    vary = "what differs from run to run: seed, seed=1:70, NAME=LO:HI, NAME=A,B,C, with commas between them"
+    command.add_argument("--vary", metavar="NAME[=VALUES]", action="append", default=[], help=vary)
+    command.add_argument("--duration", metavar="S", type=float, help="seconds of each mission, from its first round")
+    command.add_argument("--lockstep", action="store_true", help="on the simulated clock: repeatable, and faster")
+    command.add_argument("--verdict", metavar="FILE", help="a Python script that judges each run's folder")
+    jobs = "runs at a time (default: as many as there are cores; one in real time)"
+    command.add_argument("--jobs", metavar="N", type=_count, help=jobs)
+    command.add_argument("--out", metavar="DIR", help="where runs, table and pictures go (default: campaign-<app>)")
+    command.add_argument("--resume", action="store_true", help="go on with what DIR holds")
+    command.add_argument("--cluster", metavar="ADDRESS", help="hand the runs to this Dask scheduler")
+    command.add_argument("--quiet", action="store_true", help="no progress")
+    _of_a_build(command, fleet_required=True)
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise ValueError
+    return value
+
+
 def _report(command: argparse.ArgumentParser) -> None:
     command.add_argument("trace", metavar="TRACE", help="a run's folder, or its trace.jsonl")
     command.add_argument("-o", "--out", metavar="FILE", help="the page (default: report.html beside the trace)")
@@ -148,6 +172,7 @@ _COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "basestation": ("pass the poses of a motion capture system on to the robots of a fleet", _basestation),
     "doctor": ("look whether a robot is ready for a mission, on its own computer; nothing moves", _doctor),
     "key": ("make a fleet's key", _key),
+    "campaign": ("run a fleet many times, and tell what came of it", _campaign),
     "report": ("make the page that shows a run: moving pictures, rounds, shared variables, network", _report),
 }
 
