@@ -130,7 +130,7 @@ def plan_file(
         slow = check_calls(program, len(fleet.robots), fleet.delta, fleet.planner_budget)
         checked = replace(checked, noticed=tuple(in_order([*checked.noticed, *sending, *slow])))
     source = Path(path).read_bytes()
-    return checked, plan(read_ingredients(program, source, used, fleet, resources.package(), own), wanted)
+    return checked, plan(read_ingredients(program, source, used, fleet, resources.package(), own, given), wanted)
 
 
 def _check_sending(program: Program, fleet: Fleet) -> list[Diagnostic]:
