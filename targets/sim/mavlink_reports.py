@@ -42,9 +42,10 @@ ARMABLE = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 class Reports:
     """What can be told, by message number. `frame` is the fleet's."""
 
-    def __init__(self, copter: Copter, frame: LocalFrame) -> None:
+    def __init__(self, copter: Copter, frame: LocalFrame, upset: Upset | None = None) -> None:
         self.copter, self.frame = copter, frame
-        self.battery = 1.0  # what is left of it
+        self._charge = 1.0  # what its flying has left of it
+        self._upset = upset or Upset()
         self._drained: float | None = None
         self._seen = 0.0
         self.makers: dict[int, Maker] = {
@@ -66,10 +67,15 @@ class Reports:
             mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self.version,
         }
 
+    @property
+    def battery(self) -> float:
+        """What is left of it."""
+        return min(self._charge, self._upset.battery)
+
     def drain(self, now: float) -> None:
         """The battery empties in the air."""
         if self._drained is not None and self.copter.armed and not self.copter.landed:
-            self.battery = max(0.0, self.battery - (now - self._drained) / ENDURANCE)
+            self._charge = max(0.0, self._charge - (now - self._drained) / ENDURANCE)
         self._drained = now
 
     def clock(self, now: float) -> int:

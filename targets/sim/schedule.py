@@ -16,6 +16,7 @@ import msgspec
 from koordgen.runtime.network import Conditions
 from targets.sim.bodies import Vector
 from targets.sim.scenario import Wind
+from targets.sim.upset import Positioning
 
 MOST_EVENTS = 1000
 Path = tuple[str | int, ...]
@@ -36,16 +37,6 @@ class Mistake(msgspec.Struct, frozen=True):
     message: str
     hint: str = ""
     at_key: bool = False
-
-
-class Positioning(msgspec.Struct, frozen=True):
-    """What is wrong with a robot's positions: noise on top (m, standard deviation), bias (m, ENU), delay (s, on top),
-    and which part of them never comes."""
-
-    noise: float = 0.0
-    bias: Vector = (0.0, 0.0, 0.0)
-    delay: float = 0.0
-    dropout: float = 0.0
 
 
 class Link(msgspec.Struct, frozen=True):
