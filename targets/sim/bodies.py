@@ -10,13 +10,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+import msgspec
+
 from targets.sim.upset import Upset
 
 Vector = tuple[float, float, float]
 
 
-@dataclass(frozen=True, slots=True)
-class BodyState:
+class BodyState(msgspec.Struct, frozen=True):
     """The truth about a body: position (m), velocity (m/s), both ENU; yaw (rad) and its rate (rad/s)."""
 
     position: Vector

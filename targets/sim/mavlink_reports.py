@@ -14,6 +14,7 @@ from koordgen.runtime.geodesy import LocalFrame
 from targets.sim.mavlink_copter import Copter
 from targets.sim.mavlink_guided import STILL, Aim, Vector
 from targets.sim.mavlink_telemetry import Maker, Message
+from targets.sim.upset import Upset
 
 VERSION = 4 << 24 | 7 << 16 | 255  # 4.7.0, official
 CAPABILITIES = (
@@ -107,8 +108,13 @@ class Reports:
         return mavlink.MAVLink_system_time_message(0, self.clock(now))
 
     @property
+    def volts(self) -> float:
+        """Of the battery."""
+        return EMPTY + (FULL - EMPTY) * self.battery
+
+    @property
     def _millivolts(self) -> int:
-        return round((EMPTY + (FULL - EMPTY) * self.battery) * 1000)
+        return round(self.volts * 1000)
 
     @property
     def _current(self) -> float:

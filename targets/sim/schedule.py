@@ -27,6 +27,7 @@ MOMENTARY = ("restart", "battery")  # know none
 PROBABILITIES = ("loss", "duplication", "reordering")
 CONDITIONS = ("loss", "delay", "jitter", "duplication", "reordering")
 MOST_SECONDS = 86_400.0
+MOST_DELAY = 10.0  # seconds of delay and of jitter
 
 
 class Mistake(msgspec.Struct, frozen=True):
@@ -168,7 +169,9 @@ class _Form:
             if key in CONDITIONS:
                 share = key in PROBABILITIES
                 unit = "a part of 1" if share else "seconds"
-                found[key] = self.number(value, (*path, key), f"{what}.{key} ({unit})", 0.0, 1.0 if share else 10.0)
+                found[key] = self.number(
+                    value, (*path, key), f"{what}.{key} ({unit})", 0.0, 1.0 if share else MOST_DELAY
+                )
         return Conditions(**{key: value for key, value in found.items() if value is not None})
 
     def link(self, data: Any, path: Path) -> Link | None:
