@@ -88,7 +88,8 @@ class Faults:
         if self._schedule.network is not None:
             self._stamp(now, "network", tuple(self._names), _conditions(self._schedule.network))
         for link in self._schedule.links:
-            told = f"from {link.sender} to {link.receiver}: {_conditions(link.conditions)}"
+            conditions = link.over(self._schedule.network or Conditions())
+            told = f"from {link.sender} to {link.receiver}: {_conditions(conditions)}"
             self._stamp(now, "link", (link.sender, link.receiver), told)
 
     def step(self, at: float, states: list[BodyState]) -> None:

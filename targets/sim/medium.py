@@ -30,8 +30,8 @@ class Medium(msgspec.Struct, frozen=True):
 def medium(schedule: Schedule, names: Sequence[str]) -> Medium:
     """Before any partition; `names` are the robots by pid."""
     pids = {name: pid for pid, name in enumerate(names)}
-    links = tuple((pids[link.sender], pids[link.receiver], link.conditions) for link in schedule.links)
-    return Medium(schedule.network or Conditions(), links)
+    whole = schedule.network or Conditions()
+    return Medium(whole, tuple((pids[link.sender], pids[link.receiver], link.over(whole)) for link in schedule.links))
 
 
 def parted(whole: Medium, groups: Sequence[Sequence[str]], names: Sequence[str]) -> Medium:

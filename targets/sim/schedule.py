@@ -6,6 +6,7 @@ columns, or a bundle, which is handed the same as JSON. Times are t, seconds sin
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
@@ -41,11 +42,15 @@ class Mistake(msgspec.Struct, frozen=True):
 
 
 class Link(msgspec.Struct, frozen=True):
-    """The conditions of one direction between two robots."""
+    """One direction between two robots, and of its conditions those that are not the others'."""
 
     sender: str
     receiver: str
-    conditions: Conditions
+    given: dict[str, float]
+
+    def over(self, network: Conditions) -> Conditions:
+        """Its conditions, where all others have those of `network`."""
+        return dataclasses.replace(network, **self.given)
 
 
 class Event(msgspec.Struct, frozen=True):
@@ -89,7 +94,7 @@ def read(data: Any, robots: Sequence[str]) -> tuple[Schedule, list[Mistake]]:
     and told."""
     form = _Form(robots)
     top = form.table(data, (), "the scenario", (), ("network", "links", "events"))
-    network = form.conditions(top["network"], ("network",), "network") if "network" in top else None
+    network = Conditions(**form.conditions(top["network"], ("network",), "network")) if "network" in top else None
     links = [form.link(entry, ("links", i)) for i, entry in enumerate(form.items(top.get("links"), ("links",)))]
     entries = form.items(top.get("events"), ("events",))
     if len(entries) > MOST_EVENTS:
@@ -162,8 +167,8 @@ class _Form:
         self.tell("F005", path, f"no robot {data!r} in this fleet", hint)
         return None
 
-    def conditions(self, data: Any, path: Path, what: str, more: Sequence[str] = ()) -> Conditions:
-        """`more`: keys of the same table that are somebody else's."""
+    def conditions(self, data: Any, path: Path, what: str, more: Sequence[str] = ()) -> dict[str, float]:
+        """Those that are given; `more`: keys of the same table that are somebody else's."""
         found = {}
         for key, value in self.table(data, path, what, more, CONDITIONS).items():
             if key in CONDITIONS:
@@ -172,11 +177,11 @@ class _Form:
                 found[key] = self.number(
                     value, (*path, key), f"{what}.{key} ({unit})", 0.0, 1.0 if share else MOST_DELAY
                 )
-        return Conditions(**{key: value for key, value in found.items() if value is not None})
+        return {key: value for key, value in found.items() if value is not None}
 
     def link(self, data: Any, path: Path) -> Link | None:
         what = f"link {path[-1]}"
-        conditions = self.conditions(data, path, what, ("from", "to"))
+        given = self.conditions(data, path, what, ("from", "to"))
         if not isinstance(data, dict) or "from" not in data or "to" not in data:
             return None
         sender, receiver = self.robot(data["from"], (*path, "from")), self.robot(data["to"], (*path, "to"))
@@ -185,7 +190,7 @@ class _Form:
         if sender == receiver:
             self.tell("F005", (*path, "to"), f"{what} leads from {sender} to itself")
             return None
-        return Link(sender, receiver, conditions)
+        return Link(sender, receiver, given)
 
     def once(self, links: Sequence[Link | None]) -> None:
         seen: dict[tuple[str, str], int] = {}

@@ -8,7 +8,8 @@ import pytest
 
 from koordgen.runtime.network import Conditions
 from targets.sim.scenario import Wind
-from targets.sim.schedule import Event, Link, Positioning, Schedule, read
+from targets.sim.schedule import Event, Link, Schedule, read
+from targets.sim.upset import Positioning
 
 ROBOTS = ("ann", "bob", "cem")
 
@@ -39,7 +40,8 @@ def test_all_that_there_is() -> None:
         ],
     )
     assert schedule.networked and schedule.network == Conditions(0.1, 0.02, 0.01, 0.05, 0.2)
-    assert schedule.links == (Link("ann", "bob", Conditions(loss=1.0)),)
+    assert schedule.links == (Link("ann", "bob", {"loss": 1.0}),)
+    assert schedule.links[0].over(schedule.network) == Conditions(1.0, 0.02, 0.01, 0.05, 0.2)
     assert [event.at for event in schedule.events] == [1, 2, 3, 4, 5, 6, 7, 9]
     assert schedule.events[0] == Event("partition", 1.0, 2.0, ROBOTS, (("ann", "bob"), ("cem",)))
     assert schedule.events[4].positioning == Positioning(0.1, (0.0, 1.0, 0.0), 0.0, 0.5)
