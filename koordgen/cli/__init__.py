@@ -114,6 +114,12 @@ def _fmt(options: Namespace) -> int:
     return WRONG if mistakes or (dry and any(r.changed for r in results)) else HOLDS
 
 
+def _prove(options: Namespace) -> int:
+    from koordgen.cli.prove import run
+
+    return run(options)
+
+
 def _explain(options: Namespace) -> int:
     from koordgen.diagnostics import CATALOGUE
 
@@ -232,8 +238,9 @@ def _afterwards(options: Namespace) -> int:
 
 
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {
-    "check": _check, "dump": _dump, "build": _build, "fmt": _fmt, "explain": _explain, "estop": _estop,
-    "basestation": _basestation, "doctor": _doctor, "key": _key, "report": _afterwards, "campaign": _campaign,
+    "check": _check, "dump": _dump, "build": _build, "prove": _prove, "fmt": _fmt, "explain": _explain,
+    "estop": _estop, "basestation": _basestation, "doctor": _doctor, "key": _key, "report": _afterwards,
+    "campaign": _campaign,
 }  # fmt: skip
 
 

@@ -25,8 +25,7 @@ def harness(options: Namespace) -> int:
     passed = [f"--{key}={value}" for key in PASSED if (value := getattr(options, key)) is not None]
     passed.append(f"--out={options.out or f'run-{app}'}")
     passed.append(f"--invoked-as={shlex.join(['koordgen', *sys.argv[1:]])}")
-    if options.quiet:
-        passed.append("--quiet")
+    passed += [f"--{flag}" for flag in ("lockstep", "quiet") if getattr(options, flag)]
     with tempfile.TemporaryDirectory(prefix="koordgen-") as folder:
         cli._write({options.command: bundle}, Path(folder))
         if scenario is not None:

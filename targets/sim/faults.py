@@ -117,7 +117,7 @@ class Faults:
             case "crash":
                 self._agent(event).crash()
             case "restart":
-                self._agent(event).restart()
+                self._restart(event)
             case "freeze":
                 self._agent(event).freeze(event.lasts or 0.0)
             case "positioning":
@@ -136,7 +136,7 @@ class Faults:
                 run.conduct.disturb(self._medium)
             case "crash":
                 self._stamp(at, "restart", event.robots, f"{event.lasts:g} s after its crash")
-                self._agent(event).restart()
+                self._restart(event)
             case "positioning":
                 self._upset(event).positioning = WELL
             case "lag":
@@ -145,6 +145,11 @@ class Faults:
                 run.stage.world.blow(run.scenario.world.wind)
             case _:
                 pass  # a freeze ends by itself
+
+    def _restart(self, event: Event) -> None:
+        agent = self._agent(event)
+        if not agent.told:  # to come to rest: nobody would tell its next life
+            agent.restart()
 
     def _agent(self, event: Event) -> Agent:
         return self._run.conduct.agents[self._names.index(event.robots[0])]

@@ -131,7 +131,7 @@ class Rig:
         self.upset = Upset()
         told = {"positioning": prepared or body.get("positioning", "own")}
         setup = {"boot": boot, "position_noise": noise, **(harness or {})}
-        context = DeviceContext("alice", told, setup, ORIGIN, 7, b"", self.upset)
+        context = DeviceContext("alice", told, setup, ORIGIN, 7, b"", upset=self.upset)
         self.autopilot = SimulatedAutopilot(self.body, context, self.wire.autopilot_end) if autopilot else None
         self.quad = self.agent(**body)
         self.progress: list[str] = []

@@ -45,7 +45,7 @@ class FakeRun:
     def _agent(self, name: str) -> Any:
         return SimpleNamespace(
             crash=lambda: self._do("crash", name), restart=lambda: self._do("restart", name),
-            freeze=lambda seconds: self._do("freeze", (name, seconds)),
+            freeze=lambda seconds: self._do("freeze", (name, seconds)), told=False,
         )  # fmt: skip
 
     def _do(self, *what: Any) -> None:
