@@ -115,7 +115,7 @@ def _run(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespa
     header = trace.Header(
         trace.FORMAT, scenario.app, scenario.program_hash, scenario.delta, options.seed, names, options.duration,
         outcome.started, scenario.number("min_separation", 0.0), (scenario.geofence.lo, scenario.geofence.hi),
-        scenario.obstacles, scenario.shared, scenario.records,
+        scenario.obstacles, scenario.world, scenario.shared, scenario.records,
     )  # fmt: skip
     merged = folder / "trace.jsonl"
     trace.merge(merged, header, outcome.zero, run.poses_file, [a.trace_file for a in run.conduct.agents], outcome.marks)
