@@ -248,7 +248,12 @@ def _afterwards(options: Namespace) -> int:
         message = f"the package {error.name} is missing"
         raise Failure(SURROUNDINGS, message, f"{sys.executable} -m pip install 'koordgen[sim]'") from None
     try:
-        made = commands.report(options.trace, options.out)
+        if options.command == "report":
+            made = commands.report(options.trace, options.out)
+        else:
+            made = commands.export(options.trace, options.to, options.out)
+    except commands.CannotMake as error:
+        raise Failure(SURROUNDINGS, str(error), error.hint) from None
     except BadTrace as error:
         raise Failure(WRONG, str(error), "a run's folder is expected, or the trace.jsonl that it left") from None
     except OSError as error:
@@ -259,7 +264,7 @@ def _afterwards(options: Namespace) -> int:
 
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "check": _check, "dump": _dump, "build": _build, "fmt": _fmt, "explain": _explain, "estop": _estop,
-    "basestation": _basestation, "doctor": _doctor, "key": _key, "report": _afterwards,
+    "basestation": _basestation, "doctor": _doctor, "key": _key, "report": _afterwards, "export": _afterwards,
 }  # fmt: skip
 
 

@@ -131,12 +131,10 @@ def _run(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespa
 
 
 def _report(folder: Path) -> None:
-    from targets.sim import trace
-    from targets.sim.view import plots, report
+    from targets.sim.view import commands
 
-    merged = folder / "trace.jsonl"
-    plots.draw(plots.tracks(*trace.read(merged)), folder / "plots")
-    report.write(folder / "report.html", merged)
+    commands.export(str(folder), "png", None)
+    commands.report(str(folder), None)
 
 
 def _reproduce(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespace) -> dict[str, str]:
