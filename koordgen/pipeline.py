@@ -130,7 +130,7 @@ def plan_file(
         slow = check_calls(program, len(fleet.robots), fleet.delta, fleet.planner_budget)
         checked = replace(checked, noticed=tuple(in_order([*checked.noticed, *sending, *slow])))
     source = Path(path).read_bytes()
-    return checked, plan(read_ingredients(program, source, used, fleet, resources.package(), own), wanted)
+    return checked, plan(read_ingredients(program, source, used, fleet, resources.package(), own, given), wanted)
 
 
 def _check_sending(program: Program, fleet: Fleet) -> list[Diagnostic]:
@@ -199,6 +199,16 @@ def read_fleet(
     if read is None:
         raise Rejected(found)
     return read, read.params
+
+
+def fleet_params(path: str | None, checked: Checked, program_path: str) -> dict[str, Value]:
+    """The values of params in a fleet file; none without one. Raises Rejected, ManifestError."""
+    from koordgen import manifest
+
+    if path is None:
+        return {}
+    targets = {name: manifest.load(name) for name in manifest.available()}
+    return read_fleet(path, targets, checked.program, program_path)[1]
 
 
 def _known(program: Program, fleet_path: str, program_path: str) -> Known:

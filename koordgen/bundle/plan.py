@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from koordgen import __version__
 from koordgen.bundle.write import SUMS, sums
 from koordgen.emit.program import functions_module, interface_hash, program_hash, program_text
+from koordgen.emit.property import properties_text
 from koordgen.emit.render import render
 from koordgen.ir.decl import Program
 from koordgen.manifest import Target
@@ -22,11 +23,14 @@ if TYPE_CHECKING:  # reading YAML costs too much for builds that have no fleet
 
 Files = dict[str, bytes]
 ZENOH = "eclipse-zenoh>=1.10"
+# In a harness's bundle and in what its run leaves: all that tells what a trace is of, so that it can be replayed.
+SOURCE, PARAMS = "source", "params.json"
 
 
 class Ingredients(Node):
     """All that a plan is made from, read beforehand. `common` are the files that every bundle holds, `target_files`
-    those of each target by its name, `beside` the user's own Python, all by their path inside a bundle."""
+    those of each target by its name, `beside` the user's own Python, all by their path inside a bundle; `params` what was
+    given for params."""
 
     program: Program
     source: bytes
@@ -35,6 +39,7 @@ class Ingredients(Node):
     common: Files
     target_files: dict[str, Files]
     beside: Files
+    params: Mapping[str, Any]
 
 
 def plan(these: Ingredients, wanted: Iterable[str]) -> dict[str, Files]:
@@ -51,7 +56,7 @@ def plan(these: Ingredients, wanted: Iterable[str]) -> dict[str, Files]:
         bundles = {r.name: built[r.name] for r in these.fleet.robots if r.target in wanted}
         bundles["fleet"] = _finished({"fleet.json": _json(_facts(these.program, these.fleet, _functions(these)))})
     for harness in harnesses:
-        bundles[harness.name] = _harness(these, harness, built)
+        bundles[harness.name] = _harness(these, harness, text, built)
     return bundles
 
 
@@ -95,14 +100,22 @@ def _drivers(these: Ingredients) -> list[tuple[str, str, str]]:
     return [(m.name, named[m.name].module, named[m.name].name) for m in these.program.modules if m.name in named]
 
 
-def _harness(these: Ingredients, target: Target, agents: dict[str, Files]) -> Files:
+def _harness(these: Ingredients, target: Target, text: bytes, agents: dict[str, Files]) -> Files:
     module, _, name = target.entry.partition(":")
     program, fleet = these.program, these.fleet
     robots = [(r.name, r.target) for r in fleet.robots] if fleet else []
+    functions = f"{functions_module(program)}.py"
     files = {
         **these.common,
         **these.target_files[target.name],
+        **{path: data for name in sorted({r[1] for r in robots}) for path, data in these.target_files[name].items()},
+        **{path: data for path, data in these.beside.items() if path == functions},
         "__main__.py": render("main_harness.py", module=module, name=name).encode(),
+        "program.py": text,
+        "properties.py": properties_text(program, fleet.drivers if fleet else ()).encode(),
+        f"{SOURCE}/{program.path}": these.source,
+        f"{SOURCE}/{PARAMS}": _json(dict(these.params)),
+        **{f"{SOURCE}/{path}": data for path, data in these.beside.items() if path == functions},
         "requirements.txt": _requirements(None, target, *(t for t in these.targets if t.kind == "agent")),
         "README.md": render(
             "README_harness.md", app=program.name, source=program.path, target=target.name, summary=target.summary,
@@ -176,6 +189,7 @@ def _scenario(these: Ingredients, fleet: Fleet, harness: Target) -> dict[str, An
         "world": fleet.world.facts,
         "shared": [{"name": v.name, "kind": v.kind, "type": str(v.type)} for v in these.program.shared],
         "records": {str(r.type): [[name, str(t)] for name, t in r.type.fields] for r in these.program.records},
+        "drivers": _drivers(these),
         "harness": fleet.harness.get(harness.name) or {k: s.default for k, s in harness.settings.items()},
         "robots": [
             {
@@ -200,6 +214,7 @@ def read_ingredients(
     fleet: Fleet | None,
     package: Path,
     beside: Mapping[str, Path] = MappingProxyType({}),
+    params: Mapping[str, Any] = MappingProxyType({}),
 ) -> Ingredients:
     """Reads every file that is copied whole. `package` is the koordgen package itself; `beside` are the user's own
     files by their path inside a bundle."""
@@ -207,7 +222,9 @@ def read_ingredients(
     common.update(_folder(package / "runtime", "koordgen/runtime"))
     own = {path: file.read_bytes() for path, file in beside.items()}
     common["targets/__init__.py"] = (targets[0].folder.parent / "__init__.py").read_bytes()
-    return Ingredients(program, source, targets, fleet, common, {t.name: _target_files(t) for t in targets}, own)
+    return Ingredients(
+        program, source, targets, fleet, common, {t.name: _target_files(t) for t in targets}, own, params
+    )
 
 
 def _target_files(target: Target) -> Files:

@@ -61,6 +61,33 @@ def _build(command: argparse.ArgumentParser) -> None:
     _of_a_build(command)
 
 
+def _prove(command: argparse.ArgumentParser) -> None:
+    from koordgen.cli.prove import numbers
+
+    def robots(text: str) -> str:
+        numbers(text)
+        return text
+
+    command.add_argument("program", metavar="APP.koord")
+    many = "`any` (default), a number or a range as 3..15"
+    command.add_argument("--robots", metavar="N", type=robots, default="any", help=many)
+    value = "a param's value; params without one may have any"
+    command.add_argument("--param", metavar="NAME=VALUE", action="append", default=[], help=value)
+    command.add_argument("--fleet", metavar="FILE", help="a fleet file (YAML) for the values of params")
+    command.add_argument("--emit", metavar="DIR", help="write each obligation as a file of SMT-LIB, and run.sh")
+    command.add_argument("--solver", choices=("z3", "cvc5", "both"), default="z3", help="default: z3")
+    command.add_argument("--timeout", metavar="S", type=_seconds, default=10.0, help="of one query (default: 10)")
+    command.add_argument("--trace", metavar="FILE", help="write the first counterexample as koord-trace/1")
+    command.add_argument("--format", choices=("text", "json"), default="text", help="of what is told (default: text)")
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0.01 <= value <= 86400.0:
+        raise ValueError
+    return value
+
+
 def _fmt(command: argparse.ArgumentParser) -> None:
     command.add_argument("files", metavar="FILE", nargs="+", help="`-` reads standard input, writes standard output")
     command.add_argument("--check", action="store_true", help="write nothing; status 1 when a file would change")
@@ -112,9 +139,34 @@ def _harness(command: argparse.ArgumentParser) -> None:
     command.add_argument("program", metavar="APP.koord")
     command.add_argument("--duration", metavar="S", type=float, help="seconds of mission, from its first round")
     command.add_argument("--seed", metavar="N", type=int, help="seed of all that is random")
+    command.add_argument("--lockstep", action="store_true", help="all in one process: repeatable, as fast as it goes")
     command.add_argument("--out", metavar="DIR", help="where trace, summary, pictures and report go")
     command.add_argument("--quiet", action="store_true", help="no progress")
     _of_a_build(command, fleet_required=True)
+
+
+def _campaign(command: argparse.ArgumentParser) -> None:
+    command.add_argument("program", metavar="APP.koord")
+    command.add_argument("--runs", metavar="N", type=_count, help="how many runs (default: every combination once)")
+    vary = "what differs from run to run: seed, seed=1:70, NAME=LO:HI, NAME=A,B,C, with commas between them"
+    command.add_argument("--vary", metavar="NAME[=VALUES]", action="append", default=[], help=vary)
+    command.add_argument("--duration", metavar="S", type=float, help="seconds of each mission, from its first round")
+    command.add_argument("--lockstep", action="store_true", help="on the simulated clock: repeatable, and faster")
+    command.add_argument("--verdict", metavar="FILE", help="a Python script that judges each run's folder")
+    jobs = "runs at a time (default: as many as there are cores; one in real time)"
+    command.add_argument("--jobs", metavar="N", type=_count, help=jobs)
+    command.add_argument("--out", metavar="DIR", help="where runs, table and pictures go (default: campaign-<app>)")
+    command.add_argument("--resume", action="store_true", help="go on with what DIR holds")
+    command.add_argument("--cluster", metavar="ADDRESS", help="hand the runs to this Dask scheduler")
+    command.add_argument("--quiet", action="store_true", help="no progress")
+    _of_a_build(command, fleet_required=True)
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise ValueError
+    return value
 
 
 def _report(command: argparse.ArgumentParser) -> None:
@@ -148,12 +200,14 @@ _COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "check": ("check a program", _check),
     "dump": ("show a program as it stands after a pass", _dump),
     "build": ("write a bundle for each target, or for each robot of a fleet", _build),
+    "prove": ("prove a program's invariants, or show why they do not hold", _prove),
     "fmt": ("format programs in place", _fmt),
     "explain": ("tell more of a code, with a wrong and a right example", _explain),
     "estop": ("emergency stop: bring all robots of a fleet to rest at once", _estop),
     "basestation": ("pass the poses of a motion capture system on to the robots of a fleet", _basestation),
     "doctor": ("look whether a robot is ready for a mission, on its own computer; nothing moves", _doctor),
     "key": ("make a fleet's key", _key),
+    "campaign": ("run a fleet many times, and tell what came of it", _campaign),
     "report": ("make the page that shows a run: moving pictures, rounds, shared variables, network", _report),
     "export": ("write a run's trace as MCAP, CSV, pictures or a film", _export),
 }

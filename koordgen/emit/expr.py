@@ -19,6 +19,7 @@ from koordgen.ir.types import (
     TupleOf,
     Type,
 )
+from koordgen.node import nodes
 
 # Python's binding strengths, loosest first.
 _CONDITIONAL, _OR, _AND, _NOT, _COMPARE, _SUM, _PRODUCT, _SIGN, _ATOM = range(9)
@@ -85,10 +86,32 @@ def _text(node: ir.Expr, names: Names) -> tuple[str, int]:
             shown = f"{_within(then, names, _OR)} if {_within(condition, names, _OR)} else {text(orelse, names)}"
             return shown, _CONDITIONAL
         case ir.Quantified(kind, name, over, body):
+            if names.formulas:
+                return _quantified(node, names), _ATOM
             every = "all" if kind == "forall" else "any"
             return f"{every}({text(body, names)} for {names.temp(name)} in {domain(over, names)})", _ATOM
         case _:
             return _atom(node, names), _ATOM
+
+
+def _quantified(node: ir.Quantified, names: Names) -> str:
+    """Of what is known of a fleet, which may leave the truth open, and tells what made it false."""
+    every = "every" if node.kind == "forall" else "some"
+    others = "" if isinstance(node.domain, ir.Ids) or _names_a_robot(node.name, node.body) else ", robots=False"
+    body = f"lambda {names.temp(node.name)}: {text(node.body, names)}"
+    return f"s.{every}({literal(node.name)}, {domain(node.domain, names)}, {body}{others})"
+
+
+def _names_a_robot(name: str, body: ir.Expr) -> bool:
+    """Whether a temp is the index of a robot somewhere in an expression."""
+    for node in nodes(body):
+        match node:
+            case ir.LocalOf(_, ir.TempRead(at)) | ir.PortOf(_, _, ir.TempRead(at)) | ir.SlotRead(_, ir.TempRead(at)):
+                if at == name:
+                    return True
+            case _:
+                pass
+    return False
 
 
 def _looked_up(container: Type) -> bool:
@@ -124,9 +147,13 @@ def _atom(node: ir.Expr, names: Names) -> str:
             return f"s.{names.shared[name]}.all"
         case ir.SharedRead(name):
             return f"s.{names.shared[name]}.value"
-        case ir.PortRead(module, port):
-            read = f"s.{names.ports[module, port]}"
+        case ir.PortRead(module, port, primed):
+            read = f"s.{names.after if primed else names.before}{names.ports[module, port]}"
             return read if (module, port) in names.sensors else f"{read}.value"
+        case ir.LocalOf(name, robot):
+            return f"s.{names.locals[name]}[{text(robot, names)}]"
+        case ir.PortOf(module, port, robot):
+            return f"s.{names.ports[module, port]}[{text(robot, names)}]"
         case _:
             return _part(node, names)
 
@@ -166,7 +193,7 @@ def _call(node: ir.Expr, names: Names) -> str:
             return f"{names.externs[name]}({_args(args, names)})"
         case ir.PortCall(module, port, args):
             return f"s.{names.ports[module, port]}({_args(args, names)})"
-        case _:  # LocalOf, PortOf; a Range that nothing runs over
+        case _:  # a Range that nothing runs over
             raise InternalError(f"a {type(node).__name__} has no place in an event")
 
 

@@ -26,6 +26,9 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "koordgen.runtime.program": (
         "Cell", "Event", "Frame", "Port", "Program", "Slots", "Stopped", "Transaction", "Variable",
     ),
+    "koordgen.runtime.property": (
+        "Asking", "Assumption", "Each", "Known", "One", "Properties", "Property", "Trail", "Unchecked",
+    ),
     "koordgen.runtime.region": ("Ball", "Rect"),
     "koordgen.runtime.text": ("part", "shown"),
     "koordgen.runtime.values": ("Grid", "Opaque", "Point", "Pose", "Scan", "distance"),

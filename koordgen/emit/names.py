@@ -17,7 +17,10 @@ from koordgen.ir.decl import Program
 _WORD = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 _IN_CLASSES = ("int", "float", "bool", "str", "tuple", "set_of", "map_of", "area")  # in annotations and first values
 # What a generated program calls by these names, beside Python's own and the library's.
-_OWN = ("PROGRAM", "LINES", "LIBRARY", "State", "init", "s", "self", "frame", "n_sys", "Any", "Annotated", "msgspec")
+_OWN = (
+    "PROGRAM", "LINES", "LIBRARY", "State", "init", "s", "self", "frame", "n_sys", "Any", "Annotated", "msgspec",
+    "PROPERTIES", "Fleet", "Ports", "Step",
+)  # fmt: skip
 
 
 def snake(name: str) -> str:
@@ -27,6 +30,9 @@ def snake(name: str) -> str:
 
 class Names:
     """The Python name of each thing in one program. The first thing to claim a name gets it, later ones a number."""
+
+    formulas = False  # whether it is for properties, which are asked of a Known
+    before = after = ""  # what stands before a port's name; in an assumption two moments are told apart
 
     def __init__(self, program: Program) -> None:
         self._taken = {*keyword.kwlist, *dir(builtins), *library.HOME, *_OWN}

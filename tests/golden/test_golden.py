@@ -35,14 +35,14 @@ def bundles(name: str) -> dict[str, Files]:
 
 def readable(name: str) -> dict[str, bytes]:
     """What differs from program to program, and the list of all files."""
-    code = ("__main__.py", "program.py")
+    code = ("__main__.py", "program.py", "properties.py", "source/params.json")
     generated = (*code, "README.md", "requirements.txt", "settings.json", "scenario.json", "fleet.json")
     files: dict[str, bytes] = {}
     for bundle, contents in bundles(name).items():
         files[f"{bundle}/FILES"] = "".join(f"{path}\n" for path in sorted(contents)).encode()
         files.update({f"{bundle}/{path}": contents[path] for path in generated if path in contents})
     if name != "lineform":  # the rest is the same but for names
-        files = {p: data for p, data in files.items() if p.endswith("alice/program.py")}
+        files = {p: data for p, data in files.items() if p.endswith(("alice/program.py", "sim/properties.py"))}
     return files
 
 
@@ -59,12 +59,13 @@ def test_generated_files(name: str) -> None:
 
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_generated_bundles_are_strictly_typed(name: str, tmp_path: Path) -> None:
-    for path, data in bundles(name)["alice"].items():
+    built = bundles(name)
+    for path, data in {**built["sim"], **built["alice"]}.items():
         (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / path).write_bytes(data)
     # The copied files are checked where they come from, by the same rules; here they give the types.
     done = subprocess.run(
-        [sys.executable, "-m", "mypy", "--config-file", str(ROOT / "pyproject.toml"), "program.py"],
+        [sys.executable, "-m", "mypy", "--config-file", str(ROOT / "pyproject.toml"), "program.py", "properties.py"],
         cwd=tmp_path, capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout

@@ -202,7 +202,8 @@ def test_a_gif_shows_the_run_as_it_went(run: Path) -> None:
 @pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="ffmpeg is not installed")
 def test_a_film_is_one(run: Path) -> None:
     assert main(["export", str(run), "--to", "mp4"]) == 0
-    probe = "ffprobe -loglevel error -show_entries stream=width,duration -of json".split() + [str(run / "trace.mp4")]
+    asked = ["-show_entries", "stream=width,duration", "-of", "json", str(run / "trace.mp4")]
+    probe = ["ffprobe", "-loglevel", "error", *asked]
     stream = json.loads(subprocess.run(probe, capture_output=True, check=True).stdout)["streams"][0]
     assert stream["width"] == 880 and float(stream["duration"]) == pytest.approx(12.0, abs=0.5)
 

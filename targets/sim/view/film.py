@@ -103,7 +103,7 @@ class _Scene:
         ground.lay(axes, found.header)
         if found.header.geofence is None:
             self._fit()
-        axes.autoscale(False)
+        axes.set(xlim=axes.get_xlim(), ylim=axes.get_ylim())  # as they are; a map would fit them to itself
         self._title = axes.set_title("0", loc="left", animated=True)
         self._ways = [axes.plot([], [], linewidth=1.2, alpha=0.45, **ground.style(p))[0] for p in self._pids()]
         self._tails = [axes.plot([], [], linewidth=2.6, color=of_robot(p))[0] for p in self._pids()]

@@ -153,137 +153,137 @@ def fun_heavy(my_c: Cup) -> bool:
 
 
 def init(s: State) -> None:
-    s.shared_x.own = s.motion_position  # kitchen.koord:78
-    if s.pid == 0:  # kitchen.koord:79
-        s.shared_lowest.value = distance(s.motion_position, PARAM_HOME)  # kitchen.koord:80
+    s.shared_x.own = s.motion_position  # kitchen.koord:80
+    if s.pid == 0:  # kitchen.koord:81
+        s.shared_lowest.value = distance(s.motion_position, PARAM_HOME)  # kitchen.koord:82
 
 
 def guard_advance(s: State) -> bool:
-    """pre of Advance, kitchen.koord:82"""
-    return s.local_on.value and s.motion_reached and s.local_count.value < PARAM_LAPS and not s.shared_done.value  # kitchen.koord:83
+    """pre of Advance, kitchen.koord:84"""
+    return s.local_on.value and s.motion_reached and s.local_count.value < PARAM_LAPS and not s.shared_done.value  # kitchen.koord:85
 
 
 def effect_advance(s: State) -> None:
-    """eff of Advance, kitchen.koord:82"""
-    my_goal: Point = (s.shared_x[s.pid] + PARAM_HOME) / 2.0 - 0.25 * Point(0.0, 0.0, 1.0)  # kitchen.koord:85
-    if distance(my_goal, s.motion_position) > PARAM_MARGIN:  # kitchen.koord:86
-        s.motion_target.value = my_goal  # kitchen.koord:87
-    elif s.pid % 2 == 0 and s.n_sys > 1:  # kitchen.koord:88
-        s.motion_target.value = -my_goal + s.shared_x[(s.pid + 1) % s.n_sys]  # kitchen.koord:89
+    """eff of Advance, kitchen.koord:84"""
+    my_goal: Point = (s.shared_x[s.pid] + PARAM_HOME) / 2.0 - 0.25 * Point(0.0, 0.0, 1.0)  # kitchen.koord:87
+    if distance(my_goal, s.motion_position) > PARAM_MARGIN:  # kitchen.koord:88
+        s.motion_target.value = my_goal  # kitchen.koord:89
+    elif s.pid % 2 == 0 and s.n_sys > 1:  # kitchen.koord:90
+        s.motion_target.value = -my_goal + s.shared_x[(s.pid + 1) % s.n_sys]  # kitchen.koord:91
     else:
-        my_goal = Point(abs(my_goal.x), min(my_goal.y, s.local_level.value), max(my_goal.z, sqrt(4.0)))  # kitchen.koord:91
-        s.motion_target.value = my_goal  # kitchen.koord:92
-    s.local_count.value = s.local_count.value + 1  # kitchen.koord:93
-    s.shared_class.own = s.local_count.value // 2 if s.local_on.value else -(s.local_count.value - 1)  # kitchen.koord:94
-    s.local_level.value = s.local_level.value / float(s.local_count.value + 1)  # kitchen.koord:95
-    s.shared_x.own = s.motion_position  # kitchen.koord:96
+        my_goal = Point(abs(my_goal.x), min(my_goal.y, s.local_level.value), max(my_goal.z, sqrt(4.0)))  # kitchen.koord:93
+        s.motion_target.value = my_goal  # kitchen.koord:94
+    s.local_count.value = s.local_count.value + 1  # kitchen.koord:95
+    s.shared_class.own = s.local_count.value // 2 if s.local_on.value else -(s.local_count.value - 1)  # kitchen.koord:96
+    s.local_level.value = s.local_level.value / float(s.local_count.value + 1)  # kitchen.koord:97
+    s.shared_x.own = s.motion_position  # kitchen.koord:98
 
 
 def guard_collect(s: State) -> bool:
-    """pre of Collect, kitchen.koord:98"""
-    return s.motion_position in Rect(PARAM_HOME, Point(0.0, 0.0, 0.0)) or s.local_spot.value not in Ball(PARAM_HOME, 1.0) and (0 < s.local_count.value and s.local_count.value < 5)  # kitchen.koord:99
+    """pre of Collect, kitchen.koord:100"""
+    return s.motion_position in Rect(PARAM_HOME, Point(0.0, 0.0, 0.0)) or s.local_spot.value not in Ball(PARAM_HOME, 1.0) and (0 < s.local_count.value and s.local_count.value < 5)  # kitchen.koord:101
 
 
 def effect_collect(s: State) -> None:
-    """eff of Collect, kitchen.koord:98"""
-    for my_c in PARAM_CUPS:  # kitchen.koord:101
-        s.shared_waiting.value = appended(s.shared_waiting.value, my_c)  # kitchen.koord:102
-        if my_c.size == 2 or "e" in my_c.name:  # kitchen.koord:103
-            continue  # kitchen.koord:104
-    for my_i in range(1, PARAM_LAPS, 2):  # kitchen.koord:105
-        s.local_seen.value = set_with(s.local_seen.value, (my_i, s.local_on.value))  # kitchen.koord:106
-    for my_i_2 in range(s.n_sys):  # kitchen.koord:107
-        if (my_i_2, False) in s.local_seen.value and not equal(s.shared_x[my_i_2], PARAM_HOME):  # kitchen.koord:108
-            s.local_seen.value = union(s.local_seen.value, set_of(((my_i_2, True),)))  # kitchen.koord:109
-    for my_n, my_b in s.local_seen.value:  # kitchen.koord:110
-        s.local_text.value = s.local_text.value + str(my_n) + str(my_b)  # kitchen.koord:111
-    for my_p, my_s in s.motion_pscan:  # kitchen.koord:112
-        s.local_scan.value = my_s  # kitchen.koord:113
-        s.local_level.value = s.local_level.value + (total(my_s.ranges) + atan2(my_p.y, my_p.x))  # kitchen.koord:114
-    my_c_2: Cup = first(s.shared_waiting.value)  # kitchen.koord:115
-    s.shared_waiting.value = without(s.shared_waiting.value, 0)  # kitchen.koord:115
-    s.local_tray.value = replace(s.local_tray.value, class_=appended(s.local_tray.value.class_, my_c_2))  # kitchen.koord:116
-    s.local_tray.value = replace(s.local_tray.value, class_=updated(s.local_tray.value.class_, 0, replace(at(s.local_tray.value.class_, 0), size=at(s.local_tray.value.class_, 0).size + (round(s.local_level.value) + floor(at(s.local_levels.value, s.local_count.value))))))  # kitchen.koord:117
-    s.local_tray.value = replace(s.local_tray.value, None_=(s.local_count.value, fun_longest((s.local_text.value, at(s.local_tray.value.class_, 0).name[1:3]))))  # kitchen.koord:118
-    s.local_text.value = s.local_tray.value.None_[1]  # kitchen.koord:119
-    s.local_levels.value = inserted(s.local_levels.value, 0, exp(s.local_level.value))  # kitchen.koord:120
-    s.local_levels.value = removed(s.local_levels.value, 2.5)  # kitchen.koord:121
-    s.local_levels.value = extended(s.local_levels.value, tuple(sorted(s.local_levels.value))[:2] + tuple(reversed(s.local_levels.value)))  # kitchen.koord:122
-    s.local_level.value = at(s.local_levels.value, len(s.local_levels.value) - 1)  # kitchen.koord:123
-    s.local_levels.value = popped(s.local_levels.value)  # kitchen.koord:123
-    my_where: int = index_of(s.local_levels.value, s.local_level.value) + count(s.local_levels.value, s.local_level.value) + fun_reduce(s.local_count.value, len(s.local_levels.value))  # kitchen.koord:124
-    s.local_ticket.value = extern_stamp(s.local_ticket.value, my_c_2, s.shared_paths.all)  # kitchen.koord:125
-    if fun_heavy(my_c_2):  # kitchen.koord:126
-        s.emit("Log.stdout", "heavy ", my_c_2.name, str(my_where), " at ", shown(my_c_2.at))  # kitchen.koord:127
+    """eff of Collect, kitchen.koord:100"""
+    for my_c in PARAM_CUPS:  # kitchen.koord:103
+        s.shared_waiting.value = appended(s.shared_waiting.value, my_c)  # kitchen.koord:104
+        if my_c.size == 2 or "e" in my_c.name:  # kitchen.koord:105
+            continue  # kitchen.koord:106
+    for my_i in range(1, PARAM_LAPS, 2):  # kitchen.koord:107
+        s.local_seen.value = set_with(s.local_seen.value, (my_i, s.local_on.value))  # kitchen.koord:108
+    for my_i_2 in range(s.n_sys):  # kitchen.koord:109
+        if (my_i_2, False) in s.local_seen.value and not equal(s.shared_x[my_i_2], PARAM_HOME):  # kitchen.koord:110
+            s.local_seen.value = union(s.local_seen.value, set_of(((my_i_2, True),)))  # kitchen.koord:111
+    for my_n, my_b in s.local_seen.value:  # kitchen.koord:112
+        s.local_text.value = s.local_text.value + str(my_n) + str(my_b)  # kitchen.koord:113
+    for my_p, my_s in s.motion_pscan:  # kitchen.koord:114
+        s.local_scan.value = my_s  # kitchen.koord:115
+        s.local_level.value = s.local_level.value + (total(my_s.ranges) + atan2(my_p.y, my_p.x))  # kitchen.koord:116
+    my_c_2: Cup = first(s.shared_waiting.value)  # kitchen.koord:117
+    s.shared_waiting.value = without(s.shared_waiting.value, 0)  # kitchen.koord:117
+    s.local_tray.value = replace(s.local_tray.value, class_=appended(s.local_tray.value.class_, my_c_2))  # kitchen.koord:118
+    s.local_tray.value = replace(s.local_tray.value, class_=updated(s.local_tray.value.class_, 0, replace(at(s.local_tray.value.class_, 0), size=at(s.local_tray.value.class_, 0).size + (round(s.local_level.value) + floor(at(s.local_levels.value, s.local_count.value))))))  # kitchen.koord:119
+    s.local_tray.value = replace(s.local_tray.value, None_=(s.local_count.value, fun_longest((s.local_text.value, at(s.local_tray.value.class_, 0).name[1:3]))))  # kitchen.koord:120
+    s.local_text.value = s.local_tray.value.None_[1]  # kitchen.koord:121
+    s.local_levels.value = inserted(s.local_levels.value, 0, exp(s.local_level.value))  # kitchen.koord:122
+    s.local_levels.value = removed(s.local_levels.value, 2.5)  # kitchen.koord:123
+    s.local_levels.value = extended(s.local_levels.value, tuple(sorted(s.local_levels.value))[:2] + tuple(reversed(s.local_levels.value)))  # kitchen.koord:124
+    s.local_level.value = at(s.local_levels.value, len(s.local_levels.value) - 1)  # kitchen.koord:125
+    s.local_levels.value = popped(s.local_levels.value)  # kitchen.koord:125
+    my_where: int = index_of(s.local_levels.value, s.local_level.value) + count(s.local_levels.value, s.local_level.value) + fun_reduce(s.local_count.value, len(s.local_levels.value))  # kitchen.koord:126
+    s.local_ticket.value = extern_stamp(s.local_ticket.value, my_c_2, s.shared_paths.all)  # kitchen.koord:127
+    if fun_heavy(my_c_2):  # kitchen.koord:128
+        s.emit("Log.stdout", "heavy ", my_c_2.name, str(my_where), " at ", shown(my_c_2.at))  # kitchen.koord:129
 
 
 def guard_plan(s: State) -> bool:
-    """pre of Plan, kitchen.koord:129"""
-    return len(s.shared_waiting.value) > 0  # kitchen.koord:130
+    """pre of Plan, kitchen.koord:131"""
+    return len(s.shared_waiting.value) > 0  # kitchen.koord:132
 
 
 def effect_plan(s: State) -> None:
-    """eff of Plan, kitchen.koord:129"""
-    my_c: Cup = first(s.shared_waiting.value)  # kitchen.koord:132
-    my_way: tuple[Point, ...] = s.motion_planner(my_c.at, (Grid(1, 2, 0.5),))  # kitchen.koord:133
-    if len(my_way) > 0 and clear(my_way, s.shared_paths.all, PARAM_MARGIN) and path_distance(my_way, (PARAM_HOME,)) > 1.0:  # kitchen.koord:134
-        s.motion_path.value = my_way  # kitchen.koord:135
-        s.shared_paths.own = my_way[:3]  # kitchen.koord:136
-    s.local_known.value = merge(s.local_known.value, mark_free(s.local_known.value, cell(my_c.at, 0.5)))  # kitchen.koord:137
-    if is_known(s.local_known.value, Grid(1, 1, 0.5)) and map_get(s.shared_names.value, s.pid, "") != my_c.name:  # kitchen.koord:138
-        s.shared_names.value = map_with(s.shared_names.value, s.pid, my_c.name)  # kitchen.koord:139
-        s.local_pose.value = Pose(center(Grid(1, 1, 0.5)), s.local_pose.value.yaw)  # kitchen.koord:140
-    for my_k in keys(s.shared_names.value):  # kitchen.koord:141
-        if map_at(s.shared_names.value, my_k) == map_at(PARAM_LABELS, 1) and not has_key(PARAM_LABELS, my_k) and my_k not in keys(s.shared_names.value):  # kitchen.koord:142
-            s.shared_names.value = map_without(s.shared_names.value, my_k)  # kitchen.koord:143
-    for my_k_2, my_v in s.shared_names.value:  # kitchen.koord:144
-        s.local_text.value = my_v if my_k_2 > 1 else at(s.local_text.value, 0)  # kitchen.koord:145
-    s.shared_waiting.value = without(s.shared_waiting.value, 0)  # kitchen.koord:146
+    """eff of Plan, kitchen.koord:131"""
+    my_c: Cup = first(s.shared_waiting.value)  # kitchen.koord:134
+    my_way: tuple[Point, ...] = s.motion_planner(my_c.at, (Grid(1, 2, 0.5),))  # kitchen.koord:135
+    if len(my_way) > 0 and clear(my_way, s.shared_paths.all, PARAM_MARGIN) and path_distance(my_way, (PARAM_HOME,)) > 1.0:  # kitchen.koord:136
+        s.motion_path.value = my_way  # kitchen.koord:137
+        s.shared_paths.own = my_way[:3]  # kitchen.koord:138
+    s.local_known.value = merge(s.local_known.value, mark_free(s.local_known.value, cell(my_c.at, 0.5)))  # kitchen.koord:139
+    if is_known(s.local_known.value, Grid(1, 1, 0.5)) and map_get(s.shared_names.value, s.pid, "") != my_c.name:  # kitchen.koord:140
+        s.shared_names.value = map_with(s.shared_names.value, s.pid, my_c.name)  # kitchen.koord:141
+        s.local_pose.value = Pose(center(Grid(1, 1, 0.5)), s.local_pose.value.yaw)  # kitchen.koord:142
+    for my_k in keys(s.shared_names.value):  # kitchen.koord:143
+        if map_at(s.shared_names.value, my_k) == map_at(PARAM_LABELS, 1) and not has_key(PARAM_LABELS, my_k) and my_k not in keys(s.shared_names.value):  # kitchen.koord:144
+            s.shared_names.value = map_without(s.shared_names.value, my_k)  # kitchen.koord:145
+    for my_k_2, my_v in s.shared_names.value:  # kitchen.koord:146
+        s.local_text.value = my_v if my_k_2 > 1 else at(s.local_text.value, 0)  # kitchen.koord:147
+    s.shared_waiting.value = without(s.shared_waiting.value, 0)  # kitchen.koord:148
 
 
 def guard_finish(s: State) -> bool:
-    """pre of Finish, kitchen.koord:148"""
-    return s.local_count.value >= PARAM_LAPS or s.shared_done.value  # kitchen.koord:149
+    """pre of Finish, kitchen.koord:150"""
+    return s.local_count.value >= PARAM_LAPS or s.shared_done.value  # kitchen.koord:151
 
 
 def effect_finish(s: State) -> None:
-    """eff of Finish, kitchen.koord:148"""
-    s.shared_done.value = True  # kitchen.koord:151
-    s.local_on.value = False  # kitchen.koord:152
-    s.local_spot.value = s.motion_target.value  # kitchen.koord:153
-    raise Stopped  # kitchen.koord:154
+    """eff of Finish, kitchen.koord:150"""
+    s.shared_done.value = True  # kitchen.koord:153
+    s.local_on.value = False  # kitchen.koord:154
+    s.local_spot.value = s.motion_target.value  # kitchen.koord:155
+    raise Stopped  # kitchen.koord:156
 
 
 # Line of this file -> line of kitchen.koord.
-LINES: dict[int, int] = {69: 36, 70: 37, 71: 38, 72: 39, 73: 40, 132: 19, 133: 20, 134: 21, 135: 22, 136: 23, 141: 26, 142: 27, 143: 28, 144: 29, 145: 30, 146: 31, 147: 32, 152: 34, 156: 78, 157: 79, 158: 80, 163: 83, 168: 85, 169: 86, 170: 87, 171: 88, 172: 89, 174: 91, 175: 92, 176: 93, 177: 94, 178: 95, 179: 96, 184: 99, 189: 101, 190: 102, 191: 103, 192: 104, 193: 105, 194: 106, 195: 107, 196: 108, 197: 109, 198: 110, 199: 111, 200: 112, 201: 113, 202: 114, 203: 115, 204: 115, 205: 116, 206: 117, 207: 118, 208: 119, 209: 120, 210: 121, 211: 122, 212: 123, 213: 123, 214: 124, 215: 125, 216: 126, 217: 127, 222: 130, 227: 132, 228: 133, 229: 134, 230: 135, 231: 136, 232: 137, 233: 138, 234: 139, 235: 140, 236: 141, 237: 142, 238: 143, 239: 144, 240: 145, 241: 146, 246: 149, 251: 151, 252: 152, 253: 153, 254: 154, 266: 64, 267: 65, 268: 66, 269: 67, 270: 68, 271: 69, 272: 70, 273: 71, 274: 72, 275: 73, 276: 74, 277: 75, 280: 55, 281: 56, 282: 57, 283: 59, 284: 60, 285: 61, 286: 62}
+LINES: dict[int, int] = {69: 36, 70: 37, 71: 38, 72: 39, 73: 40, 132: 19, 133: 20, 134: 21, 135: 22, 136: 23, 141: 26, 142: 27, 143: 28, 144: 29, 145: 30, 146: 31, 147: 32, 152: 34, 156: 80, 157: 81, 158: 82, 163: 85, 168: 87, 169: 88, 170: 89, 171: 90, 172: 91, 174: 93, 175: 94, 176: 95, 177: 96, 178: 97, 179: 98, 184: 101, 189: 103, 190: 104, 191: 105, 192: 106, 193: 107, 194: 108, 195: 109, 196: 110, 197: 111, 198: 112, 199: 113, 200: 114, 201: 115, 202: 116, 203: 117, 204: 117, 205: 118, 206: 119, 207: 120, 208: 121, 209: 122, 210: 123, 211: 124, 212: 125, 213: 125, 214: 126, 215: 127, 216: 128, 217: 129, 222: 132, 227: 134, 228: 135, 229: 136, 230: 137, 231: 138, 232: 139, 233: 140, 234: 141, 235: 142, 236: 143, 237: 144, 238: 145, 239: 146, 240: 147, 241: 148, 246: 151, 251: 153, 252: 154, 253: 155, 254: 156, 266: 66, 267: 67, 268: 68, 269: 69, 270: 70, 271: 71, 272: 72, 273: 73, 274: 74, 275: 75, 276: 76, 277: 77, 280: 57, 281: 58, 282: 59, 283: 61, 284: 62, 285: 63, 286: 64}
 
 PROGRAM = Program(
     name="kitchen",
     source="kitchen.koord",
-    program_hash="f673908ac1d10545",
+    program_hash="c2c1c41ac71aa66c",
     interface_hash="b1f61fc5e4735cea",
     locals=(
-        Variable("count", "local", int, Fixed(9), lambda: 0),  # kitchen.koord:64
-        Variable("level", "local", float, Fixed(9), lambda: PARAM_MARGIN * 2.0),  # kitchen.koord:65
-        Variable("on", "local", bool, Fixed(1), lambda: True),  # kitchen.koord:66
-        Variable("spot", "local", Point, Fixed(28), lambda: PARAM_HOME),  # kitchen.koord:67
-        Variable("seen", "local", tuple[tuple[int, bool], ...], Distinct(4096, Parts((Fixed(9), Fixed(1)))), lambda: ()),  # kitchen.koord:68
-        Variable("known", "local", GridMap, Cells(100), lambda: area(Point(0.0, 0.0, 0.0), Point(5.0, 5.0, 0.0), 0.5)),  # kitchen.koord:69
-        Variable("scan", "local", Scan, Rays(4096), lambda: Scan()),  # kitchen.koord:70
-        Variable("pose", "local", Pose, Fixed(38), lambda: Pose(PARAM_HOME, 3.141592653589793 / 2.0)),  # kitchen.koord:71
-        Variable("tray", "local", Tray, Parts((Parts((Fixed(28), Text(16), Fixed(9)), ("at", "name", "size")), Many(3, Parts((Fixed(28), Text(16), Fixed(9)), ("at", "name", "size"))), Parts((Fixed(9), Text(256)))), ("first", "class_", "None_")), lambda: Tray(Cup(Point(1.0, 2.0, 3.0), "it's a \"cup\"", 0), (), (0, ""))),  # kitchen.koord:72
-        Variable("ticket", "local", Ticket, Blob(256, "Ticket"), lambda: Opaque()),  # kitchen.koord:73
-        Variable("text", "local", str, Text(4096), lambda: ""),  # kitchen.koord:74
-        Variable("levels", "local", tuple[float, ...], Many(4096, Fixed(9)), lambda: (1.0, 2.5)),  # kitchen.koord:75
+        Variable("count", "local", int, Fixed(9), lambda: 0),  # kitchen.koord:66
+        Variable("level", "local", float, Fixed(9), lambda: PARAM_MARGIN * 2.0),  # kitchen.koord:67
+        Variable("on", "local", bool, Fixed(1), lambda: True),  # kitchen.koord:68
+        Variable("spot", "local", Point, Fixed(28), lambda: PARAM_HOME),  # kitchen.koord:69
+        Variable("seen", "local", tuple[tuple[int, bool], ...], Distinct(4096, Parts((Fixed(9), Fixed(1)))), lambda: ()),  # kitchen.koord:70
+        Variable("known", "local", GridMap, Cells(100), lambda: area(Point(0.0, 0.0, 0.0), Point(5.0, 5.0, 0.0), 0.5)),  # kitchen.koord:71
+        Variable("scan", "local", Scan, Rays(4096), lambda: Scan()),  # kitchen.koord:72
+        Variable("pose", "local", Pose, Fixed(38), lambda: Pose(PARAM_HOME, 3.141592653589793 / 2.0)),  # kitchen.koord:73
+        Variable("tray", "local", Tray, Parts((Parts((Fixed(28), Text(16), Fixed(9)), ("at", "name", "size")), Many(3, Parts((Fixed(28), Text(16), Fixed(9)), ("at", "name", "size"))), Parts((Fixed(9), Text(256)))), ("first", "class_", "None_")), lambda: Tray(Cup(Point(1.0, 2.0, 3.0), "it's a \"cup\"", 0), (), (0, ""))),  # kitchen.koord:74
+        Variable("ticket", "local", Ticket, Blob(256, "Ticket"), lambda: Opaque()),  # kitchen.koord:75
+        Variable("text", "local", str, Text(4096), lambda: ""),  # kitchen.koord:76
+        Variable("levels", "local", tuple[float, ...], Many(4096, Fixed(9)), lambda: (1.0, 2.5)),  # kitchen.koord:77
     ),
     shared=(
-        Variable("x", "allread", Point, Fixed(28), lambda: Point(0.0, 0.0, 0.0)),  # kitchen.koord:55
-        Variable("class", "allread", int, Fixed(9), lambda: -1),  # kitchen.koord:56
-        Variable("paths", "allread", tuple[Point, ...], Many(3, Fixed(28)), lambda: ()),  # kitchen.koord:57
-        Variable("lowest", "allwrite", float, Fixed(9), lambda: 1000.0),  # kitchen.koord:59
-        Variable("done", "allwrite", bool, Fixed(1), lambda: False),  # kitchen.koord:60
-        Variable("names", "allwrite", tuple[tuple[int, str], ...], Pairs(3, Fixed(9), Text(8)), lambda: ()),  # kitchen.koord:61
-        Variable("waiting", "allwrite", tuple[Cup, ...], Many(2, Parts((Fixed(28), Text(16), Fixed(9)), ("at", "name", "size"))), lambda: ()),  # kitchen.koord:62
+        Variable("x", "allread", Point, Fixed(28), lambda: Point(0.0, 0.0, 0.0)),  # kitchen.koord:57
+        Variable("class", "allread", int, Fixed(9), lambda: -1),  # kitchen.koord:58
+        Variable("paths", "allread", tuple[Point, ...], Many(3, Fixed(28)), lambda: ()),  # kitchen.koord:59
+        Variable("lowest", "allwrite", float, Fixed(9), lambda: 1000.0),  # kitchen.koord:61
+        Variable("done", "allwrite", bool, Fixed(1), lambda: False),  # kitchen.koord:62
+        Variable("names", "allwrite", tuple[tuple[int, str], ...], Pairs(3, Fixed(9), Text(8)), lambda: ()),  # kitchen.koord:63
+        Variable("waiting", "allwrite", tuple[Cup, ...], Many(2, Parts((Fixed(28), Text(16), Fixed(9)), ("at", "name", "size"))), lambda: ()),  # kitchen.koord:64
     ),
     ports=(
         Port("Motion.position", "sensor", Point),
@@ -296,10 +296,10 @@ PROGRAM = Program(
     ),
     init=init,
     events=(
-        Event("Advance", 82, guard_advance, effect_advance),
-        Event("Collect", 98, guard_collect, effect_collect),
-        Event("Plan", 129, guard_plan, effect_plan, 0),
-        Event("Finish", 148, guard_finish, effect_finish),
+        Event("Advance", 84, guard_advance, effect_advance),
+        Event("Collect", 100, guard_collect, effect_collect),
+        Event("Plan", 131, guard_plan, effect_plan, 0),
+        Event("Finish", 150, guard_finish, effect_finish),
     ),
     begin=State,
     file=__file__,

@@ -1,0 +1,125 @@
+"""kitchen: the properties of the Koord program kitchen.koord, by koordgen 0.1.0.
+
+The next build writes this file anew: change the Koord program, not this.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from koordgen.runtime.containers import equal, last
+from koordgen.runtime.gridmap import GridMap
+from koordgen.runtime.property import Asking, Assumption, Each, Known, One, Properties, Property, Trail, Unchecked
+from koordgen.runtime.region import Ball, Rect
+from koordgen.runtime.values import Point, Pose, Scan, distance
+
+from program import Cup, PARAM_HOME, PARAM_MARGIN, PROGRAM, Ticket, Tray, fun_heavy
+
+
+class Fleet(Known):
+    """What the properties of kitchen are evaluated on: everything of every robot, at one moment."""
+
+    def __init__(self, n_sys: int, trail: Trail | None = None) -> None:
+        super().__init__(n_sys, trail)
+        self.motion_position: Each[Point] = self.of_each("Motion.position")
+        self.motion_reached: Each[bool] = self.of_each("Motion.reached")
+        self.motion_pscan: Each[tuple[tuple[Point, Scan], ...]] = self.of_each("Motion.pscan")
+        self.motion_target: Each[Point] = self.of_each("Motion.target")
+        self.motion_path: Each[tuple[Point, ...]] = self.of_each("Motion.path")
+        self.shared_x: Each[Point] = self.of_each("x")
+        self.shared_class: Each[int] = self.of_each("class")
+        self.shared_paths: Each[tuple[Point, ...]] = self.of_each("paths")
+        self.shared_lowest: One[float] = self.of_one("lowest")
+        self.shared_done: One[bool] = self.of_one("done")
+        self.shared_names: One[tuple[tuple[int, str], ...]] = self.of_one("names")
+        self.shared_waiting: One[tuple[Cup, ...]] = self.of_one("waiting")
+        self.local_count: Each[int] = self.of_each("count")
+        self.local_level: Each[float] = self.of_each("level")
+        self.local_on: Each[bool] = self.of_each("on")
+        self.local_spot: Each[Point] = self.of_each("spot")
+        self.local_seen: Each[tuple[tuple[int, bool], ...]] = self.of_each("seen")
+        self.local_known: Each[GridMap] = self.of_each("known")
+        self.local_scan: Each[Scan] = self.of_each("scan")
+        self.local_pose: Each[Pose] = self.of_each("pose")
+        self.local_tray: Each[Tray] = self.of_each("tray")
+        self.local_ticket: Each[Ticket] = self.of_each("ticket")
+        self.local_text: Each[str] = self.of_each("text")
+        self.local_levels: Each[tuple[float, ...]] = self.of_each("levels")
+
+
+class Ports:
+    """One robot's ports."""
+
+    def __init__(self, known: Known, prime: str = "") -> None:
+        self.motion_position: One[Point] = known.of_one("Motion.position" + prime)
+        self.motion_reached: One[bool] = known.of_one("Motion.reached" + prime)
+        self.motion_pscan: One[tuple[tuple[Point, Scan], ...]] = known.of_one("Motion.pscan" + prime)
+        self.motion_target: One[Point] = known.of_one("Motion.target" + prime)
+        self.motion_path: One[tuple[Point, ...]] = known.of_one("Motion.path" + prime)
+
+
+class Step(Known):
+    """What an assumption is evaluated on: one robot's ports right after the program's step, and at a later moment of
+    the same round."""
+
+    def __init__(self, n_sys: int, trail: Trail | None = None) -> None:
+        super().__init__(n_sys, trail)
+        self.before = Ports(self)
+        self.after = Ports(self, "'")
+
+    def motion_planner(self, *args: Any) -> tuple[Point, ...]:
+        """A call of "Motion.planner" in the program's step."""
+        found: tuple[Point, ...] = self.answer("Motion.planner", args)
+        return found
+
+
+def initially(s: Fleet) -> bool:
+    """initially, kitchen.koord:160"""
+    return s.every("i", range(s.n_sys), lambda my_i: s.every("j", range(s.n_sys), lambda my_j: my_i == my_j or distance(s.motion_position[my_i], s.motion_position[my_j]) > PARAM_MARGIN))
+
+
+def invariant_fenced(s: Fleet) -> bool:
+    """invariant Fenced, kitchen.koord:161"""
+    return s.every("i", range(s.n_sys), lambda my_i: s.motion_position[my_i] in Ball(PARAM_HOME, 10.0) and (not s.local_on[my_i] or s.some("j", range(1, s.n_sys), lambda my_j: equal(s.shared_paths[my_j], s.shared_paths[my_i]))))
+
+
+def invariant_sized(s: Fleet) -> bool:
+    """invariant Sized, kitchen.koord:162"""
+    return s.every("c", s.shared_waiting.value, lambda my_c: fun_heavy(my_c) or my_c.size <= 3, robots=False)
+
+
+def invariant_class(s: Fleet) -> bool:
+    """invariant Class, kitchen.koord:163"""
+    return s.shared_done.value or len(s.shared_x.all) == s.n_sys and s.every("i", range(s.n_sys), lambda my_i: s.shared_class[my_i] >= -1 and not equal(s.local_spot[my_i], Point(0.0, 0.0, 9.0)))
+
+
+def assume_motion(s: Step) -> bool:
+    """assume of Motion, kitchen.koord:51"""
+    return s.after.motion_position.value in Rect(s.before.motion_position.value, s.before.motion_target.value) or distance(s.after.motion_position.value, s.before.motion_target.value) <= PARAM_MARGIN
+
+
+def assume_motion_2(s: Step, my_goal: Point) -> bool:
+    """assume of Motion, kitchen.koord:52"""
+    return equal(s.motion_planner(my_goal), ()) or equal(last(s.motion_planner(my_goal)), my_goal)
+
+
+PROPERTIES = Properties(
+    PROGRAM,
+    Fleet,
+    Step,
+    properties=(
+        Property("initially", "", 160, initially, ("Motion.position",)),
+        Property("invariant", "Fenced", 161, invariant_fenced, ("Motion.position", "on", "paths")),
+        Property("invariant", "Sized", 162, invariant_sized, ("waiting",)),
+        Property("invariant", "Class", 163, invariant_class, ("done", "x", "class", "spot")),
+    ),
+    assumptions=(
+        Assumption("Motion", 51, assume_motion, ("Motion.position'", "Motion.position", "Motion.target"), ()),
+        Assumption("Motion", 52, assume_motion_2, (), (Asking("Motion.planner", 1, {0: "my_goal"}),)),
+    ),
+    unchecked=(
+        Unchecked("axiom", "Home", 159, "an axiom is assumed"),
+        Unchecked("invariant", "Calm", 164, "calm (line 158) is a spec fun: only axioms tell of it"),
+    ),
+    measured=("Motion.position",),
+)

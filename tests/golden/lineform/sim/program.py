@@ -1,0 +1,65 @@
+"""lineform: the Koord program lineform.koord, compiled by koordgen 0.1.0.
+
+Every statement names its line in lineform.koord, which stands beside this file. The next build writes this
+file anew: change the Koord program, not this.
+"""
+
+from __future__ import annotations
+
+from koordgen.runtime.bounds import Fixed
+from koordgen.runtime.program import Cell, Event, Frame, Port, Program, Slots, Transaction, Variable
+from koordgen.runtime.values import Point
+
+
+class State(Transaction):
+    """What one event of lineform sees on one robot, and what it has written so far."""
+
+    def __init__(self, frame: Frame) -> None:
+        super().__init__(frame)
+        self.motion_position: Point = frame.sensors["Motion.position"]
+        self.motion_target: Cell[Point] = self.actuator("Motion.target")
+        self.shared_x: Slots[Point] = self.slots("x")
+
+
+def init(s: State) -> None:
+    s.shared_x.own = s.motion_position  # lineform.koord:10
+
+
+def guard_target_update(s: State) -> bool:
+    """pre of TargetUpdate, lineform.koord:12"""
+    return not (s.pid == s.n_sys - 1 or s.pid == 0)  # lineform.koord:13
+
+
+def effect_target_update(s: State) -> None:
+    """eff of TargetUpdate, lineform.koord:12"""
+    s.motion_target.value = (s.shared_x[s.pid + 1] + s.shared_x[s.pid - 1]) / 2.0  # lineform.koord:15
+    s.shared_x.own = s.motion_position  # lineform.koord:16
+
+
+# Line of this file -> line of lineform.koord.
+LINES: dict[int, int] = {25: 10, 30: 13, 35: 15, 36: 16, 50: 7}
+
+PROGRAM = Program(
+    name="lineform",
+    source="lineform.koord",
+    program_hash="2751bd73a76f9758",
+    interface_hash="9d6360299e59b87d",
+    locals=(
+    ),
+    shared=(
+        Variable("x", "allread", Point, Fixed(28), lambda: Point(0.0, 0.0, 0.0)),  # lineform.koord:7
+    ),
+    ports=(
+        Port("Motion.position", "sensor", Point),
+        Port("Motion.target", "actuator", Point, Fixed(28), lambda: Point()),
+    ),
+    init=init,
+    events=(
+        Event("TargetUpdate", 12, guard_target_update, effect_target_update),
+    ),
+    begin=State,
+    file=__file__,
+    lines=LINES,
+    locks=(),
+    library=None,
+)
