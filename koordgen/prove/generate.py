@@ -158,6 +158,8 @@ class _Output:
         self.stage, self.kind, self.event, self.line = stage, kind, event, line
         self.facts, self.cells = facts, cells
         self.notes = tuple(stage.room.notes)
+        self.seen: set[Term] = set()
+        self.real = self.nonlinear = False
         self.complete = complete(stage.setting) and not stage.room.partial
 
     def all(
@@ -188,27 +190,24 @@ class _Output:
             goal = Fact(invariant, t.all_of([c.term for c in conjuncts]), program.path, line)
         facts = self.facts + assumed
         return Obligation(
-            name, kind or self.kind, invariant, self.event, program.path, self.line, _logic(facts, goal), facts, goal,
-            "sat" if goal is None else "unsat", conjuncts, self.cells, self.complete, self.stage.setting.robots,
-            self.notes,
+            name, kind or self.kind, invariant, self.event, program.path, self.line, self.logic(facts, goal), facts,
+            goal, "sat" if goal is None else "unsat", conjuncts, self.cells, self.complete,
+            self.stage.setting.robots, self.notes,
         )  # fmt: skip
 
-
-def _logic(facts: tuple[Fact, ...], goal: Fact | None) -> str:
-    """The logic of SMT-LIB that all terms are in."""
-    seen: set[Term] = set()
-    pending = [fact.term for fact in facts] + ([goal.term] if goal else [])
-    nonlinear = real = False
-    while pending:
-        term = pending.pop()
-        if term in seen:
-            continue
-        seen.add(term)
-        real = real or term.sort is t.REAL
-        if isinstance(term, t.Value):
-            continue
-        if isinstance(term, t.Op) and term.name in ("*", "/", "div", "mod"):
-            literals = sum(isinstance(a, t.Value) for a in term.args)
-            nonlinear = nonlinear or (literals == 0 if term.name == "*" else not isinstance(term.args[1], t.Value))
-        pending.extend(term.args)
-    return f"QF_UF{'N' if nonlinear else 'L'}{'IRA' if real else 'IA'}"
+    def logic(self, facts: tuple[Fact, ...], goal: Fact | None) -> str:
+        """The logic of SMT-LIB that all terms are in."""
+        pending = [fact.term for fact in facts] + ([goal.term] if goal else [])
+        while pending:
+            term = pending.pop()
+            if term in self.seen:
+                continue
+            self.seen.add(term)
+            self.real = self.real or term.sort is t.REAL
+            if isinstance(term, t.Value):
+                continue
+            if isinstance(term, t.Op) and term.name in ("*", "/", "div", "mod"):
+                literals = [isinstance(a, t.Value) for a in term.args]
+                self.nonlinear = self.nonlinear or not (any(literals) if term.name == "*" else literals[1])
+            pending.extend(term.args)
+        return f"QF_UF{'N' if self.nonlinear else 'L'}{'IRA' if self.real else 'IA'}"

@@ -32,6 +32,8 @@ class Geometry:
         self.neighbours: dict[Triple, dict[Triple, Term]] = {}  # of those that the program speaks of
         self.paths: dict[tuple[Term, Term], Term] = {}  # pairs of paths -> their distance, both ways
         self.points: dict[Term, Triple] = {}  # paths of one point
+        self.singles: dict[Triple, Term] = {}
+        self.done: set[tuple[Term, Term, int]] = set()  # pairs of paths, with so many neighbours
         self.others: dict[Term, Collection] = {}  # paths that are but terms
         self.measured = False
         self.squared: set[Term] = set()
@@ -109,7 +111,10 @@ class Geometry:
         """How far a point is from a path."""
         if q in self.points:
             return self._distance(point, self.points[q])
-        return self._apart(self._path(_single(point), point), q)
+        found = self.singles.get(point)
+        if found is None:
+            found = self.singles[point] = self._path(_single(point), point)
+        return self._apart(found, q)
 
     # Lemmas
 
@@ -117,6 +122,10 @@ class Geometry:
         """What is true of the distances that were met; of all by squares, if `exact`."""
         with self.room.about("distances of paths", 0):
             for (p, q), found in list(self.paths.items()):
+                round_ = (p, q, sum(map(len, self.neighbours.values())) + len(self.points))
+                if round_ in self.done:
+                    continue
+                self.done.add(round_)
                 if p in self.others:
                     self._ends(p, q, found)
                 else:
