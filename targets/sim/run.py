@@ -241,10 +241,13 @@ class Run:
 
     @contextmanager
     def _interruptible(self) -> Iterator[None]:
-        """Ctrl-C and SIGTERM end the run in order; a second one does not wait for the robots to come to rest."""
+        """Ctrl-C and SIGTERM end the run in order; a second one does not wait for robots to come to rest, a third
+        for nothing: in lockstep a user's code may be what it hangs in. Raises KeyboardInterrupt then."""
 
         def count(number: int, frame: FrameType | None) -> None:
             self._interrupts += 1
+            if self._interrupts > 2:
+                raise KeyboardInterrupt
 
         before = {number: signal.signal(number, count) for number in (signal.SIGINT, signal.SIGTERM)}
         try:
