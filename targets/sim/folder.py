@@ -14,7 +14,8 @@ from typing import IO
 
 MARKER = ".koord-run"
 FILES = ("report.html", "summary.json", "summary.txt", "trace.jsonl", "poses.jsonl", "fleet.key")
-FOLDERS = ("plots", "robots")
+SOURCE = "source"  # the program, its params and functions: what a trace is replayed with
+FOLDERS = ("plots", "robots", SOURCE)
 
 
 class Foreign(Exception):

@@ -9,11 +9,13 @@ import importlib.util
 import math
 import platform
 import shlex
+import shutil
 import sys
+import time
 import traceback
 from pathlib import Path
 
-from targets.sim.folder import Foreign, RunFolder
+from targets.sim.folder import SOURCE, Foreign, RunFolder
 from targets.sim.scenario import FILE, BadScenario, Scenario, load
 
 HELD, BAD_FILES, USAGE, VIOLATED, SURROUNDINGS, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 5, 70, 130
@@ -99,12 +101,19 @@ def _check(root: Path, scenario: Scenario) -> int:
 
 
 def _run(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespace) -> int:
+    from targets.sim import watch
+    from targets.sim.idle import IDLE_TIMEOUT, Idle
     from targets.sim.progress import Progress
     from targets.sim.realtime import RealTime
     from targets.sim.run import Run
 
     progress = Progress(sys.stderr, options.quiet)
+    robots = tuple(robot.name for robot in scenario.robots)
+    watcher = watch.Watcher(watch.load(root), robots, scenario.delta)
+    shutil.copytree(root / SOURCE, folder / SOURCE)
     run = Run(scenario, RealTime(scenario, root, folder, options.seed), folder, options.duration, progress)
+    run.companions += [watcher, Idle(robots, scenario.number("idle_timeout", IDLE_TIMEOUT))]
+    began = time.perf_counter()
     try:
         outcome = run.execute()
     finally:
@@ -121,6 +130,7 @@ def _run(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespa
     trace.merge(merged, header, outcome.zero, run.poses_file, [a.trace_file for a in run.conduct.agents], outcome.marks)
     run.poses_file.unlink()
     found = summary.summarise(*trace.read(merged), outcome)
+    found.watching = round(watcher.seconds / (time.perf_counter() - began), 4)
     found.reproduce = _reproduce(root, scenario, folder, options)
     summary.write(found, folder)
     progress.say("drawing the report")
