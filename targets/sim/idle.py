@@ -2,8 +2,8 @@
 not waited for.
 
 Nothing goes on while no robot gets anywhere or is sent anywhere, puts anything out, stops, or has another value in a
-variable than before. Numbers count as other ones, and places as elsewhere, from SAME on: what robots write of where they
-are is never the same.
+variable than before. Numbers count as other ones, and places as elsewhere, from SAME on: what robots write of where
+they are is never the same.
 """
 
 from __future__ import annotations

@@ -7,18 +7,15 @@ import random
 from collections.abc import Mapping
 from typing import Any, Protocol
 
-from koordgen.runtime.scans import Sweep, encode, packed
+from koordgen.runtime.scans import MOST_RAYS, Sweep, encode, packed
 from koordgen.runtime.values import Point
 from targets.sim.bodies import BodyState, DeviceContext, Vector
-from targets.sim.ports import UdpPort
+from targets.sim.ports import Port
+from targets.sim.scenario import BadScenario, Lidar
+from targets.sim.sight import Eye
 from targets.sim.world import Rigid, World
 
-RAYS = 180  # evenly over the full turn, the first to the east
-MAX_RANGE = 6.0  # metres
-PERIOD = 0.2  # seconds between two turns
 SETTING = "scans"  # of a robot, which is pointed at the lidar
-# A noisy range of something is never taken for the range of nothing.
-_FARTHEST_SEEN = MAX_RANGE * (1 - 1e-6)
 
 
 class Carrier(Protocol):
@@ -30,47 +27,59 @@ class Carrier(Protocol):
 
 
 class SimulatedLidar:
-    """targets.sim.bodies.Device: a turn each PERIOD, with `position_noise` (m, standard deviation) in every range and
-    in the position that is told with it. Its turns begin at a moment of its own, or all robots' would in one step."""
+    """targets.sim.bodies.Device: turns at `lidar.rate`, with `lidar.noise` (m, standard deviation; None: the harness's
+    `position_noise`) in every range and `position_noise` in the position that is told with it. Its turns begin at a
+    moment of its own, or all robots' would in one step. Raises BadScenario."""
 
-    def __init__(self, world: World, body: Carrier, context: DeviceContext) -> None:
+    def __init__(
+        self, world: World, body: Carrier, context: DeviceContext, lidar: Lidar | None = None, port: Port | None = None
+    ) -> None:
+        lidar = lidar or Lidar()
+        if lidar.rays > MOST_RAYS:
+            raise BadScenario(
+                f"{context.robot}'s lidar has {lidar.rays} rays", f"at most {MOST_RAYS} fit in a datagram"
+            )
         self._world = world
         self._body = body
         self._robot, self._key = context.robot, context.key
         self._noise = float(context.harness.get("position_noise", 0.0))
+        self._range_noise = self._noise if lidar.noise is None else lidar.noise
+        self._rays, self._range, self._period = lidar.rays, lidar.range, 1.0 / lidar.rate
+        # A noisy range of something is never taken for the range of nothing.
+        self._farthest = lidar.range * (1 - 1e-6)
         self._random = random.Random(f"{context.seed} {context.robot} lidar")
-        turn = [math.tau * i / RAYS for i in range(RAYS)]
-        self._ways = [(MAX_RANGE * math.cos(a), MAX_RANGE * math.sin(a)) for a in turn]
-        self._next = self._random.uniform(0.0, PERIOD)
+        self._next = self._random.uniform(0.0, self._period)
         self._sequence = 0
-        self._port = UdpPort()
-        self.overrides: Mapping[str, Any] = {SETTING: f"udp:127.0.0.1:{self._port.number}"}
+        self.overrides: Mapping[str, Any] = {}
+        if port is None:
+            port = context.wiring.port()
+            self.overrides = {SETTING: f"udp:127.0.0.1:{port.number}"}
+        self._port = port
 
     def look(self) -> tuple[Vector, list[float | None]]:
         """The robot's true position, and how far (m) each ray goes from there, level with the middle of its body, until
-        another robot or an obstacle; None: beyond MAX_RANGE. Neither the floor nor the robot itself ends a ray."""
-        position = self._body.state().position
-        x, y, z = position[0], position[1], self._body.rigid.motion().position[2]
-        shares = self._world.rays((x, y, z), [(x + dx, y + dy, z) for dx, dy in self._ways], self._body.rigid)
-        return position, [None if share is None else share * MAX_RANGE for share in shares]
+        another robot or an obstacle; None: beyond its range. Neither the floor nor the robot itself ends a ray."""
+        position, height = self._body.state().position, self._body.rigid.motion().position[2]
+        place = (position[0], position[1], height)
+        (found,) = self._world.look([Eye(place, self._rays, self._range, self._body.rigid.number)])
+        return position, [None if r == math.inf else r for r in found.tolist()]
 
     def step(self, now: float) -> None:
         """See Device."""
         if now < self._next:
             return
-        self._next = max(self._next + PERIOD, now)
+        self._next = max(self._next + self._period, now)
         self._port.send(self._turn())
 
     def _turn(self) -> bytes:
         position, found = self.look()
-        ranges = [MAX_RANGE if r is None else min(_FARTHEST_SEEN, r + self._error()) for r in found]
-        place = Point(*(v + self._error() for v in position))
+        gauss, noise, farthest = self._random.gauss, self._range_noise, self._farthest
+        ranges = [self._range if r is None else min(farthest, r + gauss(0.0, noise)) for r in found]
+        place = Point(*(v + gauss(0.0, self._noise) for v in position))
         self._sequence += 1
-        sweep = Sweep(self._robot, 1, self._sequence, place, 0.0, math.tau / RAYS, MAX_RANGE, packed(ranges, MAX_RANGE))
+        step = math.tau / self._rays
+        sweep = Sweep(self._robot, 1, self._sequence, place, 0.0, step, self._range, packed(ranges, self._range))
         return encode(sweep, self._key)
-
-    def _error(self) -> float:
-        return self._random.gauss(0.0, self._noise)
 
     def close(self) -> None:
         """See Device."""

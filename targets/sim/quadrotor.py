@@ -1,112 +1,161 @@
-"""The simulated quadrotor: one rigid body moved by one wrench, with an attitude loop of its own.
+"""Simulated quadrotors: four motors on a rigid body, with an attitude loop of its own.
 
-Thrust acts along the body's axis, so it accelerates sideways only by tilting, and that takes time. The reference
-point is the middle between its feet: z = 0 is standing on the floor.
+A motor's thrust grows with the square of its speed, which follows what is asked for with a lag; the four thrusts, the
+torques of their levers and the drag of their propellers move the body. So it accelerates sideways only by tilting, and
+that takes time. Model: R. Mahony, V. Kumar, P. Corke, Multirotor Aerial Vehicles, IEEE Robotics & Automation Magazine
+19(3), 2012. The reference point is the middle between the feet: z = 0 is standing on the floor.
 """
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from targets.sim.bodies import BodyState, Vector
-from targets.sim.world import GRAVITY, STEP, Rigid, World
+from targets.sim.bullet import Solid
+from targets.sim.rigid import Array, Mask, rotations, total
+from targets.sim.world import GRAVITY, STEP, Kind, Motion, World
 
 MASS = 1.4  # kg
 RADIUS, HEIGHT = 0.18, 0.12  # m, of a cylinder with the propellers in it
-INERTIA = 0.015  # kg m^2, about every axis
+INERTIA = (0.015, 0.015, 0.025)  # kg m^2, about the body's axes
+LEVER = 0.1  # m from each motor to the body's x axis, and to its y axis
+DRAG_TORQUE = 0.016  # m: a propeller's torque by its thrust
 MAX_TILT = 0.6  # rad, asked for
 MAX_CLIMB, MAX_SINK = 0.8 * GRAVITY, 0.6 * GRAVITY  # m/s^2, vertical acceleration asked for
-MAX_THRUST = 2.2 * MASS * GRAVITY  # N
+MAX_THRUST = 2.2 * MASS * GRAVITY  # N, of all four motors
 MAX_YAW_RATE = 2.0  # rad/s
 TILT_GAIN = 10.0  # rad/s of tilting per rad of error: the attitude lag's inverse
-RATE_GAIN = 40.0  # 1/s
-MAX_SPIN_UP = 150.0  # rad/s^2
-THRUST_LAG = 0.04  # s
+RATE_GAIN, YAW_RATE_GAIN = 20.0, 5.0  # 1/s
+MAX_TORQUE = (1.0, 1.0, 0.1)  # N m asked for
+MOTOR_LAG = 0.02  # s
 # 1/s: deceleration by air per speed. That of the rotors' stream: 0.2 sqrt(thrust x air's density x disc area) / mass
 # of the quadrotor that ArduPilot's own simulation flies (libraries/SITL/SIM_Frame: 3 kg, 0.385 m^2).
 DRAG = 0.25
 
+SOLID = Solid((2 * RADIUS, 2 * RADIUS, HEIGHT), MASS, INERTIA, friction=0.8, round=True)
+# Thrust and torques about the body's axes (forward, left, up) of unit thrusts of the motors: front left, rear left,
+# rear right, front right; the first turns clockwise, its neighbours do not.
+_MIX = np.array(
+    [
+        [1.0, 1.0, 1.0, 1.0],
+        [LEVER, LEVER, -LEVER, -LEVER],
+        [-LEVER, LEVER, LEVER, -LEVER],
+        [DRAG_TORQUE, -DRAG_TORQUE, DRAG_TORQUE, -DRAG_TORQUE],
+    ]
+)
+_PER_STEP = np.array([STEP / MASS, *(STEP / i for i in INERTIA)])[:, None]
+_GIVEN = _MIX * (MAX_THRUST / 4) * _PER_STEP  # what motors at full speed add to velocity and spin in one step
+_WANTED = np.linalg.inv(_MIX * (MAX_THRUST / 4))
+_FOLLOWED = 1.0 - math.exp(-STEP / MOTOR_LAG)
+_GAINS = (np.array(INERTIA) * (RATE_GAIN, RATE_GAIN, YAW_RATE_GAIN))[:, None]
+_GYROSCOPIC = STEP * np.array([(INERTIA[1] - INERTIA[2]) / INERTIA[0], (INERTIA[2] - INERTIA[0]) / INERTIA[1]])[:, None]
+_LEAST = np.array([0.0, *(-t for t in MAX_TORQUE)])[:, None]
+_MOST = np.array([MAX_THRUST, *MAX_TORQUE])[:, None]
+_SINKING = np.array([-math.inf, -math.inf, -MAX_SINK])[:, None]
+_CLIMBING = np.array([math.inf, math.inf, MAX_CLIMB])[:, None]
+_FEET = np.array([0.0, 0.0, HEIGHT / 2])[:, None]
+
+
+class Quadrotors(Kind):
+    """All quadrotors of a world."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.asked = np.zeros((3, 0))  # m/s^2
+        self.turning = np.zeros(0)  # rad/s
+        self.running = np.zeros(0)  # 1: its motors run
+        self.motors = np.zeros((4, 0))  # speeds, of the highest
+
+    def grow(self) -> None:
+        """See Kind."""
+        self.asked = np.column_stack((self.asked, np.zeros(3)))
+        self.turning, self.running = np.append(self.turning, 0.0), np.append(self.running, 0.0)
+        self.motors = np.column_stack((self.motors, np.zeros(4)))
+
+    def push(self, air: Array | None, taken: Mask) -> None:
+        """See Kind."""
+        now = self.motions
+        turned = rotations(now.orientation)
+        spin = total(turned * now.spin[:, None])  # in the body's frame
+        speeds = np.sqrt(self._thrusts(turned, spin))
+        speeds *= self.running
+        speeds -= self.motors
+        speeds *= _FOLLOWED
+        self.motors += speeds
+        given = _GIVEN @ (self.motors * self.motors)
+        gained = given[1:]
+        gained[:2] += _GYROSCOPIC * spin[1::-1] * (spin[2] * ~taken)  # PyBullet has this term of its own
+        fallen, spun = now.velocity, now.spin
+        spun += total(turned * gained, 1)
+        fallen -= (fallen if air is None else fallen - air) * (DRAG * STEP)
+        fallen += turned[:, 2] * given[0]
+        fallen[2] -= GRAVITY * STEP
+
+    def _thrusts(self, turned: Array, spin: Array) -> Array:
+        """What the attitude loop wants of each motor, as a share of its most: a rate of tilting proportional to the
+        error, held by a faster loop."""
+        lift = self._lift()
+        along = total(turned * lift[:, None])  # in the body's frame
+        wanted = np.empty_like(self.motors)
+        per_size = TILT_GAIN / np.sqrt(total(lift * lift))
+        np.multiply(along[1], -per_size, out=wanted[1])
+        np.multiply(along[0], per_size, out=wanted[2])
+        wanted[3] = self.turning
+        np.multiply(along[2], MASS, out=wanted[0])
+        torques = wanted[1:]
+        torques -= spin
+        torques *= _GAINS
+        np.minimum(np.maximum(wanted, _LEAST, out=wanted), _MOST, out=wanted)
+        found: Array = _WANTED[:, 1:] @ torques
+        # Attitude first: the thrust of all gives way as long as that keeps motors from their ends.
+        common = wanted[0] * _WANTED[0, 0]
+        np.minimum(common, 1.0 - np.maximum.reduce(found), out=common)
+        np.maximum(common, -np.minimum.reduce(found), out=common)
+        found += common
+        np.minimum(np.maximum(found, 0.0, out=found), 1.0, out=found)
+        return found
+
+    def _lift(self) -> Array:
+        """The acceleration that thrust must give: what was asked for and gravity, within the limits of tilt and climb.
+        Its vertical part is positive, so it has a direction."""
+        lift: Array = np.minimum(np.maximum(self.asked, _SINKING), _CLIMBING)
+        lift[2] += GRAVITY
+        most = lift[2] * math.tan(MAX_TILT)
+        most /= np.maximum(np.hypot(lift[0], lift[1]), most)
+        lift[:2] *= most
+        return lift
+
+    def place(self) -> tuple[Array, Array]:
+        """See Kind."""
+        return self.motions.position - _FEET, self.motions.velocity
+
 
 class SimulatedQuadrotor:
-    """Implements `bodies.Quadrotor`. `step` once before each step of the world."""
+    """One of them: implements `bodies.Quadrotor`."""
 
     def __init__(self, world: World, start: Vector, yaw: float) -> None:
         centre = (start[0], start[1], start[2] + HEIGHT / 2)
-        inertia = (INERTIA, INERTIA, INERTIA)
-        self.rigid: Rigid = world.cylinder(RADIUS, HEIGHT, MASS, centre, yaw, 0.8, inertia)
-        self._asked: Vector = (0.0, 0.0, 0.0)
-        self._asked_rate = 0.0
-        self._running = False
-        self._thrust = 0.0
+        self._all, self.rigid = world.add(Quadrotors, SOLID, centre, yaw)
+        self._index = self.rigid.index
 
     def state(self) -> BodyState:
-        motion = self.rigid.motion()
-        x, y, z = motion.position
-        forward = motion.forward
-        yaw = math.atan2(forward[1], forward[0])
-        return BodyState((x, y, z - HEIGHT / 2), motion.velocity, yaw, motion.spin[2])
+        return self.rigid.state()
+
+    def motion(self) -> Motion:
+        """Of its centre of mass."""
+        return self.rigid.motion()
 
     def accelerate(self, acceleration: Vector, yaw_rate: float) -> None:
-        if not all(map(math.isfinite, (*acceleration, yaw_rate))):
+        """See bodies.Quadrotor."""
+        x, y, z = acceleration
+        if not math.isfinite(x + y + z + yaw_rate):
             raise ValueError(f"not an acceleration and a yaw rate: {acceleration}, {yaw_rate}")
-        self._asked = acceleration
-        self._asked_rate = _limited(yaw_rate, MAX_YAW_RATE)
+        asked, k = self._all.asked, self._index
+        asked[0, k], asked[1, k], asked[2, k] = x, y, z
+        self._all.turning[k] = max(-MAX_YAW_RATE, min(MAX_YAW_RATE, yaw_rate))
 
     def motors(self, on: bool) -> None:
-        self._running = on
-
-    def step(self) -> None:
-        """Push the body: thrust, attitude torque and drag."""
-        motion = self.rigid.motion()
-        vx, vy, vz = motion.velocity
-        force = (-DRAG * MASS * vx, -DRAG * MASS * vy, -DRAG * MASS * vz)
-        torque: Vector = (0.0, 0.0, 0.0)
-        if self._running:
-            up = motion.up
-            lift = self._lift()
-            size = math.hypot(*lift)
-            wanted = min(MAX_THRUST, max(0.0, MASS * _dot(lift, up)))
-            self._thrust += (wanted - self._thrust) * STEP / THRUST_LAG
-            force = _sum(force, up, self._thrust)
-            torque = self._turn(up, (lift[0] / size, lift[1] / size, lift[2] / size), motion.spin)
-        else:
-            self._thrust = 0.0
-        self.rigid.push(force, torque, motion.position)
-
-    def _lift(self) -> Vector:
-        """The acceleration that thrust must give: what was asked for and gravity, within the limits of tilt and
-        climb. Its vertical part is positive, so it has a direction."""
-        ax, ay, az = self._asked
-        lift = GRAVITY + max(-MAX_SINK, min(MAX_CLIMB, az))
-        sideways = math.hypot(ax, ay)
-        most = lift * math.tan(MAX_TILT)
-        share = most / sideways if sideways > most else 1.0
-        return (ax * share, ay * share, lift)
-
-    def _turn(self, up: Vector, wanted: Vector, spin: Vector) -> Vector:
-        """The torque that turns the thrust's axis towards `wanted`: a rate proportional to the error, held by a
-        faster loop."""
-        axis = _cross(up, wanted)
-        yawing = self._asked_rate
-        rate = _sum((TILT_GAIN * axis[0], TILT_GAIN * axis[1], TILT_GAIN * axis[2]), up, yawing)
-        error = [r - s for r, s in zip(rate, spin, strict=True)]
-        most = INERTIA * MAX_SPIN_UP
-        x, y, z = (_limited(INERTIA * RATE_GAIN * e, most) for e in error)
-        return (x, y, z)
-
-
-def _limited(value: float, most: float) -> float:
-    return max(-most, min(most, value))
-
-
-def _dot(a: Vector, b: Vector) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _cross(a: Vector, b: Vector) -> Vector:
-    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
-
-
-def _sum(a: Vector, b: Vector, share: float) -> Vector:
-    """a + share * b."""
-    return (a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2])
+        """See bodies.Quadrotor."""
+        self._all.running[self._index] = on

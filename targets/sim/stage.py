@@ -5,13 +5,20 @@ from __future__ import annotations
 import importlib
 import math
 import random
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from targets.sim.bodies import BodyState, Device, DeviceContext, Vector
 from targets.sim.car import Running, SimulatedCar
+from targets.sim.first_order import SimpleCar, SimpleQuadrotor
 from targets.sim.lidar import SETTING, SimulatedLidar
+from targets.sim.ports import Loopback, Wiring
 from targets.sim.quadrotor import SimulatedQuadrotor
 from targets.sim.scenario import BadScenario, Robot, Scenario
 from targets.sim.station import SimulatedFeed, fed
@@ -25,17 +32,17 @@ class Body(Protocol):
 
     def state(self) -> BodyState: ...
 
-    def step(self) -> None: ...
-
 
 def _quadrotor(world: World, robot: Robot, harness: Mapping[str, Any]) -> Body:
-    return SimulatedQuadrotor(world, robot.start.position, robot.start.yaw)
+    make = SimpleQuadrotor if robot.sim.fidelity == "simple" else SimulatedQuadrotor
+    return make(world, robot.start.position, robot.start.yaw)
 
 
 def _car(world: World, robot: Robot, harness: Mapping[str, Any]) -> Body:
     wheelbase = float(robot.settings.get("wheelbase", 0.33))
     max_steering = float(robot.settings.get("max_steering", 0.4))
-    return SimulatedCar(world, robot.start.position, robot.start.yaw, wheelbase, max_steering, Running.of(harness))
+    make = SimpleCar if robot.sim.fidelity == "simple" else SimulatedCar
+    return make(world, robot.start.position, robot.start.yaw, wheelbase, max_steering, Running.of(harness))
 
 
 # What a target's [simulation] table may name. Devices are imported when a robot needs them.
@@ -44,6 +51,9 @@ DEVICES: dict[str, str] = {
     "autopilot": "targets.sim.autopilot:SimulatedAutopilot",
     "drive": "targets.sim.drive:simulated",
 }
+
+
+Clock = Callable[[], float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,53 +96,72 @@ class Watch:
     bumps: dict[tuple[int, int], float] = field(default_factory=dict)  # pid, number of obstacle -> the first time, s
 
     def look(self, time: float, positions: list[Vector]) -> None:
-        for i, p in enumerate(positions):
-            for j in range(i + 1, len(positions)):
-                distance = math.dist(p, positions[j])
-                if distance < self.closest.distance:
-                    self.closest = Closest(distance, time, (i, j))
-                if distance < self.min_separation:
-                    self.too_close.setdefault((i, j), Closest(distance, time, (i, j)))
+        if len(positions) < 2:
+            return
+        first, second = _pairs(len(positions))
+        apart = np.array(positions)
+        apart = apart[first] - apart[second]
+        squares = np.einsum("ij,ij->i", apart, apart)
+        nearest = int(squares.argmin())
+        if (distance := math.sqrt(squares[nearest])) < self.closest.distance:
+            self.closest = Closest(distance, time, (int(first[nearest]), int(second[nearest])))
+        if distance < self.min_separation:
+            for k in np.flatnonzero(squares < self.min_separation**2).tolist():
+                pids = int(first[k]), int(second[k])
+                self.too_close.setdefault(pids, Closest(math.sqrt(squares[k]), time, pids))
+
+
+@lru_cache(maxsize=8)
+def _pairs(count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """All pairs of so many robots, the lower number first."""
+    return np.triu_indices(count, 1)
 
 
 class Stage:
     """Owns world, bodies and devices; `close` gives all of them back. The same scenario, seed and commands give the
     same motion. `check` the scenario before."""
 
-    def __init__(self, scenario: Scenario, seed: int, key: bytes) -> None:
-        self.world = World()
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int,
+        key: bytes,
+        gui: bool = False,
+        wiring: Wiring | None = None,
+        clock: Clock = time.monotonic,
+    ) -> None:
+        """`wiring` is how agents are reached, and `clock` the one that they live by. Raises BadScenario, and
+        bullet.NoDisplay when a `gui` is asked for where there is none."""
+        self.world = World(scenario.world.wind, scenario.world.floor_friction, seed, gui)
         self.actors: list[Actor] = []
         self.watch = Watch(scenario.number("min_separation", 0.0))
+        self.spent = 0.0  # host seconds on devices
         try:
-            self._obstacles = {self.world.obstacle(o): k for k, o in enumerate(scenario.obstacles)}
+            for obstacle in scenario.obstacles:
+                self.world.obstacle(obstacle)
             for robot in scenario.robots:
-                self.actors.append(_actor(self.world, scenario, robot, seed, key))
+                self.actors.append(_actor(self.world, scenario, robot, seed, key, wiring or Loopback(), clock))
         except BaseException:
             self.close()
             raise
-        self._pids = {actor.body.rigid.number: pid for pid, actor in enumerate(self.actors)}
+        self._devices = [device for actor in self.actors for device in actor.devices]
 
     def step(self, at: float) -> list[BodyState]:
         """One physics step; the states before it. `at` stamps what the watch sees."""
         now = self.world.time
         states = [actor.body.state() for actor in self.actors]
         self.watch.look(at, [state.position for state in states])
-        for actor in self.actors:
-            for device in actor.devices:
-                device.step(now)
-        for actor in self.actors:
-            actor.body.step()
+        began = time.perf_counter()
+        for device in self._devices:
+            device.step(now)
+        self.spent += time.perf_counter() - began
         self.world.step()
-        for a, b in self.world.contacts():
-            self._touched(at, a, b)
+        touched = self.world.touched()  # bodies came in the order of their pids
+        for pair in sorted(touched.bodies):
+            self.watch.collisions.setdefault(pair, at)
+        for bump in sorted(touched.obstacles):
+            self.watch.bumps.setdefault(bump, at)
         return states
-
-    def _touched(self, at: float, a: int, b: int) -> None:
-        """Bodies `a` < `b` touched: obstacles came into the world first."""
-        if a in self._obstacles:
-            self.watch.bumps.setdefault((self._pids[b], self._obstacles[a]), at)
-        else:
-            self.watch.collisions.setdefault((self._pids[a], self._pids[b]), at)
 
     def standing(self, pid: int) -> bool:
         """Whether a robot is on the floor and does not move."""
@@ -163,16 +192,18 @@ def check(scenario: Scenario) -> None:
         device_class(robot.device)
 
 
-def _actor(world: World, scenario: Scenario, robot: Robot, seed: int, key: bytes) -> Actor:
+def _actor(
+    world: World, scenario: Scenario, robot: Robot, seed: int, key: bytes, wiring: Wiring, clock: Clock
+) -> Actor:
     make = device_class(robot.device)
     origin = scenario.origin
     harness: Mapping[str, Any] = scenario.harness
     body = BODIES[robot.body](world, robot, harness)
     own_seed = random.Random(f"{seed}/{robot.pid}").getrandbits(32)
     place = (origin.latitude, origin.longitude, origin.altitude)
-    context = DeviceContext(robot.name, robot.settings, harness, place, own_seed, key)
+    context = DeviceContext(robot.name, robot.settings, harness, place, own_seed, key, wiring)
     device = make(body, context)
-    sensors: list[Device] = [SimulatedLidar(world, body, context)] if SETTING in robot.settings else []
+    sensors: list[Device] = [SimulatedLidar(world, body, context, robot.sim.lidar)] if SETTING in robot.settings else []
     if setting := fed(robot.settings):
-        sensors.append(SimulatedFeed(body, context, setting))
+        sensors.append(SimulatedFeed(body, context, setting, clock))
     return Actor(robot, body, device, tuple(sensors))

@@ -17,15 +17,15 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from koordgen.runtime.property import UNKNOWN, Assumption, Known, Outcome, Properties, Property, Trail, judged
+from koordgen.runtime.property import UNKNOWN, Assumption, Known, Outcome, Properties, judged
 from koordgen.runtime.values import Point, Pose
 from targets.sim.bodies import BodyState
 from targets.sim.crew import Agent
+from targets.sim.judge import Of, Watched, all_of
 from targets.sim.run import Run
-from targets.sim.told import told
-from targets.sim.trace import Found, Init, Phase, Record, Round, Verdict, View, Violation
+from targets.sim.trace import Init, Phase, Record, Round, Verdict, View
 from targets.sim.truth import Truth
 
 PATIENCE = 3.0  # seconds after a round's end for which records of it are waited for
@@ -35,7 +35,6 @@ _PORTS: dict[str, Callable[[BodyState], Any]] = {
     "velocity": lambda state: Point(*state.velocity),
     "pose": lambda state: Pose(Point(*state.position), state.yaw),
 }
-Of = Literal["invariant", "initially", "assume"]
 
 
 def load(root: Path) -> Properties:
@@ -50,29 +49,6 @@ def load(root: Path) -> Properties:
         return found
     finally:
         sys.path.remove(str(root))
-
-
-@dataclass(slots=True)
-class _Watched:
-    """One property and what was seen of it. `at` is when it was first violated or had no value, `left` when it could
-    first not be told because a robot was out of the model; times of the run's clock."""
-
-    of: Of
-    name: str
-    line: str
-    what: Property | Assumption
-    moving: bool  # reads where bodies are, and so changes between rounds
-    outcome: Literal["violated", "no value"] | None = None
-    at: float | None = None
-    left: float | None = None
-    robots: tuple[str, ...] = ()
-    detail: str = ""
-    moments: int = 0  # at which it had a value
-    unknown: int = 0  # at which it was not known
-
-    @property
-    def decided(self) -> bool:
-        return self.outcome is not None
 
 
 @dataclass(slots=True)
@@ -97,16 +73,7 @@ class Watcher:
         self._began = False
         self._stopped: set[int] = set()
         self._until = math.inf  # the mission's end: the robots were told to come to rest, or all have stopped
-        moving = set(found.measured) | {f"{name}'" for name in found.measured}
-        source = found.program.source
-        self._watched = [
-            _Watched(p.kind, p.name, f"{source}:{p.line}", p, bool(moving.intersection(p.reads)))
-            for p in found.properties
-        ]
-        self._watched += [
-            _Watched("assume", a.module, f"{source}:{a.line}", a, bool(moving.intersection(a.reads)))
-            for a in found.assumptions
-        ]
+        self._watched = all_of(found, self._n)
 
     def launched(self, run: Run) -> None:
         self._run = run
@@ -155,8 +122,9 @@ class Watcher:
         began = time.perf_counter()
         self._judge(lambda round_: True)
         at = min(at, self._until)
+        gone = ", ".join(self._names[pid] for pid in self._gone(at))
         for watched in self._watched:
-            self._run.mark(self._verdict(watched, at))
+            self._run.mark(watched.verdict(at, self._run.zero, gone))
         for left in self._found.unchecked:
             line = f"{self._found.program.source}:{left.line}"
             self._run.mark(Verdict(at, left.kind, left.name, line, "unchecked", detail=left.why))
@@ -205,14 +173,23 @@ class Watcher:
         if not asked:
             return
         self._known.put(self._truth.values)
+        gone: list[int] = []
         for k, moment in enumerate(moments):
             due = [w for w in asked if (k == 0 or w.moving) and not w.decided]
             if not due:
                 return
+            if gone != (gone := self._gone(moment.at)):
+                self._known.put(self._without(gone))
             self._known.put(self._ports(moment))
             for watched in due:
                 outcome, why = judged(watched.what.holds, self._known)
                 self._note(watched, outcome, moment.at, why, self._known)
+
+    def _without(self, gone: list[int]) -> dict[str, list[Any]]:
+        """What ports say, but those of robots that are out of the model."""
+        values = self._truth.values
+        ports = [p.name for p in self._found.program.ports if p.name in values]
+        return {name: [UNKNOWN if pid in gone else v for pid, v in enumerate(values[name])] for name in ports}
 
     def _assumptions(self, moments: list[_Moment]) -> None:
         asked = [w for w in self._watched if w.of == "assume" and not w.decided]
@@ -221,10 +198,13 @@ class Watcher:
                 if not watched.decided:
                     self._assumption(watched, pid, moments)
 
-    def _assumption(self, watched: _Watched, pid: int, moments: list[_Moment]) -> None:
+    def _assumption(self, watched: Watched, pid: int, moments: list[_Moment]) -> None:
         """Of one robot over one round: before, its ports right after the program's step; after, at each moment."""
         assumption, step, values = watched.what, self._step, self._truth.values
         assert isinstance(assumption, Assumption)
+        if self._is_out(pid, moments[-1].at):
+            watched.left = moments[-1].at if watched.left is None else watched.left
+            return
         first = self._ports(moments[0])
         ports = [name for name in step.one if not name.endswith("'")]
         step.pid, step.asked = pid, self._truth.calls(pid)
@@ -252,13 +232,19 @@ class Watcher:
     def _ports(self, moment: _Moment) -> dict[str, list[Any]]:
         """The measured ports, as they are in truth."""
         if not moment.ports:
+            gone = self._gone(moment.at)
             for name in self._found.measured:
                 measure = _PORTS[name.rpartition(".")[2]]
                 moment.ports[name] = [
-                    UNKNOWN if self._is_out(pid, moment.at) else measure(state)
-                    for pid, state in enumerate(moment.states)
+                    UNKNOWN if pid in gone else measure(state) for pid, state in enumerate(moment.states)
                 ]
         return moment.ports
+
+    def _gone(self, at: float) -> list[int]:
+        """Who is out of the model."""
+        if not self._out and min(self._view.members) >= 0:
+            return []
+        return [pid for pid in range(self._n) if self._is_out(pid, at)]
 
     def _is_out(self, pid: int, at: float) -> bool:
         since = self._out.get(pid)
@@ -268,48 +254,7 @@ class Watcher:
         removed = self._view.members[pid] < 0 and zero is not None
         return removed and at >= (zero or 0.0) + (self._view.since - 1) * self._delta
 
-    def _note(self, watched: _Watched, outcome: Outcome, at: float, why: str, known: Known) -> None:
-        """What a moment has shown. What did not hold is told at its first time, with the robots that made it false and
-        what was read of them."""
-        if outcome == "unknown":
-            watched.unknown += 1
-            watched.detail = watched.detail or why
-            if watched.left is None and any(self._is_out(p, at) for p in range(self._n)):
-                watched.left = at
-            return
-        watched.moments += 1
-        if outcome == "held":
-            return
-        trail: Trail = []
-        assumed = isinstance(watched.what, Assumption)
-        again = (self._found.step if assumed else self._found.fleet)(self._n, trail)
-        again.take(known)
-        judged(watched.what.holds_of_calls if isinstance(watched.what, Assumption) else watched.what.holds, again)
-        watched.at, watched.outcome = at, outcome
-        watched.robots, watched.detail = told(trail, self._names, why, known.pid)
-        word = f"{watched.of} {watched.name}" if watched.name else watched.of
-        verb = "has no value" if why else "does not hold"
-        text = f"{word} {verb}: {watched.detail}" if watched.detail else f"{word} {verb}"
-        self._run.mark(Violation(at, "property", watched.robots, text, watched.name, watched.line))
-
-    def _verdict(self, watched: _Watched, at: float) -> Verdict:
-        since, detail = watched.at, ""
-        word: Found
-        if watched.outcome is not None:
-            word, detail = watched.outcome, watched.detail
-        elif watched.left is not None:
-            gone = [self._names[pid] for pid in range(self._n) if self._is_out(pid, at)]
-            word, since = "out of model", watched.left
-            detail = f"{', '.join(gone) or 'a robot'} had left the model; until then it held"
-        elif not watched.moments:
-            word, detail = (
-                "unchecked",
-                f"not known: {watched.detail}" if watched.unknown else "there was no moment for it",
-            )
-        else:
-            word = "held"
-            if watched.unknown:
-                detail = f"at {watched.unknown} other moments not known: {watched.detail}"
-        zero = self._run.zero
-        since = None if since is None or zero is None else round(since - zero, 6)
-        return Verdict(at, watched.of, watched.name, watched.line, word, since, watched.robots, detail, watched.moments)
+    def _note(self, watched: Watched, outcome: Outcome, at: float, why: str, known: Known) -> None:
+        violation = watched.note(outcome, at, why, known, self._names, bool(self._gone(at)))
+        if violation is not None:
+            self._run.mark(violation)

@@ -1,63 +1,41 @@
-"""The PyBullet world: robots and obstacles on a floor. The only module that knows pybullet, which has no types.
+"""The world: robots and obstacles on a floor. All bodies of a kind move together, in arrays; PyBullet is asked where
+contact is possible (bullet.py, near.py).
 
-Frame: local ENU, metres; orientations are quaternions (x, y, z, w). PyBullet repeats itself only in a fresh client,
-so a world serves one run.
+Frame: local ENU, metres. The same bodies, seed and commands give the same motion to the last bit; a world serves one
+run.
 """
 
 from __future__ import annotations
 
-import ctypes
-import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from types import ModuleType
-from typing import Any
+from typing import TypeVar
 
-from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
-from koordgen.runtime.values import Point
-from targets.sim.bodies import Vector
+import numpy as np
+
+from koordgen.runtime.obstacles import Obstacle
+from targets.sim.bodies import BodyState, Vector
+from targets.sim.bullet import Bullet, Solid, Touched
+from targets.sim.near import LOOK_EVERY, Near
+from targets.sim.rigid import Array, Mask, Motions, advance, rotations, yaws
+from targets.sim.scenario import Wind
+from targets.sim.sight import Bodies, Eye, Scenery, look
+from targets.sim.wind import Air
 
 STEP = 1 / 240  # seconds
 GRAVITY = 9.81
-# Collision groups: what is in one touches those of its mask. Rays see robots and obstacles that are not hidden.
-ROBOT, OBSTACLE, FLOOR, HIDDEN = 1, 2, 4, 8
-EVERYTHING = ROBOT | OBSTACLE | FLOOR
 
 Quaternion = tuple[float, float, float, float]
 
 
-def _pybullet() -> ModuleType:
-    """Imports pybullet without the line that it prints from C."""
-    kept, null = [os.dup(1), os.dup(2)], os.open(os.devnull, os.O_WRONLY)
-    try:
-        for number in (1, 2):
-            os.dup2(null, number)
-        import pybullet
-
-        ctypes.CDLL(None).fflush(None)
-    finally:
-        for number, copy in zip((1, 2), kept, strict=True):
-            os.dup2(copy, number)
-            os.close(copy)
-        os.close(null)
-    assert isinstance(pybullet, ModuleType)
-    return pybullet
-
-
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """Centre of mass (m), orientation, velocity (m/s) and spin (rad/s), all in the world's frame."""
+    """Centre of mass (m), orientation (x, y, z, w), velocity (m/s) and spin (rad/s), all in the world's frame."""
 
     position: Vector
     orientation: Quaternion
     velocity: Vector
     spin: Vector
-
-    @property
-    def forward(self) -> Vector:
-        """The body's own x axis."""
-        x, y, z, w = self.orientation
-        return (1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w))
 
     @property
     def up(self) -> Vector:
@@ -66,131 +44,226 @@ class Motion:
         return (2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y))
 
 
-def _vector(p: Point) -> Vector:
-    return p.x, p.y, p.z
+class Kind:
+    """All bodies that move by the same law. A kind overrides `grow` for what it keeps of each, `push`, and what else is
+    not as here."""
+
+    rolling = False  # whether the floor carries them without contacts being asked for
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.motions = Motions.still(0)
+        self._told: tuple[int, list[BodyState]] = (-1, [])
+
+    def grow(self) -> None:
+        """There is one more, the last one."""
+
+    def push(self, air: Array | None, taken: Mask) -> None:
+        """Change velocities and spins by all that acts in one step but contacts. `air` is the wind; those `taken` are
+        PyBullet's to move."""
+        raise NotImplementedError
+
+    def steady(self) -> Mask:
+        """Of a kind that rolls, which ones stand on the floor as they should."""
+        return np.zeros(self.count, dtype=bool)
+
+    def place(self) -> tuple[Array, Array]:
+        """Positions and velocities of the reference points, (3, n)."""
+        return self.motions.position, self.motions.velocity
+
+    def states(self, steps: int) -> list[BodyState]:
+        """The truth after so many steps."""
+        if self._told[0] != steps:
+            position, velocity = self.place()
+            yaw, rate = yaws(self.motions.orientation).tolist(), self.motions.spin[2].tolist()
+            places, speeds = zip(*position.tolist(), strict=True), zip(*velocity.tolist(), strict=True)
+            self._told = (steps, [BodyState(*told) for told in zip(places, speeds, yaw, rate, strict=True)])
+        return self._told[1]
+
+    def forget(self) -> None:
+        """What was told is no longer so."""
+        self._told = (-1, [])
+
+
+Law = TypeVar("Law", bound=Kind)
 
 
 class Rigid:
-    """One rigid body; made by a World."""
+    """One body of the world: number `number` of all, `index` of its kind."""
 
-    def __init__(self, world: World, number: int, mass: float) -> None:
-        self._bullet = world.bullet
-        self._client = world.client
-        self.number = number
-        self.mass = mass
+    def __init__(self, world: World, kind: Kind, number: int, index: int) -> None:
+        self._world, self._kind = world, kind
+        self.number, self.index = number, index
+
+    def state(self) -> BodyState:
+        return self._kind.states(self._world.steps)[self.index]
 
     def motion(self) -> Motion:
-        position, orientation = self._bullet.getBasePositionAndOrientation(self.number, physicsClientId=self._client)
-        velocity, spin = self._bullet.getBaseVelocity(self.number, physicsClientId=self._client)
-        return Motion(position, orientation, velocity, spin)
+        now, k = self._kind.motions, self.index
+        position, velocity, spin = (tuple(a[:, k].tolist()) for a in (now.position, now.velocity, now.spin))
+        return Motion(position, tuple(now.orientation[:, k].tolist()), velocity, spin)
 
-    def push(self, force: Vector, torque: Vector, at: Vector) -> None:
-        """Apply a wrench for the next step: newtons at the point `at`, newton metres; world's frame."""
-        frame = self._bullet.WORLD_FRAME
-        self._bullet.applyExternalForce(self.number, -1, force, at, frame, physicsClientId=self._client)
-        self._bullet.applyExternalTorque(self.number, -1, torque, frame, physicsClientId=self._client)
+    def throw(self, velocity: Vector, spin: Vector = (0.0, 0.0, 0.0)) -> None:
+        """Set its velocity (m/s) and spin (rad/s), as something outside the world would."""
+        self._kind.motions.velocity[:, self.index] = velocity
+        self._kind.motions.spin[:, self.index] = spin
+        self._kind.forget()
+        self._world.look_again()
 
 
 class World:
-    """A floor at z = 0 and what was put on it. `steps` counts what was simulated."""
+    """A floor at z = 0 and what was put on it. `steps` counts what was simulated. Raises bullet.NoDisplay."""
 
-    def __init__(self) -> None:
-        self.bullet: Any = _pybullet()
-        self.client: int = self.bullet.connect(self.bullet.DIRECT)
-        self.bullet.setGravity(0, 0, -GRAVITY, physicsClientId=self.client)
-        self.bullet.setTimeStep(STEP, physicsClientId=self.client)
-        plane = self.bullet.createCollisionShape(self.bullet.GEOM_PLANE, physicsClientId=self.client)
-        self._floor: int = self.bullet.createMultiBody(0, plane, physicsClientId=self.client)
-        self._group(self._floor, FLOOR, ROBOT)
+    def __init__(self, wind: Wind | None = None, friction: float = 1.0, seed: int = 0, gui: bool = False) -> None:
+        self.bullet = Bullet(STEP, friction, gui)
+        self.friction = friction  # of the floor; 1 is the usual one
         self.steps = 0
+        self._near = Near()
+        self._scenery = Scenery()
+        self._kinds: dict[type[Kind], Kind] = {}
+        self._motions = Motions.still(0)
+        self._numbers: list[int] = []  # of bodies, by their row in the arrays
+        self._solids: list[Solid] = []  # by row, too
+        self._reach = np.zeros(0)
+        self._taken = np.zeros(0, dtype=bool)
+        self._rows: list[int] = []  # of those taken
+        self._crowded = False  # whether one of those may touch more than the floor
+        self._touched = Touched()
+        self._next_look = 0
+        self._wind, self._seed = wind or Wind(), seed
+        self._air = Air(self._wind, seed, 0)
 
     @property
     def time(self) -> float:
         """Seconds simulated."""
         return self.steps * STEP
 
-    def box(self, size: Vector, mass: float, centre: Vector, yaw: float, friction: float, inertia: Vector) -> Rigid:
-        """A box of edges `size` (m); `inertia` is about its own axes (kg m^2)."""
-        shape = self.bullet.createCollisionShape(
-            self.bullet.GEOM_BOX, halfExtents=[edge / 2 for edge in size], physicsClientId=self.client
-        )
-        return self._body(shape, mass, centre, yaw, friction, inertia)
-
-    def cylinder(
-        self, radius: float, height: float, mass: float, centre: Vector, yaw: float, friction: float, inertia: Vector
-    ) -> Rigid:
-        """An upright cylinder; `inertia` is about its own axes (kg m^2)."""
-        shape = self.bullet.createCollisionShape(
-            self.bullet.GEOM_CYLINDER, radius=radius, height=height, physicsClientId=self.client
-        )
-        return self._body(shape, mass, centre, yaw, friction, inertia)
-
     def obstacle(self, obstacle: Obstacle) -> int:
-        """Something that nothing moves; its number, as in `contacts`."""
-        kinds, client = self.bullet, {"physicsClientId": self.client}
-        match obstacle:
-            case Block(lo, hi):
-                middle, half = (lo + hi) / 2, (hi - lo) / 2
-                shape = kinds.createCollisionShape(kinds.GEOM_BOX, halfExtents=_vector(half), **client)
-            case Sphere(middle, radius):
-                shape = kinds.createCollisionShape(kinds.GEOM_SPHERE, radius=radius, **client)
-            case Cylinder(base, radius, height):
-                middle = Point(base.x, base.y, base.z + height / 2)
-                shape = kinds.createCollisionShape(kinds.GEOM_CYLINDER, radius=radius, height=height, **client)
-            case Mesh(vertices, faces):
-                middle = Point()
-                shape = kinds.createCollisionShape(
-                    kinds.GEOM_MESH, vertices=[_vector(p) for p in vertices], indices=[i for f in faces for i in f],
-                    flags=kinds.GEOM_FORCE_CONCAVE_TRIMESH, **client,
-                )  # fmt: skip
-        number: int = kinds.createMultiBody(0, shape, -1, _vector(middle), **client)
-        self._group(number, OBSTACLE, ROBOT)
-        return number
+        """Something that nothing moves; its number, from 0."""
+        self._near.stand(obstacle)
+        self._scenery.stand(obstacle)
+        self.look_again()
+        return self.bullet.obstacle(obstacle)
 
-    def _group(self, number: int, group: int, mask: int) -> None:
-        self.bullet.setCollisionFilterGroupMask(number, -1, group, mask, physicsClientId=self.client)
+    def blow(self, wind: Wind) -> None:
+        """From now on there is this wind."""
+        self._wind = wind
+        self._air.change(wind)
 
-    def rays(self, origin: Vector, ends: Sequence[Vector], unseen: Rigid) -> list[float | None]:
-        """How far along each straight line from `origin` to `ends`, as a share of it, the first robot or obstacle is,
-        of all but `unseen`; None: there is none. Bullet finds the contacts of `unseen` anew in the next step."""
-        self._group(unseen.number, HIDDEN, EVERYTHING)
-        found = self.bullet.rayTestBatch(
-            [origin] * len(ends), ends, numThreads=1, collisionFilterMask=ROBOT | OBSTACLE, physicsClientId=self.client
-        )
-        self._group(unseen.number, ROBOT, EVERYTHING)
-        return [share if number >= 0 else None for number, _, share, *_ in found]
+    def add(self, law: type[Law], solid: Solid, centre: Vector, yaw: float) -> tuple[Law, Rigid]:
+        """Put a body of some kind somewhere, at rest and level; all of its kind, and itself."""
+        kind = self._kinds.setdefault(law, law())
+        assert isinstance(kind, law)
+        row = sum(k.count for k in self._before(kind)) + kind.count
+        kind.count += 1
+        start = Motions.still(1)
+        start.position[:, 0] = centre
+        start.orientation[2:, 0] = np.sin(yaw / 2), np.cos(yaw / 2)
+        old = self._motions
+        self._motions = Motions(
+            *(np.insert(getattr(old, name), row, getattr(start, name)[:, 0], axis=1)
+              for name in ("position", "orientation", "velocity", "spin"))
+        )  # fmt: skip
+        self._solids.insert(row, solid)
+        self._reach = np.array([each.reach for each in self._solids])
+        self._taken = np.insert(self._taken, row, False)
+        number = self.bullet.body(solid)
+        self._numbers.insert(row, number)
+        self._air = Air(self._wind, self._seed, len(self._numbers))
+        for each, rows in self._parts():
+            each.motions = self._motions.part(rows.start, rows.stop)
+            each.forget()
+        kind.grow()
+        self.look_again()
+        return kind, Rigid(self, kind, number, kind.count - 1)
 
-    def _body(self, shape: int, mass: float, centre: Vector, yaw: float, friction: float, inertia: Vector) -> Rigid:
-        turned = self.bullet.getQuaternionFromEuler([0, 0, yaw])
-        number = self.bullet.createMultiBody(mass, shape, -1, centre, turned, physicsClientId=self.client)
-        self._group(number, ROBOT, EVERYTHING)
-        self.bullet.changeDynamics(
-            number,
-            -1,
-            linearDamping=0,
-            angularDamping=0,
-            restitution=0,
-            lateralFriction=friction,
-            localInertiaDiagonal=inertia,
-            physicsClientId=self.client,
-        )
-        return Rigid(self, number, mass)
+    def _before(self, kind: Kind) -> Iterator[Kind]:
+        for each in self._kinds.values():
+            if each is kind:
+                return
+            yield each
+
+    def _parts(self) -> Iterator[tuple[Kind, slice]]:
+        first = 0
+        for kind in self._kinds.values():
+            yield kind, slice(first, first + kind.count)
+            first += kind.count
+
+    def look_again(self) -> None:
+        """Before the next step, look anew which bodies may touch something."""
+        self._next_look = self.steps
+        self._rows = np.flatnonzero(self._taken).tolist()
 
     def step(self) -> None:
-        self.bullet.stepSimulation(physicsClientId=self.client)
+        """One step of all bodies."""
+        if self.steps >= self._next_look:
+            self._look()
+        air = self._air.step(STEP)
+        for kind, rows in self._parts():
+            blown = air if air is None or air.shape[1] == 1 else air[:, rows]
+            kind.push(blown, self._taken[rows])
+        advance(self._motions, STEP)
+        self._touched = self._contact() if self._rows else Touched()
         self.steps += 1
 
-    def contacts(self) -> set[tuple[int, int]]:
-        """The pairs of bodies (lower number first) that touched in the last step."""
-        found = self.bullet.getContactPoints(physicsClientId=self.client)
-        pairs = {(min(a, b), max(a, b)) for _, a, b, *_ in found}
-        return {pair for pair in pairs if self._floor not in pair}
+    def _look(self) -> None:
+        """Find who may touch something until the next look, and hand these over to PyBullet."""
+        seconds = LOOK_EVERY * STEP
+        floor = self._near.to_floor(self._motions, self._reach, seconds)
+        for kind, rows in self._parts():
+            if kind.rolling:
+                floor[rows] = ~kind.steady()
+        others = self._near.to_others(self._motions, self._reach, seconds)
+        taken = floor | others
+        for row in np.flatnonzero(taken & ~self._taken).tolist():
+            self.bullet.take(self._numbers[row], *self._pose(row))
+        for row in np.flatnonzero(self._taken & ~taken).tolist():
+            self.bullet.release(self._numbers[row])
+        self._taken, self._rows = taken, np.flatnonzero(taken).tolist()
+        self._crowded = bool(others.any())
+        self._next_look = self.steps + LOOK_EVERY
+        if self.bullet.shown:
+            for row in np.flatnonzero(~taken).tolist():
+                self.bullet.show(self._numbers[row], *self._pose(row))
+
+    def _pose(self, row: int) -> tuple[list[float], list[float]]:
+        return self._motions.position[:, row].tolist(), self._motions.orientation[:, row].tolist()
+
+    def _contact(self) -> Touched:
+        """Let PyBullet move those that are taken; what touched."""
+        now, rows = self._motions, self._rows
+        velocity, spin = now.velocity[:, rows].T.tolist(), now.spin[:, rows].T.tolist()
+        numbers = [self._numbers[row] for row in rows]
+        moved = self.bullet.step(zip(numbers, velocity, spin, strict=True))
+        found = [np.array(values).T for values in zip(*moved, strict=True)]
+        now.position[:, rows], now.orientation[:, rows], now.velocity[:, rows], now.spin[:, rows] = found
+        if not self._crowded:
+            return Touched()
+        touched = self.bullet.touched()
+        if touched.bodies or touched.obstacles:
+            self._next_look = self.steps + 1  # what was hit may be much faster now
+        return touched
+
+    def touched(self) -> Touched:
+        """What touched in the last step."""
+        return self._touched
 
     def grounded(self, body: Rigid) -> bool:
-        """Whether a body touches the floor."""
-        return bool(self.bullet.getContactPoints(body.number, self._floor, physicsClientId=self.client))
+        """Whether a body stands on the floor."""
+        row = self._numbers.index(body.number)
+        if self._taken[row]:
+            return self.bullet.grounded(body.number)
+        return any(kind.rolling and rows.start <= row < rows.stop for kind, rows in self._parts())
+
+    def look(self, eyes: Sequence[Eye]) -> list[Array]:
+        """What lidars see: the distances along their rays (m), infinite where there is nothing."""
+        now, sizes = self._motions, np.array([solid.size for solid in self._solids]).T
+        bodies = Bodies(
+            now.position, rotations(now.orientation), sizes, np.array([solid.round for solid in self._solids]),
+            self._reach, np.array(self._numbers),
+        )  # fmt: skip
+        return look(eyes, self._scenery, bodies)
 
     def close(self) -> None:
-        if self.client >= 0:
-            self.bullet.disconnect(physicsClientId=self.client)
-            self.client = -1
+        """Idempotent."""
+        self.bullet.close()

@@ -73,7 +73,6 @@ def drive(
                 last, ended = Command(0.0, last.steering), ticks * STEP
         car.drive(last.speed, last.steering)
         for _ in range(round(STEP / PHYSICS)):
-            car.step()
             world.step()
             look(truth(car))
         ticks += 1

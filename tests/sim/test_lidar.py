@@ -16,15 +16,16 @@ from targets.planning.process import Inside
 from targets.sim import scenario
 from targets.sim.bodies import DeviceContext, Vector
 from targets.sim.car import SimulatedCar
-from targets.sim.lidar import MAX_RANGE, PERIOD, RAYS, SimulatedLidar
+from targets.sim.lidar import SimulatedLidar
 from targets.sim.quadrotor import SimulatedQuadrotor
-from targets.sim.scenario import Robot, Scenario, Start
+from targets.sim.scenario import Lidar, Robot, Scenario, Start
 from targets.sim.stage import Stage
 from targets.sim.station import SimulatedFeed
 from targets.sim.world import STEP, World
 from tests.car.world import OwnTime
 
 KEY = bytes(range(32))
+RAYS, MAX_RANGE, PERIOD = Lidar().rays, Lidar().range, 1 / Lidar().rate
 WEST, EAST, SOUTH, NORTH = -2.5, 3.0, -2.0, 1.5  # the room's inner faces
 WALLS: list[tuple[Vector, Vector]] = [
     ((WEST - 0.2, SOUTH - 0.2, 0.0), (WEST, NORTH + 0.2, 1.0)),
@@ -54,10 +55,8 @@ def lidar(world: World, body: SimulatedCar | SimulatedQuadrotor, noise: float = 
     return SimulatedLidar(world, body, context)
 
 
-def settle(world: World, *bodies: SimulatedCar | SimulatedQuadrotor) -> None:
+def settle(world: World) -> None:
     for _ in range(60):
-        for body in bodies:
-            body.step()
         world.step()
 
 
@@ -66,7 +65,7 @@ def test_it_sees_the_walls_to_a_millimetre_and_never_itself(world: World, yaw: f
     for lo, hi in WALLS:
         world.obstacle(Block(Point(*lo), Point(*hi)))
     car = SimulatedCar(world, (0.4, -0.3, 0.0), yaw, 0.33, 0.4)
-    settle(world, car)
+    settle(world)
     seeing = lidar(world, car)
     (x, y, _), found = seeing.look()
     assert (x, y) == pytest.approx((0.4, -0.3), abs=1e-3)
@@ -80,7 +79,7 @@ def test_it_sees_other_robots_but_not_the_floor_nor_what_is_lower_or_farther(wor
     world.obstacle(Block(Point(MAX_RANGE + 0.01, -1.0, 0.0), Point(9.0, 1.0, 1.0)))
     car = SimulatedCar(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4)
     quad = SimulatedQuadrotor(world, (0.0, 2.0, 0.0), 0.0)
-    settle(world, car, quad)
+    settle(world)
     from_car, from_quad = lidar(world, car), lidar(world, quad)
     _, found = from_car.look()
     north = RAYS // 4
@@ -95,8 +94,8 @@ def test_a_tilted_flyer_does_not_see_itself(world: World) -> None:
     quad = SimulatedQuadrotor(world, (0.0, 0.0, 2.0), 0.4)
     quad.motors(True)
     quad.accelerate((6.0, 3.0, 0.0), 0.0)
-    settle(world, quad)
-    assert quad.rigid.motion().up[2] < 0.9
+    settle(world)
+    assert quad.motion().up[2] < 0.9
     seeing = lidar(world, quad)
     assert seeing.look()[1] == [None] * RAYS
     seeing.close()
@@ -104,11 +103,11 @@ def test_a_tilted_flyer_does_not_see_itself(world: World) -> None:
 
 def test_looking_moves_nothing(world: World) -> None:
     car = SimulatedCar(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4)
-    settle(world, car)
+    settle(world)
     seeing, before = lidar(world, car), car.state()
     seeing.look()
     assert car.state() == before
-    settle(world, car)
+    settle(world)
     assert world.grounded(car.rigid)
     assert car.state().position == pytest.approx(before.position, abs=1e-4)
     seeing.close()
@@ -119,7 +118,7 @@ def turns(seed: int, noise: float) -> list[tuple[Point, Scan]]:
     world = World()
     world.obstacle(Block(Point(2.0, -1.0, 0.0), Point(2.5, 1.0, 1.0)))
     car = SimulatedCar(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4)
-    settle(world, car)
+    settle(world)
     seeing, feed = lidar(world, car, noise, seed), Scans("alice", KEY)
     found: list[tuple[Point, Scan]] = []
 
@@ -171,7 +170,7 @@ def room() -> Scenario:
     fence = scenario.Box((-4.0, -4.0, -1.0), (4.0, 4.0, 2.0))
     walls = tuple(Block(Point(*lo), Point(*hi)) for lo, hi in WALLS)
     place = scenario.Origin(47.0, 8.0, 400.0)
-    return Scenario("map", "map.koord", "0", 0.1, place, fence, (robot,), walls, {"position_noise": 0.003})
+    return Scenario("map", "map.koord", "0", 0.1, place, fence, (robot,), walls, harness={"position_noise": 0.003})
 
 
 def test_a_car_in_a_walled_room_gets_scans_of_its_walls() -> None:

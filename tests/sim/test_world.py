@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 
-from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Sphere
+from koordgen.runtime.obstacles import Block
 from koordgen.runtime.values import Point
 from targets.sim import quadrotor
 from targets.sim.bodies import Vector
+from targets.sim.bullet import Touched
 from targets.sim.car import SimulatedCar
 from targets.sim.quadrotor import SimulatedQuadrotor
 from targets.sim.world import GRAVITY, World
@@ -23,10 +24,8 @@ def world() -> Iterator[World]:
     made.close()
 
 
-def run(world: World, seconds: float, *steps: Callable[[], None]) -> None:
+def run(world: World, seconds: float) -> None:
     for _ in range(round(seconds * 240)):
-        for step in steps:
-            step()
         world.step()
 
 
@@ -42,10 +41,8 @@ def flown() -> list[object]:
         quad.accelerate((math.sin(k / 50), 0.5, 0.6 if k < 300 else -0.4), 0.2)
         car.drive(1.5, 0.05)
         other.drive(1.5, 0.0)
-        for body in (quad, car, other):
-            body.step()
         world.step()
-        seen.append((quad.state(), car.state(), other.state(), frozenset(world.contacts())))
+        seen.append((quad.state(), car.state(), other.state(), world.touched()))
     world.close()
     return seen
 
@@ -59,7 +56,7 @@ def test_a_quadrotor_without_motors_stays_down_and_falls(world: World) -> None:
     high = SimulatedQuadrotor(world, (3.0, 0.0, 20.0), 0.0)
     for quad in (low, high):
         quad.accelerate((1.0, 0.0, 3.0), 0.0)
-    run(world, 1.0, low.step, high.step)
+    run(world, 1.0)
     assert low.state().position == pytest.approx((0.0, 0.0, 0.0), abs=0.005)
     assert world.grounded(low.rigid) and not world.grounded(high.rigid)
     assert -GRAVITY < high.state().velocity[2] < -0.85 * GRAVITY
@@ -69,12 +66,12 @@ def test_a_quadrotor_follows_an_acceleration_after_a_lag(world: World) -> None:
     quad = SimulatedQuadrotor(world, (0.0, 0.0, 5.0), 0.0)
     quad.motors(True)
     quad.accelerate((0.0, 0.0, 0.0), 0.0)
-    run(world, 1.0, quad.step)
+    run(world, 1.0)
     quad.accelerate((1.0, -0.5, 0.0), 0.0)
-    run(world, 1 / 60, quad.step)
+    run(world, 1 / 60)
     before = quad.state().velocity
     assert math.hypot(before[0], before[1]) < 0.005  # it has not tilted yet
-    run(world, 1.0, quad.step)
+    run(world, 1.0)
     vx, vy, vz = quad.state().velocity
     assert 0.7 < vx < 1.0 and -0.5 < vy < -0.35  # 1 s less the lag and the air's drag
     assert abs(vz - before[2]) < 0.1
@@ -88,10 +85,9 @@ def test_a_quadrotor_keeps_its_limits_whatever_is_asked(world: World, asked: Vec
     steepest = fastest = 0.0
     for _ in range(480):
         before = quad.state()
-        quad.step()
         world.step()
         after = quad.state()
-        steepest = max(steepest, math.acos(min(1.0, quad.rigid.motion().up[2])))
+        steepest = max(steepest, math.acos(min(1.0, quad.motion().up[2])))
         gained = [(b - a) * 240 for a, b in zip(before.velocity, after.velocity, strict=True)]
         fastest = max(fastest, math.hypot(gained[0], gained[1], gained[2] + GRAVITY))
     assert steepest < quadrotor.MAX_TILT + 0.1
@@ -103,9 +99,9 @@ def test_a_car_drives_the_bicycles_circle(world: World) -> None:
     car = SimulatedCar(world, (1.0, 2.0, 0.0), 0.5, 0.33, 0.4)
     assert car.state().position == pytest.approx((1.0, 2.0, 0.0), abs=1e-6)
     car.drive(1.0, 0.3)
-    run(world, 2.0, car.step)
+    run(world, 2.0)
     first, radius = car.state(), 0.33 / math.tan(0.3)
-    run(world, math.tau * radius, car.step)
+    run(world, math.tau * radius)
     assert math.dist(first.position, car.state().position) < 0.02
     assert car.state().yaw_rate == pytest.approx(1 / radius, rel=0.01)
     assert math.hypot(*car.state().velocity[:2]) == pytest.approx(1.0, rel=0.01)
@@ -114,13 +110,13 @@ def test_a_car_drives_the_bicycles_circle(world: World) -> None:
 def test_a_car_needs_time_and_has_limits(world: World) -> None:
     car = SimulatedCar(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4)
     car.drive(100.0, 3.0)
-    run(world, 0.05, car.step)
+    run(world, 0.05)
     assert 0.05 < car.state().velocity[0] < 0.5
     car.drive(1.0, 3.0)
-    run(world, 3.0, car.step)
+    run(world, 3.0)
     assert car.state().yaw_rate == pytest.approx(math.tan(0.4) / 0.33, rel=0.01)
     car.drive(0.0, 0.0)
-    run(world, 2.0, car.step)
+    run(world, 2.0)
     assert math.hypot(*car.state().velocity) < 0.01
 
 
@@ -139,10 +135,8 @@ def test_cars_do_not_drive_through_one_another(world: World) -> None:
     car.drive(1.0, 0.0)
     touched = False
     for _ in range(600):
-        car.step()
-        parked.step()
         world.step()
-        touched = touched or (car.rigid.number, parked.rigid.number) in world.contacts()
+        touched = touched or (0, 1) in world.touched().bodies
     assert touched
     assert parked.state().position[0] - car.state().position[0] > 0.45  # a car's length
 
@@ -150,7 +144,7 @@ def test_cars_do_not_drive_through_one_another(world: World) -> None:
 def test_a_car_on_its_side_has_no_wheels_on_the_floor(world: World) -> None:
     car = SimulatedCar(world, (0.0, 0.0, 0.5), 0.0, 0.33, 0.4)  # dropped
     car.drive(2.0, 0.0)
-    run(world, 0.1, car.step)
+    run(world, 0.1)
     assert abs(car.state().velocity[0]) < 0.01
 
 
@@ -158,18 +152,7 @@ def test_obstacles_are_no_work_for_the_physics(world: World) -> None:
     for k in range(3):
         world.obstacle(Block(Point(0.5 * k, 0.0, 0.0), Point(0.5 * k + 0.7, 1.0, 1.0)))  # into one another
     run(world, 0.1)
-    assert not world.bullet.getContactPoints(physicsClientId=world.client)
-
-
-def test_rays_end_at_obstacles_and_robots_but_not_at_the_floor(world: World) -> None:
-    looking = SimulatedQuadrotor(world, (0.0, 0.0, 2.0), 0.0)
-    SimulatedQuadrotor(world, (3.0, 0.0, 2.0), 0.0)
-    world.obstacle(Block(Point(-1.0, -1.0, 0.0), Point(-0.5, 1.0, 1.5)))
-    ends = [(0.0, 0.0, -1.0), (6.0, 0.0, 2.06), (-0.75, 0.0, 0.06), (0.0, 6.0, 2.06)]
-    down, robot, obstacle, nothing = world.rays((0.0, 0.0, 2.06), ends, looking.rigid)
-    assert down is None and nothing is None
-    assert robot == pytest.approx((3.0 - 0.18) / 6.0, abs=1e-3)
-    assert obstacle == pytest.approx(0.5 / 0.75, abs=1e-3)
+    assert not world.bullet.bullet.getContactPoints(physicsClientId=world.bullet.client)
 
 
 def test_a_car_does_not_drive_through_an_obstacle(world: World) -> None:
@@ -177,20 +160,8 @@ def test_a_car_does_not_drive_through_an_obstacle(world: World) -> None:
     beside = world.obstacle(Block(Point(-1.0, 0.15, 0.0), Point(1.05, 1.0, 1.0)))  # 1 cm beside the car
     car = SimulatedCar(world, (0.0, 0.0, 0.0), 0.0, 0.33, 0.4)
     car.drive(1.0, 0.0)
-    run(world, 0.3, car.step)
-    assert world.contacts() == set(), "neither obstacles with each other nor with what they nearly touch"
-    run(world, 2.0, car.step)
-    assert (wall, car.rigid.number) in world.contacts() and beside < car.rigid.number
+    run(world, 0.3)
+    assert world.touched() == Touched(), "neither obstacles with each other nor with what they nearly touch"
+    run(world, 2.0)
+    assert world.touched() == Touched(obstacles=frozenset({(0, wall)})) and (wall, beside) == (0, 1)
     assert car.state().position[0] + 0.415 == pytest.approx(1.0, abs=0.01)
-
-
-def test_obstacles_of_every_shape_stand_where_they_are_said_to(world: World) -> None:
-    """A ray from above meets each at its height; beside it nothing."""
-    world.obstacle(Block(Point(-0.5, -0.5, 0.0), Point(0.5, 0.5, 1.0)))
-    world.obstacle(Sphere(Point(3.0, 0.0, 1.0), 0.5))
-    world.obstacle(Cylinder(Point(6.0, 0.0, 0.5), 0.5, 2.0))
-    world.obstacle(Mesh((Point(8, -1, 1), Point(10, -1, 1), Point(9, 1, 1)), ((0, 1, 2),)))
-    looking = SimulatedCar(world, (-9.0, 0.0, 0.0), 0.0, 0.33, 0.4)
-    for x, height in ((0.0, 1.0), (3.0, 1.5), (6.0, 2.5), (9.0, 1.0), (1.0, 0.0), (3.6, 0.0), (6.6, 0.0), (10.5, 0.0)):
-        (share,) = world.rays((x, 0.0, 5.0), [(x, 0.0, 0.0)], looking.rigid)
-        assert (0.0 if share is None else 5.0 * (1 - share)) == pytest.approx(height, abs=0.01), x

@@ -73,7 +73,8 @@ class Watched:
     def run(self, seconds: float) -> Watched:
         for _ in range(round(seconds / STEP)):
             self.fleet.run(STEP)
-            now, t = self.fleet.time.time, self.fleet.time.time - (self.run_.zero or 0.0)
+            now, zero = self.fleet.time.time, self.run_.zero
+            t = -1.0 if zero is None else now - zero
             places = [self.moved(pid, t, r.platform.position) for pid, r in sorted(self.fleet.robots.items())]
             states = [BodyState((p.x, p.y, p.z), (0.0, 0.0, 0.0), 0.0, 0.0) for p in places]
             for companion in self.companions:

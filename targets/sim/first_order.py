@@ -1,0 +1,167 @@
+"""Robots of fidelity `simple`: a velocity that follows what is asked for with a lag, in arrays, and no more.
+
+A quad stays level and flies through wind as if there were none; a car is the kinematic bicycle (S. M. LaValle, Planning
+Algorithms (2006), section 13.1.2.1), whose tyres hold whatever it does. Contacts are the same as for the others, and so
+are sizes and reference points.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from targets.sim import car, quadrotor
+from targets.sim.bodies import BodyState, Vector
+from targets.sim.rigid import Array, Mask, total, yaws
+from targets.sim.world import GRAVITY, STEP, Kind, Motion, World
+
+VELOCITY_LAG = 0.15  # s, of a quad
+MAX_ACCELERATION = 8.0  # m/s^2, of a quad
+TURNING_LAG = 0.1  # s
+_FLOWN = 1.0 - math.exp(-STEP / VELOCITY_LAG)
+_TURNED = 1.0 - math.exp(-STEP / TURNING_LAG)
+_FEET = np.array([0.0, 0.0, quadrotor.HEIGHT / 2])[:, None]
+# It does not tip over: nothing would right it.
+_SOLID = replace(quadrotor.SOLID, inertia=(15.0, 15.0, quadrotor.INERTIA[2]))
+
+
+class SimpleQuadrotors(Kind):
+    """All such quadrotors of a world."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.asked = np.zeros((4, 0))  # velocity (m/s) and yaw rate (rad/s)
+        self.running = np.zeros(0, dtype=bool)
+
+    def grow(self) -> None:
+        """See Kind."""
+        self.asked = np.column_stack((self.asked, np.zeros(4)))
+        self.running = np.append(self.running, False)
+
+    def push(self, air: Array | None, taken: Mask) -> None:
+        """See Kind."""
+        now = self.motions
+        gained = (self.asked[:3] - now.velocity) * _FLOWN
+        size = np.sqrt(total(gained * gained))
+        gained *= MAX_ACCELERATION * STEP / np.maximum(size, MAX_ACCELERATION * STEP)
+        gained *= self.running
+        gained[2] -= (GRAVITY * STEP) * ~self.running
+        now.velocity[:] += gained
+        now.spin[2] += (self.asked[3] - now.spin[2]) * (_TURNED * self.running)
+
+    def place(self) -> tuple[Array, Array]:
+        """See Kind."""
+        return self.motions.position - _FEET, self.motions.velocity
+
+
+class SimpleQuadrotor:
+    """One of them. `fly` is what it understands."""
+
+    def __init__(self, world: World, start: Vector, yaw: float) -> None:
+        centre = (start[0], start[1], start[2] + quadrotor.HEIGHT / 2)
+        self._all, self.rigid = world.add(SimpleQuadrotors, _SOLID, centre, yaw)
+
+    def state(self) -> BodyState:
+        return self.rigid.state()
+
+    def motion(self) -> Motion:
+        """Of its centre of mass."""
+        return self.rigid.motion()
+
+    def fly(self, velocity: Vector, yaw_rate: float) -> None:
+        """Ask for a velocity (m/s, ENU) and a yaw rate (rad/s), until told otherwise."""
+        x, y, z = velocity
+        if not math.isfinite(x + y + z + yaw_rate):
+            raise ValueError(f"not a velocity and a yaw rate: {velocity}, {yaw_rate}")
+        asked, k = self._all.asked, self.rigid.index
+        asked[0, k], asked[1, k], asked[2, k] = x, y, z
+        asked[3, k] = max(-quadrotor.MAX_YAW_RATE, min(quadrotor.MAX_YAW_RATE, yaw_rate))
+
+    def motors(self, on: bool) -> None:
+        """Without motors it rests or falls."""
+        self._all.running[self.rigid.index] = on
+
+
+class SimpleCars(car.RollingKind):
+    """All such cars of a world."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.asked = np.zeros((2, 0))  # speed (m/s) and steering angle (rad)
+        self.steering = np.zeros(0)
+        self.braking = np.zeros(0)  # m/s^2; 0: it holds its speed
+        self.lag = np.zeros(0)  # s, of the speed
+
+    def grow(self) -> None:
+        """See Kind."""
+        self.asked = np.column_stack((self.asked, np.zeros(2)))
+        self.ahead, self.steering = np.append(self.ahead, 0.0), np.append(self.steering, 0.0)
+        self.braking, self.lag = np.append(self.braking, 0.0), np.append(self.lag, 1.0)
+
+    def push(self, air: Array | None, taken: Mask) -> None:
+        """See Kind."""
+        now = self.motions
+        down = self.carry(taken)
+        turning = (self.asked[1] - self.steering) / car.STEERING_LAG
+        self.steering += _limited(turning, car.MAX_STEERING_RATE) * STEP
+        yaw = yaws(now.orientation)
+        headed = yaw - now.spin[2] * (STEP / 2)  # when it got this velocity, below
+        speed = now.velocity[0] * np.cos(headed) + now.velocity[1] * np.sin(headed)
+        braked = self.braking > 0.0
+        wanted = np.where(braked, -speed / STEP, (self.asked[0] - speed) / self.lag)
+        most = np.where(braked, self.braking, car.MAX_ACCELERATION)
+        speed += _limited(wanted, most) * STEP
+        rate = speed * np.tan(self.steering) / (2 * self.ahead)
+        heading = yaw + rate * (STEP / 2)  # in the middle of the step
+        cos, sin, across = np.cos(heading), np.sin(heading), self.ahead * rate
+        np.copyto(now.velocity[0], speed * cos - across * sin, where=down)
+        np.copyto(now.velocity[1], speed * sin + across * cos, where=down)
+        np.copyto(now.spin[2], rate, where=down)
+
+
+class SimpleCar:
+    """One of them: implements `bodies.Car`."""
+
+    def __init__(
+        self,
+        world: World,
+        start: Vector,
+        yaw: float,
+        wheelbase: float,
+        max_steering: float,
+        running: car.Running = car.USUAL,
+    ) -> None:
+        ahead = wheelbase / 2
+        shape, place = car.solid(wheelbase, stiff=True), car.centre(start, yaw, ahead)
+        self._all, self.rigid = world.add(SimpleCars, shape, place, yaw)
+        self._all.ahead[self.rigid.index] = ahead
+        self._all.lag[self.rigid.index] = running.speed_lag
+        self.wheelbase = wheelbase
+        self._max_steering = max_steering
+
+    def state(self) -> BodyState:
+        return self.rigid.state()
+
+    def motion(self) -> Motion:
+        """Of its centre of mass."""
+        return self.rigid.motion()
+
+    def drive(self, speed: float, steering: float) -> None:
+        """See bodies.Car."""
+        if not (math.isfinite(speed) and math.isfinite(steering)):
+            raise ValueError(f"not a speed and a steering angle: {speed}, {steering}")
+        asked, k = self._all.asked, self.rigid.index
+        asked[0, k] = max(-car.MAX_SPEED, min(car.MAX_SPEED, speed))
+        asked[1, k] = max(-self._max_steering, min(self._max_steering, steering))
+        self._all.braking[k] = 0.0
+
+    def brake(self, deceleration: float) -> None:
+        """See bodies.Car."""
+        self._all.braking[self.rigid.index] = max(0.0, deceleration)
+
+
+def _limited(value: Array, most: Array | float) -> Array:
+    found: Array = np.minimum(np.maximum(value, np.negative(most)), most)
+    return found
