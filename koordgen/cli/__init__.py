@@ -248,30 +248,15 @@ def _campaign(options: Namespace) -> int:
 
 
 def _afterwards(options: Namespace) -> int:
-    """What is made of a run that is over: the harness that left it knows how."""
-    from koordgen import resources
+    from koordgen.cli.afterwards import afterwards
 
-    sys.path.append(str(resources.targets().parent))
-    try:
-        from targets.sim.trace import BadTrace
-        from targets.sim.view import commands
-    except ModuleNotFoundError as error:
-        message = f"the package {error.name} is missing"
-        raise Failure(SURROUNDINGS, message, f"{sys.executable} -m pip install 'koordgen[sim]'") from None
-    try:
-        made = commands.report(options.trace, options.out)
-    except BadTrace as error:
-        raise Failure(WRONG, str(error), "a run's folder is expected, or the trace.jsonl that it left") from None
-    except OSError as error:
-        raise Failure(SURROUNDINGS, f"{error.filename or options.trace}: {error.strerror or error}") from None
-    print(made)
-    return HOLDS
+    return afterwards(options)
 
 
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "check": _check, "dump": _dump, "build": _build, "prove": _prove, "fmt": _fmt, "explain": _explain,
     "estop": _estop, "basestation": _basestation, "doctor": _doctor, "key": _key, "report": _afterwards,
-    "campaign": _campaign,
+    "export": _afterwards, "campaign": _campaign,
 }  # fmt: skip
 
 

@@ -174,6 +174,12 @@ def _report(command: argparse.ArgumentParser) -> None:
     command.add_argument("-o", "--out", metavar="FILE", help="the page (default: report.html beside the trace)")
 
 
+def _export(command: argparse.ArgumentParser) -> None:
+    command.add_argument("trace", metavar="TRACE", help="a run's folder, or its trace.jsonl")
+    command.add_argument("--to", choices=("mcap", "csv", "png", "gif", "mp4"), required=True, help="what to write")
+    command.add_argument("-o", "--out", metavar="PATH", help="where to (default: beside the trace)")
+
+
 def _of_a_build(command: argparse.ArgumentParser, fleet_required: bool = False) -> None:
     command.add_argument("--fleet", metavar="FILE", required=fleet_required, help="the fleet file (YAML)")
     command.add_argument(
@@ -203,6 +209,7 @@ _COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "key": ("make a fleet's key", _key),
     "campaign": ("run a fleet many times, and tell what came of it", _campaign),
     "report": ("make the page that shows a run: moving pictures, rounds, shared variables, network", _report),
+    "export": ("write a run's trace as MCAP, CSV, pictures or a film", _export),
 }
 
 

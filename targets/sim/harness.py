@@ -127,7 +127,7 @@ def _run(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespa
     header = trace.Header(
         trace.FORMAT, scenario.app, scenario.program_hash, scenario.delta, options.seed, names, options.duration,
         outcome.started, scenario.number("min_separation", 0.0), (scenario.geofence.lo, scenario.geofence.hi),
-        scenario.obstacles, scenario.shared, scenario.records,
+        scenario.obstacles, scenario.world, scenario.shared, scenario.records,
     )  # fmt: skip
     merged = folder / "trace.jsonl"
     trace.merge(merged, header, outcome.zero, run.poses_file, [a.trace_file for a in run.conduct.agents], outcome.marks)
@@ -144,12 +144,10 @@ def _run(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespa
 
 
 def _report(folder: Path) -> None:
-    from targets.sim import trace
-    from targets.sim.view import plots, report
+    from targets.sim.view import commands
 
-    merged = folder / "trace.jsonl"
-    plots.draw(plots.tracks(*trace.read(merged)), folder / "plots")
-    report.write(folder / "report.html", merged)
+    commands.export(str(folder), "png", None)
+    commands.report(str(folder), None)
 
 
 def _reproduce(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespace) -> dict[str, str]:

@@ -17,7 +17,7 @@ import msgspec
 
 from koordgen.runtime.obstacles import Obstacle
 from targets.sim.bodies import BodyState, Vector
-from targets.sim.scenario import Shared
+from targets.sim.scenario import Shared, World
 
 FORMAT = "koord-trace/1"
 MOST_AT_ONCE = 1 << 20  # bytes of one file in one look
@@ -31,7 +31,7 @@ class RobotName(msgspec.Struct, frozen=True):
 
 class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
     """The merged file's first record. `started` tells whether there was a round 1; without one, t counts from the
-    agents' launch. `geofence` are the two corners; `shared` and `records` as in the scenario."""
+    agents' launch. `geofence` are the two corners; `world`, `shared` and `records` as in the scenario."""
 
     format: str
     app: str
@@ -44,6 +44,7 @@ class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
     min_separation: float = 0.0  # asked for, metres
     geofence: tuple[Vector, Vector] | None = None
     obstacles: tuple[Obstacle, ...] = ()
+    world: World = World()
     shared: tuple[Shared, ...] = ()
     records: dict[str, tuple[tuple[str, str], ...]] = {}
 
@@ -93,8 +94,13 @@ class Restored(msgspec.Struct, frozen=True):
 
 class Round(msgspec.Struct, frozen=True, tag_field="kind", tag="round"):
     """An agent's round; of its fields those that are looked at here. `late` is seconds after the tick. Of locals, the
+<<<<<<< HEAD
     shared store and actuators it has what the event wrote; `copy` is what had changed before in the robot's copy of the
     shared store, of an allread variable by pid; `calls` of callable ports: port, arguments, answer."""
+=======
+    shared store and actuators it has what the event wrote; `copy` is what changed in the robot's copy of the store;
+    `calls` are those of callable ports: port, arguments, answer."""
+>>>>>>> main
 
     round: int
     event: str | None = None
@@ -104,6 +110,7 @@ class Round(msgspec.Struct, frozen=True, tag_field="kind", tag="round"):
     sensors: Values = {}
     locals: Values = {}
     shared: Values = {}
+    copy: Values = {}
     actuators: Values = {}
     copy: Values = {}
     calls: tuple[tuple[str, tuple[msgspec.Raw, ...], msgspec.Raw], ...] = ()

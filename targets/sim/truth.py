@@ -115,6 +115,10 @@ class Truth:
         if record.restored is not None:
             self._take(pid, record.restored.locals, record.restored.actuators)
         self._take(pid, record.locals, record.actuators)
+        for name in record.actuators:
+            module, _, port = name.rpartition(".")
+            if port in ("target", "path") and f"{module}.reached" in self.values:  # a new goal is not reached
+                self.values[f"{module}.reached"][pid] = False
         self._write(pid, record.shared)
         self._robots[pid].calls = tuple(
             (port, _arguments(args), self._one(port, answer)) for port, args, answer in record.calls
