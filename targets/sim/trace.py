@@ -94,13 +94,8 @@ class Restored(msgspec.Struct, frozen=True):
 
 class Round(msgspec.Struct, frozen=True, tag_field="kind", tag="round"):
     """An agent's round; of its fields those that are looked at here. `late` is seconds after the tick. Of locals, the
-<<<<<<< HEAD
     shared store and actuators it has what the event wrote; `copy` is what had changed before in the robot's copy of the
     shared store, of an allread variable by pid; `calls` of callable ports: port, arguments, answer."""
-=======
-    shared store and actuators it has what the event wrote; `copy` is what changed in the robot's copy of the store;
-    `calls` are those of callable ports: port, arguments, answer."""
->>>>>>> main
 
     round: int
     event: str | None = None
@@ -110,7 +105,6 @@ class Round(msgspec.Struct, frozen=True, tag_field="kind", tag="round"):
     sensors: Values = {}
     locals: Values = {}
     shared: Values = {}
-    copy: Values = {}
     actuators: Values = {}
     copy: Values = {}
     calls: tuple[tuple[str, tuple[msgspec.Raw, ...], msgspec.Raw], ...] = ()
