@@ -9,12 +9,17 @@ import importlib.util
 import math
 import platform
 import shlex
+import shutil
 import sys
+import time
 import traceback
+from collections.abc import Callable
 from pathlib import Path
 
-from targets.sim.folder import Foreign, RunFolder
+from targets.sim import faults
+from targets.sim.folder import SOURCE, Foreign, RunFolder
 from targets.sim.scenario import FILE, BadScenario, Scenario, load
+from targets.sim.schedule import CONDITIONS, MOST_DELAY, PROBABILITIES, Schedule
 
 HELD, BAD_FILES, USAGE, VIOLATED, SURROUNDINGS, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 5, 70, 130
 STATUS = {"held": HELD, "violated": VIOLATED, "interrupted": INTERRUPTED, "not started": SURROUNDINGS}
@@ -28,10 +33,15 @@ def main(root: Path, argv: list[str] | None = None) -> int:
         scenario = load(root, options.settings)
         out: Path = options.out or Path(f"run-{scenario.app}")
         _require(scenario)
+        schedule = _schedule(scenario, options)
+        # The file may be what an earlier run has left in the very folder.
+        text = options.scenario.read_bytes() if options.scenario else b""
         if options.check:
             return _check(root, scenario)
         with RunFolder(out) as folder:
-            return _run(root, scenario, folder, options)
+            if text:
+                (folder / "faults.json").write_bytes(text)
+            return _run(root, scenario, schedule, folder, options)
     except BadScenario as error:
         return _fail(BAD_FILES, str(error), error.hint)
     except Foreign as error:
@@ -60,10 +70,31 @@ def _parser(root: Path) -> argparse.ArgumentParser:
     parser.add_argument("--lockstep", action="store_true", help="all in one process, repeatable, as fast as it goes")
     parser.add_argument("--out", type=Path, metavar="DIR", help="what the run leaves, default run-<app>")
     parser.add_argument("--settings", type=Path, metavar="FILE", help="JSON object laid over the scenario's settings")
+    parser.add_argument("--scenario", type=Path, metavar="FILE", help="what goes wrong in the run, and when (JSON)")
+    for name in CONDITIONS:
+        what = "0 to 1" if name in PROBABILITIES else "seconds"
+        parser.add_argument(
+            f"--{name}", type=_condition(name), metavar="X", help=f"of all links between robots, {what}"
+        )
     parser.add_argument("--check", action="store_true", help="check the bundle and its packages; run nothing")
     parser.add_argument("--invoked-as", metavar="TEXT", help="the command to name in the report, if not this one")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     return parser
+
+
+def _condition(name: str) -> Callable[[str], float]:
+    most = 1.0 if name in PROBABILITIES else MOST_DELAY
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not 0.0 <= value <= most:
+            raise argparse.ArgumentTypeError(f"{text} is no {name}; give 0 to {most:g}")
+        return value
+
+    return parse
 
 
 def _seconds(text: str) -> float:
@@ -91,6 +122,14 @@ def _require(scenario: Scenario) -> None:
     stage.check(scenario)
 
 
+def _schedule(scenario: Scenario, options: argparse.Namespace) -> Schedule:
+    """What goes wrong in this run. Raises BadScenario."""
+    names = [robot.name for robot in scenario.robots]
+    found = faults.load(options.scenario, names) if options.scenario else Schedule()
+    faults.check_times(found, options.duration)
+    return faults.with_network(found, vars(options))
+
+
 def _check(root: Path, scenario: Scenario) -> int:
     print(f"ok: {root / FILE}: {scenario.app}, {len(scenario.robots)} robots, delta {scenario.delta:g} s")
     for robot in scenario.robots:
@@ -99,15 +138,24 @@ def _check(root: Path, scenario: Scenario) -> int:
     return HELD
 
 
-def _run(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespace) -> int:
+def _run(root: Path, scenario: Scenario, schedule: Schedule, folder: Path, options: argparse.Namespace) -> int:
+    from targets.sim import watch
+    from targets.sim.idle import IDLE_TIMEOUT, Idle
     from targets.sim.lockstep.run import Lockstep
     from targets.sim.progress import Progress
     from targets.sim.realtime import RealTime
     from targets.sim.run import Run
 
     progress = Progress(sys.stderr, options.quiet, free=options.lockstep)
+    robots = tuple(robot.name for robot in scenario.robots)
+    watcher = watch.Watcher(watch.load(root), robots, scenario.delta)
+    shutil.copytree(root / SOURCE, folder / SOURCE)
     conduct = Lockstep if options.lockstep else RealTime
     run = Run(scenario, conduct(scenario, root, folder, options.seed), folder, options.duration, progress)
+    run.companions += [watcher, Idle(robots, scenario.number("idle_timeout", IDLE_TIMEOUT))]
+    if schedule != Schedule():
+        run.companions.append(faults.Faults(schedule))
+    began = time.perf_counter()
     try:
         outcome = run.execute()
     finally:
@@ -124,6 +172,7 @@ def _run(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespa
     trace.merge(merged, header, outcome.zero, run.poses_file, [a.trace_file for a in run.conduct.agents], outcome.marks)
     run.poses_file.unlink()
     found = summary.summarise(*trace.read(merged), outcome)
+    found.watching = round(watcher.seconds / (time.perf_counter() - began), 4)
     found.reproduce = _reproduce(root, scenario, folder, options)
     summary.write(found, folder)
     progress.say("drawing the report")
@@ -147,6 +196,9 @@ def _reproduce(root: Path, scenario: Scenario, folder: Path, options: argparse.N
         command.append("--lockstep")
     if options.settings:
         command += ["--settings", str(options.settings)]
+    if options.scenario:
+        command += ["--scenario", str(folder / "faults.json")]
+    command += [f"--{name}={value:g}" for name in CONDITIONS if (value := getattr(options, name)) is not None]
     return {
         "command": options.invoked_as or shlex.join([*command, "--out", str(folder)]),
         "program": f"{scenario.source}, hash {scenario.program_hash}",

@@ -77,6 +77,7 @@ class Init(msgspec.Struct, frozen=True, tag_field="kind", tag="init"):
     locals: Values = {}
     shared: Values = {}
     actuators: Values = {}
+    stopped: bool = False
     time: float = 0.0
     t: float = 0.0
     pid: int = -1
@@ -93,8 +94,8 @@ class Restored(msgspec.Struct, frozen=True):
 
 class Round(msgspec.Struct, frozen=True, tag_field="kind", tag="round"):
     """An agent's round; of its fields those that are looked at here. `late` is seconds after the tick. Of locals, the
-    shared store and actuators it has what the event wrote; `copy` is what changed in the robot's copy of the store;
-    `calls` are those of callable ports: port, arguments, answer."""
+    shared store and actuators it has what the event wrote; `copy` is what had changed before in the robot's copy of the
+    shared store, of an allread variable by pid; `calls` of callable ports: port, arguments, answer."""
 
     round: int
     event: str | None = None
@@ -104,8 +105,8 @@ class Round(msgspec.Struct, frozen=True, tag_field="kind", tag="round"):
     sensors: Values = {}
     locals: Values = {}
     shared: Values = {}
-    copy: Values = {}
     actuators: Values = {}
+    copy: Values = {}
     calls: tuple[tuple[str, tuple[msgspec.Raw, ...], msgspec.Raw], ...] = ()
     stopped: bool = False
     restored: Restored | None = None
@@ -186,6 +187,17 @@ class Verdict(msgspec.Struct, frozen=True, tag_field="kind", tag="verdict"):
     moments: int = 0
 
 
+class Cause(msgspec.Struct, frozen=True, tag_field="kind", tag="cause"):
+    """A fault that was brought about on purpose: `what` is network, link, or a kind of event of the scenario file;
+    `lasts` seconds (None: for good, or no time at all)."""
+
+    t: float
+    what: str
+    robots: tuple[str, ...]
+    detail: str = ""
+    lasts: float | None = None
+
+
 class End(msgspec.Struct, frozen=True, tag_field="kind", tag="end"):
     """The mission's end: the agents were told to come to rest."""
 
@@ -197,8 +209,8 @@ class _Kind(msgspec.Struct):
     kind: str
 
 
-Mark = Violation | Verdict | End
-Record = Header | Pose | Phase | Init | Round | View | Log | Stream | Metrics | Violation | Verdict | End
+Mark = Violation | Verdict | Cause | End
+Record = Header | Pose | Phase | Init | Round | View | Log | Stream | Metrics | Violation | Verdict | Cause | End
 _KINDS = {kind.__struct_config__.tag for kind in Record.__args__}
 _decoder = msgspec.json.Decoder(Record)
 _kind_decoder = msgspec.json.Decoder(_Kind)
