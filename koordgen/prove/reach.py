@@ -17,7 +17,8 @@ from koordgen.ir import decl
 from koordgen.ir import expr as ir
 from koordgen.ir.types import BOOL, FLOAT, INT, POINT, Type
 from koordgen.node import Node
-from koordgen.prove.model import Conjunct, Unshowable, allowed, failing, made_state, true
+from koordgen.prove.model import Conjunct, allowed, failing, made_state, true
+from koordgen.prove.reading import Unshowable
 from koordgen.runtime.values import Point
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exact import NotExact, made_exact
