@@ -118,8 +118,8 @@ def exact_all(values: Mapping[str, Value]) -> dict[str, Value]:
 
 
 def replayed(program: decl.Program, obligation: Obligation, reader: Reader, robots: int) -> Counterexample:
-    """What a model tells of, as `reader` read it, run. `program` is exact, and holds the invariants that may be relied upon. Raises
-    Unshowable where the run does not show what the solver claims."""
+    """What a model tells of, as `reader` read it, run. `program` is exact, and holds the invariants that may be
+    relied upon. Raises Unshowable where the run does not show what the solver claims."""
     try:
         reading = Reading(program, obligation, reader, robots)
         match obligation.kind:

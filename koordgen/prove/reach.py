@@ -112,7 +112,7 @@ class _Search:
         """Initial states: sensors take all values on one robot, at first, and values apart from the others'."""
         first = made_state(initial(self.program, n_sys))
         rules = [p for p in self.program.properties if p.kind == "initially"]
-        pools = [[(name, v) for v in self.pool(type_, first)] for name, type_ in self.sensors]
+        pools = [[(name, v) for v in self.first(name, type_, first)] for name, type_ in self.sensors]
         single = [dict(choice) for choice in islice(product(*pools), self.bounds.moves)]
         fleets = islice(product(single, repeat=n_sys), self.bounds.states)
         count = 0
@@ -121,6 +121,12 @@ class _Search:
             if count < self.bounds.moves and all(true(rule, self.program, state) for rule in rules):
                 count += 1
                 yield state
+
+    def first(self, name: str, type_: Type, state: State) -> list[Value]:
+        """What a sensor may say at a mission's start: where nothing was commanded yet, everything is reached."""
+        module, _, port = name.partition(".")
+        commands = {f"{module}.target", f"{module}.path"} & set(state.robots[0].ports)
+        return [True] if port == "reached" and commands else self.pool(type_, state)
 
     def rounds(self, layer: list[tuple[Moment, ...]], seen: list[State]) -> Iterator[tuple[Moment, ...]]:
         """Every run with one round more: one event, of one robot or as agents run them, and the environment's step."""

@@ -92,7 +92,7 @@ class Reader:
                 x, y = self.whole(terms, name), self.whole(terms, name)
                 return Grid(x, y, self.number(terms, name))  # type: ignore[arg-type]
             case _ if type_ in (INT, BOOL):
-                return self.whole(terms, name)
+                return self.whole(terms, name)  # type: ignore[no-any-return]
             case _ if type_ == FLOAT:
                 return self.number(terms, name)  # type: ignore[return-value]
             case ExternType():
