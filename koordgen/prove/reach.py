@@ -31,7 +31,8 @@ from koordgen.source import Span
 
 
 class Bounds(NamedTuple):
-    """How far to look: robots, rounds, states in all, values of one sensor, moves of the whole fleet, seconds."""
+    """How far to look: robots, rounds, states in all, values of one sensor, moves of the whole fleet, seconds of
+    computing (on a busy computer they take longer)."""
 
     robots: int = 3
     rounds: int = 6
@@ -62,7 +63,7 @@ def run_to(
 ) -> Run | None:
     """A shortest run found, of 1 to `bounds.robots` robots, or of `robots`. `program` is exact; `hints` are values that
     sensors may take."""
-    until = time.monotonic() + bounds.seconds
+    until = time.process_time() + bounds.seconds
     fleets = [robots] if robots is not None else list(range(1, bounds.robots + 1))
     try:
         for n_sys in fleets:
@@ -133,7 +134,7 @@ class _Search:
         for run in layer:
             state = run[-1].state
             for stepped in (run, *self.stepped(run, state)):
-                if time.monotonic() > self.until or len(seen) > self.bounds.states:
+                if time.process_time() > self.until or len(seen) > self.bounds.states:
                     return
                 if stepped is not run:
                     yield stepped  # whatever comes after: here the program's step has ended
