@@ -64,7 +64,7 @@ def state(on_path: bool, reached: bool = True) -> State:
     ] * N_SYS
     sensors[PID] = {**sensors[PID], "MotionWithScan.position": HERE}
     start = initial(program(), N_SYS, sensors)
-    robots = [r._replace(locals={**r.locals, "onPath": on_path, "localMap": OWN}) for r in start.robots]
+    robots = [r._replace(locals={**r.locals, "onPath": on_path, "localMap": OWN, "looked": True}) for r in start.robots]
     return start._replace(robots=tuple(robots), store=start.store._replace(cells={"map": FLEETS}))
 
 
@@ -89,7 +89,9 @@ def test_a_new_target_is_of_the_own_strip_and_the_way_leads_around_what_all_know
         (PID, "MotionWithScan.planner", GOAL, OBSTACLES),
     ]
     assert outcome.ports == {"MotionWithScan.path": WAY}
-    assert outcome.locals == {"localMap": FLEETS, "target": GOAL, "onPath": True, "obstacles": OBSTACLES}
+    assert outcome.locals == {
+        "localMap": FLEETS, "target": GOAL, "onPath": True, "obstacles": OBSTACLES, "looked": True,
+    }  # fmt: skip
     assert not outcome.cells and not outcome.stopped
 
 
