@@ -102,8 +102,7 @@ def _harness(options: Namespace) -> int:
     passed = [f"--{key}={value}" for key in ("duration", "seed") if (value := getattr(options, key)) is not None]
     passed.append(f"--out={options.out or f'run-{app}'}")
     passed.append(f"--invoked-as={shlex.join(['koordgen', *sys.argv[1:]])}")
-    if options.quiet:
-        passed.append("--quiet")
+    passed += [f"--{flag}" for flag in ("lockstep", "quiet") if getattr(options, flag)]
     with tempfile.TemporaryDirectory(prefix="koordgen-") as folder:
         _write({options.command: bundles[options.command]}, Path(folder))
         # The child ends its run and writes its report; asked again, it ends at once. In a group of its own it is asked
@@ -144,6 +143,12 @@ def _fmt(options: Namespace) -> int:
     if refused:
         raise Failure(SURROUNDINGS, "; ".join(refused), "what could not be written stands as it was")
     return WRONG if mistakes or (dry and any(r.changed for r in results)) else HOLDS
+
+
+def _prove(options: Namespace) -> int:
+    from koordgen.cli.prove import run
+
+    return run(options)
 
 
 def _explain(options: Namespace) -> int:
@@ -264,8 +269,9 @@ def _afterwards(options: Namespace) -> int:
 
 
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {
-    "check": _check, "dump": _dump, "build": _build, "fmt": _fmt, "explain": _explain, "estop": _estop,
-    "basestation": _basestation, "doctor": _doctor, "key": _key, "report": _afterwards, "campaign": _campaign,
+    "check": _check, "dump": _dump, "build": _build, "prove": _prove, "fmt": _fmt, "explain": _explain,
+    "estop": _estop, "basestation": _basestation, "doctor": _doctor, "key": _key, "report": _afterwards,
+    "campaign": _campaign,
 }  # fmt: skip
 
 

@@ -18,7 +18,7 @@ from targets.sim.mavlink_px4 import STREAMS, Px4, Px4Parameters, Px4Reports
 from targets.sim.mavlink_reports import Reports
 from targets.sim.mavlink_setpoints import reposition, take_setpoint
 from targets.sim.mavlink_telemetry import Message, Telemetry
-from targets.sim.ports import Port, UdpPort
+from targets.sim.ports import Port
 from targets.sim.scenario import BadScenario
 
 REAL_BOOT = 42.0  # seconds of a cold start, as observed
@@ -54,8 +54,8 @@ class SimulatedAutopilot:
         self._telemetry = Telemetry(reports.makers, streams, self.copter.said, self._send)
         self.overrides: Mapping[str, Any] = {}
         if port is None:
-            port = udp = UdpPort()
-            self.overrides = {"autopilot": f"udpin:127.0.0.1:{udp.number}"}
+            port = context.wiring.port()
+            self.overrides = {"autopilot": f"udpin:127.0.0.1:{port.number}"}
         self._port = port
 
     def _firmware(self, name: str, boot: float, params: Parameters) -> tuple[Copter, Reports, Mapping[int, float]]:

@@ -178,6 +178,11 @@ class Conduct(Protocol):
         """World seconds per host second so far."""
         ...
 
+    @property
+    def shares(self) -> dict[str, float]:
+        """What the processor's time went to, by part, as shares of all; empty where that is not known."""
+        ...
+
     def close(self) -> None:
         """End all agents and what belongs to them. Idempotent."""
         ...

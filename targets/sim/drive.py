@@ -1,4 +1,4 @@
-"""The simulated drive of a car: a VESC behind a pseudo-terminal (or a rover: rover.py).
+"""The simulated drive of a car: a VESC behind a serial line (or a rover: rover.py).
 
 It talks the VESC protocol and drives a simulated body; its own numbers (gains) are those of the robot's settings, so
 that a wrong gain in the fleet file is no more noticed here than a right one: calibration is for the real car.
@@ -7,11 +7,7 @@ that a wrong gain in the fleet file is no more noticed here than a right one: ca
 from __future__ import annotations
 
 import math
-import os
-import pty
-import tty
 from collections.abc import Mapping
-from contextlib import suppress
 from typing import Any
 
 from targets.car import vesc
@@ -68,34 +64,23 @@ class Controller:
 
 
 class SimulatedDrive:
-    """targets.sim.bodies.Device for a car: the pseudo-terminal around a controller."""
+    """targets.sim.bodies.Device for a car: the serial line to a controller."""
 
     def __init__(self, body: Car, context: DeviceContext) -> None:
         settings = decode(context.settings)
         self._controller = Controller(body, settings)
         self._unsent = b""
-        self._master, self._slave = pty.openpty()
-        tty.setraw(self._slave)
-        os.set_blocking(self._master, False)
-        # The slave stays open here: a master whose last slave closes reads errors, and agents come and go.
-        self.overrides: Mapping[str, Any] = {"drive": f"vesc:{os.ttyname(self._slave)}"}
+        self._terminal = context.wiring.terminal()
+        self.overrides: Mapping[str, Any] = {"drive": f"vesc:{self._terminal.device}"}
 
     def step(self, now: float) -> None:
-        received = b""
-        with suppress(OSError):  # nothing there
-            received = os.read(self._master, 65536)
-        self._unsent = self._unsent + self._controller.step(received, now)
+        self._unsent = self._unsent + self._controller.step(self._terminal.read(), now)
         self._unsent = self._unsent[-4096:]  # an agent that does not read its answers does not fill our memory
         if self._unsent:
-            with suppress(OSError):  # its side is full
-                self._unsent = self._unsent[os.write(self._master, self._unsent) :]
+            self._unsent = self._unsent[self._terminal.write(self._unsent) :]
 
     def close(self) -> None:
-        if self._master < 0:
-            return
-        os.close(self._master)
-        os.close(self._slave)
-        self._master = self._slave = -1
+        self._terminal.close()
 
 
 def simulated(body: Car, context: DeviceContext) -> Device:

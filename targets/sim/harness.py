@@ -57,6 +57,7 @@ def _parser(root: Path) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=f"python3 {root.name}", description="Run the whole fleet on this host.")
     parser.add_argument("--duration", type=_seconds, default=30.0, metavar="S", help="mission time, default 30 s")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all randomness in the world, default 0")
+    parser.add_argument("--lockstep", action="store_true", help="all in one process, repeatable, as fast as it goes")
     parser.add_argument("--out", type=Path, metavar="DIR", help="what the run leaves, default run-<app>")
     parser.add_argument("--settings", type=Path, metavar="FILE", help="JSON object laid over the scenario's settings")
     parser.add_argument("--check", action="store_true", help="check the bundle and its packages; run nothing")
@@ -99,12 +100,14 @@ def _check(root: Path, scenario: Scenario) -> int:
 
 
 def _run(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespace) -> int:
+    from targets.sim.lockstep.run import Lockstep
     from targets.sim.progress import Progress
     from targets.sim.realtime import RealTime
     from targets.sim.run import Run
 
-    progress = Progress(sys.stderr, options.quiet)
-    run = Run(scenario, RealTime(scenario, root, folder, options.seed), folder, options.duration, progress)
+    progress = Progress(sys.stderr, options.quiet, free=options.lockstep)
+    conduct = Lockstep if options.lockstep else RealTime
+    run = Run(scenario, conduct(scenario, root, folder, options.seed), folder, options.duration, progress)
     try:
         outcome = run.execute()
     finally:
@@ -142,6 +145,8 @@ def _report(folder: Path) -> None:
 def _reproduce(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespace) -> dict[str, str]:
     """What one needs to do it again, by name."""
     command = ["python3", str(root), "--duration", f"{options.duration:g}", "--seed", str(options.seed)]
+    if options.lockstep:
+        command.append("--lockstep")
     if options.settings:
         command += ["--settings", str(options.settings)]
     return {

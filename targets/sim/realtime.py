@@ -68,6 +68,11 @@ class RealTime:
     def factor(self) -> float:
         return self._pace.factor(time.monotonic())
 
+    @property
+    def shares(self) -> dict[str, float]:
+        """The agents' time is that of other processes."""
+        return {}
+
     def close(self) -> None:
         for agent in self._agents:
             agent.kill()

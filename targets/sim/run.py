@@ -42,6 +42,7 @@ class Outcome:
     waiting: dict[str, str] = field(default_factory=dict)  # robot -> what it waited for, when there was no start
     last_lines: dict[str, list[str]] = field(default_factory=dict)  # of those that failed
     statuses: dict[str, int | None] = field(default_factory=dict)
+    shares: dict[str, float] = field(default_factory=dict)  # of the processor's time, by part, in lockstep
 
     @property
     def violations(self) -> list[Violation]:
@@ -235,6 +236,7 @@ class Run:
             waiting=waiting,
             last_lines={a.robot.name: a.last_lines(5) for a in self.conduct.agents if a.robot.name in self._failed},
             statuses={a.robot.name: a.status for a in self.conduct.agents},
+            shares=self.conduct.shares,
         )
 
     @contextmanager

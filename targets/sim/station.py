@@ -12,7 +12,6 @@ from typing import Any, Protocol
 from koordgen.runtime.feed import Sample, encode
 from koordgen.runtime.values import Point, Pose
 from targets.sim.bodies import BodyState, DeviceContext
-from targets.sim.ports import UdpPort
 
 FEED_PERIOD = 0.02  # seconds
 BASELINE = 0.33  # metres between the two markers that tell a body's yaw
@@ -67,7 +66,7 @@ class SimulatedFeed:
     ) -> None:
         self._station = BaseStation(body, context)
         self._clock = clock
-        self._port = UdpPort()
+        self._port = context.wiring.port()
         self.overrides: Mapping[str, Any] = {setting: f"udp:127.0.0.1:{self._port.number}"}
 
     def step(self, now: float) -> None:

@@ -64,6 +64,7 @@ class Summary(msgspec.Struct):
     real_time_factor: float
     late_steps: int
     steps: int
+    shares: dict[str, float] = {}  # of the processor's time, by part; empty in real time
     reproduce: dict[str, str] = {}  # what one needs to do it again
 
 
@@ -114,6 +115,7 @@ def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Su
         real_time_factor=outcome.real_time_factor,
         late_steps=outcome.late_steps,
         steps=outcome.steps,
+        shares=outcome.shares,
     )
 
 
@@ -202,6 +204,9 @@ def as_text(summary: Summary) -> str:
     lines.append(
         f"world: {summary.steps} steps, {summary.late_steps} late, real-time factor {summary.real_time_factor:.3f}"
     )
+    if summary.shares:
+        parts = (f"{part} {share:.0%}" for part, share in summary.shares.items())
+        lines.append(f"the processor's time: {', '.join(parts)}")
     if len(summary.violations) > 1:
         lines += ["", f"all {len(summary.violations)} violations:", *(f"  {told(v)}" for v in summary.violations)]
     for robot in summary.robots:
