@@ -20,10 +20,10 @@ BODY = 0.9  # metres around the place that a robot has told in which a scan may 
 # until its next word
 
 
-def pickFrontierPos(known: GridMap, own: Point, part: int, parts: int) -> Point:
+def pickFrontierPos(known: GridMap, own: Point, part: int, parts: int, refused: list[Point]) -> Point:
     """The edge of what is known that is nearest to drive to, or else as the crow flies; without any, where the robot
     is."""
-    edge = _edge(known, part, parts)
+    edge = _left(known, part, parts, refused)
     if not edge:
         return own
     size, room = known.resolution, _room(known, part, parts)
@@ -46,9 +46,9 @@ def findObs(known: GridMap) -> list[Grid]:
     return [Grid(x, y, known.resolution) for (x, y), code in _codes(known).items() if code == OCCUPIED]
 
 
-def explored(known: GridMap, part: int, parts: int) -> bool:
+def explored(known: GridMap, part: int, parts: int, refused: list[Point]) -> bool:
     """Whether a strip has no edge left to drive to."""
-    return not _edge(known, part, parts)
+    return not _left(known, part, parts, refused)
 
 
 def scanToMap(own: Point, seen: Scan, area: GridMap, robots: list[Point], me: int) -> GridMap:
@@ -81,6 +81,12 @@ def _marked(area: GridMap, cells: set[Cell], code: int) -> GridMap:
             k = j * area.width + i
             bits[k >> 2] |= code << 2 * (k & 3)
     return GridMap(area.resolution, area.x, area.y, area.width, area.height, bytes(bits))
+
+
+def _left(known: GridMap, part: int, parts: int, refused: list[Point]) -> frozenset[Cell]:
+    """The edge, without those to which there was no way."""
+    places = (cell(p, known.resolution) for p in refused)
+    return _edge(known, part, parts).difference((g.x, g.y) for g in places)
 
 
 @lru_cache(maxsize=64)  # a map is asked about in every round until the next one
