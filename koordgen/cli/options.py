@@ -135,6 +135,18 @@ def _key(command: argparse.ArgumentParser) -> None:
     command.add_argument("file", metavar="FILE")
 
 
+# Of all links between robots, over what the scenario says.
+_NETWORK = {
+    "loss": ("P", "the part of the datagrams between robots that is lost"),
+    "delay": ("S", "seconds that a datagram is under way"),
+    "jitter": ("S", "seconds that come on top at random, at most"),
+    "duplication": ("P", "the part of the datagrams that comes twice"),
+    "reordering": ("P", "the part of the datagrams that others overtake"),
+}
+# Options of a harness's bundle that have the same name here.
+PASSED = ("duration", "seed", *_NETWORK)
+
+
 def _harness(command: argparse.ArgumentParser) -> None:
     command.add_argument("program", metavar="APP.koord")
     command.add_argument("--duration", metavar="S", type=float, help="seconds of mission, from its first round")
@@ -142,6 +154,9 @@ def _harness(command: argparse.ArgumentParser) -> None:
     command.add_argument("--lockstep", action="store_true", help="all in one process: repeatable, as fast as it goes")
     command.add_argument("--out", metavar="DIR", help="where trace, summary, pictures and report go")
     command.add_argument("--quiet", action="store_true", help="no progress")
+    command.add_argument("--scenario", metavar="FILE", help="what goes wrong in the run, and when (YAML)")
+    for name, (metavar, help) in _NETWORK.items():
+        command.add_argument(f"--{name}", metavar=metavar, type=float, help=help)
     _of_a_build(command, fleet_required=True)
 
 
@@ -174,6 +189,12 @@ def _report(command: argparse.ArgumentParser) -> None:
     command.add_argument("-o", "--out", metavar="FILE", help="the page (default: report.html beside the trace)")
 
 
+def _export(command: argparse.ArgumentParser) -> None:
+    command.add_argument("trace", metavar="TRACE", help="a run's folder, or its trace.jsonl")
+    command.add_argument("--to", choices=("mcap", "csv", "png", "gif", "mp4"), required=True, help="what to write")
+    command.add_argument("-o", "--out", metavar="PATH", help="where to (default: beside the trace)")
+
+
 def _of_a_build(command: argparse.ArgumentParser, fleet_required: bool = False) -> None:
     command.add_argument("--fleet", metavar="FILE", required=fleet_required, help="the fleet file (YAML)")
     command.add_argument(
@@ -203,6 +224,7 @@ _COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "key": ("make a fleet's key", _key),
     "campaign": ("run a fleet many times, and tell what came of it", _campaign),
     "report": ("make the page that shows a run: moving pictures, rounds, shared variables, network", _report),
+    "export": ("write a run's trace as MCAP, CSV, pictures or a film", _export),
 }
 
 
