@@ -83,6 +83,9 @@ class Room:
         self.instantiating = False
         self.partial = False  # not every universal was looked at everywhere
         self.temps: dict[str, Type] = {}  # of the event's own variables
+        self.nowhere: dict[tuple[object, ...], Term] = {}  # what no robot has
+        self.granted: set[Term] = set()  # ints that name robots where they are spoken of just now
+        self.folds: set[Term] = set()  # sums over all robots
         self.texts: dict[str, Term] = {}  # literals
         self.versions: dict[int, tuple[int, Val]] = {}
         self.fresh = 0
@@ -121,6 +124,18 @@ class Room:
             yield
         finally:
             self.path = kept
+
+    @contextmanager
+    def grant(self, robot: object) -> Iterator[None]:
+        """That an int names a robot is known for now."""
+        new = isinstance(robot, (Value, Apply, Op)) and robot not in self.granted
+        if new:
+            self.granted.add(robot)  # type: ignore[arg-type]
+        try:
+            yield
+        finally:
+            if new:
+                self.granted.discard(robot)
 
     @contextmanager
     def about(self, label: str, line: int) -> Iterator[None]:
@@ -223,9 +238,11 @@ class Room:
         self.robot(index, known=True)
         return index
 
-    def for_all(self, instance: Callable[[Term], Term], robots: bool = True, places: bool = False) -> None:
+    def for_all(
+        self, instance: Callable[[Term], Term], robots: bool = True, places: bool = False, inner: bool = False
+    ) -> None:
         """A fact of all ints; `instance` holds the domain's bounds."""
-        inner = self.instantiating
+        inner = inner or self.instantiating
         self.universals.append(Universal(instance, robots, places, inner, self.label, self.line))
 
     def instantiate(self) -> None:
