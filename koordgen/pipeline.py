@@ -201,6 +201,16 @@ def read_fleet(
     return read, read.params
 
 
+def fleet_params(path: str | None, checked: Checked, program_path: str) -> dict[str, Value]:
+    """The values of params in a fleet file; none without one. Raises Rejected, ManifestError."""
+    from koordgen import manifest
+
+    if path is None:
+        return {}
+    targets = {name: manifest.load(name) for name in manifest.available()}
+    return read_fleet(path, targets, checked.program, program_path)[1]
+
+
 def _known(program: Program, fleet_path: str, program_path: str) -> Known:
     from functools import cache
     from pathlib import Path

@@ -108,6 +108,7 @@ def _harness(these: Ingredients, target: Target, text: bytes, agents: dict[str, 
     files = {
         **these.common,
         **these.target_files[target.name],
+        **{path: data for name in sorted({r[1] for r in robots}) for path, data in these.target_files[name].items()},
         **{path: data for path, data in these.beside.items() if path == functions},
         "__main__.py": render("main_harness.py", module=module, name=name).encode(),
         "program.py": text,
@@ -188,6 +189,7 @@ def _scenario(these: Ingredients, fleet: Fleet, harness: Target) -> dict[str, An
         "world": fleet.world.facts,
         "shared": [{"name": v.name, "kind": v.kind, "type": str(v.type)} for v in these.program.shared],
         "records": {str(r.type): [[name, str(t)] for name, t in r.type.fields] for r in these.program.records},
+        "drivers": _drivers(these),
         "harness": fleet.harness.get(harness.name) or {k: s.default for k, s in harness.settings.items()},
         "robots": [
             {

@@ -91,41 +91,9 @@ def _build(options: Namespace) -> int:
 
 
 def _harness(options: Namespace) -> int:
-    import shlex
-    import signal
-    import subprocess
-    import tempfile
-    from pathlib import Path
+    from koordgen.cli.harness import harness
 
-    bundles, app = _planned(options, [options.command])
-    _require_packages()
-    passed = [f"--{key}={value}" for key in ("duration", "seed") if (value := getattr(options, key)) is not None]
-    passed.append(f"--out={options.out or f'run-{app}'}")
-    passed.append(f"--invoked-as={shlex.join(['koordgen', *sys.argv[1:]])}")
-    if options.quiet:
-        passed.append("--quiet")
-    with tempfile.TemporaryDirectory(prefix="koordgen-") as folder:
-        _write({options.command: bundles[options.command]}, Path(folder))
-        # The child ends its run and writes its report; asked again, it ends at once. In a group of its own it is asked
-        # once, whether a signal comes to us alone or, like a terminal's Ctrl-C, to all of our group.
-        started: list[subprocess.Popen[bytes]] = []
-        early: list[int] = []
-
-        def pass_on(number: int, _: object) -> None:
-            asked = signal.SIGTERM if number == signal.SIGHUP else number
-            started[0].send_signal(asked) if started else early.append(asked)
-
-        for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            if signal.getsignal(each) != signal.SIG_IGN:  # nohup
-                signal.signal(each, pass_on)
-        command = [sys.executable, f"{folder}/{options.command}", *passed]
-        started.append(subprocess.Popen(command, stdout=_output(options), process_group=0))
-        for asked in early:
-            started[0].send_signal(asked)
-        status = started[0].wait()
-    if status < 0:
-        raise Failure(SURROUNDINGS, f"the run was killed by {signal.Signals(-status).name}; it left no report")
-    return status
+    return harness(options)
 
 
 def _fmt(options: Namespace) -> int:
@@ -144,6 +112,12 @@ def _fmt(options: Namespace) -> int:
     if refused:
         raise Failure(SURROUNDINGS, "; ".join(refused), "what could not be written stands as it was")
     return WRONG if mistakes or (dry and any(r.changed for r in results)) else HOLDS
+
+
+def _prove(options: Namespace) -> int:
+    from koordgen.cli.prove import run
+
+    return run(options)
 
 
 def _explain(options: Namespace) -> int:
@@ -243,29 +217,15 @@ def _campaign(options: Namespace) -> int:
 
 
 def _afterwards(options: Namespace) -> int:
-    """What is made of a run that is over: the harness that left it knows how."""
-    from koordgen import resources
+    from koordgen.cli.afterwards import afterwards
 
-    sys.path.append(str(resources.targets().parent))
-    try:
-        from targets.sim.trace import BadTrace
-        from targets.sim.view import commands
-    except ModuleNotFoundError as error:
-        message = f"the package {error.name} is missing"
-        raise Failure(SURROUNDINGS, message, f"{sys.executable} -m pip install 'koordgen[sim]'") from None
-    try:
-        made = commands.report(options.trace, options.out)
-    except BadTrace as error:
-        raise Failure(WRONG, str(error), "a run's folder is expected, or the trace.jsonl that it left") from None
-    except OSError as error:
-        raise Failure(SURROUNDINGS, f"{error.filename or options.trace}: {error.strerror or error}") from None
-    print(made)
-    return HOLDS
+    return afterwards(options)
 
 
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {
-    "check": _check, "dump": _dump, "build": _build, "fmt": _fmt, "explain": _explain, "estop": _estop,
-    "basestation": _basestation, "doctor": _doctor, "key": _key, "report": _afterwards, "campaign": _campaign,
+    "check": _check, "dump": _dump, "build": _build, "prove": _prove, "fmt": _fmt, "explain": _explain,
+    "estop": _estop, "basestation": _basestation, "doctor": _doctor, "key": _key, "report": _afterwards,
+    "export": _afterwards, "campaign": _campaign,
 }  # fmt: skip
 
 

@@ -61,6 +61,33 @@ def _build(command: argparse.ArgumentParser) -> None:
     _of_a_build(command)
 
 
+def _prove(command: argparse.ArgumentParser) -> None:
+    from koordgen.cli.prove import numbers
+
+    def robots(text: str) -> str:
+        numbers(text)
+        return text
+
+    command.add_argument("program", metavar="APP.koord")
+    many = "`any` (default), a number or a range as 3..15"
+    command.add_argument("--robots", metavar="N", type=robots, default="any", help=many)
+    value = "a param's value; params without one may have any"
+    command.add_argument("--param", metavar="NAME=VALUE", action="append", default=[], help=value)
+    command.add_argument("--fleet", metavar="FILE", help="a fleet file (YAML) for the values of params")
+    command.add_argument("--emit", metavar="DIR", help="write each obligation as a file of SMT-LIB, and run.sh")
+    command.add_argument("--solver", choices=("z3", "cvc5", "both"), default="z3", help="default: z3")
+    command.add_argument("--timeout", metavar="S", type=_seconds, default=10.0, help="of one query (default: 10)")
+    command.add_argument("--trace", metavar="FILE", help="write the first counterexample as koord-trace/1")
+    command.add_argument("--format", choices=("text", "json"), default="text", help="of what is told (default: text)")
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0.01 <= value <= 86400.0:
+        raise ValueError
+    return value
+
+
 def _fmt(command: argparse.ArgumentParser) -> None:
     command.add_argument("files", metavar="FILE", nargs="+", help="`-` reads standard input, writes standard output")
     command.add_argument("--check", action="store_true", help="write nothing; status 1 when a file would change")
@@ -108,12 +135,28 @@ def _key(command: argparse.ArgumentParser) -> None:
     command.add_argument("file", metavar="FILE")
 
 
+# Of all links between robots, over what the scenario says.
+_NETWORK = {
+    "loss": ("P", "the part of the datagrams between robots that is lost"),
+    "delay": ("S", "seconds that a datagram is under way"),
+    "jitter": ("S", "seconds that come on top at random, at most"),
+    "duplication": ("P", "the part of the datagrams that comes twice"),
+    "reordering": ("P", "the part of the datagrams that others overtake"),
+}
+# Options of a harness's bundle that have the same name here.
+PASSED = ("duration", "seed", *_NETWORK)
+
+
 def _harness(command: argparse.ArgumentParser) -> None:
     command.add_argument("program", metavar="APP.koord")
     command.add_argument("--duration", metavar="S", type=float, help="seconds of mission, from its first round")
     command.add_argument("--seed", metavar="N", type=int, help="seed of all that is random")
+    command.add_argument("--lockstep", action="store_true", help="all in one process: repeatable, as fast as it goes")
     command.add_argument("--out", metavar="DIR", help="where trace, summary, pictures and report go")
     command.add_argument("--quiet", action="store_true", help="no progress")
+    command.add_argument("--scenario", metavar="FILE", help="what goes wrong in the run, and when (YAML)")
+    for name, (metavar, help) in _NETWORK.items():
+        command.add_argument(f"--{name}", metavar=metavar, type=float, help=help)
     _of_a_build(command, fleet_required=True)
 
 
@@ -146,6 +189,12 @@ def _report(command: argparse.ArgumentParser) -> None:
     command.add_argument("-o", "--out", metavar="FILE", help="the page (default: report.html beside the trace)")
 
 
+def _export(command: argparse.ArgumentParser) -> None:
+    command.add_argument("trace", metavar="TRACE", help="a run's folder, or its trace.jsonl")
+    command.add_argument("--to", choices=("mcap", "csv", "png", "gif", "mp4"), required=True, help="what to write")
+    command.add_argument("-o", "--out", metavar="PATH", help="where to (default: beside the trace)")
+
+
 def _of_a_build(command: argparse.ArgumentParser, fleet_required: bool = False) -> None:
     command.add_argument("--fleet", metavar="FILE", required=fleet_required, help="the fleet file (YAML)")
     command.add_argument(
@@ -166,6 +215,7 @@ _COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "check": ("check a program", _check),
     "dump": ("show a program as it stands after a pass", _dump),
     "build": ("write a bundle for each target, or for each robot of a fleet", _build),
+    "prove": ("prove a program's invariants, or show why they do not hold", _prove),
     "fmt": ("format programs in place", _fmt),
     "explain": ("tell more of a code, with a wrong and a right example", _explain),
     "estop": ("emergency stop: bring all robots of a fleet to rest at once", _estop),
@@ -174,6 +224,7 @@ _COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "key": ("make a fleet's key", _key),
     "campaign": ("run a fleet many times, and tell what came of it", _campaign),
     "report": ("make the page that shows a run: moving pictures, rounds, shared variables, network", _report),
+    "export": ("write a run's trace as MCAP, CSV, pictures or a film", _export),
 }
 
 

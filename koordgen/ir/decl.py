@@ -116,6 +116,19 @@ def handed(node: object, bound: frozenset[str] = frozenset()) -> Iterator[tuple[
         yield from handed(part, bound)
 
 
+def free(node: object, bound: frozenset[str] = frozenset()) -> dict[str, Type]:
+    """The temps that a formula does not bind, with their types: in an axiom they stand for all values."""
+    match node:
+        case TempRead(name, type_):
+            return {} if name in bound else {name: type_}
+        case Quantified(_, name, domain, body):
+            return {**free(domain, bound), **free(body, bound | {name})}
+    parts: tuple[object, ...] = node if isinstance(node, tuple) else ()
+    if isinstance(node, Node) and not isinstance(node, Span):
+        parts = tuple([getattr(node, field) for field in type(node).__match_args__])  # type: ignore[attr-defined]
+    return {name: type_ for part in parts for name, type_ in free(part, bound).items()}
+
+
 class Module(Node):
     """`using Motion:`: the ports that the program uses of one of the robot's modules."""
 

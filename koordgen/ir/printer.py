@@ -17,15 +17,15 @@ def show(program: decl.Program) -> str:
     for record in program.records:
         lines.append(f"record {record.type.name}")
         fields = zip(record.type.fields, record.defaults, strict=True)
-        lines += [f"  {_variable(name, type_)} = {_expr(value)}" for (name, type_), value in fields]
+        lines += [f"  {_variable(name, type_)} = {expression(value)}" for (name, type_), value in fields]
     for param in program.params:
-        lines.append(f"param {_variable(param.name, param.type)} = {_expr(param.default)}")
+        lines.append(f"param {_variable(param.name, param.type)} = {expression(param.default)}")
     for function in program.functions:
         lines += [f"fun {_signature(function)}", *_block(function.block, "  ")]
     for extern in program.externs:
         lines.append(f"extern fun {_signature(extern)}")
-        lines += [f"  requires {_expr(formula)}" for formula in extern.requires]
-        lines += [f"  ensures {_expr(formula)}" for formula in extern.ensures]
+        lines += [f"  requires {expression(formula)}" for formula in extern.requires]
+        lines += [f"  ensures {expression(formula)}" for formula in extern.ensures]
     lines += [f"spec fun {_signature(spec)}" for spec in program.specs]
     for module in program.modules:
         lines.append(f"module {module.name}")
@@ -33,24 +33,24 @@ def show(program: decl.Program) -> str:
         lines += [f"  assume {_assumption(assumption)}" for assumption in module.assumptions]
     for shared in program.shared:
         size = "[N_SYS]" if shared.kind == "allread" else ""
-        lines.append(f"{shared.kind} {_variable(shared.name, shared.type, size)} = {_expr(shared.initial)}")
+        lines.append(f"{shared.kind} {_variable(shared.name, shared.type, size)} = {expression(shared.initial)}")
     for local in program.locals:
-        lines.append(f"local {_variable(local.name, local.type)} = {_expr(local.initial)}")
+        lines.append(f"local {_variable(local.name, local.type)} = {expression(local.initial)}")
     lines += [f"lock {index}: {', '.join(group)}" for index, group in enumerate(program.locks)]
     if program.init:
         lines.append("init")
         lines += _block(program.init, "  ")
     for event in program.events:
         lock = "" if event.lock is None else f" under lock {event.lock}"
-        lines += [f"event {event.name}{lock}", f"  when {_expr(event.guard)}", *_block(event.effect, "  ")]
+        lines += [f"event {event.name}{lock}", f"  when {expression(event.guard)}", *_block(event.effect, "  ")]
     for property_ in program.properties:
-        lines.append(f"{' '.join((property_.kind, property_.name)).strip()}: {_expr(property_.formula)}")
+        lines.append(f"{' '.join((property_.kind, property_.name)).strip()}: {expression(property_.formula)}")
     return "\n".join(lines) + "\n"
 
 
 def _assumption(assumption: decl.Assumption) -> str:
     goals = ", ".join(f"{name}: {type_}" for name, type_ in decl.goals(assumption).items())
-    return f"{f'for all {goals}: ' if goals else ''}{_expr(assumption.formula)}"
+    return f"{f'for all {goals}: ' if goals else ''}{expression(assumption.formula)}"
 
 
 def _variable(name: str, type_: Type, size: str = "") -> str:
@@ -86,20 +86,20 @@ def _block(block: stmt.Block, indent: str) -> Iterator[str]:
     for statement in block:
         match statement:
             case stmt.Assign(place, value):
-                yield f"{indent}{_place(place)} := {_expr(value)}"
+                yield f"{indent}{_place(place)} := {expression(value)}"
             case stmt.Let(name, type_, value):
-                yield f"{indent}let {name}: {type_} = {_expr(value)}"
+                yield f"{indent}let {name}: {type_} = {expression(value)}"
             case stmt.If():
                 yield from _if(statement, indent)
             case stmt.For(names, types, values, inner):
                 declared = ", ".join(f"{name}: {type_}" for name, type_ in zip(names, types, strict=True))
-                yield f"{indent}for {declared} in {_expr(values)}"
+                yield f"{indent}for {declared} in {expression(values)}"
                 yield from _block(inner, indent + "  ")
             case stmt.While(condition, inner):
-                yield f"{indent}while {_expr(condition)}"
+                yield f"{indent}while {expression(condition)}"
                 yield from _block(inner, indent + "  ")
             case stmt.Return(value):
-                yield f"{indent}return {_expr(value)}"
+                yield f"{indent}return {expression(value)}"
             case stmt.Emit(module, port, items):
                 yield f"{indent}{module}.{port} << {_list(items)}"
             case stmt.Break():
@@ -115,7 +115,7 @@ def _block(block: stmt.Block, indent: str) -> Iterator[str]:
 def _if(statement: stmt.If, indent: str) -> Iterator[str]:
     word = "if"
     while True:
-        yield f"{indent}{word} {_expr(statement.condition)}"
+        yield f"{indent}{word} {expression(statement.condition)}"
         yield from _block(statement.then, indent + "  ")
         if len(statement.orelse) == 1 and isinstance(statement.orelse[0], stmt.If):
             statement, word = statement.orelse[0], "elif"
@@ -139,10 +139,10 @@ def _place(place: stmt.Place) -> str:
 
 
 def _list(items: Iterable[expr.Expr]) -> str:
-    return ", ".join([_expr(item) for item in items])
+    return ", ".join([expression(item) for item in items])
 
 
-def _expr(node: expr.Expr) -> str:
+def expression(node: expr.Expr) -> str:
     """Every operator in its own parentheses: the tree as it is."""
     match node:
         case expr.Const(value):
@@ -162,29 +162,29 @@ def _expr(node: expr.Expr) -> str:
         case expr.Ids():
             return "ID"
         case expr.SlotRead(name, index, proved):
-            return f"{name}[{_expr(index)}]{_doubt(proved)}"
+            return f"{name}[{expression(index)}]{_doubt(proved)}"
         case expr.PortRead(module, port, primed):
             return f"{module}.{port}{_prime(primed)}"
         case expr.LocalOf(name, robot):
-            return f"{name}[{_expr(robot)}]"
+            return f"{name}[{expression(robot)}]"
         case expr.PortOf(module, port, robot):
-            return f"{module}.{port}[{_expr(robot)}]"
+            return f"{module}.{port}[{expression(robot)}]"
         case expr.Widen(operand):
-            return f"(int -> float {_expr(operand)})"
+            return f"(int -> float {expression(operand)})"
         case expr.Unary(op, operand):
-            return f"({op}{' ' if op == 'not' else ''}{_expr(operand)})"
+            return f"({op}{' ' if op == 'not' else ''}{expression(operand)})"
         case expr.Binary(op, left, right, proved):
-            return f"({_expr(left)} {op}{_doubt(proved)} {_expr(right)}: {node.type})"
+            return f"({expression(left)} {op}{_doubt(proved)} {expression(right)}: {node.type})"
         case expr.Compare(op, left, right) | expr.Logic(op, left, right):
-            return f"({_expr(left)} {op} {_expr(right)})"
+            return f"({expression(left)} {op} {expression(right)})"
         case expr.Contains(item, values):
-            return f"({_expr(item)} in {_expr(values)})"
+            return f"({expression(item)} in {expression(values)})"
         case expr.Conditional(condition, then, orelse):
-            return f"({_expr(then)} if {_expr(condition)} else {_expr(orelse)}: {node.type})"
+            return f"({expression(then)} if {expression(condition)} else {expression(orelse)}: {node.type})"
         case expr.Quantified(kind, name, domain, body):
-            return f"({kind} {name} in {_expr(domain)}: {_expr(body)})"
+            return f"({kind} {name} in {expression(domain)}: {expression(body)})"
         case expr.Range(start, stop, step):
-            return f"range({_expr(start)}, {_expr(stop)}, {step})"
+            return f"range({expression(start)}, {expression(stop)}, {step})"
         case _:
             return _compound(node)
 
@@ -195,16 +195,16 @@ def _compound(node: expr.Expr) -> str:
         case expr.Make(items, type_):
             return f"{type_}{{{_list(items)}}}"
         case expr.Field(operand, name):
-            return f"{_expr(operand)}.{name}"
+            return f"{expression(operand)}.{name}"
         case expr.Item(operand, index):
-            return f"{_expr(operand)}[{index}]"
+            return f"{expression(operand)}[{index}]"
         case expr.At(operand, index, proved):
-            return f"{_expr(operand)}[{_expr(index)}]{_doubt(proved)}"
+            return f"{expression(operand)}[{expression(index)}]{_doubt(proved)}"
         case expr.Slice(operand, start, stop, proved):
-            bounds = ":".join("" if bound is None else _expr(bound) for bound in (start, stop))
-            return f"{_expr(operand)}[{bounds}]{_doubt(proved)}"
+            bounds = ":".join("" if bound is None else expression(bound) for bound in (start, stop))
+            return f"{expression(operand)}[{bounds}]{_doubt(proved)}"
         case expr.With(operand, name, value):
-            return f"({_expr(operand)} with {name} = {_expr(value)})"
+            return f"({expression(operand)} with {name} = {expression(value)})"
         case expr.Builtin(name, args):
             # Of these the name alone does not tell the type.
             several = name in ("abs", "min", "max", "sum", "first", "last", "map_at", "get")

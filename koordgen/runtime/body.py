@@ -20,7 +20,8 @@ _GOALS = ("target", "path")
 class Body:
     """Stands between program and platform. `actuators` are the actuator variables: the values last written, before
     the geofence; the platform gets what lies inside it. A call may take `budget` seconds; more is counted and told.
-    `avoid` names the allread variable in which robots publish their paths, or is empty; `pid` is this robot's."""
+    `avoid` names the allread variable in which robots publish their paths, or is empty; `pid` is this robot's;
+    `clock` times calls."""
 
     def __init__(
         self,
@@ -31,9 +32,10 @@ class Body:
         warn: Callable[[str], None],
         avoid: str = "",
         pid: int = 0,
+        clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self._platform = platform
-        self._avoid, self._pid = avoid, pid
+        self._avoid, self._pid, self._clock = avoid, pid, clock
         self._published: dict[int, tuple[Point, ...]] = {}  # what `others` has handed on
         self._fence = fence
         self._budget = budget
@@ -88,9 +90,9 @@ class Body:
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
         """Ask a callable port, within an event. Raises what the platform raises; ValueError for what is no answer."""
-        began = time.perf_counter()
+        began = self._clock()
         found = self._platform.call(port, args)
-        took = time.perf_counter() - began
+        took = self._clock() - began
         if took > self._budget:
             self.slow_calls += 1
             if self.slow_calls == 1:

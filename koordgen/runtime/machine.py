@@ -75,7 +75,7 @@ class Agent:
         if self._keeping.interrupted:
             self._joining.come_back(self._keeping.interrupted)
         fence, budget = settings.geofence, settings.planner_budget
-        self._body = Body(program, platform, fence, budget, self._journal.warn, settings.avoid, settings.pid)
+        self._body = Body(program, platform, fence, budget, self._journal.warn, settings.avoid, settings.pid, clock.now)
         self._runner = Runner(program, settings.pid, len(self._names), clock, limit)
         self._guard = Guard(settings.safety, settings.geofence)
         self._verdict = Verdict("go")

@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 
 import msgspec
 
-from koordgen.runtime.datagrams import DatagramLink, listen, waiting
+from koordgen.runtime.datagrams import DatagramLink, UdpLink, listen, waiting
 from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.seal import SCAN, seal, unseal
 from koordgen.runtime.values import Point, Scan
@@ -29,6 +29,7 @@ _TURNS = 100.0  # radians: more is no angle
 _HINT = "start the lidar's driver; check that it knows this robot's name, address and the fleet's key"
 
 Seen = tuple[Point, Scan]
+Bind = Callable[[str], DatagramLink]
 
 
 class Sweep(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
@@ -112,8 +113,10 @@ class Scans:
 class ScanPort:
     """Where one robot's scans arrive, by its setting `scans`: "udp:HOST:PORT", or "" when it has no lidar."""
 
-    def __init__(self, setting: str, robot: str, key: bytes | None) -> None:
+    def __init__(self, setting: str, robot: str, key: bytes | None, bind: Bind | None = None) -> None:
+        """`bind` opens what the setting names."""
         self._setting = setting
+        self._bind = bind or listen_for_scans
         self._link: DatagramLink | None = None
         self._began: float | None = None  # when the first scan was first looked for
         self._patient = True
@@ -123,8 +126,7 @@ class ScanPort:
         """Bind the port, if there is one and it is not bound. Raises Unready."""
         if not self._setting or self._link is not None:
             return
-        example = "udp:0.0.0.0:47400; leave it out when there is no lidar"
-        self._link = listen("scans", self._setting, "scans", "the lidar's driver", example)
+        self._link = self._bind(self._setting)
 
     def poll(self, now: float) -> None:
         """Take what has arrived. Raises Unready, once, when no scan has come for PATIENCE seconds: the robot must be
@@ -169,6 +171,12 @@ class ScanPort:
         if self._link is not None:
             self._link.close()
             self._link = None
+
+
+def listen_for_scans(setting: str) -> UdpLink:
+    """Bind the port that a robot's setting `scans` names. Raises Unready."""
+    example = "udp:0.0.0.0:47400; leave it out when there is no lidar"
+    return listen("scans", setting, "scans", "the lidar's driver", example)
 
 
 def _sound(sweep: Sweep) -> bool:

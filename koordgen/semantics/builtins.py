@@ -12,6 +12,7 @@ from typing import Any
 
 from koordgen.runtime import geometry, gridmap
 from koordgen.runtime.values import Grid, Point, Pose, distance
+from koordgen.semantics import exact
 from koordgen.semantics.values import Ball, Rect, Value, items, same
 
 List = tuple[Any, ...]
@@ -40,7 +41,8 @@ def contains(xs: Any, item: Any) -> bool:
         pairs = ((item.x, xs.a.x, xs.b.x), (item.y, xs.a.y, xs.b.y), (item.z, xs.a.z, xs.b.z))
         return all(low <= c <= high or high <= c <= low for c, low, high in pairs)
     if isinstance(xs, Ball):
-        return distance(item, xs.center) <= xs.radius
+        measured = exact.distance if exact.is_exact(item, xs.center) else distance
+        return bool(measured(item, xs.center) <= xs.radius)
     if isinstance(xs, str):
         return item in xs
     return any(same(x, item) for x in xs)
@@ -129,6 +131,8 @@ def _text(value: Any) -> str:
 
 def applied(name: str, args: list[Value], zero: Value) -> Value:
     """A builtin of evaluated arguments; `zero` is the default of the type of what it yields."""
+    if exact.is_exact(*args) and (found := exact.applied(name, args)) is not None:
+        return found  # type: ignore[no-any-return]
     value: Value = _sum(items(args[0]), zero) if name == "sum" else MEANINGS[name](*args)
     return value
 

@@ -19,6 +19,7 @@ from koordgen.ir.types import ExternType as Extern
 from koordgen.ir.types import Sequence as SequenceType
 from koordgen.runtime.values import Opaque, Point
 from koordgen.semantics import builtins
+from koordgen.semantics.exact import is_exact, power
 from koordgen.semantics.state import Robot
 from koordgen.semantics.values import RecordValue, Value, as_, conforms, default, items, same
 from koordgen.source import Span
@@ -228,10 +229,10 @@ def _number(node: ir.Expr, view: View) -> int:
 
 
 def as_real(value: Value) -> int | float:
-    """An int or a float."""
-    if not isinstance(value, (int, float)):
+    """An int, a float, or what stands for a float where nothing is rounded."""
+    if not isinstance(value, (int, float)) and not is_exact(value):
         raise InternalError(f"{value!r} is no number")
-    return value
+    return value  # type: ignore[return-value]
 
 
 def _robot(node: ir.Expr, view: View) -> Robot:
@@ -285,8 +286,9 @@ def arithmetic(op: str, left: Value, right: Value) -> Value:
     """One operator on two values of agreeing types; raises ArithmeticError or ValueError where there is no value."""
     match left, right:
         case Point(), Point():
-            sign = 1.0 if op == "+" else -1.0
-            return Point(left.x + sign * right.x, left.y + sign * right.y, left.z + sign * right.z)
+            if op == "+":
+                return Point(left.x + right.x, left.y + right.y, left.z + right.z)
+            return Point(left.x - right.x, left.y - right.y, left.z - right.z)
         case Point(), _:
             by = as_real(right)
             if op == "*":
@@ -323,6 +325,8 @@ def _of_numbers(op: str, left: int | float, right: int | float) -> int | float:
 def _power(base: int | float, exponent: int | float) -> int | float:
     if isinstance(base, float) or isinstance(exponent, float):
         return math.pow(base, exponent)
+    if is_exact(base, exponent):
+        return power(base, exponent)  # type: ignore[return-value]
     if exponent < 0:
         raise ValueError("an int to the power of a negative one")
     if exponent > MAX_EXPONENT and abs(base) > 1:

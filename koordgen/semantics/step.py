@@ -12,6 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 from koordgen.ir import decl, stmt
+from koordgen.runtime.values import Point
 from koordgen.semantics.eval import Discarded, View, evaluate, holds
 from koordgen.semantics.exec import Budget, Writes, constant, library, run
 from koordgen.semantics.state import NOTHING, Robot, State, Store, World, nobody
@@ -28,7 +29,8 @@ class Step(NamedTuple):
 
 
 def initial(program: decl.Program, n_sys: int, sensors: Sequence[Mapping[str, Value]] = ()) -> State:
-    """Before init: initial values everywhere, actuators unset, sensors as given by robot and "Module.port"."""
+    """Before init: initial values everywhere, sensors as given by robot and "Module.port". An unset actuator holds: a
+    `target` is where the robot is, unless it is given."""
     constants = library(program, n_sys, {}, NOTHING, Budget(), no_port)
     params = {p.name: constant(p.default, constants, p.type) for p in program.params}
     constants = constants._replace(params=params)
@@ -47,10 +49,16 @@ def initial(program: decl.Program, n_sys: int, sensors: Sequence[Mapping[str, Va
         for p in m.ports
         if p.direction in ("sensor", "actuator")
     }
-    robots = tuple(
-        Robot(locals_, {**unset, **(sensors[pid] if pid < len(sensors) else {})}, False) for pid in range(n_sys)
-    )
+    given = [sensors[pid] if pid < len(sensors) else {} for pid in range(n_sys)]
+    robots = tuple(Robot(locals_, {**unset, **_held(program, known), **known}, False) for known in given)
     return State(params, robots, Store(slots, cells), 0)
+
+
+def _held(program: decl.Program, sensors: Mapping[str, Value]) -> dict[str, Value]:
+    """The targets of a robot that nothing was commanded yet."""
+    targets = [m.name for m in program.modules for p in m.ports if (p.name, p.direction) == ("target", "actuator")]
+    places = {f"{module}.target": sensors.get(f"{module}.position") for module in targets}
+    return {name: place for name, place in places.items() if isinstance(place, Point)}
 
 
 def no_port(port: str, args: tuple[Value, ...]) -> Value:
@@ -126,11 +134,13 @@ def sense(state: State, sensors: Sequence[Mapping[str, Value]]) -> State:
 
 
 def applied(state: State, step: Step) -> State:
-    """A state after what one step wrote, all of it together."""
+    """A state after what one step wrote, all of it together. Who was given a new goal has not `reached` it."""
     pid, outcome = step.pid, step.outcome
     if not isinstance(outcome, Writes):
         return state
-    ports = {**state.robots[pid].ports, **outcome.ports}
+    sent = {name.rpartition(".")[0] for name in outcome.ports if name.endswith((".target", ".path"))}
+    cleared = {f"{module}.reached": False for module in sent if f"{module}.reached" in state.robots[pid].ports}
+    ports = {**state.robots[pid].ports, **cleared, **outcome.ports}
     robots = list(state.robots)
     robots[pid] = Robot(dict(outcome.locals), ports, outcome.stopped)
     slots = dict(state.store.slots)

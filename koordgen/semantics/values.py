@@ -15,6 +15,7 @@ from koordgen.diagnostics import InternalError
 from koordgen.ir.types import ExternType, MapOf, PerRobot, RecordType, Scalar, Sequence, Sized, TupleOf, Type
 from koordgen.runtime.gridmap import GridMap, sound
 from koordgen.runtime.values import Grid, Opaque, Point, Pose, Scan
+from koordgen.semantics.exact import Exact
 
 
 class RecordValue(NamedTuple):
@@ -103,7 +104,8 @@ def conforms(value: object, type_: Type) -> bool:
     """Whether something is a value of a type, sets and maps in their order; capacities aside."""
     match type_:
         case Scalar(name) | Sized(name):
-            return type(value) is _PYTHON.get(name) and (not isinstance(value, GridMap) or sound(value))
+            of_it = type(value) is _PYTHON.get(name) or (name == "float" and isinstance(value, Exact))
+            return of_it and (not isinstance(value, GridMap) or sound(value))
         case Sequence(name, element):
             return _all(value, element) and (name != "Set" or _ascending(items(value)))
         case PerRobot(element):

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 from koordgen.runtime.datagrams import DatagramLink
 from koordgen.runtime.feed import listen_for_poses
 from koordgen.runtime.platform import Unready
+from koordgen.runtime.scans import listen_for_scans
 from targets.car.settings import FROM_DRIVE
 from targets.car.watched import Watch, WatchdogProcess
 
@@ -42,6 +43,8 @@ class Links(Protocol):
     def mavlink(self, url: str) -> Route: ...
 
     def position(self, setting: str) -> DatagramLink: ...
+
+    def scans(self, setting: str) -> DatagramLink: ...
 
     def watchdog(self) -> Watch: ...
 
@@ -116,6 +119,9 @@ class RealLinks:
 
     def position(self, setting: str) -> DatagramLink:
         return Nowhere() if setting == FROM_DRIVE else listen_for_poses("position", setting)
+
+    def scans(self, setting: str) -> DatagramLink:
+        return listen_for_scans(setting)
 
     def watchdog(self) -> Watch:
         return WatchdogProcess()

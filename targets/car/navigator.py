@@ -4,6 +4,8 @@ reached. Planning goes on beside it; until an answer comes, the car goes on alon
 from __future__ import annotations
 
 import math
+import time
+from collections.abc import Callable
 
 from targets.car.avoidance import Avoidance
 from targets.car.bicycle import State
@@ -63,8 +65,10 @@ class Trail:
 class Navigator:
     """One car's way to its target. Positions are of the rear axle's middle, metres, local ENU."""
 
-    def __init__(self, settings: CarSettings, area: Area, avoidance: Avoidance) -> None:
-        """Targets are brought inside the area."""
+    def __init__(
+        self, settings: CarSettings, area: Area, avoidance: Avoidance, clock: Callable[[], float] = time.perf_counter
+    ) -> None:
+        """Targets are brought inside the area; `clock` times the solver."""
         limits = Limits(
             settings.wheelbase,
             settings.max_speed,
@@ -74,7 +78,7 @@ class Navigator:
         )
         self._settings = settings
         self._area, self._avoidance = area, avoidance
-        mpc = Mpc(limits)
+        mpc = Mpc(limits, clock=clock)
         mpc.warm_up()
         self._tracker = Tracker(limits, mpc)
         self.note = mpc.note  # for the log: why the controller is the slower one, or ""

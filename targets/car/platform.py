@@ -8,7 +8,8 @@ whose z is ignored, and the point that the position feed must give.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any
 
@@ -46,15 +47,21 @@ class Car:
     period = STEP
 
     def __init__(
-        self, settings: Settings, key: bytes | None, links: Links | None = None, planning: MakePlanning = Beside
+        self,
+        settings: Settings,
+        key: bytes | None,
+        links: Links | None = None,
+        planning: MakePlanning = Beside,
+        clock: Callable[[], float] = time.perf_counter,
     ) -> None:
+        """`clock` times the controller's solver."""
         self._settings = decode(settings.body)
         self._fence = settings.geofence
         self._links: Links = links if links is not None else RealLinks()
         self._frame = LocalFrame(settings.origin.latitude, settings.origin.longitude, settings.origin.altitude)
-        self._robot, self._key = settings.robot, key
+        self._robot, self._key, self._clock = settings.robot, key, clock
         self._feed = Feed(settings.robot, key)
-        self._lidar = ScanPort(self._settings.scans, settings.robot, key)
+        self._lidar = ScanPort(self._settings.scans, settings.robot, key, self._links.scans)
         own = self._settings
         self._estimator = Estimator(own.wheelbase, own.max_speed, own.steering_limit)
         self._datagrams: DatagramLink | None = None
@@ -110,7 +117,7 @@ class Car:
 
     def _build(self) -> Navigator:
         try:
-            return Navigator(self._settings, self._avoidance.area, self._avoidance)
+            return Navigator(self._settings, self._avoidance.area, self._avoidance, self._clock)
         except ImportError as error:
             hint = "install the bundle's requirements.txt (64-bit systems only)"
             raise Unready(f"a package is missing: {error}", hint) from None

@@ -16,6 +16,7 @@ from typing import Protocol
 
 import msgspec
 
+from koordgen.runtime.inside import Inside as Surroundings
 from koordgen.runtime.platform import Unready
 from koordgen.runtime.values import Point, transmissible
 from targets.planning.ask import BadPlanner, Judge, judging
@@ -141,6 +142,12 @@ class Inside:
 
     def close(self) -> None:
         self.ready = False
+
+
+def bounded(inside: Surroundings, name: str, world: World, budget: float, judge: str = JUDGE) -> Inside:
+    """A planner whose answers depend on nothing but its questions."""
+    world = msgspec.structs.replace(world, seed=inside.seed, iterations=inside.iterations)
+    return Inside(name, world, budget, judge)
 
 
 class Beside:

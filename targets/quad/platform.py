@@ -18,7 +18,7 @@ from koordgen.runtime.feed import listen_for_poses
 from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.platform import Finding, Sensed, Unready
 from koordgen.runtime.safety import clamp
-from koordgen.runtime.scans import ScanPort
+from koordgen.runtime.scans import ScanPort, listen_for_scans
 from koordgen.runtime.settings import BadSettings, Settings
 from koordgen.runtime.values import Point
 from targets.mavlink.framing import Message
@@ -66,8 +66,8 @@ def _bind(setting: str) -> DatagramLink:
 
 class Quad:
     """Implements koordgen.runtime.platform.Platform. The fleet's key serves feeds alone: the autopilot's link is a wire
-    or loopback. `connect`, `bind` and `wall` (the time of day) are what the surroundings give, and for `diagnose` alone
-    `clock` and `sleep`."""
+    or loopback. `connect`, `bind`, `scans` and `wall` (the time of day) are what the surroundings give, and for
+    `diagnose` alone `clock` and `sleep`."""
 
     period = 0.05
 
@@ -78,6 +78,7 @@ class Quad:
         *,
         connect: Callable[[str], Transport] = opened,
         bind: Callable[[str], DatagramLink] = _bind,
+        scans: Callable[[str], DatagramLink] = listen_for_scans,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
         wall: Callable[[], float] = time.time,
@@ -106,7 +107,7 @@ class Quad:
             body.reached_radius, body.reached_dwell, yaw,
         )  # fmt: skip
         self._connect, self._clock, self._sleep, self._wall = connect, clock, sleep, wall
-        self._lidar = ScanPort(body.scans, settings.robot, key)
+        self._lidar = ScanPort(body.scans, settings.robot, key, scans)
         self._positioning: Positioning | None = None  # None: the vehicle's own
         if body.positioning != "own":
             self._positioning = Positioning(

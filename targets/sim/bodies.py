@@ -7,10 +7,13 @@ the robot's agent exactly as the real one would and drives its body. Frames: loc
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import msgspec
+
+from targets.sim.ports import Loopback, Wiring
+from targets.sim.upset import Upset
 
 Vector = tuple[float, float, float]
 
@@ -59,7 +62,8 @@ class Car(Protocol):
 class DeviceContext:
     """What a device is made with. `settings` are the robot's own (`body` in its settings.json), `harness` those of
     the sim target, `origin` is WGS-84 (degrees, degrees, metres), `noise` the standard deviation of sensed
-    positions (m), `key` the run's fleet key."""
+    positions (m), `key` the run's fleet key, `wiring` makes its ends of what connects it with the agent, `upset` is
+    what is wrong at the moment."""
 
     robot: str
     settings: Mapping[str, Any]
@@ -67,6 +71,8 @@ class DeviceContext:
     origin: tuple[float, float, float]
     seed: int
     key: bytes
+    wiring: Wiring = field(default_factory=Loopback)
+    upset: Upset = field(default_factory=Upset)
 
 
 class Device(Protocol):

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from koordgen.runtime.trace import Observe
 from targets.sim.bodies import BodyState
+from targets.sim.medium import Medium
 from targets.sim.scenario import Robot
 from targets.sim.trace import Log, Phase, Record, Round, fault_text
 
@@ -165,6 +166,11 @@ class Conduct(Protocol):
         """Start all agents, and the clock. Raises OSError."""
         ...
 
+    def disturb(self, medium: Medium) -> None:
+        """From now on the network between the agents is like that. Whoever wants to do so later does it before the
+        launch, too. Raises OSError."""
+        ...
+
     def now(self) -> float:
         """Seconds on the clock by which agents live."""
         ...
@@ -176,6 +182,11 @@ class Conduct(Protocol):
     @property
     def factor(self) -> float:
         """World seconds per host second so far."""
+        ...
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """What the processor's time went to, by part, as shares of all; empty where that is not known."""
         ...
 
     def close(self) -> None:

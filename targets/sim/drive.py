@@ -1,4 +1,4 @@
-"""The simulated drive of a car: a VESC behind a pseudo-terminal (or a rover: rover.py).
+"""The simulated drive of a car: a VESC behind a serial line (or a rover: rover.py).
 
 It talks the VESC protocol and drives a simulated body; its own numbers (gains) are those of the robot's settings, so
 that a wrong gain in the fleet file is no more noticed here than a right one: calibration is for the real car.
@@ -7,27 +7,27 @@ that a wrong gain in the fleet file is no more noticed here than a right one: ca
 from __future__ import annotations
 
 import math
-import os
-import pty
-import tty
 from collections.abc import Mapping
-from contextlib import suppress
 from typing import Any
 
 from targets.car import vesc
 from targets.car.settings import CarSettings, decode
 from targets.sim.bodies import Car, Device, DeviceContext
+from targets.sim.upset import Upset
 
 TIMEOUT = 0.5  # seconds without a command after which the VESC brakes by itself; asking for values is none
-SUPPLY = 11.1  # volts
+SUPPLY, EMPTY = 11.1, 9.0  # volts, of a usual and of an empty battery
+CUT_OFF = 9.2  # volts below which the VESC gives up
+UNDER_VOLTAGE = 2  # mc_fault_code
 FIRMWARE = 6, 5
 
 
 class Controller:
     """The VESC itself, without its cable: bytes in, bytes out, a body driven."""
 
-    def __init__(self, body: Car, settings: CarSettings) -> None:
+    def __init__(self, body: Car, settings: CarSettings, upset: Upset | None = None) -> None:
         self._body = body
+        self._upset = upset or Upset()
         self._settings = settings
         self._decoder = vesc.Decoder()
         self._speed: float | None = None  # None: it brakes
@@ -50,17 +50,26 @@ class Controller:
                     angle = off / self._settings.steering_to_servo_gain
                     self._steering = max(-self._settings.max_steering, min(self._settings.max_steering, angle))
                 case vesc.AskValues():
-                    answers += vesc.encode(vesc.Values(self._wheel_speed() * self._settings.speed_to_erpm_gain, SUPPLY))
+                    erpm = self._wheel_speed() * self._settings.speed_to_erpm_gain
+                    answers += vesc.encode(vesc.Values(erpm, self._volts, UNDER_VOLTAGE if self._empty else 0))
                 case vesc.AskVersion():
                     answers += vesc.encode(vesc.Version(*FIRMWARE))
                 case vesc.Values() | vesc.Version():
                     pass  # an answer is no question
-        if now - self._commanded > TIMEOUT:
+        if now - self._commanded > TIMEOUT or self._empty:
             self._speed, self._braking = None, self._settings.braking
         self._body.drive(self._speed or 0.0, self._steering)
         if self._speed is None:
             self._body.brake(self._braking)
         return answers
+
+    @property
+    def _volts(self) -> float:
+        return EMPTY + (SUPPLY - EMPTY) * self._upset.battery
+
+    @property
+    def _empty(self) -> bool:
+        return self._volts < CUT_OFF
 
     def _wheel_speed(self) -> float:
         state = self._body.state()
@@ -68,34 +77,23 @@ class Controller:
 
 
 class SimulatedDrive:
-    """targets.sim.bodies.Device for a car: the pseudo-terminal around a controller."""
+    """targets.sim.bodies.Device for a car: the serial line to a controller."""
 
     def __init__(self, body: Car, context: DeviceContext) -> None:
         settings = decode(context.settings)
-        self._controller = Controller(body, settings)
+        self._controller = Controller(body, settings, context.upset)
         self._unsent = b""
-        self._master, self._slave = pty.openpty()
-        tty.setraw(self._slave)
-        os.set_blocking(self._master, False)
-        # The slave stays open here: a master whose last slave closes reads errors, and agents come and go.
-        self.overrides: Mapping[str, Any] = {"drive": f"vesc:{os.ttyname(self._slave)}"}
+        self._terminal = context.wiring.terminal()
+        self.overrides: Mapping[str, Any] = {"drive": f"vesc:{self._terminal.device}"}
 
     def step(self, now: float) -> None:
-        received = b""
-        with suppress(OSError):  # nothing there
-            received = os.read(self._master, 65536)
-        self._unsent = self._unsent + self._controller.step(received, now)
+        self._unsent = self._unsent + self._controller.step(self._terminal.read(), now)
         self._unsent = self._unsent[-4096:]  # an agent that does not read its answers does not fill our memory
         if self._unsent:
-            with suppress(OSError):  # its side is full
-                self._unsent = self._unsent[os.write(self._master, self._unsent) :]
+            self._unsent = self._unsent[self._terminal.write(self._unsent) :]
 
     def close(self) -> None:
-        if self._master < 0:
-            return
-        os.close(self._master)
-        os.close(self._slave)
-        self._master = self._slave = -1
+        self._terminal.close()
 
 
 def simulated(body: Car, context: DeviceContext) -> Device:

@@ -11,10 +11,13 @@ import platform
 import shlex
 import sys
 import traceback
+from collections.abc import Callable
 from pathlib import Path
 
+from targets.sim import faults
 from targets.sim.folder import Foreign, RunFolder
 from targets.sim.scenario import FILE, BadScenario, Scenario, load
+from targets.sim.schedule import CONDITIONS, MOST_DELAY, PROBABILITIES, Schedule
 
 HELD, BAD_FILES, USAGE, VIOLATED, SURROUNDINGS, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 5, 70, 130
 STATUS = {"held": HELD, "violated": VIOLATED, "interrupted": INTERRUPTED, "not started": SURROUNDINGS}
@@ -28,10 +31,15 @@ def main(root: Path, argv: list[str] | None = None) -> int:
         scenario = load(root, options.settings)
         out: Path = options.out or Path(f"run-{scenario.app}")
         _require(scenario)
+        schedule = _schedule(scenario, options)
+        # The file may be what an earlier run has left in the very folder.
+        text = options.scenario.read_bytes() if options.scenario else b""
         if options.check:
             return _check(root, scenario)
         with RunFolder(out) as folder:
-            return _run(root, scenario, folder, options)
+            if text:
+                (folder / "faults.json").write_bytes(text)
+            return _run(root, scenario, schedule, folder, options)
     except BadScenario as error:
         return _fail(BAD_FILES, str(error), error.hint)
     except Foreign as error:
@@ -57,12 +65,34 @@ def _parser(root: Path) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=f"python3 {root.name}", description="Run the whole fleet on this host.")
     parser.add_argument("--duration", type=_seconds, default=30.0, metavar="S", help="mission time, default 30 s")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all randomness in the world, default 0")
+    parser.add_argument("--lockstep", action="store_true", help="all in one process, repeatable, as fast as it goes")
     parser.add_argument("--out", type=Path, metavar="DIR", help="what the run leaves, default run-<app>")
     parser.add_argument("--settings", type=Path, metavar="FILE", help="JSON object laid over the scenario's settings")
+    parser.add_argument("--scenario", type=Path, metavar="FILE", help="what goes wrong in the run, and when (JSON)")
+    for name in CONDITIONS:
+        what = "0 to 1" if name in PROBABILITIES else "seconds"
+        parser.add_argument(
+            f"--{name}", type=_condition(name), metavar="X", help=f"of all links between robots, {what}"
+        )
     parser.add_argument("--check", action="store_true", help="check the bundle and its packages; run nothing")
     parser.add_argument("--invoked-as", metavar="TEXT", help="the command to name in the report, if not this one")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     return parser
+
+
+def _condition(name: str) -> Callable[[str], float]:
+    most = 1.0 if name in PROBABILITIES else MOST_DELAY
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not 0.0 <= value <= most:
+            raise argparse.ArgumentTypeError(f"{text} is no {name}; give 0 to {most:g}")
+        return value
+
+    return parse
 
 
 def _seconds(text: str) -> float:
@@ -90,6 +120,14 @@ def _require(scenario: Scenario) -> None:
     stage.check(scenario)
 
 
+def _schedule(scenario: Scenario, options: argparse.Namespace) -> Schedule:
+    """What goes wrong in this run. Raises BadScenario."""
+    names = [robot.name for robot in scenario.robots]
+    found = faults.load(options.scenario, names) if options.scenario else Schedule()
+    faults.check_times(found, options.duration)
+    return faults.with_network(found, vars(options))
+
+
 def _check(root: Path, scenario: Scenario) -> int:
     print(f"ok: {root / FILE}: {scenario.app}, {len(scenario.robots)} robots, delta {scenario.delta:g} s")
     for robot in scenario.robots:
@@ -98,13 +136,17 @@ def _check(root: Path, scenario: Scenario) -> int:
     return HELD
 
 
-def _run(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespace) -> int:
+def _run(root: Path, scenario: Scenario, schedule: Schedule, folder: Path, options: argparse.Namespace) -> int:
+    from targets.sim.lockstep.run import Lockstep
     from targets.sim.progress import Progress
     from targets.sim.realtime import RealTime
     from targets.sim.run import Run
 
-    progress = Progress(sys.stderr, options.quiet)
-    run = Run(scenario, RealTime(scenario, root, folder, options.seed), folder, options.duration, progress)
+    progress = Progress(sys.stderr, options.quiet, free=options.lockstep)
+    conduct = Lockstep if options.lockstep else RealTime
+    run = Run(scenario, conduct(scenario, root, folder, options.seed), folder, options.duration, progress)
+    if schedule != Schedule():
+        run.companions.append(faults.Faults(schedule))
     try:
         outcome = run.execute()
     finally:
@@ -115,7 +157,7 @@ def _run(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespa
     header = trace.Header(
         trace.FORMAT, scenario.app, scenario.program_hash, scenario.delta, options.seed, names, options.duration,
         outcome.started, scenario.number("min_separation", 0.0), (scenario.geofence.lo, scenario.geofence.hi),
-        scenario.obstacles, scenario.shared, scenario.records,
+        scenario.obstacles, scenario.world, scenario.shared, scenario.records,
     )  # fmt: skip
     merged = folder / "trace.jsonl"
     trace.merge(merged, header, outcome.zero, run.poses_file, [a.trace_file for a in run.conduct.agents], outcome.marks)
@@ -131,19 +173,22 @@ def _run(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespa
 
 
 def _report(folder: Path) -> None:
-    from targets.sim import trace
-    from targets.sim.view import plots, report
+    from targets.sim.view import commands
 
-    merged = folder / "trace.jsonl"
-    plots.draw(plots.tracks(*trace.read(merged)), folder / "plots")
-    report.write(folder / "report.html", merged)
+    commands.export(str(folder), "png", None)
+    commands.report(str(folder), None)
 
 
 def _reproduce(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespace) -> dict[str, str]:
     """What one needs to do it again, by name."""
     command = ["python3", str(root), "--duration", f"{options.duration:g}", "--seed", str(options.seed)]
+    if options.lockstep:
+        command.append("--lockstep")
     if options.settings:
         command += ["--settings", str(options.settings)]
+    if options.scenario:
+        command += ["--scenario", str(folder / "faults.json")]
+    command += [f"--{name}={value:g}" for name in CONDITIONS if (value := getattr(options, name)) is not None]
     return {
         "command": options.invoked_as or shlex.join([*command, "--out", str(folder)]),
         "program": f"{scenario.source}, hash {scenario.program_hash}",

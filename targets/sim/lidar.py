@@ -10,7 +10,7 @@ from typing import Any, Protocol
 from koordgen.runtime.scans import MOST_RAYS, Sweep, encode, packed
 from koordgen.runtime.values import Point
 from targets.sim.bodies import BodyState, DeviceContext, Vector
-from targets.sim.ports import Port, UdpPort
+from targets.sim.ports import Port
 from targets.sim.scenario import BadScenario, Lidar
 from targets.sim.sight import Eye
 from targets.sim.world import Rigid, World
@@ -52,8 +52,8 @@ class SimulatedLidar:
         self._sequence = 0
         self.overrides: Mapping[str, Any] = {}
         if port is None:
-            port = udp = UdpPort()
-            self.overrides = {SETTING: f"udp:127.0.0.1:{udp.number}"}
+            port = context.wiring.port()
+            self.overrides = {SETTING: f"udp:127.0.0.1:{port.number}"}
         self._port = port
 
     def look(self) -> tuple[Vector, list[float | None]]:

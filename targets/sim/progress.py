@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
+import time
 from collections.abc import Sequence
 from typing import TextIO
 
@@ -15,11 +16,13 @@ LIVE_EVERY = 0.2
 
 
 class Progress:
-    """Writes to `stream` (standard error); quiet, it says nothing."""
+    """Writes to `stream` (standard error); quiet, it says nothing. `free`: the run's clock is not the host's, and it
+    always says how fast that goes."""
 
-    def __init__(self, stream: TextIO, quiet: bool) -> None:
+    def __init__(self, stream: TextIO, quiet: bool, free: bool = False) -> None:
         self._stream = stream
         self._quiet = quiet
+        self._free = free
         self._live = stream.isatty()
         self._next = 0.0
         self._open = False  # a line stands that will be rewritten
@@ -34,13 +37,18 @@ class Progress:
         self, now: float, zero: float | None, duration: float, agents: Sequence[Agent], watch: Watch, factor: float
     ) -> None:
         """The present state, when it is time for it again."""
-        if self._quiet or now < self._next:
+        host = time.monotonic()
+        if self._quiet or host < self._next:
             return
         first = self._next == 0.0
-        self._next = now + (LIVE_EVERY if self._live else PLAIN_EVERY)
+        self._next = host + (LIVE_EVERY if self._live else PLAIN_EVERY)
         if first and not self._live:
             return
-        text = _starting(agents) if zero is None else _running(now - zero, duration, agents, watch, factor)
+        text = _starting(agents) if zero is None else _running(now - zero, duration, agents, watch)
+        if self._free and zero is not None:
+            text += f", {factor:.1f} times real time"
+        elif zero is not None and factor < 0.98:
+            text += f", the host is too slow: real-time factor {factor:.2f}"
         if self._live:
             text = text[: max(20, shutil.get_terminal_size().columns - 1)]
         self._write("\r\x1b[K" + text if self._live else text + "\n")
@@ -64,7 +72,7 @@ def _starting(agents: Sequence[Agent]) -> str:
     return " | ".join(f"{agent.robot.name} {agent.waiting_for()}" for agent in agents)
 
 
-def _running(t: float, duration: float, agents: Sequence[Agent], watch: Watch, factor: float) -> str:
+def _running(t: float, duration: float, agents: Sequence[Agent], watch: Watch) -> str:
     parts = [
         f"{min(t, duration):5.1f} of {duration:g} s",
         f"round {max(agent.round for agent in agents)}",
@@ -75,6 +83,4 @@ def _running(t: float, duration: float, agents: Sequence[Agent], watch: Watch, f
     gone = [agent.robot.name for agent in agents if not agent.alive]
     if gone:
         parts.append(f"ended: {', '.join(gone)}")
-    if factor < 0.98:
-        parts.append(f"the host is too slow: real-time factor {factor:.2f}")
     return ", ".join(parts)

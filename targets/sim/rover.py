@@ -18,7 +18,7 @@ from koordgen.runtime.geodesy import LocalFrame
 from targets.car.settings import decode
 from targets.sim.bodies import Car, DeviceContext
 from targets.sim.mavlink_telemetry import Message, Telemetry
-from targets.sim.ports import Port, UdpPort
+from targets.sim.ports import Port
 
 MANUAL, HOLD, GUIDED = 0, 4, 15
 MODES = (MANUAL, HOLD, GUIDED)
@@ -56,8 +56,8 @@ class SimulatedRover:
         self._telemetry = Telemetry(makers, {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}, self.said, self._send)
         self.overrides: Mapping[str, Any] = {}
         if port is None:
-            port = udp = UdpPort()
-            self.overrides = {"drive": f"rover:udpin:127.0.0.1:{udp.number}"}
+            port = context.wiring.port()
+            self.overrides = {"drive": f"rover:udpin:127.0.0.1:{port.number}"}
         self._port = port
 
     def step(self, now: float) -> None:

@@ -42,6 +42,7 @@ class Outcome:
     waiting: dict[str, str] = field(default_factory=dict)  # robot -> what it waited for, when there was no start
     last_lines: dict[str, list[str]] = field(default_factory=dict)  # of those that failed
     statuses: dict[str, int | None] = field(default_factory=dict)
+    shares: dict[str, float] = field(default_factory=dict)  # of the processor's time, by part, in lockstep
 
     @property
     def violations(self) -> list[Violation]:
@@ -128,7 +129,7 @@ class Run:
             return "interrupted"
         if now - zero >= self._duration:
             return "completed"
-        return "" if any(agent.alive for agent in self.conduct.agents) else "stopped"
+        return "" if any(agent.alive or agent.crashed for agent in self.conduct.agents) else "stopped"
 
     def _until(self, done: Callable[[float], str]) -> str:
         """Go on until `done` says why not; "" when that is the mission's start."""
@@ -217,7 +218,8 @@ class Run:
             fault = agent.first_fault
             if fault is not None:
                 marks.append(Violation(t(fault.time), "fault", (agent.robot.name,), agent.fault_text()))
-            if agent.robot.name not in self._failed and not self.stage.standing(pid):
+            ended_itself = agent.robot.name not in self._failed and not agent.crashed
+            if ended_itself and not self.stage.standing(pid):
                 detail = "still moved or was in the air when its agent had ended"
                 marks.append(Violation(t(now), "unrest", (agent.robot.name,), detail))
         found = watch.closest
@@ -235,6 +237,7 @@ class Run:
             waiting=waiting,
             last_lines={a.robot.name: a.last_lines(5) for a in self.conduct.agents if a.robot.name in self._failed},
             statuses={a.robot.name: a.status for a in self.conduct.agents},
+            shares=self.conduct.shares,
         )
 
     @contextmanager

@@ -114,6 +114,7 @@ class Robot(msgspec.Struct, frozen=True):
     device: str
     start: Start
     settings: dict[str, Any] = {}
+    inside: str = ""  # "module:function" that makes the robot's platform in lockstep; empty: it cannot be
     sim: Sim = Sim()
 
 
@@ -139,6 +140,8 @@ class Scenario(msgspec.Struct, frozen=True):
     obstacles: tuple[Obstacle, ...] = ()  # what stands in the world, walls last; numbered from 0
     world: World = World()
     harness: dict[str, Any] = {}
+    # (module of the program, Python module, class) of each driver that agents have.
+    drivers: tuple[tuple[str, str, str], ...] = ()
     shared: tuple[Shared, ...] = ()
     records: dict[str, tuple[tuple[str, str], ...]] = {}
 

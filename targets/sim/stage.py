@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import math
 import random
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -17,9 +18,12 @@ from targets.sim.bodies import BodyState, Device, DeviceContext, Vector
 from targets.sim.car import Running, SimulatedCar
 from targets.sim.first_order import SimpleCar, SimpleQuadrotor
 from targets.sim.lidar import SETTING, SimulatedLidar
+from targets.sim.ports import Loopback, Wiring
 from targets.sim.quadrotor import SimulatedQuadrotor
 from targets.sim.scenario import BadScenario, Robot, Scenario
+from targets.sim.slowed import Slowed
 from targets.sim.station import SimulatedFeed, fed
+from targets.sim.upset import Upset
 from targets.sim.world import Rigid, World
 
 
@@ -51,6 +55,9 @@ DEVICES: dict[str, str] = {
 }
 
 
+Clock = Callable[[], float]
+
+
 @dataclass(frozen=True, slots=True)
 class Actor:
     """One robot's simulated half."""
@@ -59,6 +66,7 @@ class Actor:
     body: Body
     device: Device
     sensors: tuple[Device, ...]  # lidar and position feed, for robots that have a setting for them
+    upset: Upset
 
     @property
     def devices(self) -> tuple[Device, ...]:
@@ -116,16 +124,26 @@ class Stage:
     """Owns world, bodies and devices; `close` gives all of them back. The same scenario, seed and commands give the
     same motion. `check` the scenario before."""
 
-    def __init__(self, scenario: Scenario, seed: int, key: bytes, gui: bool = False) -> None:
-        """Raises BadScenario, and bullet.NoDisplay when a `gui` is asked for where there is none."""
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int,
+        key: bytes,
+        gui: bool = False,
+        wiring: Wiring | None = None,
+        clock: Clock = time.monotonic,
+    ) -> None:
+        """`wiring` is how agents are reached, and `clock` the one that they live by. Raises BadScenario, and
+        bullet.NoDisplay when a `gui` is asked for where there is none."""
         self.world = World(scenario.world.wind, scenario.world.floor_friction, seed, gui)
         self.actors: list[Actor] = []
         self.watch = Watch(scenario.number("min_separation", 0.0))
+        self.spent = 0.0  # host seconds on devices
         try:
             for obstacle in scenario.obstacles:
                 self.world.obstacle(obstacle)
             for robot in scenario.robots:
-                self.actors.append(_actor(self.world, scenario, robot, seed, key))
+                self.actors.append(_actor(self.world, scenario, robot, seed, key, wiring or Loopback(), clock))
         except BaseException:
             self.close()
             raise
@@ -136,8 +154,10 @@ class Stage:
         now = self.world.time
         states = [actor.body.state() for actor in self.actors]
         self.watch.look(at, [state.position for state in states])
+        began = time.perf_counter()
         for device in self._devices:
             device.step(now)
+        self.spent += time.perf_counter() - began
         self.world.step()
         touched = self.world.touched()  # bodies came in the order of their pids
         for pair in sorted(touched.bodies):
@@ -175,16 +195,19 @@ def check(scenario: Scenario) -> None:
         device_class(robot.device)
 
 
-def _actor(world: World, scenario: Scenario, robot: Robot, seed: int, key: bytes) -> Actor:
+def _actor(
+    world: World, scenario: Scenario, robot: Robot, seed: int, key: bytes, wiring: Wiring, clock: Clock
+) -> Actor:
     make = device_class(robot.device)
     origin = scenario.origin
     harness: Mapping[str, Any] = scenario.harness
     body = BODIES[robot.body](world, robot, harness)
     own_seed = random.Random(f"{seed}/{robot.pid}").getrandbits(32)
     place = (origin.latitude, origin.longitude, origin.altitude)
-    context = DeviceContext(robot.name, robot.settings, harness, place, own_seed, key)
-    device = make(body, context)
+    upset = Upset()
+    context = DeviceContext(robot.name, robot.settings, harness, place, own_seed, key, wiring, upset)
+    device = make(Slowed(body, upset, lambda: world.time), context)
     sensors: list[Device] = [SimulatedLidar(world, body, context, robot.sim.lidar)] if SETTING in robot.settings else []
     if setting := fed(robot.settings):
-        sensors.append(SimulatedFeed(body, context, setting))
-    return Actor(robot, body, device, tuple(sensors))
+        sensors.append(SimulatedFeed(body, context, setting, clock))
+    return Actor(robot, body, device, tuple(sensors), upset)

@@ -17,7 +17,7 @@ import msgspec
 
 from koordgen.runtime.obstacles import Obstacle
 from targets.sim.bodies import BodyState, Vector
-from targets.sim.scenario import Shared
+from targets.sim.scenario import Shared, World
 
 FORMAT = "koord-trace/1"
 MOST_AT_ONCE = 1 << 20  # bytes of one file in one look
@@ -31,7 +31,7 @@ class RobotName(msgspec.Struct, frozen=True):
 
 class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
     """The merged file's first record. `started` tells whether there was a round 1; without one, t counts from the
-    agents' launch. `geofence` are the two corners; `shared` and `records` as in the scenario."""
+    agents' launch. `geofence` are the two corners; `world`, `shared` and `records` as in the scenario."""
 
     format: str
     app: str
@@ -44,6 +44,7 @@ class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
     min_separation: float = 0.0  # asked for, metres
     geofence: tuple[Vector, Vector] | None = None
     obstacles: tuple[Obstacle, ...] = ()
+    world: World = World()
     shared: tuple[Shared, ...] = ()
     records: dict[str, tuple[tuple[str, str], ...]] = {}
 
@@ -92,8 +93,8 @@ class Restored(msgspec.Struct, frozen=True):
 
 class Round(msgspec.Struct, frozen=True, tag_field="kind", tag="round"):
     """An agent's round; of its fields those that are looked at here. `late` is seconds after the tick. Of locals, the
-    shared store and actuators it has what the event wrote; `calls` are those of callable ports: port, arguments,
-    answer."""
+    shared store and actuators it has what the event wrote; `copy` is what changed in the robot's copy of the store;
+    `calls` are those of callable ports: port, arguments, answer."""
 
     round: int
     event: str | None = None
@@ -103,6 +104,7 @@ class Round(msgspec.Struct, frozen=True, tag_field="kind", tag="round"):
     sensors: Values = {}
     locals: Values = {}
     shared: Values = {}
+    copy: Values = {}
     actuators: Values = {}
     calls: tuple[tuple[str, tuple[msgspec.Raw, ...], msgspec.Raw], ...] = ()
     stopped: bool = False
@@ -184,6 +186,17 @@ class Verdict(msgspec.Struct, frozen=True, tag_field="kind", tag="verdict"):
     moments: int = 0
 
 
+class Cause(msgspec.Struct, frozen=True, tag_field="kind", tag="cause"):
+    """A fault that was brought about on purpose: `what` is network, link, or a kind of event of the scenario file;
+    `lasts` seconds (None: for good, or no time at all)."""
+
+    t: float
+    what: str
+    robots: tuple[str, ...]
+    detail: str = ""
+    lasts: float | None = None
+
+
 class End(msgspec.Struct, frozen=True, tag_field="kind", tag="end"):
     """The mission's end: the agents were told to come to rest."""
 
@@ -195,8 +208,8 @@ class _Kind(msgspec.Struct):
     kind: str
 
 
-Mark = Violation | Verdict | End
-Record = Header | Pose | Phase | Init | Round | View | Log | Stream | Metrics | Violation | Verdict | End
+Mark = Violation | Verdict | Cause | End
+Record = Header | Pose | Phase | Init | Round | View | Log | Stream | Metrics | Violation | Verdict | Cause | End
 _KINDS = {kind.__struct_config__.tag for kind in Record.__args__}
 _decoder = msgspec.json.Decoder(Record)
 _kind_decoder = msgspec.json.Decoder(_Kind)

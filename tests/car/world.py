@@ -8,8 +8,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
+from koordgen.runtime.datagrams import DatagramLink
 from koordgen.runtime.feed import Sample, encode
 from koordgen.runtime.platform import Unready
+from koordgen.runtime.scans import listen_for_scans
 from koordgen.runtime.settings import Box, Origin, Peer, Settings
 from koordgen.runtime.values import Point, Pose
 from targets.car.bicycle import State, advance
@@ -83,6 +85,9 @@ class Wire:
 
     def position(self, setting: str) -> Wire:
         return self
+
+    def scans(self, setting: str) -> DatagramLink:
+        return listen_for_scans(setting)
 
     def watchdog(self) -> Unwatched:
         return Unwatched()

@@ -177,6 +177,25 @@ def test_init_runs_before_round_one_and_sees_ports_and_params() -> None:
     assert before.store.slots["x"] == (7, 7, 7)  # no state is ever changed
 
 
+MOVING = "using Motion:\n  sensors:\n    Point position\n    bool reached\n  actuators: Point target\n"
+
+
+def test_an_unset_target_is_where_the_robot_is() -> None:
+    here: dict[str, Value] = {"Motion.position": Point(2.0, 1.0, 0.0)}
+    program = compiled(f"{MOVING}{event('pass')}")
+    assert initial(program, 1, [here]).robots[0].ports["Motion.target"] == Point(2.0, 1.0, 0.0)
+    given = {**here, "Motion.target": Point(5.0, 0.0, 0.0)}
+    assert initial(program, 1, [given]).robots[0].ports["Motion.target"] == Point(5.0, 0.0, 0.0)
+
+
+def test_who_is_given_a_new_goal_has_not_reached_it() -> None:
+    reached: list[dict[str, Value]] = [{"Motion.reached": True}] * 2
+    program = compiled(MOVING + event("if pid == 0:\n  Motion.target = Point(1, 1, 1)"))
+    state, _ = run_init(program, initial(program, 2, reached))
+    state, _ = round_(program, state)
+    assert [r.ports["Motion.reached"] for r in state.robots] == [False, True]
+
+
 def test_the_environment_moves_sensors_only() -> None:
     state, _ = after(event("Motion.target = Point(1, 1, 1)"), robots=1)
     moved = sense(state, [{"Motion.position": Point(1.0, 1.0, 1.0)}])

@@ -20,6 +20,8 @@ from targets.sim import summary, trace
 from targets.sim.pace import BURST, MOST_BEHIND, Pace
 from targets.sim.trace import End, Violation
 from targets.sim.view import plots, report
+from targets.sim.view.history import gathered
+from targets.sim.view.tracks import Tracks, tracks
 from tests.sim.canned import header, moving, outcome, write
 
 NAMES = ["alice", "bert", "<script>cleo"]
@@ -147,15 +149,20 @@ def test_violations_are_told_however_much_else_there_is(tmp_path: Path) -> None:
     assert len(lines) == report.MOST_LINES + 1 and lines[-1][2] == "collision"
 
 
+def tracks_of(path: Path) -> Tracks:
+    header, records = trace.read(path)
+    return tracks(header, gathered(header, records))
+
+
 def test_a_run_that_never_began_has_pictures_too(tmp_path: Path) -> None:
     path = write(tmp_path / "trace.jsonl", header(NAMES), [], [End(0.0, "timeout")])
-    assert len(plots.draw(plots.tracks(*trace.read(path)), tmp_path / "plots")) == 5
+    assert len(plots.draw(tracks_of(path), tmp_path / "plots")) == 5
 
 
 def test_the_top_view_shows_the_obstacles(tmp_path: Path) -> None:
     def stones(head: trace.Header) -> int:
         path = write(tmp_path / "trace.jsonl", head, moving(STARTS, ENDS))
-        picture = plt.imread(plots.draw(plots.tracks(*trace.read(path)), tmp_path / "plots")["Top view"])
+        picture = plt.imread(plots.draw(tracks_of(path), tmp_path / "plots")["Top view"])
         return int((abs(picture[:, :, :3] - 0xCC / 0xFF).max(axis=2) < 0.01).sum())
 
     for shape in (
@@ -169,9 +176,9 @@ def test_the_top_view_shows_the_obstacles(tmp_path: Path) -> None:
 
 def test_the_separation_over_time_is_that_of_the_closest_pair(tmp_path: Path) -> None:
     path = write(tmp_path / "trace.jsonl", header(NAMES), moving(STARTS, ENDS))
-    times, smallest = plots.separation(plots.tracks(*trace.read(path)))
-    assert times[0] == -1.0 and smallest[0] == pytest.approx((3**2 + 3**2) ** 0.5)
-    assert smallest[-1] == pytest.approx((4**2 + 1 + 1) ** 0.5)
+    near = tracks_of(path).near
+    assert near[0] == pytest.approx([-1.0, (3**2 + 3**2) ** 0.5], abs=1e-3)
+    assert near[-1] == pytest.approx([12.0, (4**2 + 1 + 1) ** 0.5], abs=1e-3)
 
 
 def test_a_file_that_is_no_trace_is_refused(tmp_path: Path) -> None:

@@ -34,7 +34,8 @@ PLAYER = """
 </div>
 <div class="views">
 <figure><canvas id="top" aria-label="the fleet from above"></canvas>
-<figcaption>From above. Dotted: where a robot was told to go. Dashed frame: geofence.
+<figcaption>From above. Dotted: where a robot was told to go. Dashed frame: geofence. Of a map: light is free, dark
+occupied.
 <span id="closest"></span> <span id="alarm" class="bad"></span></figcaption>
 <div class="chips robots"></div></figure>
 <div>

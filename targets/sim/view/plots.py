@@ -1,84 +1,34 @@
-"""The pictures of a run: coordinates over time, the top view, the smallest separation; by matplotlib, off screen."""
+"""The pictures of a run: coordinates over time, the top view, the smallest separation, maps; by matplotlib."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-import numpy as np
-from numpy.typing import NDArray
-
-from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
-from targets.sim.trace import End, Header, Pose, Record, Violation
-
-matplotlib.use("Agg")
-
 from matplotlib import pyplot as plt
-from matplotlib.collections import PolyCollection
 
-# Okabe and Ito, Color Universal Design (2008), without the yellow that vanishes on white.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-DASHES: tuple[Any, ...] = ("-", (0, (6, 2)), (0, (2, 1.5)), (0, (6, 2, 1.5, 2)))
+from targets.sim.view import ground
+from targets.sim.view.colours import COLOURS, GREY, RED, STATES
+from targets.sim.view.tracks import Tracks
+
 MARKERS = ("o", "s", "^", "D", "v", "P")
-RED, GREY, STONE = "#B00020", "#777777", "#CCCCCC"
-MOST_POINTS = 20_000  # of one track in a picture
 LEAD = 0.15  # of the mission's length that is shown before round 1
-STYLE = {
-    "font.size": 11, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
-    "grid.color": "#DDDDDD", "grid.linewidth": 0.7, "axes.axisbelow": True, "figure.dpi": 110, "svg.hashsalt": "koord",
-}  # fmt: skip
-
-Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class Tracks:
-    """Where each robot was: `times[pid]` (s) and `places[pid]` (m, a row each); the mission's end, the violations."""
-
-    header: Header
-    times: list[Array]
-    places: list[Array]
-    end: float | None
-    violations: list[Violation]
-
-
-def tracks(header: Header, records: Iterable[Record]) -> Tracks:
-    """Gather the poses of a merged trace."""
-    rows: list[list[tuple[float, float, float, float]]] = [[] for _ in header.robots]
-    end: float | None = None
-    violations: list[Violation] = []
-    for record in records:
-        match record:
-            case Pose(t=t, pid=pid, position=(x, y, z)) if 0 <= pid < len(rows):
-                rows[pid].append((t, x, y, z))
-            case End(t=t):
-                end = t
-            case Violation():
-                violations.append(record)
-            case _:
-                pass
-    arrays = [np.array(r, dtype=np.float64).reshape(-1, 4) for r in rows]
-    return Tracks(header, [a[:, 0] for a in arrays], [a[:, 1:] for a in arrays], end, violations)
+MOST_MAPS = 4  # rows of maps in a picture
 
 
 def draw(found: Tracks, folder: Path) -> dict[str, Path]:
     """Write the pictures into `folder`; caption -> file. Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
     made: dict[str, Path] = {}
-    with plt.rc_context(STYLE):
+    with plt.rc_context(ground.STYLE):
         made["Top view"] = _top(found, folder / "top.png")
         for axis, name in enumerate("xyz"):
             made[f"{name} over time"] = _over_time(found, axis, name, folder / f"{name}-t.png")
         if len(found.header.robots) > 1:
             made["Smallest separation over time"] = _separation(found, folder / "separation.png")
+        for name in sorted({name for name, _ in found.maps}):
+            made[f"Map {name}"] = _maps(found, name, folder / f"map-{name}.png")
     return made
-
-
-def _style(pid: int) -> dict[str, Any]:
-    return {"color": COLOURS[pid % len(COLOURS)], "linestyle": DASHES[pid // len(COLOURS) % len(DASHES)]}
 
 
 def _marker(found: Tracks, pid: int) -> str:
@@ -87,16 +37,9 @@ def _marker(found: Tracks, pid: int) -> str:
     return MARKERS[kinds.index(found.header.robots[pid].target) % len(MARKERS)]
 
 
-def _thin(values: Array) -> Array:
-    return values[:: max(1, len(values) // MOST_POINTS)]
-
-
 def _span(found: Tracks) -> tuple[float, float]:
     """The times shown: the mission, a little before it, and the way to rest."""
-    known = [t for t in found.times if len(t)]
-    if not known:
-        return 0.0, 1.0
-    first, last = min(float(t[0]) for t in known), max(float(t[-1]) for t in known)
+    first, last = found.span()
     return max(first, -LEAD * max(last, 1.0)), max(last, first + 0.1)
 
 
@@ -106,7 +49,7 @@ def _over_time(found: Tracks, axis: int, name: str, path: Path) -> Path:
     for pid, (times, places) in enumerate(zip(found.times, found.places, strict=True)):
         if len(times):
             width = 2.8 - 1.2 * pid / max(1, len(found.times) - 1)  # lines that cover one another stay visible
-            axes.plot(_thin(times), _thin(places[:, axis]), linewidth=width, **_style(pid))
+            axes.plot(times, places[:, axis], linewidth=width, **ground.style(pid))
             ends.append((float(places[-1, axis]), pid))
     first, last = _span(found)
     axes.set_xlim(first, last)
@@ -124,8 +67,8 @@ def _mark_times(axes: Any, found: Tracks) -> None:
     if found.end is not None:
         marks.append((found.end, "end of mission", GREY))
     if found.violations:
-        first = found.violations[0]
-        marks.append((first.t, f"{first.what}: {', '.join(first.robots)}", RED))
+        when, what, robots = found.violations[0]
+        marks.append((when, f"{what}: {', '.join(robots)}", RED))
     low, high = axes.get_xlim()
     for t, text, colour in marks:
         if low <= t <= high:
@@ -163,45 +106,26 @@ def _name_ends(axes: Any, found: Tracks, ends: list[tuple[float, int]], last: fl
 
 def _top(found: Tracks, path: Path) -> Path:
     figure, axes = plt.subplots(figsize=(9, 7.2), layout="constrained")
-    fence = found.header.geofence
-    if fence:
-        (x0, y0, _), (x1, y1, _) = fence
-        axes.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], color=GREY, linewidth=1.2, linestyle=(0, (5, 3)))
-        axes.text(x0, y1, " geofence", color=GREY, fontsize=9, va="bottom")
-    for obstacle in found.header.obstacles:
-        axes.add_artist(_seen_from_above(obstacle))
+    ground.lay(axes, found.header)
+    until = found.span()[1] if found.end is None else found.end
     for pid, (times, places) in enumerate(zip(found.times, found.places, strict=True)):
         if not len(times):
             continue
-        style, marker = _style(pid), _marker(found, pid)
+        style, marker = ground.style(pid), _marker(found, pid)
         robot = found.header.robots[pid]
-        upto = len(times) if found.end is None else max(1, int(np.searchsorted(times, found.end, side="right")))
+        upto = max(1, found.upto(pid, until))
         x, y = places[:upto, 0], places[:upto, 1]
-        axes.plot(_thin(x), _thin(y), linewidth=1.6, alpha=0.85, **style)
+        axes.plot(x, y, linewidth=1.6, alpha=0.85, **style)
         axes.plot(x[0], y[0], marker, markersize=9, markerfacecolor="white", markeredgewidth=1.6, color=style["color"])
-        axes.plot(x[-1], y[-1], marker, markersize=10, color=style["color"], markeredgecolor="white")
+        axes.plot(x[-1], y[-1], marker, markersize=10, color=style["color"], markeredgecolor="white", zorder=3)
         axes.annotate(
             f"{robot.name} ({robot.pid})", (x[-1], y[-1]), xytext=(9, 7), textcoords="offset points",
             color=style["color"], fontweight="bold",
         )  # fmt: skip
-    axes.set_aspect("equal", adjustable="datalim" if fence is None else "box")
-    axes.margins(0.06)
-    axes.set(xlabel="x, east (m)", ylabel="y, north (m)")
+    ground.mark(axes, found, until)
     axes.set_title(f"{found.header.app}: top view", loc="left")
     _legend(axes, found)
     return _save(figure, path)
-
-
-def _seen_from_above(obstacle: Obstacle) -> Any:
-    look = {"facecolor": STONE, "edgecolor": GREY, "linewidth": 0.8}
-    match obstacle:
-        case Block(lo, hi):
-            return plt.Rectangle((lo.x, lo.y), hi.x - lo.x, hi.y - lo.y, **look)
-        case Sphere(centre, radius) | Cylinder(centre, radius):
-            return plt.Circle((centre.x, centre.y), radius, **look)
-        case Mesh(vertices, faces):
-            flat = [[(vertices[i].x, vertices[i].y) for i in face] for face in faces]
-            return PolyCollection(flat, facecolor=STONE, edgecolor=STONE, linewidth=0.8)
 
 
 def _legend(axes: Any, found: Tracks) -> None:
@@ -215,13 +139,18 @@ def _legend(axes: Any, found: Tracks) -> None:
                     markeredgecolor=GREY, label=f"{target}, {word}",
                 )
             )  # fmt: skip
-    axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=len(handles), frameon=False)
+    for state, word in enumerate(("to do", "taken", "done") if found.markers else ()):
+        face = STATES[state] if state == 2 else "white"
+        handles.append(
+            plt.Line2D([], [], linestyle="", marker="o", markersize=9, markerfacecolor=face,
+                       markeredgecolor=STATES[state], label=word)
+        )  # fmt: skip
+    axes.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=4, frameon=False)
 
 
 def _separation(found: Tracks, path: Path) -> Path:
     figure, axes = plt.subplots(figsize=(9, 3.6), layout="constrained")
-    times, smallest = separation(found)
-    axes.plot(_thin(times), _thin(smallest), color=COLOURS[0], linewidth=1.8)
+    axes.plot(found.near[:, 0], found.near[:, 1], color=COLOURS[0], linewidth=1.8)
     asked = found.header.min_separation
     if asked > 0:
         axes.axhline(asked, color=RED, linewidth=1.2)
@@ -237,14 +166,29 @@ def _separation(found: Tracks, path: Path) -> Path:
     return _save(figure, path)
 
 
-def separation(found: Tracks) -> tuple[Array, Array]:
-    """The distance of the closest pair at each sampled time: in space, between reference points."""
-    count = min(len(t) for t in found.times)
-    smallest = np.full(count, np.inf)
-    for i, p in enumerate(found.places):
-        for q in found.places[i + 1 :]:
-            smallest = np.minimum(smallest, np.linalg.norm(p[:count] - q[:count], axis=1))
-    return found.times[0][:count], smallest
+def _maps(found: Tracks, name: str, path: Path) -> Path:
+    """A map of the shared store at a third, two thirds and the end of the mission; a row for each robot's slot."""
+    slots = sorted(slot for variable, slot in found.maps if variable == name)[:MOST_MAPS]
+    end = found.span()[1] if found.end is None else found.end
+    figure, grid = plt.subplots(
+        len(slots), 3, figsize=(12, 4.4 * len(slots) + 0.4), layout="constrained", squeeze=False
+    )
+    for row, slot in zip(grid, slots, strict=True):
+        for axes, t in zip(row, (end / 3, 2 * end / 3, end), strict=True):
+            ground.lay(axes, found.header, filled=False)
+            ground.draw_map(axes, next((v for at, v in reversed(found.maps[name, slot]) if at <= t), None))
+            axes.grid(False)
+            for pid, places in enumerate(found.places):
+                if (upto := found.upto(pid, t)) > 0:
+                    x, y = places[upto - 1, :2]
+                    axes.plot(x, y, _marker(found, pid), color=COLOURS[pid % len(COLOURS)], markeredgecolor="white")
+            whose = f" of {found.header.robots[slot].name}" if slot >= 0 else ""
+            axes.set_title(f"{name}{whose} at {t:.0f} s", loc="left", fontsize=11)
+    shades = {"unknown": ground.UNKNOWN, "free": ground.FREE, "occupied": ground.OCCUPIED}
+    handles = [plt.Rectangle((0, 0), 1, 1, facecolor=c, edgecolor=GREY, label=word) for word, c in shades.items()]
+    handles.append(plt.Rectangle((0, 0), 1, 1, facecolor="none", edgecolor="#D55E00", label="obstacle"))
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False)
+    return _save(figure, path)
 
 
 def _save(figure: Any, path: Path) -> Path:

@@ -13,7 +13,7 @@ sends them on. `page/model.js` reads them; numbers are rounded to what can be se
 | links | pid, t, [[peer, loss, delay p50, p99 (ms), silent (ms), repeats]], datagrams rejected |
 | near | t, distance of the closest pair (m), their pids |
 | marks | t, kind, what, robots' names, detail |
-| markers | t, number, state (0 to do, 1 taken, 2 done) |
+| markers | t, number, state (0 to do, 1 taken, 2 done); with the first one name, position, radius if it is of a list |
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ from targets.sim.trace import (
     Violation,
     fault_text,
 )
+from targets.sim.view.markers import Markers
 
 TABLES = ("poses", "rounds", "phases", "logs", "shared", "paths", "late", "links", "near", "marks", "markers")
 EVENT, SKIPPED, FAULT = 0, 1, 2
@@ -58,9 +59,14 @@ class Rows:
         self._second: dict[int, list[Any]] = {}
         self._near = _Nearest(self._count)
         self._paths: dict[int, bytes] = {}
+        self._markers = Markers(header)
+        self._slots = {v.name for v in header.shared if v.kind == "allread"}
+        self._begun: set[str] = set()  # variables of which a first value is known
 
     def taken(self) -> Chunk:
         """The rows since the last time, by table."""
+        if self._markers.rows:
+            self._chunk["markers"], self._markers.rows = self._markers.rows, []
         chunk, self._chunk = self._chunk, {}
         return chunk
 
@@ -87,6 +93,7 @@ class Rows:
         match record:
             case Pose(position=position, yaw=yaw):
                 self._add("poses", [pid, t, *(_small(c) for c in position), round(yaw, 3)])
+                self._markers.pose(position, t)
                 if (near := self._near.take(pid, t, position)) is not None:
                     self._add("near", near)
             case Phase(phase=phase, detail=detail):
@@ -100,6 +107,7 @@ class Rows:
             case Init():
                 self._writes(record, 0, t)
             case Round():
+                self._first_values(record, t)
                 self._round(record, t)
 
     def _add(self, table: str, row: list[Any]) -> None:
@@ -116,10 +124,27 @@ class Rows:
         self._writes(record, record.round, t)
         self._lateness(record, t)
 
+    def _first_values(self, record: Round, t: float) -> None:
+        """What nobody has written yet: the first copy of the store that is told has it."""
+        for name, raw in record.copy.items():
+            if name in self._begun:
+                continue
+            self._begun.add(name)
+            value = _decoder.decode(raw)
+            if name in self._slots and isinstance(value, dict):
+                for pid, each in value.items():
+                    if pid.isdigit():
+                        self._add("shared", [name, int(pid), t, 0, each])
+            else:
+                self._add("shared", [name, record.pid, t, 0, value])
+                self._markers.value(name, value, t)
+
     def _writes(self, record: Init | Round, number: int, t: float) -> None:
         """What was written into the shared store, and where a robot was told to go: a path, or a single target."""
         for name, raw in record.shared.items():
-            self._add("shared", [name, record.pid, t, number, _decoder.decode(raw)])
+            value = _decoder.decode(raw)
+            self._add("shared", [name, record.pid, t, number, value])
+            self._markers.value(name, value, t)
         for port, raw in record.actuators.items():
             if not port.endswith((".target", ".path")) or bytes(raw) == self._paths.get(record.pid):
                 continue

@@ -4,7 +4,8 @@
 const ROW = 30, PHASES = { starting: "#d8d8dc", joining: "#b9d4e8", running: "#cfe8da", resting: "#f0dcb4", rested: "#e8e8ea" };
 const SKIP = "#dadade";
 
-const eventInk = (model, name) => COLOURS[(model.events.indexOf(name) + 5) % COLOURS.length];
+const EVENTS = ["#56B4E9", "#E69F00", "#009E73", "#CC79A7", "#0072B2", "#D55E00", "#8a8a90"];
+const eventInk = (model, name) => EVENTS[Math.max(0, model.events.indexOf(name)) % EVENTS.length];
 
 function timeline(canvas, model, span, now) {
   const robots = model.robots, height = robots.length * ROW + 50;

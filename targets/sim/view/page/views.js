@@ -4,12 +4,12 @@
 const CAR = [[0.28, 0], [0.2, 0.13], [-0.22, 0.13], [-0.22, -0.13], [0.2, -0.13]]; // metres about the middle
 const QUAD_ARM = 0.14, ROTOR = 0.085;
 
-// What the run takes place in, [[x, y, z], [x, y, z]]: the arena, else the geofence, else all that was seen.
+// What the run takes place in, [[x, y, z], [x, y, z]]: arena and geofence, or all that was seen.
 function room(model) {
-  const box = ((model.header.world || {}).arena) || null;
-  const fence = model.header.geofence;
-  if (box) return [box.lo, box.hi];
-  if (fence) return fence;
+  const arena = (model.header.world || {}).arena;
+  const frames = [arena && [arena.lo, arena.hi], model.header.geofence].filter(Boolean);
+  if (frames.length)
+    return [Math.min, Math.max].map((pick, side) => [0, 1, 2].map((axis) => pick(...frames.map((frame) => frame[side][axis]))));
   const low = [0, 0, 0], high = [1, 1, 1];
   for (const robot of model.robots)
     ["x", "y", "z"].forEach((axis, k) => robot[axis].forEach((v) => {
@@ -180,7 +180,8 @@ function scene(canvas, model, now, { across, up, labels, most, tail, map }) {
   const box = room(model), chart = level(canvas, view(model, box, up), across, up, labels, most);
   if (map) drawMap(chart, map);
   for (const obstacle of model.header.obstacles || []) solid(chart, obstacle, across, up);
-  if ((model.header.world || {}).arena) fence(chart, box, across, up, [], STONE_EDGE);
+  const arena = (model.header.world || {}).arena;
+  if (arena) fence(chart, [arena.lo, arena.hi], across, up, [], STONE_EDGE);
   if (model.header.geofence) fence(chart, model.header.geofence, across, up, [6, 4], DIM);
   if (up === 2) stroke(chart.ctx, [[0, chart.y(0)], [chart.width, chart.y(0)]], STONE_EDGE, { width: 1 });
   markers(chart, model, now, across, up);

@@ -1,0 +1,32 @@
+"""`koordgen report` and `koordgen export`: what is made of a run that is over."""
+
+from __future__ import annotations
+
+import sys
+from argparse import Namespace
+
+from koordgen import cli, resources
+
+
+def afterwards(options: Namespace) -> int:
+    """The harness that left the run knows how."""
+    sys.path.append(str(resources.targets().parent))
+    try:
+        from targets.sim.trace import BadTrace
+        from targets.sim.view import commands
+    except ModuleNotFoundError as error:
+        message = f"the package {error.name} is missing"
+        raise cli.Failure(cli.SURROUNDINGS, message, f"{sys.executable} -m pip install 'koordgen[sim]'") from None
+    try:
+        if options.command == "report":
+            made = commands.report(options.trace, options.out)
+        else:
+            made = commands.export(options.trace, options.to, options.out)
+    except commands.CannotMake as error:
+        raise cli.Failure(cli.SURROUNDINGS, str(error), error.hint) from None
+    except BadTrace as error:
+        raise cli.Failure(cli.WRONG, str(error), "a run's folder is expected, or the trace.jsonl in it") from None
+    except OSError as error:
+        raise cli.Failure(cli.SURROUNDINGS, f"{error.filename or options.trace}: {error.strerror or error}") from None
+    print(made)
+    return cli.HOLDS

@@ -1,0 +1,140 @@
+"""`koordgen prove`: what is asked, what is printed, and the exit status."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import TYPE_CHECKING
+
+from koordgen.cli import (
+    HOLDS,
+    INCONCLUSIVE,
+    SURROUNDINGS,
+    USAGE,
+    VIOLATED,
+    Failure,
+    _params,
+    _tell,
+    _write,
+)
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Mapping
+
+    from koordgen.check.params import Value
+    from koordgen.ir.decl import Program
+    from koordgen.ir.expr import Expr
+    from koordgen.prove.verdict import Verdict
+    from koordgen.source import Source
+
+MOST_ROBOTS = 1000
+ALL_QUERIES = 60.0  # seconds, at least
+
+
+def run(options: Namespace) -> int:
+    """The whole command."""
+    from koordgen.check.params import BadParam
+    from koordgen.pipeline import check_file, fleet_params
+    from koordgen.prove.solve import SolverMissing
+
+    checked = check_file(options.program)
+    if options.format == "text":
+        _tell([(checked.source, d) for d in checked.noticed], options)
+    try:
+        given = {**fleet_params(options.fleet, checked, options.program), **_params(options.param)}
+        if options.emit:
+            emit(options.emit, files(options, checked.source, checked.program, given))
+        found = asked(options, checked.program, given)
+    except BadParam as error:
+        raise Failure(USAGE, str(error)) from None
+    except SolverMissing as error:
+        raise Failure(SURROUNDINGS, str(error), f"{sys.executable} -m pip install 'koordgen[prove]'") from None
+    if options.trace:
+        save(options.trace, trace_of(checked.program, found))
+    tell(options, found)
+    return status(found)
+
+
+def asked(options: Namespace, program: Program, given: Mapping[str, Value]) -> list[list[Verdict]]:
+    """The verdicts for each number of robots. Raises BadParam, SolverMissing."""
+    from koordgen.prove.solve import Limits, solver_of
+    from koordgen.prove.verdict import Question, prove
+
+    question = Question(program, None, fixed(program, given))
+    limits = Limits(query=options.timeout, total=max(ALL_QUERIES, 10 * options.timeout))
+    with solver_of(options.solver, limits) as solver:
+        return [prove(question._replace(robots=n), solver) for n in numbers(options.robots)]
+
+
+def fixed(program: Program, given: Mapping[str, Value]) -> dict[str, Expr]:
+    """The params that have a value, as constants; the others may have any."""
+    from koordgen.check.params import with_params
+
+    return {p.name: p.default for p in with_params(program, given).params if p.name in given}
+
+
+def numbers(text: str) -> list[int | None]:
+    """`any`, `5` or `3..15`. Raises ValueError."""
+    if text == "any":
+        return [None]
+    first, dots, last = text.partition("..")
+    low, high = int(first), int(last) if dots else int(first)
+    if not 1 <= low <= high <= MOST_ROBOTS:
+        raise ValueError(text)
+    return list(range(low, high + 1))
+
+
+def status(found: list[list[Verdict]]) -> int:
+    """The worst of all verdicts: a violation before what is not known."""
+    said = {verdict.verdict for verdicts in found for verdict in verdicts}
+    if said & {"FALSIFIED", "NOT INDUCTIVE"}:
+        return VIOLATED
+    return INCONCLUSIVE if said & {"UNKNOWN", "VACUOUS"} else HOLDS
+
+
+def tell(options: Namespace, found: list[list[Verdict]]) -> None:
+    from koordgen.prove.show import document, report
+
+    if options.format == "json":
+        verdicts = [verdict for each in found for verdict in each]
+        print(json.dumps(document(verdicts), indent=2), flush=True)
+        return
+    for verdicts in found:
+        sys.stdout.write(report(verdicts, options.program))
+
+
+def files(options: Namespace, source: Source, program: Program, given: Mapping[str, Value]) -> dict[str, bytes]:
+    """What `--emit` writes, for all numbers of robots that were asked for."""
+    from koordgen.prove.emit import folder
+    from koordgen.prove.generate import obligations
+
+    made = [o for n in numbers(options.robots) for o in obligations(program, n, fixed(program, given))]
+    return folder(made, lambda _, line: source.line(line))
+
+
+def trace_of(program: Program, found: list[list[Verdict]]) -> str:
+    """The first counterexample as a trace; empty where there is none."""
+    from koordgen.prove.trace import trace
+
+    told = [v.explanation for verdicts in found for v in verdicts if v.explanation and v.explanation.counterexample]
+    return trace(program, told[0]) if told else ""
+
+
+def emit(folder: str, files: dict[str, bytes]) -> None:
+    """Writes the folder, whole or not at all; what is not koordgen's stays."""
+    from pathlib import Path
+
+    from koordgen.bundle.write import SUMS, sums
+
+    place = Path(folder).absolute()
+    _write({place.name: {**files, SUMS: sums(files)}}, place.parent)
+
+
+def save(path: str, text: str) -> None:
+    """A file that was asked for by name. Raises Failure."""
+    try:
+        with open(path, "w", encoding="utf-8") as file:
+            file.write(text)
+    except OSError as error:
+        raise Failure(SURROUNDINGS, f"{path}: {error.strerror or error}") from None

@@ -1,0 +1,259 @@
+"""What is gathered while one obligation is encoded: facts, terms that name robots, formulas for all of them, demands.
+
+Symbols are called as the program calls things; what it has no name for has an `@` in it, so that nothing collides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from koordgen.ir.decl import Program
+from koordgen.ir.types import Type
+from koordgen.prove import term as t
+from koordgen.prove.encode.types import build, shape
+from koordgen.prove.encode.values import Val
+from koordgen.prove.obligation import Fact
+from koordgen.prove.term import Apply, Function, Op, Sort, Term, Value
+
+# What SMT-LIB gives a meaning of its own, quoted or not.
+_RESERVED = frozenset(
+    (
+        *(
+            "and",
+            "or",
+            "not",
+            "xor",
+            "ite",
+            "distinct",
+            "true",
+            "false",
+            "let",
+            "forall",
+            "exists",
+            "match",
+            "par",
+            "as",
+        ),
+        *("abs", "div", "mod", "to_real", "to_int", "is_int", "select", "store", "const"),
+        *("Int", "Real", "Bool", "Array", "String"),
+    )
+)
+_ZERO = t.integer(0)
+GENERATIONS = 2  # of index terms that only instances bring forth
+
+
+def symbol(name: str) -> str:
+    """The symbol of what the program calls so."""
+    return f"{name}@" if name in _RESERVED else name
+
+
+class Universal:
+    """A formula that holds of every int in a domain: `instance` yields it for one, the domain's bounds included.
+    `robots`, `places`: whether these are robots, places in lists, or may be both. `inner`: it arose from an instance of
+    another."""
+
+    def __init__(
+        self, instance: Callable[[Term], Term], robots: bool, places: bool, inner: bool, label: str, line: int
+    ) -> None:
+        self.instance, self.robots, self.places, self.inner = instance, robots, places, inner
+        self.label, self.line = label, line
+        self.done: set[Term] = set()
+
+
+class Room:
+    """`robots`: how many there are, None when that is any number >= 1; `size` is the term of it."""
+
+    def __init__(self, program: Program, robots: int | None) -> None:
+        self.program, self.robots = program, robots
+        self.size = t.constant("N_SYS", t.INT) if robots is None else t.integer(robots)
+        self.facts: list[Fact] = []
+        self.seen: set[Term] = set()  # the facts' terms
+        self.demands: list[Fact] = []  # what must hold for every operation to have a value
+        self.notes: dict[str, None] = {}
+        self.path: tuple[Term, ...] = ()
+        self.indices: dict[Term, bool] = {}  # terms that name robots -> whether that is a fact
+        self.witnesses: dict[Term, None] = {}  # those of them that stand for some robot, of which something (not) holds
+        self.places: dict[Term, None] = {}  # terms that are places in lists
+        self.universals: list[Universal] = []
+        self.own: Term | None = None  # the robot that acts
+        self.others: set[Term] = set()  # terms that name no robot, or another
+        self.known: dict[Term, Term] = {}  # what the guard tells of single variables
+        self.instantiating = False
+        self.partial = False  # not every universal was looked at everywhere
+        self.temps: dict[str, Type] = {}  # of the event's own variables
+        self.texts: dict[str, Term] = {}  # literals
+        self.versions: dict[int, tuple[int, Val]] = {}
+        self.fresh = 0
+        self.label, self.line = "", 0  # of what is being encoded
+        if robots is None:
+            self.fact(t.at_most(t.integer(1), self.size), "there is a robot", 0)
+        else:
+            self.indices = {t.integer(i): True for i in range(robots)}
+
+    # Facts
+
+    def fact(self, formula: Term, label: str = "", line: int = 0) -> None:
+        """A formula that holds in every model."""
+        if formula is not t.TRUE and formula not in self.seen:
+            self.seen.add(formula)
+            self.facts.append(Fact(label or self.label, formula, self.program.path, line or self.line))
+
+    def given(self, formula: Term, label: str = "", line: int = 0) -> None:
+        """A formula that holds where this place is reached."""
+        self.fact(t.implies(self.here(), formula), label, line)
+
+    def here(self) -> Term:
+        """That this place is reached."""
+        return t.all_of(self.path)
+
+    def demand(self, formula: Term, label: str, line: int) -> None:
+        """That an operation of this place has a value; without one the event is discarded."""
+        if formula is not t.TRUE:
+            self.demands.append(Fact(label, t.implies(self.here(), formula), self.program.path, line))
+
+    @contextmanager
+    def under(self, *conditions: Term) -> Iterator[None]:
+        """The places that are reached where these hold, too."""
+        kept, self.path = self.path, (*self.path, *conditions)
+        try:
+            yield
+        finally:
+            self.path = kept
+
+    @contextmanager
+    def about(self, label: str, line: int) -> Iterator[None]:
+        kept, self.label, self.line = (self.label, self.line), label, line
+        try:
+            yield
+        finally:
+            self.label, self.line = kept
+
+    @contextmanager
+    def aside(self) -> Iterator[list[Fact]]:
+        """Keeps the demands that arise apart."""
+        kept, self.demands = self.demands, []
+        try:
+            yield self.demands
+        finally:
+            self.demands = kept
+
+    def note(self, text: str) -> None:
+        self.notes[text] = None
+
+    # Symbols
+
+    def new(self, hint: str, sort: Sort) -> Term:
+        """A constant of which nothing is known."""
+        self.fresh += 1
+        return t.constant(f"{hint}@{self.fresh}", sort)
+
+    def any(self, hint: str, type_: Type) -> Val:
+        """A value of a type of which nothing is known."""
+        self.fresh += 1
+        number = self.fresh
+        return build(type_, iter([t.constant(f"{hint}{suffix}@{number}", sort) for suffix, sort in shape(type_)]))
+
+    def function(self, name: str, args: tuple[Term, ...], type_: Type) -> Val:
+        """A value of a type that is a function of terms, and of nothing else."""
+        domain = tuple([a.sort for a in args])
+        leaves = [t.apply(Function(name + suffix, domain, sort), *args) for suffix, sort in shape(type_)]
+        return build(type_, iter([self.known.get(leaf, leaf) for leaf in leaves]))
+
+    def learn(self, formula: Term) -> None:
+        """What holds for certain of single variables is put in their place from now on."""
+        for part in formula.args if isinstance(formula, Op) and formula.name == "and" else (formula,):
+            match part:
+                case Apply():
+                    self.known[part] = t.TRUE
+                case Op("not", (Apply() as inner,)):
+                    self.known[inner] = t.FALSE
+                case Op("=", (Apply() as inner, Value() as value)):
+                    self.known[inner] = value
+                case _:
+                    pass
+
+    def version(self, value: Val) -> int:
+        """A number for a value that is held on to: another value, another number."""
+        return self.versions.setdefault(id(value), (len(self.versions), value))[0]
+
+    # Robots
+
+    def within(self, index: Term) -> Term:
+        """That a term names a robot."""
+        return t.and_(t.at_most(_ZERO, index), t.less(index, self.size))
+
+    def robot(self, index: Term, known: bool = False, witness: bool = False) -> None:
+        """What is said of all robots is to be said of this one."""
+        if self.robots is None and (known or index not in self.indices):
+            self.indices[index] = known
+            if witness or self.instantiating:
+                self.witnesses[index] = None
+
+    def element(self, place: Term, robots: bool, places: bool) -> None:
+        """What is said of all elements of a domain is to be said of the one at this place."""
+        if robots:
+            self.robot(place, witness=True)
+        if places:
+            self.places[place] = None
+
+    def acting(self, name: str) -> Term:
+        """The robot that acts."""
+        self.own = self.some_robot(name)
+        return self.own
+
+    def another(self, name: str) -> Term:
+        """Any robot but the acting one, or an int that names none, where there is no other."""
+        assert self.own is not None
+        index = t.constant(name, t.INT)
+        self.fact(t.not_(t.equals(index, self.own)), "another robot")
+        self.others.add(index)
+        self.robot(index)
+        return index
+
+    def same(self, robot: Term, own: Term) -> Term:
+        """Whether two robots are one."""
+        return t.FALSE if own is self.own and robot in self.others else t.equals(robot, own)
+
+    def some_robot(self, name: str) -> Term:
+        """A robot, any."""
+        index = t.constant(name, t.INT)
+        self.fact(self.within(index), "a robot")
+        self.robot(index, known=True)
+        return index
+
+    def for_all(self, instance: Callable[[Term], Term], robots: bool = True, places: bool = False) -> None:
+        """A fact of all ints; `instance` holds the domain's bounds."""
+        inner = self.instantiating
+        self.universals.append(Universal(instance, robots, places, inner, self.label, self.line))
+
+    def instantiate(self) -> None:
+        """Every formula for all robots at every term that names one; likewise for all places in lists. What arose from
+        an instance of another is not looked at for witnesses: pairs of robots would be too many."""
+        self.instantiating = True
+        for _ in range(GENERATIONS):
+            many = len(self.universals), len(self.indices), len(self.places)
+            robots, places = list(self.indices) or [_ZERO], list(self.places)
+            outer = [index for index in robots if index not in self.witnesses]
+            at = 0
+            while at < len(self.universals):
+                self._apply(self.universals[at], robots, outer, places)
+                at += 1
+            if many == (len(self.universals), len(self.indices), len(self.places)):
+                break
+        else:
+            self.partial = True
+        self.instantiating = False
+
+    def _apply(self, universal: Universal, robots: list[Term], outer: list[Term], places: list[Term]) -> None:
+        terms: list[Term] = []
+        if universal.robots:
+            terms += outer if universal.inner else robots
+            self.partial = self.partial or (universal.inner and len(outer) < len(robots))
+        if universal.places:
+            terms += places
+        with self.about(universal.label, universal.line):
+            for index in terms:
+                if index not in universal.done:
+                    universal.done.add(index)
+                    self.fact(universal.instance(index))

@@ -1,0 +1,130 @@
+"""Why an obligation fails: a counterexample that the semantics reproduces, a run to it, what is lacking."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+from koordgen.ir import decl
+from koordgen.ir.expr import Expr
+from koordgen.node import replace
+from koordgen.prove.generate import obligations
+from koordgen.prove.model import Counterexample, Unshowable, replayed, wanted, with_values
+from koordgen.prove.obligation import Fact, Obligation
+from koordgen.prove.reach import Bounds, Run, run_to
+from koordgen.prove.solve import Answer, Both, Solver
+from koordgen.prove.strengthen import closing
+from koordgen.prove.term import REAL, equals, to_int, to_real
+from koordgen.semantics.exact import exact
+from koordgen.semantics.values import Value as KoordValue
+
+if TYPE_CHECKING:
+    from koordgen.prove.verdict import Outcome
+
+FLEETS = (1, 2, 3, 4)  # where a counterexample is looked for first: few robots are read more easily
+SECONDS = 1.0  # for a strengthening
+
+
+class Explanation(NamedTuple):
+    """`run` leads from an initial state to where the invariant is false; without one the counterexample is to
+    induction only. `unshown` says why there is none, though the solver claims one; `lacking` are the conjuncts that
+    close the proof."""
+
+    counterexample: Counterexample | None
+    run: Run | None
+    unshown: str
+    lacking: tuple[str, ...]
+
+
+class Explainer:
+    """`proved` is the program with no other invariants than those that are PROVED."""
+
+    def __init__(
+        self,
+        program: decl.Program,
+        robots: int | None,
+        params: Mapping[str, Expr] | None,
+        solver: Solver | Both,
+        proved: decl.Program,
+    ) -> None:
+        self.program, self.robots, self.params, self.solver, self.proved = program, robots, params, solver, proved
+        self.made: dict[tuple[decl.Program, int], list[Obligation]] = {}
+
+    def explain(self, name: str, group: Iterable[Outcome], relied: decl.Program) -> Explanation:
+        """Of the invariant `name`, some of whose obligations fail; `relied` has the invariants they relied upon."""
+        failing = [o.obligation for o in group if not o.holds and o.answer.result == "sat"]
+        why, shown = "", None
+        for obligation in sorted(failing, key=lambda o: o.kind != "base"):
+            try:
+                shown = self.counterexample(obligation, relied)
+                break
+            except Unshowable as error:
+                why = f"the solver's counterexample is not shown: {error}"
+        invariant = next((p for p in self.program.properties if p.kind == "invariant" and p.name == name), None)
+        if shown is None or invariant is None:
+            return Explanation(shown, None, why, ())
+        values = shown.before.params
+        program = with_values(exact(self.program), {p: v for p, v in values.items() if self.free(p)})
+        run = run_to(program, invariant_of(program, name), _values(shown), Bounds(), self.robots)
+        lacking = () if run is not None else self.lacking(invariant)
+        return Explanation(shown, run, "", lacking)
+
+    def free(self, param: str) -> bool:
+        return self.params is None or param not in self.params
+
+    def counterexample(self, obligation: Obligation, relied: decl.Program) -> Counterexample:
+        """Raises Unshowable, with the reason of the least fleet."""
+        program = exact(relied)
+        reasons = []
+        for robots in (self.robots,) if self.robots is not None else FLEETS:
+            for same in self.of(relied, robots):
+                if (same.name, same.kind) != (obligation.name, obligation.kind):
+                    continue
+                for answer in self.models(same):
+                    try:
+                        return replayed(program, same, answer.values, robots)
+                    except Unshowable as error:
+                        reasons.append(str(error))
+        raise Unshowable(reasons[0] if reasons else f"there is none for 1 to {FLEETS[-1]} robots")
+
+    def models(self, obligation: Obligation) -> Iterable[Answer]:
+        """A model in whole numbers, where there is one, and any."""
+        reals = [t for cell in obligation.cells for t in cell.terms if t.sort is REAL]
+        whole = tuple(Fact("a whole number", equals(to_real(to_int(t)), t), "", 0) for t in dict.fromkeys(reals))
+        for more in (whole, ()) if whole else ((),):
+            asked = replace(obligation, facts=(*obligation.facts, *more), logic="ALL" if more else obligation.logic)
+            answer = self.solver.ask(asked, wanted(obligation))
+            if answer.result == "sat":
+                yield answer
+
+    def of(self, program: decl.Program, robots: int) -> list[Obligation]:
+        key = (program, robots)
+        if key not in self.made:
+            self.made[key] = obligations(program, robots, self.params)
+        return self.made[key]
+
+    def lacking(self, invariant: decl.Property) -> tuple[str, ...]:
+        until = time.monotonic() + SECONDS
+        base = replace(self.proved, properties=(*self.proved.properties, invariant))
+
+        def proves(program: decl.Program, names: frozenset[str]) -> frozenset[str]:
+            bad: set[str] = set()
+            for obligation in obligations(program, self.robots, self.params):
+                if obligation.invariant in names - bad and obligation.kind != "consistency":
+                    late = time.monotonic() > until
+                    if late or self.solver.ask(obligation).result != obligation.expected:
+                        bad.add(obligation.invariant)
+            return names - bad
+
+        return closing(base, invariant.name, proves)
+
+
+def invariant_of(program: decl.Program, name: str) -> decl.Property:
+    return next(p for p in program.properties if p.kind == "invariant" and p.name == name)
+
+
+def _values(shown: Counterexample) -> list[KoordValue]:
+    """What the sensors and commands of a counterexample are."""
+    states = (shown.before, shown.after)
+    return [value for state in states for robot in state.robots for value in robot.ports.values()]

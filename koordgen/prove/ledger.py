@@ -1,0 +1,79 @@
+"""The assumption ledger: all that a verdict takes for granted, and where it is looked after when robots run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
+
+from koordgen.ir import decl
+from koordgen.ir.types import FLOAT, POINT, POSE, MapOf, PerRobot, RecordType, Sequence, TupleOf, Type
+from koordgen.prove.obligation import Obligation
+from koordgen.prove.spell import spelled
+from koordgen.source import Span
+
+AGENTS = (
+    "agents and simulator check it at each call; where it does not hold, the event is discarded (runtime/extern.py)"
+)
+UNCHECKED = ""
+
+
+class Entry(NamedTuple):
+    """One assumption: what kind, what it says, where the program says so (line 0: nowhere), and what checks it at run
+    time; empty where nothing does."""
+
+    kind: str
+    text: str
+    file: str
+    line: int
+    checked: str
+
+
+def ledger(program: decl.Program, obligations: Iterable[Obligation]) -> tuple[Entry, ...]:
+    """What these obligations rest on: the parts of the program that stand among their facts, and their notes."""
+    used: set[int] = set()
+    notes: dict[str, None] = {}
+    for obligation in obligations:
+        used.update(fact.line for fact in obligation.facts)
+        notes.update(dict.fromkeys(obligation.notes))
+    written = [entry for entry, span in _written(program) if used.intersection(range(span.line, span.end_line + 1))]
+    return (*written, *_general(program), *(Entry("approximation", note, program.path, 0, UNCHECKED) for note in notes))
+
+
+def _written(program: decl.Program) -> Iterator[tuple[Entry, Span]]:
+    """What the program itself assumes."""
+    for module in program.modules:
+        for assumption in module.assumptions:
+            text = f"{module.name}: {spelled(assumption.formula)}"
+            yield Entry("port assumption", text, program.path, assumption.span.line, UNCHECKED), assumption.span
+    for property_ in program.properties:
+        if property_.kind in ("initially", "axiom"):
+            text = f"{property_.name}: {spelled(property_.formula)}".removeprefix(": ")
+            yield Entry(property_.kind, text, program.path, property_.span.line, UNCHECKED), property_.span
+    for extern in program.externs:
+        for word, formulas in (("requires", extern.requires), ("ensures", extern.ensures)):
+            for formula in formulas:
+                text = f"{extern.name} {word} {spelled(formula)}"
+                yield Entry("contract", text, program.path, formula.span.line, AGENTS), formula.span
+
+
+def _general(program: decl.Program) -> Iterator[Entry]:
+    types = [v.type for v in program.shared] + [v.type for v in program.locals] + [v.type for v in program.params]
+    types += [port.type for module in program.modules for port in module.ports]
+    if any(map(_real, types)):
+        text = "numbers are real numbers; robots round each result to 53 bits"
+        yield Entry("arithmetic", text, program.path, 0, UNCHECKED)
+
+
+def _real(type_: Type) -> bool:
+    """Whether values of a type hold real numbers."""
+    match type_:
+        case Sequence(_, element) | PerRobot(element):
+            return _real(element)
+        case MapOf(key, value):
+            return _real(key) or _real(value)
+        case TupleOf(items):
+            return any(map(_real, items))
+        case RecordType(_, fields):
+            return any(_real(field) for _, field in fields)
+        case _:
+            return type_ in (FLOAT, POINT, POSE)

@@ -1,0 +1,262 @@
+"""One room with the moments of one obligation: what is assumed there, and what is to be shown."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping
+
+from koordgen.ir import decl, stmt
+from koordgen.ir import expr as ir
+from koordgen.ir.types import Type
+from koordgen.node import Node
+from koordgen.prove import term as t
+from koordgen.prove.encode.function import Functions
+from koordgen.prove.encode.quantifier import domain as domain_of
+from koordgen.prove.encode.room import Room, symbol
+from koordgen.prove.encode.scope import NotHere, OfFleet, OfRobot
+from koordgen.prove.encode.state import Key, State, declared, sensors
+from koordgen.prove.encode.stmt import Cut
+from koordgen.prove.encode.types import build, shape
+from koordgen.prove.encode.values import Val
+from koordgen.prove.obligation import Cell, Fact, Moment
+from koordgen.prove.term import Term
+from koordgen.source import Span
+
+
+class Setting:
+    """A program, how many robots it has (None: any number), the params that have values, whether distances are told by
+    squares."""
+
+    def __init__(
+        self, program: decl.Program, robots: int | None, params: Mapping[str, ir.Expr] | None, exact: bool
+    ) -> None:
+        self.exact = exact
+        self.program, self.robots, self.params = program, robots, params or {}
+        self.types = declared(program)
+        self.sensors = sensors(program)
+        self.invariants = [p for p in program.properties if p.kind == "invariant"]
+        self.axioms = [p for p in program.properties if p.kind == "axiom"]
+        self.initially = [p for p in program.properties if p.kind == "initially"]
+        self.mentions = {p.name: frozenset(mentioned(p.formula)) for p in self.invariants}
+
+    def touched(self, keys: Collection[Key]) -> list[decl.Property]:
+        """The invariants that speak of one of these variables: the others stay as they are."""
+        return [p for p in self.invariants if not self.mentions[p.name].isdisjoint(keys)]
+
+
+class Stage:
+    """The room of one obligation, or of several that share their facts."""
+
+    def __init__(self, setting: Setting) -> None:
+        program = setting.program
+        self.setting = setting
+        self.room = Room(program, setting.robots)
+        self.params: dict[str, Val] = {}
+        self.encoder = Functions(self.room, self.params).encoder
+        for param in program.params:
+            self.params[param.name] = self._param(param)
+        for property_ in setting.initially:
+            self.rigid(property_.formula)
+
+    def _param(self, param: decl.Param) -> Val:
+        fixed = self.setting.params.get(param.name)
+        if fixed is not None:
+            return self.encoder.value(fixed, OfFleet(_Nowhere()))
+        name = symbol(param.name)
+        return build(param.type, iter([t.constant(name + suffix, sort) for suffix, sort in shape(param.type)]))
+
+    # What is assumed
+
+    def rigid(self, formula: ir.Expr) -> None:
+        """What is said of params alone at the mission's start holds for good."""
+        for part in conjuncts(formula):
+            if not any(isinstance(n, (ir.LocalOf, ir.PortOf, ir.SlotRead, ir.SlotsRead, ir.SharedRead, ir.Ids))
+                       for n in nodes(part)):  # fmt: skip
+                with self.room.about("initially", part.span.line):
+                    self.assume(part, OfFleet(_Nowhere()))
+
+    def holds(self, properties: Iterable[decl.Property], state: State, guard: Term = t.TRUE, when: str = "") -> None:
+        """Properties hold of a state, where `guard` does."""
+        for property_ in properties:
+            label = f"{property_.kind} {property_.name}".strip() + when
+            with self.room.about(label, property_.span.line):
+                self.assume(property_.formula, OfFleet(state), guard)
+
+    def assume(self, formula: ir.Expr, scope: OfFleet, guard: Term = t.TRUE) -> None:
+        """A formula is a fact where `guard` holds; what it says of all, it says of each that is looked at."""
+        match formula:
+            case ir.Logic("and", left, right):
+                self.assume(left, scope, guard)
+                self.assume(right, scope, guard)
+            case ir.Quantified("forall", name, domain, body):
+                over = domain_of(self.encoder, domain, scope)
+                temps = dict(scope.temps)
+
+                def instance(value: Val, within: Term) -> None:
+                    kept, scope.temps = scope.temps, {**temps, name: value}
+                    self.assume(body, scope, t.and_(guard, within))
+                    scope.temps = kept
+
+                def each(index: Term) -> Term:
+                    within = over.inside(index)
+                    if within is not t.FALSE:
+                        instance(over.element(index), within)
+                    return t.TRUE
+
+                for value in over.few or ():
+                    instance(value, t.TRUE)
+                if over.few is None:
+                    self.room.for_all(each, over.robots, over.places)
+            case _:
+                self.room.fact(t.implies(guard, self.encoder.defined(formula, scope)))
+
+    def known_at(self, cut: Cut) -> None:
+        """At the start of a run of a loop the invariants hold."""
+        if cut.kind == "run":
+            self.holds(self.setting.touched(cut.state.writes), cut.state, t.all_of(cut.path), " in a loop")
+
+    def ports(self, before: State, after: State) -> None:
+        """Every robot keeps its modules' assumptions in a step of the environment."""
+        for module in self.setting.program.modules:
+            for assumption in module.assumptions:
+                with self.room.about(f"assume of {module.name}", assumption.span.line):
+                    self._each_robot(assumption, before, after)
+
+    def _each_robot(self, assumption: decl.Assumption, before: State, after: State) -> None:
+        parts = [p for p in conjuncts(assumption.formula) if not any(isinstance(n, ir.PortCall) for n in nodes(p))]
+
+        def instance(robot: Term) -> Term:
+            inside = t.TRUE if self.room.indices.get(robot) else self.room.within(robot)
+            for part in parts:
+                self.assume(part, OfRobot(before, after, robot, {}), inside)
+            return t.TRUE
+
+        if parts:
+            self.room.for_all(instance)
+
+    def answered(self, port: ir.PortCall, args: tuple[Val, ...], answer: Val, pid: Term, state: State) -> None:
+        """What is assumed of a callable port's answer, of the goals that it was asked for."""
+        name = f"{port.module}.{port.port}"
+        for module in self.setting.program.modules:
+            for assumption in module.assumptions if module.name == port.module else ():
+                for part in conjuncts(assumption.formula):
+                    self._of_answer(part, port, args, OfRobot(state, state, pid, {(name, args): answer}))
+
+    def _of_answer(self, part: ir.Expr, port: ir.PortCall, args: tuple[Val, ...], scope: OfRobot) -> None:
+        """A formula with primed ports or actuators is about a later moment, when they may have other values."""
+        calls = [(call, free) for call, free in decl.handed(part) if call.port == port.port]
+        ports = {("port", f"{n.module}.{n.port}") for n in nodes(part) if isinstance(n, ir.PortRead)}
+        if not calls or not ports <= self.setting.sensors or any(getattr(n, "primed", False) for n in nodes(part)):
+            return
+        call, free = calls[0]
+        if len(call.args) != len(args):
+            return
+        scope.temps = {goal.name: args[place] for place, goal in free.items()}
+        with self.room.about(f"assume of {port.module}", part.span.line):
+            try:
+                self.room.given(self.encoder.defined(part, scope))
+            except (NotHere, KeyError):
+                return  # it speaks of other goals, too
+
+    def axioms(self) -> None:
+        """What is known of spec functions, for the values that were met."""
+        for axiom in self.setting.axioms:
+            with self.room.about(f"axiom {axiom.name}", axiom.span.line):
+                self._axiom(axiom)
+
+    def _axiom(self, axiom: decl.Property) -> None:
+        free = decl.free(axiom.formula)
+        if not free:
+            self.assume(axiom.formula, OfFleet(_Nowhere()))
+            return
+        triggers = [n for n in nodes(axiom.formula) if isinstance(n, (ir.Call, ir.ExternCall, ir.Builtin))
+                    and free.keys() <= {a.name for a in n.args if isinstance(a, ir.TempRead)}]  # fmt: skip
+        for trigger in triggers:
+            for args, _ in list(self.encoder.calls.get(trigger.name, ())):
+                scope = OfFleet(_Nowhere())
+                places = zip(trigger.args, args, strict=True)
+                scope.temps = {a.name: v for a, v in places if isinstance(a, ir.TempRead)}
+                self.room.fact(self.encoder.defined(axiom.formula, scope))
+
+    def close(self) -> tuple[Fact, ...]:
+        """All facts, once nothing more is asked."""
+        for _ in range(3):
+            many = len(self.room.facts)
+            self.room.instantiate()
+            self.axioms()
+            self.encoder.geometry.lemmas(self.setting.exact)
+            if len(self.room.facts) == many:
+                break
+        return tuple(self.room.facts)
+
+    def cells(self, moments: Iterable[tuple[Moment, State]]) -> tuple[Cell, ...]:
+        """Which terms are which variables, of the robots that are spoken of."""
+        lists, found = self.encoder.lists, []
+        for param in self.setting.program.params:
+            found.append(Cell(param.name, None, param.type, lists.leaves(self.params[param.name]), "before"))
+        robots = [index for index, known in self.room.indices.items() if known or self.room.robots is None]
+        for moment, state in moments:
+            for key, type_ in self.setting.types.items():
+                for robot in robots[:1] if key[0] == "cell" else robots:
+                    owner = None if key[0] == "cell" else robot
+                    found.append(Cell(key[1], owner, type_, lists.leaves(state.of(key, robot)), moment))
+        return tuple(found)
+
+
+class _Nowhere:
+    """No state: for what is said of params alone."""
+
+    types: Mapping[Key, Type] = {}
+    moment = ""
+
+    def of(self, key: Key, robot: Term) -> Val:
+        raise AssertionError(f"{key} where only params are read")
+
+
+def conjuncts(formula: ir.Expr) -> Iterator[ir.Expr]:
+    if isinstance(formula, ir.Logic) and formula.op == "and":
+        yield from conjuncts(formula.left)
+        yield from conjuncts(formula.right)
+    else:
+        yield formula
+
+
+def nodes(node: object) -> Iterator[Node]:
+    """All nodes of a tree."""
+    if isinstance(node, tuple):
+        for part in node:
+            yield from nodes(part)
+    elif isinstance(node, Node) and not isinstance(node, Span):
+        yield node
+        for field in type(node).__match_args__:  # type: ignore[attr-defined]
+            if field not in ("type", "span"):
+                yield from nodes(getattr(node, field))
+
+
+def mentioned(formula: object) -> Iterator[Key]:
+    """The variables that a formula or a block reads or writes."""
+    for node in nodes(formula):
+        match node:
+            case ir.LocalOf(name) | ir.LocalRead(name) | stmt.LocalPlace(name):
+                yield "local", name
+            case ir.PortOf(module, port) | ir.PortRead(module, port) | stmt.PortPlace(module, port):
+                yield "port", f"{module}.{port}"
+            case ir.SlotRead(name) | ir.SlotsRead(name) | stmt.OwnSlot(name):
+                yield "slot", name
+            case ir.SharedRead(name) | stmt.SharedPlace(name):
+                yield "cell", name
+            case _:
+                pass
+
+
+def temps_of(block: stmt.Block) -> dict[str, Type]:
+    """The types of an event's own variables."""
+    found: dict[str, Type] = {}
+    for node in nodes(block):
+        match node:
+            case stmt.Let(name, type_):
+                found[name] = type_
+            case stmt.For(names, types):
+                found.update(zip(names, types, strict=True))
+            case _:
+                pass
+    return found

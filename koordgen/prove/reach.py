@@ -1,0 +1,230 @@
+"""Runs from initial states, a bounded number of them, that look for one in which an invariant is false.
+
+Only a run that the semantics makes counts, so what is found is a fact; that nothing is found says nothing. The
+environment is made finite: a sensor takes the values that the program and the counterexample to induction speak of,
+as far as the assumptions allow.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from fractions import Fraction
+from itertools import islice, product
+from typing import Any, NamedTuple
+
+from koordgen.ir import decl
+from koordgen.ir import expr as ir
+from koordgen.ir.types import BOOL, FLOAT, INT, POINT, Type
+from koordgen.node import Node
+from koordgen.prove.model import Conjunct, Unshowable, allowed, failing, made_state, true
+from koordgen.runtime.values import Point
+from koordgen.semantics.eval import Discarded
+from koordgen.semantics.exact import NotExact, made_exact
+from koordgen.semantics.exec import NoMeaning
+from koordgen.semantics.relations import choices
+from koordgen.semantics.state import State, World
+from koordgen.semantics.step import Step, applied, initial, round_, run_init, sense
+from koordgen.semantics.values import Value
+from koordgen.source import Span
+
+
+class Bounds(NamedTuple):
+    """How far to look: robots, rounds, states in all, values of one sensor, moves of the whole fleet, seconds."""
+
+    robots: int = 3
+    rounds: int = 6
+    states: int = 1500
+    values: int = 6
+    moves: int = 12
+    seconds: float = 0.4
+
+
+class Moment(NamedTuple):
+    """A state of a run, and what led to it: "" at first, "init", an event's name, "(environment)"."""
+
+    state: State
+    event: str
+    pid: int | None
+    round: int
+
+
+class Run(NamedTuple):
+    """From an initial state to one in which an invariant is false."""
+
+    moments: tuple[Moment, ...]
+    failed: Conjunct
+
+
+def run_to(
+    program: decl.Program, invariant: decl.Property, hints: Iterable[Value], bounds: Bounds, robots: int | None = None
+) -> Run | None:
+    """A shortest run found, of 1 to `bounds.robots` robots, or of `robots`. `program` is exact; `hints` are values that
+    sensors may take."""
+    until = time.monotonic() + bounds.seconds
+    fleets = [robots] if robots is not None else list(range(1, bounds.robots + 1))
+    try:
+        for n_sys in fleets:
+            found = _Search(program, invariant, tuple(hints), bounds, until).of(n_sys)
+            if found is not None:
+                return found
+    except (NotExact, NoMeaning):
+        return None  # a run that cannot be made exactly shows nothing
+    return None
+
+
+class _Search:
+    def __init__(
+        self, program: decl.Program, invariant: decl.Property, hints: tuple[Value, ...], bounds: Bounds, until: float
+    ) -> None:
+        self.program = program
+        self.invariant = invariant
+        self.bounds = bounds
+        self.until = until
+        self.world = World({}, _straight)
+        self.sensors = [
+            (f"{m.name}.{p.name}", p.type) for m in program.modules for p in m.ports if p.direction == "sensor"
+        ]
+        self.hints = hints
+
+    def of(self, n_sys: int) -> Run | None:
+        layer: list[tuple[Moment, ...]] = []
+        for start in self.starts(n_sys):
+            first = Moment(start, "", None, 0)
+            begun = Moment(run_init(self.program, start, self.world)[0], "init", None, 0)
+            layer.append((first, begun))
+        found = self.broken(layer)
+        seen: list[State] = []
+        while layer and found is None and layer[0][-1].round < self.bounds.rounds:
+            layer = list(islice(self.rounds(layer, seen), self.bounds.states))
+            found = self.broken(layer)
+        return found
+
+    def broken(self, layer: list[tuple[Moment, ...]]) -> Run | None:
+        for run in layer:
+            failed = failing(self.invariant, self.program, run[-1].state)
+            if failed is not None:
+                return Run(run, failed)
+        return None
+
+    def starts(self, n_sys: int) -> Iterator[State]:
+        """Initial states: sensors take all values on one robot, at first, and values apart from the others'."""
+        first = made_state(initial(self.program, n_sys))
+        rules = [p for p in self.program.properties if p.kind == "initially"]
+        pools = [[(name, v) for v in self.pool(type_, first)] for name, type_ in self.sensors]
+        single = [dict(choice) for choice in islice(product(*pools), self.bounds.moves)]
+        fleets = islice(product(single, repeat=n_sys), self.bounds.states)
+        count = 0
+        for fleet in fleets:
+            state = made_state(initial(self.program, n_sys, fleet))
+            if count < self.bounds.moves and all(true(rule, self.program, state) for rule in rules):
+                count += 1
+                yield state
+
+    def rounds(self, layer: list[tuple[Moment, ...]], seen: list[State]) -> Iterator[tuple[Moment, ...]]:
+        """Every run with one round more: one event, of one robot or as agents run them, and the environment's step."""
+        for run in layer:
+            state = run[-1].state
+            for stepped in (run, *self.stepped(run, state)):
+                if time.monotonic() > self.until or len(seen) > self.bounds.states:
+                    return
+                if stepped is not run:
+                    yield stepped  # whatever comes after: here the program's step has ended
+                for moved in self.moved(stepped[-1].state):
+                    fresh = moved._replace(round=0)
+                    if fresh not in seen:
+                        seen.append(fresh)
+                        yield (*stepped, Moment(moved, "(environment)", None, run[-1].round + 1))
+
+    def stepped(self, run: tuple[Moment, ...], state: State) -> Iterator[tuple[Moment, ...]]:
+        number = run[-1].round + 1
+        for pid in range(len(state.robots)):
+            for step in choices(self.program, state, pid, None, self.world):
+                if step.event is not None:
+                    yield (*run, Moment(applied(state, step), step.event, pid, number))
+        if len(state.robots) > 1:
+            steps: list[Step] = round_(self.program, state, world=self.world)[1]
+            moments = list(run)
+            for step in steps:
+                if step.event is not None and not isinstance(step.outcome, Discarded):
+                    moments.append(Moment(applied(moments[-1].state, step), step.event, step.pid, number))
+            yield tuple(moments)
+
+    def moved(self, state: State) -> Iterator[State]:
+        """The environment's step: all robots, each to a value that the assumptions allow."""
+        each = []
+        for pid, robot in enumerate(state.robots):
+            pools = [self.nearby(name, type_, robot.ports, state) for name, type_ in self.sensors]
+            found = []
+            for choice in islice(product(*pools), 4 * self.bounds.moves):
+                new = {**robot.ports, **dict(choice)}
+                try:
+                    if allowed(self.program, robot.ports, new, pid, state):
+                        found.append(dict(choice))
+                except Unshowable:
+                    continue
+            each.append(found[: self.bounds.values])
+        for fleet in islice(product(*each), self.bounds.moves):
+            yield sense(state, fleet)
+
+    def nearby(self, name: str, type_: Type, ports: Mapping[str, Value], state: State) -> list[tuple[str, Value]]:
+        """Where a sensor may come to: where commands of its type are, where it is, and the pool of its type."""
+        commands = [v for other, v in ports.items() if other != name and _is(v, type_)]
+        return [(name, v) for v in _distinct([*commands, ports[name], *self.pool(type_, state)])]
+
+    def pool(self, type_: Type, state: State) -> list[Value]:
+        """The values of a type that the program and the counterexample speak of."""
+        if type_ == BOOL:
+            return [True, False]
+        known: list[Value] = [v for v in (*self.hints, *state.params.values()) if _is(v, type_)]
+        if type_ in (INT, FLOAT):
+            known += [v for v in _numbers(self.program.properties) if _is(v, type_)]
+        if type_ == POINT:
+            known += [_apart(i) for i in range(len(state.robots))]
+        if type_ == FLOAT:
+            known.append(Fraction(0))  # type: ignore[arg-type]
+        if type_ == INT:
+            known.append(0)
+        return _distinct(known)[: self.bounds.values]
+
+
+def _apart(i: int) -> Point:
+    return Point(Fraction(i), Fraction(0), Fraction(0))  # type: ignore[arg-type]
+
+
+def _is(value: Any, type_: Type) -> bool:
+    kinds: dict[object, Any] = {POINT: Point, FLOAT: Fraction}
+    if type_ == INT:
+        return isinstance(value, int) and not isinstance(value, bool)
+    return type_ in kinds and isinstance(value, kinds[type_])
+
+
+def _numbers(node: object) -> Iterator[Value]:
+    """The literals of formulas."""
+    match node:
+        case ir.Const(value):
+            if not isinstance(value, (bool, str)):
+                yield made_exact(value)
+        case tuple():
+            for part in node:
+                yield from _numbers(part)
+        case Span():
+            return
+        case Node():
+            for field in type(node).__match_args__:  # type: ignore[attr-defined]
+                yield from _numbers(getattr(node, field))
+        case _:
+            return
+
+
+def _distinct(values: Iterable[Any]) -> list[Any]:
+    found: list[Any] = []
+    for value in values:
+        if value not in found:
+            found.append(value)
+    return found
+
+
+def _straight(pid: int, port: str, args: tuple[Value, ...]) -> Value:
+    """A callable port that knows no way."""
+    return ()

@@ -1,0 +1,141 @@
+"""From obligations to verdicts: asks the solver, drops what fails and proves the rest again, explains what fails.
+
+PROVED is said only when every obligation of an invariant got the answer that proves it, with hypotheses that are
+themselves PROVED and assumptions that were seen to be consistent. Everything else is something else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Literal, NamedTuple
+
+from koordgen.ir import decl
+from koordgen.ir.expr import Expr
+from koordgen.node import replace
+from koordgen.prove.explain import Explainer, Explanation
+from koordgen.prove.generate import obligations
+from koordgen.prove.ledger import Entry, ledger
+from koordgen.prove.obligation import Obligation
+from koordgen.prove.solve import Answer, Both, Solver
+
+Name = Literal["PROVED", "VACUOUS", "FALSIFIED", "NOT INDUCTIVE", "UNKNOWN"]
+WELL_DEFINED = "(well-defined)"
+
+
+class Question(NamedTuple):
+    """A checked program; for how many robots (None: any number); params that are fixed, the others being any."""
+
+    program: decl.Program
+    robots: int | None = None
+    params: Mapping[str, Expr] | None = None
+
+
+class Outcome(NamedTuple):
+    """One obligation and what the solver said of it."""
+
+    obligation: Obligation
+    answer: Answer
+
+    @property
+    def holds(self) -> bool:
+        return self.answer.result == self.obligation.expected
+
+
+class Verdict(NamedTuple):
+    """`reason` says why it is no proof, in a sentence; `rests_on` are the other invariants that a proof uses."""
+
+    invariant: str
+    verdict: Name
+    robots: int | None
+    outcomes: tuple[Outcome, ...]
+    reason: str
+    explanation: Explanation | None
+    rests_on: tuple[str, ...]
+    assumptions: tuple[Entry, ...]
+
+
+def prove(question: Question, solver: Solver | Both) -> list[Verdict]:
+    """A verdict for each invariant of the program, in its order, well-definedness first. Raises SolverMissing."""
+    solver.start()
+    program = question.program
+    outcomes = _asked(question, program, solver)
+    names = _names(program, outcomes)
+    groups = _groups(outcomes)
+    failed: dict[str, tuple[tuple[Outcome, ...], decl.Program]] = {}
+    while failing := [name for name, group in groups.items() if not all(o.holds for o in group)]:
+        failed.update({name: (groups[name], program) for name in failing})
+        dropped = [p for p in program.properties if p.kind == "invariant" and p.name in failing]
+        if not dropped:
+            break
+        program = replace(program, properties=tuple([p for p in program.properties if p not in dropped]))
+        outcomes = _asked(question, program, solver)
+        groups = {name: group for name, group in _groups(outcomes).items() if name not in failed}
+    contradiction, doubt = _consistency(outcomes, solver)
+    explainer = Explainer(question.program, question.robots, question.params, solver, program)
+    found = []
+    for name in names:
+        group, before = failed.get(name) or (groups[name], program)
+        told = None if contradiction or name not in failed else explainer.explain(name, group, before)
+        verdict, reason = _verdict(group, told, contradiction, doubt)
+        assumed = ledger(question.program, [o.obligation for o in group])
+        rests = _rests_on(name, group, program) if verdict == "PROVED" else ()
+        found.append(Verdict(name, verdict, question.robots, group, reason, told, rests, assumed))
+    return found
+
+
+def _asked(question: Question, program: decl.Program, solver: Solver | Both) -> list[Outcome]:
+    return [Outcome(o, solver.ask(o)) for o in obligations(program, question.robots, question.params)]
+
+
+def _groups(outcomes: Sequence[Outcome]) -> dict[str, tuple[Outcome, ...]]:
+    """The obligations of each invariant."""
+    found: dict[str, list[Outcome]] = {}
+    for outcome in outcomes:
+        if outcome.obligation.kind != "consistency":
+            found.setdefault(outcome.obligation.invariant, []).append(outcome)
+    return {name: tuple(group) for name, group in found.items()}
+
+
+def _names(program: decl.Program, outcomes: Sequence[Outcome]) -> list[str]:
+    found = dict.fromkeys(o.obligation.invariant for o in outcomes if o.obligation.kind != "consistency")
+    found.update(dict.fromkeys(p.name for p in program.properties if p.kind == "invariant"))
+    return list(found)
+
+
+def _consistency(outcomes: Sequence[Outcome], solver: Solver | Both) -> tuple[str, str]:
+    """What of the assumptions contradicts itself, and why that could not be decided; both empty where all is well."""
+    doubt = ""
+    for outcome in outcomes:
+        obligation = outcome.obligation
+        if obligation.kind != "consistency" or outcome.holds:
+            continue
+        if outcome.answer.result == "unknown":
+            doubt = f"whether the assumptions contradict one another is not known: {outcome.answer.reason}"
+            continue
+        core = solver.ask(obligation, core=True).core or range(len(obligation.facts))
+        facts = [obligation.facts[place] for place in core if obligation.facts[place].line]
+        told = dict.fromkeys(f"{fact.label} ({fact.file}:{fact.line})" for fact in facts)
+        return f"no state satisfies {' and '.join(told) or 'what is assumed'}: anything follows from that", ""
+    return "", doubt
+
+
+def _verdict(group: tuple[Outcome, ...], told: Explanation | None, contradiction: str, doubt: str) -> tuple[Name, str]:
+    if contradiction:
+        return "VACUOUS", contradiction
+    if told is not None and told.run is not None:
+        return "FALSIFIED", ""
+    if told is not None and told.counterexample is not None:
+        return "NOT INDUCTIVE", ""
+    failing = [o for o in group if not o.holds]
+    if failing:
+        first = next((o for o in failing if o.answer.result == "unknown"), failing[0])
+        why = first.answer.reason or (told.unshown if told is not None else "")
+        return "UNKNOWN", f"{first.obligation.name}: {why}"
+    return ("UNKNOWN", doubt) if doubt or not group else ("PROVED", "")
+
+
+def _rests_on(name: str, group: tuple[Outcome, ...], program: decl.Program) -> tuple[str, ...]:
+    """The other invariants whose lines stand among the facts of this one's obligations."""
+    lines = {fact.line for outcome in group for fact in outcome.obligation.facts}
+    others = [p for p in program.properties if p.kind == "invariant" and p.name != name]
+    return tuple([p.name for p in others if lines.intersection(range(p.span.line, p.span.end_line + 1))])

@@ -1,0 +1,163 @@
+"""Programs over exact numbers: every float of a program becomes the Fraction that it is, and nothing is rounded after.
+
+A prover reasons about real numbers. That its counterexamples are none of rounding is seen by running them so. The
+evaluator itself does not change: numbers are what they are, and a program that is made exact holds only Fractions where
+it held floats.
+"""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+from functools import total_ordering
+from typing import Any
+
+from koordgen.ir import decl, expr
+from koordgen.ir.types import FLOAT, INT, Type
+from koordgen.node import Node
+from koordgen.runtime.values import Point
+from koordgen.source import Span
+
+
+class NotExact(Exception):
+    """What is asked for is no rational number, and more is done with it than to compare it."""
+
+
+@total_ordering
+class Root:
+    """The square root of a rational number that has no rational one: it can be compared, with nothing rounded."""
+
+    def __init__(self, square: Fraction) -> None:
+        self.square = square
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Root) and self.square == other.square
+
+    def __hash__(self) -> int:
+        return hash(("root", self.square))
+
+    def __lt__(self, other: object) -> bool:
+        if isinstance(other, Root):
+            return self.square < other.square
+        if isinstance(other, (int, Fraction)):
+            return other > 0 and self.square < other * other
+        return NotImplemented
+
+    def _refuse(self, *_: object) -> Any:
+        raise NotExact(f"the root of {self.square}")
+
+    __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = __truediv__ = __rtruediv__ = _refuse
+    __floordiv__ = __rfloordiv__ = __mod__ = __rmod__ = __pow__ = __rpow__ = __neg__ = __abs__ = _refuse
+    __floor__ = __ceil__ = __round__ = __float__ = _refuse
+
+
+Exact = Fraction | Root
+
+
+def root(square: Fraction | int) -> Exact:
+    """The square root, as a Fraction where it is one. ValueError below zero."""
+    exact = Fraction(square)
+    if exact < 0:
+        raise ValueError("math domain error")
+    over, under = math.isqrt(exact.numerator), math.isqrt(exact.denominator)
+    if over * over == exact.numerator and under * under == exact.denominator:
+        return Fraction(over, under)
+    return Root(exact)
+
+
+def distance(p: Point, q: Point) -> Exact:
+    """The distance of two Points of exact coordinates, in metres."""
+    gaps: list[Any] = [p.x - q.x, p.y - q.y, p.z - q.z]
+    return root(sum((Fraction(gap * gap) for gap in gaps), Fraction(0)))
+
+
+def power(base: Any, exponent: Any) -> Fraction:
+    """A power whose exponent is whole. Raises NotExact, ZeroDivisionError."""
+    if isinstance(base, Root) or isinstance(exponent, Root) or Fraction(exponent).denominator != 1:
+        raise NotExact(f"{base} to the power of {exponent}")
+    return Fraction(base) ** int(exponent)
+
+
+def path_distance(a: tuple[Point, ...], b: tuple[Point, ...]) -> Exact:
+    """The distance of two paths that are mere points. Raises NotExact for others."""
+    if len(a) == len(b) == 1:
+        return distance(a[0], b[0])
+    raise NotExact("the distance of two paths")
+
+
+def applied(name: str, args: list[Any]) -> Any:
+    """A builtin of arguments some of which are exact, where floats would be rounded; None where they would not.
+    Raises NotExact where the result is no rational number, nor a root of one."""
+    match name, args:
+        case "distance", [p, q]:
+            return distance(p, q)
+        case "sqrt", [x]:
+            return root(x) if not isinstance(x, Root) else x._refuse()
+        case "path_distance", [a, b]:
+            return path_distance(a, b)
+        case "clear", [path, paths, eps]:
+            return all(path_distance(path, other) > eps for other in paths)
+        case "sum", [xs]:
+            return sum(xs, type(xs[0])())
+        case _:
+            if name in _ROUNDED:
+                raise NotExact(f"{name} of exact numbers")
+            return None
+
+
+_ROUNDED = frozenset(
+    ["sin", "cos", "tan", "asin", "acos", "atan", "atan2", "exp", "log", "GridMap", "center", "cell", "is_free", "is_occupied", "is_known", "mark_free", "mark_occupied"]
+)  # fmt: skip
+
+
+def is_exact(*values: object) -> bool:
+    """Whether some of these values, or of their parts, are exact numbers."""
+    for value in values:
+        if isinstance(value, Point):
+            value = (value.x, value.y, value.z)
+        if isinstance(value, (Fraction, Root)) or (isinstance(value, tuple) and is_exact(*value)):
+            return True
+    return False
+
+
+def made_exact(value: Any) -> Any:
+    """A value of the language with all its floats exact."""
+    if isinstance(value, float):
+        return Fraction(value)
+    if isinstance(value, Point):
+        return Point(*(made_exact(part) for part in (value.x, value.y, value.z)))
+    if type(value) is tuple:
+        return tuple([made_exact(part) for part in value])
+    if isinstance(value, tuple):  # a record
+        return type(value)(*[made_exact(part) for part in value])
+    return value
+
+
+def exact(program: decl.Program) -> decl.Program:
+    """The program over exact numbers.
+
+    before: x := 1 / 4      after: x := (0 + 1) / 4, that 0 being a Fraction
+    """
+    return _exact(program)  # type: ignore[no-any-return]
+
+
+def _exact(node: Any) -> Any:
+    if type(node) is tuple:
+        return tuple([_exact(part) for part in node])
+    if not isinstance(node, Node) or isinstance(node, (Span, Type)):
+        return node
+    made = type(node)(*[_exact(getattr(node, field)) for field in type(node).__match_args__])  # type: ignore[attr-defined]
+    match made:
+        case expr.Const(value, type_, span) if isinstance(value, float):
+            return expr.Const(Fraction(value), type_, span)  # type: ignore[arg-type]
+        case expr.Widen(operand, _, span):
+            return _widened(operand, span)
+        case expr.Binary("/", left, right, proved, type_, span) if left.type == INT:
+            return expr.Binary("/", _widened(left, span), right, proved, type_, span)
+        case _:
+            return made
+
+
+def _widened(operand: expr.Expr, span: Span) -> expr.Expr:
+    zero = expr.Const(Fraction(0), FLOAT, span)  # type: ignore[arg-type]
+    return expr.Binary("+", zero, operand, True, FLOAT, span)

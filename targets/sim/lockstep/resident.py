@@ -1,0 +1,287 @@
+"""One robot's agent in this process: its bundle's program, drivers and functions, its target's platform, and the very
+machine that runs on robots, polled on the run's clock."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import traceback
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext, suppress
+from pathlib import Path
+from random import Random
+from typing import IO, Any
+
+import msgspec
+
+from koordgen.runtime.clock import SimulatedClock
+from koordgen.runtime.drivers import Drivers, with_drivers
+from koordgen.runtime.extern import BadExtern
+from koordgen.runtime.layout import TooLarge
+from koordgen.runtime.machine import INTERNAL, SURROUNDINGS, WRONG_PROGRAM
+from koordgen.runtime.machine import Agent as Machine
+from koordgen.runtime.network import MemoryNetwork, MemoryTransport
+from koordgen.runtime.platform import Platform, Unready
+from koordgen.runtime.program import Program
+from koordgen.runtime.runner import Limit
+from koordgen.runtime.settings import BadSettings, Settings, load
+from koordgen.runtime.trace import Trace
+from targets.sim.crew import Agent
+from targets.sim.lockstep.keep import MemoryStore
+from targets.sim.lockstep.own import Own
+from targets.sim.lockstep.shares import Shares
+from targets.sim.lockstep.wires import EPOCH, Hub, Surroundings
+from targets.sim.scenario import Robot, Scenario
+from targets.sim.stage import Actor
+from targets.sim.trace import Record, decoded
+
+KILLED = -9
+HEADER = b'{"kind":"header"'
+
+
+class Told:
+    """A trace's file, which remembers what was written since it was asked last."""
+
+    def __init__(self, file: IO[bytes], shares: Shares) -> None:
+        self._file, self._shares = file, shares
+        self.lines: list[bytes] = []
+
+    def write(self, line: bytes) -> None:
+        """Raises OSError."""
+        began = self._shares.begin()
+        self._file.write(line)
+        self.lines.append(line)
+        self._shares.end("trace", began)
+
+    def flush(self) -> None:
+        """The run's end is soon enough: nothing else reads it meanwhile."""
+
+    def close(self) -> None:
+        self._file.close()
+
+
+class Shared:
+    """What all agents of a run have in common."""
+
+    def __init__(self, scenario: Scenario, root: Path, seed: int, key: bytes, iterations: int, limit: Limit) -> None:
+        self.scenario, self.root, self.seed, self.key = scenario, root, seed, key
+        self.iterations, self.limit = iterations, limit
+        self.clock = SimulatedClock()
+        self.network = MemoryNetwork(self.clock, Random(f"{seed}/network").getrandbits(32))
+        self.hub = Hub()
+        self.shares = Shares()
+
+
+class Resident(Agent):
+    """Implements crew.Agent. Made, not yet launched."""
+
+    def __init__(self, robot: Robot, folder: Path, shared: Shared) -> None:
+        super().__init__(robot, folder, shared.scenario.delta)
+        self._shared = shared
+        self._settings_file = folder / "settings.json"
+        self._dice = Random(f"{shared.seed}/{robot.pid}/agent")
+        self._store = MemoryStore()
+        self._log: IO[str] = self.log_file.open("w", encoding="utf-8")
+        self._out: Told | None = None  # the trace's file
+        self._seen: list[Record] = []  # since `look` was asked last
+        self._own = Own(shared.root / robot.bundle, shared.clock.now, lambda: EPOCH + shared.clock.now(), self._log)
+        self._inside: AbstractContextManager[None] = self._own
+        self._surroundings: list[Surroundings] = []  # of each start: what ran beside a crashed agent runs on
+        self._machine: Machine | None = None
+        self._platform: Platform | None = None
+        self._transport: MemoryTransport | None = None
+        self._actor: Actor | None = None
+        self._status: int | None = None
+        self._wake = self._polled = self._thawed = 0.0
+
+    def launch(self, actor: Actor) -> None:
+        """Begin. Raises OSError."""
+        self._actor = actor
+        settings = {
+            "network": {"transport": "unicast"}, "state": None, "key_file": None, "trace": None,
+            "body": actor.overrides,
+        }  # fmt: skip
+        self._settings_file.write_bytes(msgspec.json.format(msgspec.json.encode(settings), indent=2) + b"\n")
+        self._boot(actor)
+
+    def _boot(self, actor: Actor) -> None:
+        shared, robot = self._shared, self.robot
+        self._status, self._wake = None, shared.clock.now()
+        self._out = Told(self.trace_file.open("ab"), shared.shares)
+        seed = self._dice.getrandbits(31)
+        self._surroundings.append(Surroundings(shared.hub, shared.clock.now, seed, shared.iterations))
+        try:
+            with self._own:
+                settings = load(shared.root / robot.bundle / "settings.json", self._settings_file)
+                program, drivers = _loaded(shared.scenario)
+                platform = self._embodied(actor, settings)
+                self._platform = with_drivers(platform, program, drivers)
+                self._transport = shared.network.transport(robot.pid)
+                self._machine = Machine(
+                    program, settings, shared.key, self._platform, shared.clock, self._transport,
+                    Trace(self._out, self._warn), self._emit, self._dice.randbytes(8), self._store,  # type: ignore[arg-type]
+                    monitors=self.monitors, limit=shared.limit,
+                )  # fmt: skip
+                if program.library is None and not drivers and self._own.idle:
+                    self._inside = nullcontext()
+        except (BadSettings, TooLarge, BadExtern) as error:
+            self._fail(str(error), WRONG_PROGRAM)
+        except Unready as error:
+            self._fail(error.message + (f"\n  help: {error.hint}" if error.hint else ""), SURROUNDINGS)
+        except Exception:
+            self._fail("internal error, please report it:\n" + traceback.format_exc(), INTERNAL)
+
+    def _embodied(self, actor: Actor, settings: Settings) -> Platform:
+        """The device's own platform, where it has one, else the target's."""
+        make: Callable[..., Platform] | None = getattr(actor.device, "platform", None)
+        if make is None:
+            module, _, member = self.robot.inside.partition(":")
+            make = getattr(importlib.import_module(module), member)
+        return make(settings, self._shared.key, self._surroundings[-1])
+
+    @property
+    def due(self) -> float:
+        """When it is to be polled next: when it has asked to be, or something has come, and what comes with it."""
+        machine = self._machine
+        if machine is None:
+            return math.inf
+        arrival = self._shared.network.next_arrival(self.robot.pid)
+        due = self._wake
+        if arrival < due:
+            due = min(due, max(arrival, self._polled) + machine.gather)
+        return max(due, self._thawed)
+
+    def poll(self, now: float) -> None:
+        """Let it do what is due."""
+        machine = self._machine
+        if machine is None:
+            return
+        self._polled = now
+        try:
+            with self._inside:
+                self._wake = max(machine.poll(now), now + 1e-6)
+        except Exception:
+            self._fail("internal error, please report it:\n" + traceback.format_exc(), INTERNAL)
+            return
+        if machine.done:
+            self._leave(machine.status)
+
+    def beside(self, now: float) -> None:
+        """What runs beside it, at each step of the world."""
+        for surroundings in self._surroundings:
+            for step in surroundings.steps:
+                step(now)
+
+    def _leave(self, status: int) -> None:
+        """It has ended by itself: everything is given back in order."""
+        if self._platform is not None:
+            with self._own:
+                self._platform.close()
+        self._drop(status)
+
+    def _drop(self, status: int) -> None:
+        """It is gone: nothing of it is called any more."""
+        if self._transport is not None:
+            self._transport.close()
+        for surroundings in self._surroundings:
+            surroundings.cut()
+        if self._out is not None:
+            self._read()
+            with suppress(OSError):
+                self._out.close()
+        self._machine = self._platform = self._transport = self._out = None
+        self._status = status
+
+    def _fail(self, message: str, status: int) -> None:
+        self._emit("error", f"error: {message}")
+        self._drop(status)
+
+    def _emit(self, level: str, line: str) -> None:
+        with suppress(OSError):  # a full disk
+            self._log.write(line + "\n")
+
+    def _warn(self, text: str) -> None:
+        self._emit("warning", f"warning: {text}")
+
+    @property
+    def alive(self) -> bool:
+        return self._machine is not None
+
+    @property
+    def status(self) -> int | None:
+        return self._status
+
+    def tell_end(self) -> None:
+        self.told = True
+        if self._machine is not None:
+            with self._inside:
+                self._machine.end("SIGTERM: coming to rest")
+            self._wake = self._shared.clock.now()
+            if self._machine.done:
+                self._leave(self._machine.status)
+
+    def kill(self) -> None:
+        if self._machine is not None:
+            self.killed = True
+            self._drop(KILLED)
+
+    def crash(self) -> None:
+        if self._machine is not None:
+            self.crashed = True
+            self._drop(KILLED)
+
+    def restart(self) -> None:
+        self.crash()
+        if self._actor is not None:
+            self.crashed = False
+            self._thawed = 0.0
+            self._boot(self._actor)
+
+    def freeze(self, seconds: float) -> None:
+        self._thawed = self._shared.clock.now() + seconds
+
+    def look(self) -> list[Record]:
+        self._read()
+        records, self._seen = self._seen, []
+        return records
+
+    def _read(self) -> None:
+        """Take what has been traced."""
+        if self._out is None:
+            return
+        lines, self._out.lines = self._out.lines, []
+        for line in lines:
+            if not line.startswith(HEADER):  # an agent's says other things than the merged file's
+                record = decoded(line)
+                if record is not None:
+                    self._take(record)
+                    self._seen.append(record)
+
+    def _failed(self, status: int) -> str | None:
+        if status == 0:
+            return None
+        own = self.resting.detail if self.resting else self.last_error
+        why = own.strip().splitlines()[-1:] or self.last_lines(1) or ["it said nothing"]
+        return f"ended with status {status}: {why[0]}"
+
+    def last_lines(self, count: int) -> list[str]:
+        with suppress(OSError):
+            self._log.flush()
+        return super().last_lines(count)
+
+    def close(self) -> None:
+        """End it, and give its files back. Idempotent."""
+        self._drop(KILLED if self._status is None else self._status)
+        with suppress(OSError):
+            self._log.close()
+
+
+def _loaded(scenario: Scenario) -> tuple[Program, Drivers]:
+    """What the bundle's `__main__.py` takes from beside it. Within `Own`. Raises BadExtern and what imports raise."""
+    program: Program = importlib.import_module("program").PROGRAM
+    if program.library is not None:
+        program.library.load()
+    drivers: dict[str, Callable[[], Any]] = {
+        served: getattr(importlib.import_module(module), member) for served, module, member in scenario.drivers
+    }
+    return program, drivers

@@ -1,0 +1,146 @@
+"""A run in lockstep: all agents live in this process, on a clock that goes on as fast as the processor allows.
+
+The world steps 240 times a second of the run's time. Between two steps agents are polled at the very moments that they
+asked for, or at which a datagram comes, in the order of time and then of pids; what they compute takes no time. So the
+same scenario and seed give the same run, and traces that are the same byte for byte.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import random
+import time
+from pathlib import Path
+
+from koordgen.runtime.network import MemoryNetwork
+from koordgen.runtime.runner import Interrupting
+from targets.sim.crew import Step
+from targets.sim.lockstep.resident import Resident, Shared
+from targets.sim.medium import Medium
+from targets.sim.scenario import BadScenario, Scenario
+from targets.sim.stage import Stage
+from targets.sim.world import STEP
+
+LONGEST_EVENT = 10.0  # seconds of the host after which an event that does not end is ended
+ITERATIONS = 400  # of a planner's search
+
+
+class Lockstep:
+    """Implements `crew.Conduct`. `root` is the sim bundle, `folder` gets a folder of each robot. The run's key comes
+    from its seed: nobody else hears these datagrams."""
+
+    def __init__(self, scenario: Scenario, root: Path, folder: Path, seed: int) -> None:
+        _check(scenario)
+        random.seed(f"{seed}/user")  # which a user's functions may ask
+        self._shared = Shared(
+            scenario, root, seed, hashlib.sha256(f"lockstep {seed}".encode()).digest(), ITERATIONS, _Longest()
+        )
+        self._agents: list[Resident] = []
+        for robot in scenario.robots:
+            own = folder / "robots" / robot.name
+            own.mkdir(parents=True)
+            self._agents.append(Resident(robot, own, self._shared))
+        self._stage: Stage | None = None
+        self._steps = 0
+        self._began = time.perf_counter()
+
+    @property
+    def agents(self) -> list[Resident]:
+        return self._agents
+
+    @property
+    def network(self) -> MemoryNetwork:
+        """Between the agents."""
+        return self._shared.network
+
+    def stage(self) -> Stage:
+        shared = self._shared
+        self._stage = Stage(shared.scenario, shared.seed, shared.key, wiring=shared.hub, clock=shared.clock.now)
+        return self._stage
+
+    def launch(self, stage: Stage) -> None:
+        for agent, actor in zip(self._agents, stage.actors, strict=True):
+            agent.launch(actor)
+        self._began = time.perf_counter()
+
+    def disturb(self, medium: Medium) -> None:
+        """See Conduct."""
+        network = self._shared.network
+        network.conditions, network.links, network.cut = medium.all, dict(medium.by_link()), medium.cut
+
+    def now(self) -> float:
+        return self._shared.clock.time
+
+    def go_on(self, step: Step) -> None:
+        """One step of the world, then the agents up to the next."""
+        at, shares = self._steps * STEP, self._shared.shares
+        began = shares.begin()
+        step(at)
+        shares.end("stage", began)
+        began = shares.begin()
+        for agent in self._agents:
+            agent.beside(at)
+        self._steps += 1
+        self._poll_until(self._steps * STEP)
+        shares.end("agents", began)
+
+    def _poll_until(self, end: float) -> None:
+        clock, agents = self._shared.clock, self._agents
+        while True:
+            first, soonest = agents[0], math.inf
+            for agent in agents:
+                due = agent.due
+                if due < soonest:
+                    first, soonest = agent, due
+            if soonest >= end:
+                break
+            clock.time = max(clock.time, soonest)
+            first.poll(clock.time)
+        clock.time = end
+
+    @property
+    def steps(self) -> int:
+        return self._steps
+
+    @property
+    def late(self) -> int:
+        """None is: the clock waits."""
+        return 0
+
+    @property
+    def factor(self) -> float:
+        return self._steps * STEP / max(time.perf_counter() - self._began, 1e-9)
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """What the processor's time went to, by part."""
+        return self._shared.shares.told(self._stage.spent if self._stage is not None else 0.0)
+
+    def close(self) -> None:
+        for agent in self._agents:
+            agent.close()
+
+
+class _Longest:
+    """A limit on events that counts the host's seconds: one that never ends must not hold up the run."""
+
+    def __init__(self) -> None:
+        self._interrupting = Interrupting()
+
+    def __call__(self, seconds: float) -> Interrupting:
+        return self._interrupting(LONGEST_EVENT)
+
+
+def _check(scenario: Scenario) -> None:
+    for robot in scenario.robots:
+        if robot.sim.autopilot == "external":
+            raise BadScenario(
+                f"{robot.name}: its autopilot is external, a process with a clock of its own",
+                "leave out --lockstep, or say `autopilot: simulated` in its `sim:`",
+            )
+        if not robot.inside:
+            raise BadScenario(
+                f"{robot.name}: its target {robot.target} cannot run in lockstep",
+                "its manifest's [simulation] must say `inside`, and the bundle be built again; or leave out --lockstep",
+            )

@@ -1,0 +1,176 @@
+"""Solvers are believed only as far as they may be: whatever they do but answer is UNKNOWN, with its reason."""
+
+from __future__ import annotations
+
+import sys
+import time
+from fractions import Fraction
+from pathlib import Path
+
+import pytest
+
+from koordgen.diagnostics import InternalError
+from koordgen.prove import solve
+from koordgen.prove.sexpr import Unreadable, read, value, values
+from koordgen.prove.solve import Both, Limits, Solver, SolverMissing, solver_of
+from koordgen.prove.term import INT, constant
+from tests.prove.terms import ROBOT, contradictory, false_one, hard, true_one, x
+
+QUICK = Limits(query=0.2, total=5.0, memory=512)
+# A solver that does to each question what ANSWER says: `question` is the text up to its echo, `end` the word echoed.
+FAKE = """
+import os, re, signal, sys, time
+def asked():
+    text = ""
+    for line in sys.stdin:
+        text += line
+        found = re.match(r'\\(echo "(.*)"\\)', line)
+        if found:
+            yield text, found[1]
+            text = ""
+for question, end in asked():
+    ANSWER
+    print(end, flush=True)
+"""
+
+
+@pytest.fixture(autouse=True)
+def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(solve, "GRACE", 0.2)
+
+
+def fake(tmp_path: Path, answer: str, limits: Limits = QUICK) -> Solver:
+    script = tmp_path / f"solver{len(list(tmp_path.iterdir()))}.py"
+    script.write_text(FAKE.replace("ANSWER", answer))
+    return Solver("z3", limits, [sys.executable, "-S", str(script)])
+
+
+@pytest.mark.parametrize("name", ["z3", "cvc5", "both"])
+def test_real_solvers_answer_and_show_models_and_cores(name: str) -> None:
+    with solver_of(name, Limits()) as solver:
+        assert solver.ask(true_one()).result == "unsat"
+        found = solver.ask(false_one(), [x(ROBOT), ROBOT])
+        assert found.result == "sat"
+        number, robot = found.values
+        assert isinstance(number, (int, Fraction)) and Fraction(1, 3) <= number < Fraction(1, 2)
+        assert isinstance(robot, int)
+        assert solver.ask(contradictory(), core=True).core == (0, 2)
+        assert solver.ask(true_one()).result == "unsat", "what was asked before leaves nothing behind"
+
+
+LIES = {
+    "nothing": ("pass", "neither sat nor unsat"),
+    "nonsense": ("print('maybe')", "neither sat nor unsat: maybe"),
+    "both": ("print('unsat\\nsat')", "neither sat nor unsat: unsat sat"),
+    "an error first": ("print('(error \"line 3: unknown constant\")\\nunsat')", "unknown constant"),
+    "unsat and more": ("print('unsat (sort of)')", "neither sat nor unsat"),
+    "dies": ("sys.exit(3)", "ended with status 3"),
+    "dies with a word": ("print('unsat', flush=True); sys.exit(1)", "ended with status 1"),
+    "is killed": ("os.kill(os.getpid(), signal.SIGKILL)", "killed by signal 9"),
+    "out of memory": ("print('(error \"out of memory\")', flush=True); sys.exit(101)", "its memory is limited"),
+    "hangs": ("time.sleep(60)", "did not answer in time"),
+    "talks without end": ("[print('x' * 1000) for _ in iter(int, 1)]", "did not answer in time"),
+    "is not text": ("sys.stdout.buffer.write(b'\\xff\\xfe\\n'); sys.stdout.flush()", "neither sat nor unsat"),
+    "gives up": ("print('unknown' if 'check-sat' in question else '(:reason-unknown \"(incomplete)\")')", "incomplete"),
+    "takes too long": ("print('unknown' if 'check-sat' in question else '(:reason-unknown \"timeout\")')", "--timeout"),
+}
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_whatever_is_no_answer_is_unknown_with_a_reason(tmp_path: Path, lie: str) -> None:
+    answer, reason = LIES[lie]
+    with fake(tmp_path, answer) as solver:
+        found = solver.ask(true_one())
+    assert found.result == "unknown"
+    assert reason in found.reason
+    assert len(found.reason) < 300
+
+
+def test_a_solver_that_broke_is_started_anew(tmp_path: Path) -> None:
+    mark = tmp_path / "mark"
+    answer = f"""
+    if not os.path.exists({str(mark)!r}):
+        open({str(mark)!r}, "w").close()
+        sys.exit(1)
+    print("unsat")
+    """
+    with fake(tmp_path, answer.strip("\n ")) as solver:
+        assert [solver.ask(true_one()).result for _ in range(3)] == ["unknown", "unsat", "unsat"]
+
+
+@pytest.mark.parametrize("model", ["", "(", "((x))", '(error \\"no model\\")', "((x 1) (y 2))", "sat"])
+def test_sat_without_a_model_that_can_be_read_is_unknown(tmp_path: Path, model: str) -> None:
+    answer = f"print('sat' if 'check-sat' in question else '''{model}''')"
+    with fake(tmp_path, answer) as solver:
+        found = solver.ask(false_one(), [x(ROBOT)])
+    assert found.result == "unknown"
+    assert "nothing that can be used" in found.reason
+
+
+def test_a_solver_that_does_not_read_does_not_block(tmp_path: Path) -> None:
+    script = tmp_path / "deaf.py"
+    script.write_text("import time\ntime.sleep(60)\n")
+    large = [constant(f"{'v' * 200}{i}", INT) for i in range(2000)]  # more than a pipe holds
+    began = time.monotonic()
+    with Solver("z3", QUICK, [sys.executable, "-S", str(script)]) as solver:
+        assert solver.ask(true_one(), large).result == "unknown"
+    assert time.monotonic() - began < 3
+
+
+def test_all_queries_together_have_a_limit(tmp_path: Path) -> None:
+    with fake(tmp_path, "time.sleep(60)", Limits(query=0.1, total=0.15)) as solver:
+        reasons = [solver.ask(true_one()).reason for _ in range(3)]
+    assert "did not answer" in reasons[0]
+    assert "used up" in reasons[2]
+
+
+def test_what_is_beyond_a_solver_is_unknown() -> None:
+    with Solver("z3", Limits(query=0.3)) as solver:
+        found = solver.ask(hard())
+        assert found.result == "unknown"
+        assert "--timeout" in found.reason or "cannot decide" in found.reason
+        assert solver.ask(true_one()).result == "unsat"
+
+
+def test_memory_is_limited() -> None:
+    with Solver("z3", Limits(query=5.0, memory=1)) as solver:
+        found = solver.ask(hard())
+    assert found.result == "unknown"
+
+
+def test_two_solvers_that_contradict_each_other_stop_everything(tmp_path: Path) -> None:
+    liar = fake(tmp_path, "print('sat')")
+    with Both([Solver("z3", Limits()), liar]) as both, pytest.raises(InternalError, match="contradict"):
+        both.ask(true_one())
+
+
+def test_of_two_solvers_one_may_not_know(tmp_path: Path) -> None:
+    with Both([fake(tmp_path, "print('unknown')"), Solver("z3", Limits())]) as both:
+        assert both.ask(true_one()).result == "unsat"
+    with Both([fake(tmp_path, "print('unknown')"), fake(tmp_path, "sys.exit(1)")]) as neither:
+        assert neither.ask(true_one()).result == "unknown"
+
+
+def test_a_missing_solver_is_no_answer(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    with pytest.raises(SolverMissing, match="/no/such/solver"):
+        Solver("z3", QUICK, ["/no/such/solver"]).ask(true_one())
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(SolverMissing, match="no solver z3"):
+        solver_of("z3", Limits())
+
+
+def test_values() -> None:
+    text = "((a 3) (b (- 3)) (c 0.5) (d (/ 1.0 3.0)) (e (- (/ 1 3))) (f (/ (- 1) 3)) (g true) (h |T!val!0|))"
+    found = values(text, 8)
+    assert found[:2] == [3, -3]
+    assert found[2:6] == [Fraction(1, 2), Fraction(1, 3), Fraction(-1, 3), Fraction(-1, 3)]
+    assert found[6:] == [True, "|T!val!0|"]
+    assert value(read("(as @T_0 T)")[0]) == "@T_0"
+    assert str(value(read("(root-obj (+ (^ x 2) (- 2)) 2)")[0])).startswith("irrational")
+    for wrong in ("(/ 1 0)", "(- true)", "(- (/ 1 0))"):
+        with pytest.raises(Unreadable):
+            value(read(wrong)[0])
+    for text in ("((a 1)", "(a 1))", "((a 1))", "sat"):
+        with pytest.raises(Unreadable):
+            values(text, 2)
