@@ -1,8 +1,8 @@
 """How fast the simulated world is: `python benchmarks/sim.py [--quick] [--json FILE] [--gym-pybullet-drones PATH]`.
 
-First the physics alone, one step of 25 robots beside others who step as many; a lidar's turn beside PyBullet's; how many
-times faster than real time the physics is at 1, 4, 16 and 64 robots. Peers that are not there are left out, and it says
-so. Ends with 1 when a figure is not reached.
+First the physics alone, one step of 25 robots beside others who step as many; a lidar's turn beside PyBullet's; how
+many times faster than real time the physics is at 1, 4, 16 and 64 robots. Peers that are not there are left out, and it
+says so. Ends with 1 when a figure is not reached.
 """
 
 from __future__ import annotations
@@ -39,9 +39,7 @@ def _physics(turns: int, drones: Path | None) -> tuple[bool, dict[str, object]]:
     print(
         f"  lidar from plane geometry {seen.geometry * 1e3:.6f} mm; rayTestBatch from it, over 10 degrees from tangent:"
     )
-    print(
-        f"    {seen.faces * 1e3:.3f} mm at faces, {seen.round * 1e3:.3f} mm at round things (an iteration of PyBullet's)"
-    )
+    print(f"    {seen.faces * 1e3:.3f} mm at faces, {seen.round * 1e3:.3f} mm at round things (its own iteration's)")
     good = good and seen.geometry < MILLIMETRE and seen.faces < MILLIMETRE
     found = {"pairs": [{**asdict(p), "ratio": p.ratio} for p in pairs], "left_out": left, "lidar": asdict(seen)}
     return good, found

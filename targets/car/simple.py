@@ -5,18 +5,22 @@ fidelity `simple`. All else is the car's own: estimator, planner, controller, ge
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Protocol
 
+from koordgen.runtime.inside import Inside
 from koordgen.runtime.platform import Finding
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.values import Point, Pose
 from targets.car.avoidance import MakePlanning
 from targets.car.drive import Drive
+from targets.car.inside import InsideLinks
 from targets.car.links import Links, Nowhere
 from targets.car.mpc import Command
 from targets.car.platform import Car
-from targets.planning.process import Beside
+from targets.planning.process import Beside, bounded
 
 
 class Seen(Protocol):
@@ -93,9 +97,9 @@ class SimpleCar(Car):
         body: Driver,
         links: Links | None = None,
         planning: MakePlanning = Beside,
-        clock: Callable[[], float] | None = None,
+        clock: Callable[[], float] = time.perf_counter,
     ) -> None:
-        super().__init__(settings, key, links, planning, *([clock] if clock else []))
+        super().__init__(settings, key, links, planning, clock)
         self._body = body
 
     def diagnose(self) -> list[Finding]:
@@ -107,3 +111,8 @@ class SimpleCar(Car):
         drive, nowhere = BodyDrive(self._body, self._settings.braking), Nowhere()
         self._drive, self._datagrams = drive, nowhere
         return drive, nowhere
+
+
+def inside(settings: Settings, key: bytes | None, surroundings: Inside, body: Driver) -> SimpleCar:
+    """In a simulator that owns time; see koordgen.runtime.inside."""
+    return SimpleCar(settings, key, body, InsideLinks(surroundings), partial(bounded, surroundings), surroundings.now)

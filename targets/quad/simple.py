@@ -1,7 +1,7 @@
 """A quad without an autopilot: the ports of a quad over a body that flies at the velocity it is asked for.
 
-For simulators, of fidelity `simple`. A program meets the same as on a quad: it takes off before it is ready, targets are
-raised to the flight height and kept inside the geofence, paths are planned and refused, it holds, and lands to rest.
+For simulators, of fidelity `simple`. A program meets the same as on a quad: it takes off before it is ready, targets
+are raised to the flight height and kept inside the geofence, paths are planned and refused, it holds, it lands to rest.
 """
 
 from __future__ import annotations
@@ -9,14 +9,16 @@ from __future__ import annotations
 import enum
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Protocol
 
 from koordgen.runtime.datagrams import DatagramLink
+from koordgen.runtime.inside import Inside
 from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.scans import listen_for_scans
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.values import Point
-from targets.planning.process import Beside
+from targets.planning.process import Beside, bounded
 from targets.quad.avoidance import MakePlanning
 from targets.quad.motion import Motion, heading
 from targets.quad.platform import Quad
@@ -198,3 +200,10 @@ class SimpleQuad(Quad):
         """See Platform. A body in the air is left to what it does when nothing more comes."""
         self._lidar.close()
         self._avoidance.close()
+
+
+def inside(settings: Settings, key: bytes | None, surroundings: Inside, flyer: Flyer) -> SimpleQuad:
+    """In a simulator that owns time; see koordgen.runtime.inside."""
+    return SimpleQuad(
+        settings, key, flyer, scans=surroundings.exchange, planning=partial(bounded, surroundings)
+    )  # fmt: skip

@@ -11,42 +11,38 @@ import random
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import msgspec
-
 from targets.sim.bodies import BodyState, DeviceContext, Vector
 from targets.sim.first_order import SimpleCar, SimpleQuadrotor
 
 HOVERING, LANDING = 0.5, 5.0  # s without a command after which a quad stops, and lands, as an autopilot does
 BRAKING = 0.15  # s without a command after which a car brakes, as its watchdog does
 SINKING, GROUND = 0.5, 0.02  # m/s, m
-# The platform for each kind of body.
-PLATFORMS = {"quadrotor": "targets.quad.simple:inside", "car": "targets.car.simple:inside"}
 
 
 class Direct:
     """targets.sim.bodies.Device. `platform` makes the agent's, in this process."""
 
-    def __init__(self, body: SimpleQuadrotor | SimpleCar, kind: str, context: DeviceContext) -> None:
-        self._seen, self._kind = body, kind
+    made: str  # what makes the platform
+
+    def __init__(self, body: SimpleQuadrotor | SimpleCar, context: DeviceContext) -> None:
+        self._seen = body
         self._noise = float(context.harness.get("position_noise", 0.0))
         self._dice = random.Random(f"{context.seed}/{context.robot}/simple")
+        self._upset = context.upset
         self._now, self._heard = 0.0, 0.0
         self.overrides: Mapping[str, Any] = {}
 
     def platform(self, settings: Any, key: bytes | None, inside: Any) -> Any:
         """See koordgen.runtime.inside."""
-        module, _, member = PLATFORMS[self._kind].partition(":")
+        module, _, member = self.made.partition(":")
         make: Callable[..., Any] = getattr(importlib.import_module(module), member)
         return make(settings, key, inside, self)
 
     def state(self) -> BodyState | None:
-        """Where the body is taken to be."""
-        truth, noise, gauss = self._seen.state(), self._noise, self._dice.gauss
-        if noise <= 0.0:
-            return truth
-        x, y, z = truth.position
-        place = (x + gauss(0.0, noise), y + gauss(0.0, noise), z + gauss(0.0, noise))
-        return msgspec.structs.replace(truth, position=place)
+        """Where the body is taken to be; None: that is not known now."""
+        truth = self._seen.state()
+        place = self._upset.measured(truth.position, self._noise, self._dice)
+        return None if place is None else BodyState(place, truth.velocity, truth.yaw, truth.yaw_rate)
 
     def step(self, now: float) -> None:
         """See Device."""
@@ -59,8 +55,10 @@ class Direct:
 class DirectQuad(Direct):
     """Flies as its platform says."""
 
+    made = "targets.quad.simple:inside"
+
     def __init__(self, body: SimpleQuadrotor, context: DeviceContext) -> None:
-        super().__init__(body, "quadrotor", context)
+        super().__init__(body, context)
         self._body = body
         self._flying = False
 
@@ -87,8 +85,10 @@ class DirectQuad(Direct):
 class DirectCar(Direct):
     """Drives as its platform says."""
 
+    made = "targets.car.simple:inside"
+
     def __init__(self, body: SimpleCar, context: DeviceContext) -> None:
-        super().__init__(body, "car", context)
+        super().__init__(body, context)
         self._body = body
         self._braking = float(context.settings.get("braking", 3.0))
 
