@@ -185,8 +185,8 @@ ROOM: tuple[Obstacle, ...] = (
 @dataclass(frozen=True, slots=True)
 class Lidars:
     """A turn of 1,080 rays and 6 m of each of many cars among one another and 18 obstacles, from where they are to
-    their ranges: ours all at once, PyBullet's one after the other. How far (m) ours are from plane geometry, and PyBullet's
-    from ours where a ray meets at over 10 degrees: faces, and round things."""
+    their ranges: ours all at once, PyBullet's one after the other. How far (m) ours are from plane geometry, and
+    PyBullet's from ours where a ray meets at over 10 degrees: faces, and round things."""
 
     pair: Pair
     single: float  # ms, one turn alone, of ours

@@ -209,7 +209,7 @@ class _Segments:
         """How far rays go until their segments; infinite: past them."""
         x, y, along_x, along_y, area = self._of_each[:, thing]
         turned = way[0] * along_y - way[1] * along_x
-        distance = area / turned
+        distance: Array = area / turned
         share = (x * way[1] - y * way[0]) / turned
         distance[(distance < 0.0) | ~(np.abs(share - 0.5) <= 0.5 + _SEAM)] = np.inf
         return distance
@@ -230,7 +230,7 @@ class _Circles:
         """As `_Segments`."""
         x, y, radius = self._of_each[:, thing]
         aside = way[0] * y - way[1] * x
-        distance = way[0] * x + way[1] * y - np.sqrt(radius * radius - aside * aside)
+        distance: Array = way[0] * x + way[1] * y - np.sqrt(radius * radius - aside * aside)
         distance[~(distance >= 0.0)] = np.inf  # not a number where the ray passes by
         return distance
 
