@@ -9,13 +9,15 @@ import importlib.util
 import math
 import platform
 import shlex
+import shutil
 import sys
+import time
 import traceback
 from collections.abc import Callable
 from pathlib import Path
 
 from targets.sim import faults
-from targets.sim.folder import Foreign, RunFolder
+from targets.sim.folder import SOURCE, Foreign, RunFolder
 from targets.sim.scenario import FILE, BadScenario, Scenario, load
 from targets.sim.schedule import CONDITIONS, MOST_DELAY, PROBABILITIES, Schedule
 
@@ -138,16 +140,23 @@ def _check(root: Path, scenario: Scenario) -> int:
 
 
 def _run(root: Path, scenario: Scenario, schedule: Schedule, folder: Path, options: argparse.Namespace) -> int:
+    from targets.sim import watch
+    from targets.sim.idle import IDLE_TIMEOUT, Idle
     from targets.sim.lockstep.run import Lockstep
     from targets.sim.progress import Progress
     from targets.sim.realtime import RealTime
     from targets.sim.run import Run
 
     progress = Progress(sys.stderr, options.quiet, free=options.lockstep)
+    robots = tuple(robot.name for robot in scenario.robots)
+    watcher = watch.Watcher(watch.load(root), robots, scenario.delta)
+    shutil.copytree(root / SOURCE, folder / SOURCE)
     conduct = Lockstep if options.lockstep else RealTime
     run = Run(scenario, conduct(scenario, root, folder, options.seed), folder, options.duration, progress)
+    run.companions += [watcher, Idle(robots, scenario.number("idle_timeout", IDLE_TIMEOUT))]
     if schedule != Schedule():
         run.companions.append(faults.Faults(schedule))
+    began = time.perf_counter()
     try:
         outcome = run.execute()
     finally:
@@ -164,6 +173,7 @@ def _run(root: Path, scenario: Scenario, schedule: Schedule, folder: Path, optio
     trace.merge(merged, header, outcome.zero, run.poses_file, [a.trace_file for a in run.conduct.agents], outcome.marks)
     run.poses_file.unlink()
     found = summary.summarise(*trace.read(merged), outcome)
+    found.watching = round(watcher.seconds / (time.perf_counter() - began), 4)
     found.reproduce = _reproduce(root, scenario, folder, options)
     summary.write(found, folder)
     progress.say("drawing the report")
