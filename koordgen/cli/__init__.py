@@ -102,6 +102,7 @@ def _harness(options: Namespace) -> int:
     passed = [f"--{key}={value}" for key in ("duration", "seed") if (value := getattr(options, key)) is not None]
     passed.append(f"--out={options.out or f'run-{app}'}")
     passed.append(f"--invoked-as={shlex.join(['koordgen', *sys.argv[1:]])}")
+    passed += [f"--{key}={value}" for key in ("live", "pace") if (value := getattr(options, key)) is not None]
     passed += [f"--{flag}" for flag in ("lockstep", "quiet") if getattr(options, flag)]
     with tempfile.TemporaryDirectory(prefix="koordgen-") as folder:
         _write({options.command: bundles[options.command]}, Path(folder))

@@ -12,9 +12,15 @@ import shlex
 import sys
 import traceback
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from targets.sim.folder import Foreign, RunFolder
 from targets.sim.scenario import FILE, BadScenario, Scenario, load
+
+if TYPE_CHECKING:
+    from targets.sim.progress import Progress
+    from targets.sim.trace import Header
+    from targets.sim.view.live import Live
 
 HELD, BAD_FILES, USAGE, VIOLATED, SURROUNDINGS, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 5, 70, 130
 STATUS = {"held": HELD, "violated": VIOLATED, "interrupted": INTERRUPTED, "not started": SURROUNDINGS}
@@ -62,6 +68,10 @@ def _parser(root: Path) -> argparse.ArgumentParser:
     parser.add_argument("--settings", type=Path, metavar="FILE", help="JSON object laid over the scenario's settings")
     parser.add_argument("--check", action="store_true", help="check the bundle and its packages; run nothing")
     parser.add_argument("--invoked-as", metavar="TEXT", help="the command to name in the report, if not this one")
+    live = "show the run on a page at 127.0.0.1, on PORT or any free one"
+    parser.add_argument("--live", type=int, nargs="?", const=0, metavar="PORT", help=live)
+    pace = "of a run in lockstep: at most so many times real time"
+    parser.add_argument("--pace", type=_seconds, metavar="FACTOR", help=pace)
     parser.add_argument("--quiet", action="store_true", help="no progress")
     return parser
 
@@ -100,37 +110,66 @@ def _check(root: Path, scenario: Scenario) -> int:
 
 
 def _run(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespace) -> int:
+    import msgspec
+
+    from targets.sim import summary, trace
     from targets.sim.lockstep.run import Lockstep
     from targets.sim.progress import Progress
     from targets.sim.realtime import RealTime
     from targets.sim.run import Run
+    from targets.sim.view.live import Paced
 
+    header = _header(scenario, options)
     progress = Progress(sys.stderr, options.quiet, free=options.lockstep)
-    conduct = Lockstep if options.lockstep else RealTime
-    run = Run(scenario, conduct(scenario, root, folder, options.seed), folder, options.duration, progress)
+    live = _live(header, options, progress)
     try:
-        outcome = run.execute()
+        conduct = Lockstep if options.lockstep else RealTime
+        run = Run(scenario, conduct(scenario, root, folder, options.seed), folder, options.duration, progress)
+        run.companions += [live] if live else []
+        run.companions += [Paced(options.pace)] if options.pace and options.lockstep else []
+        try:
+            outcome = run.execute()
+        finally:
+            progress.finish()
+        header = msgspec.structs.replace(header, started=outcome.started)
+        merged = folder / "trace.jsonl"
+        agents = [agent.trace_file for agent in run.conduct.agents]
+        trace.merge(merged, header, outcome.zero, run.poses_file, agents, outcome.marks)
+        run.poses_file.unlink()
+        found = summary.summarise(*trace.read(merged), outcome)
+        found.reproduce = _reproduce(root, scenario, folder, options)
+        summary.write(found, folder)
+        progress.say("drawing the report")
+        _report(folder)
+        if live:
+            live.close(f"{found.verdict}: {found.why}. The report: {(folder / 'report.html').resolve()}")
     finally:
-        progress.finish()
-    from targets.sim import summary, trace
-
-    names = tuple(trace.RobotName(r.name, r.pid, r.target) for r in scenario.robots)
-    header = trace.Header(
-        trace.FORMAT, scenario.app, scenario.program_hash, scenario.delta, options.seed, names, options.duration,
-        outcome.started, scenario.number("min_separation", 0.0), (scenario.geofence.lo, scenario.geofence.hi),
-        scenario.obstacles, scenario.world, scenario.shared, scenario.records,
-    )  # fmt: skip
-    merged = folder / "trace.jsonl"
-    trace.merge(merged, header, outcome.zero, run.poses_file, [a.trace_file for a in run.conduct.agents], outcome.marks)
-    run.poses_file.unlink()
-    found = summary.summarise(*trace.read(merged), outcome)
-    found.reproduce = _reproduce(root, scenario, folder, options)
-    summary.write(found, folder)
-    progress.say("drawing the report")
-    _report(folder)
+        if live:
+            live.close("the run has failed")
     print(summary.as_text(found))
     print(f"report: {folder / 'report.html'}")
     return STATUS[found.verdict] if outcome.ended != "died" else VIOLATED
+
+
+def _header(scenario: Scenario, options: argparse.Namespace) -> Header:
+    from targets.sim.trace import FORMAT, Header, RobotName
+
+    names = tuple(RobotName(r.name, r.pid, r.target) for r in scenario.robots)
+    return Header(
+        FORMAT, scenario.app, scenario.program_hash, scenario.delta, options.seed, names, options.duration, True,
+        scenario.number("min_separation", 0.0), (scenario.geofence.lo, scenario.geofence.hi), scenario.obstacles,
+        scenario.world, scenario.shared, scenario.records,
+    )  # fmt: skip
+
+
+def _live(header: Header, options: argparse.Namespace, progress: Progress) -> Live | None:
+    if options.live is None:
+        return None
+    from targets.sim.view.live import Live
+
+    live = Live(header, options.live)
+    progress.say(f"live: {live.url}")
+    return live
 
 
 def _report(folder: Path) -> None:
