@@ -49,8 +49,10 @@ FLOORS = {
     "doctor": BASE,
     "campaign": BASE,
     "pipeline": BASE | {"syntax", "ir", "check", "emit", "manifest", "fleet", "offered", "bundle"},
+    "scenario": {"node", "source", "located"},
     "cli": BASE
     | {
+        "scenario",
         "pipeline",
         "bundle",
         "check",

@@ -91,41 +91,9 @@ def _build(options: Namespace) -> int:
 
 
 def _harness(options: Namespace) -> int:
-    import shlex
-    import signal
-    import subprocess
-    import tempfile
-    from pathlib import Path
+    from koordgen.cli.harness import harness
 
-    bundles, app = _planned(options, [options.command])
-    _require_packages()
-    passed = [f"--{key}={value}" for key in ("duration", "seed") if (value := getattr(options, key)) is not None]
-    passed.append(f"--out={options.out or f'run-{app}'}")
-    passed.append(f"--invoked-as={shlex.join(['koordgen', *sys.argv[1:]])}")
-    passed += [f"--{key}={value}" for key in ("live", "pace") if (value := getattr(options, key)) is not None]
-    passed += [f"--{flag}" for flag in ("lockstep", "quiet") if getattr(options, flag)]
-    with tempfile.TemporaryDirectory(prefix="koordgen-") as folder:
-        _write({options.command: bundles[options.command]}, Path(folder))
-        # The child ends its run and writes its report; asked again, it ends at once. In a group of its own it is asked
-        # once, whether a signal comes to us alone or, like a terminal's Ctrl-C, to all of our group.
-        started: list[subprocess.Popen[bytes]] = []
-        early: list[int] = []
-
-        def pass_on(number: int, _: object) -> None:
-            asked = signal.SIGTERM if number == signal.SIGHUP else number
-            started[0].send_signal(asked) if started else early.append(asked)
-
-        for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            if signal.getsignal(each) != signal.SIG_IGN:  # nohup
-                signal.signal(each, pass_on)
-        command = [sys.executable, f"{folder}/{options.command}", *passed]
-        started.append(subprocess.Popen(command, stdout=_output(options), process_group=0))
-        for asked in early:
-            started[0].send_signal(asked)
-        status = started[0].wait()
-    if status < 0:
-        raise Failure(SURROUNDINGS, f"the run was killed by {signal.Signals(-status).name}; it left no report")
-    return status
+    return harness(options)
 
 
 def _fmt(options: Namespace) -> int:

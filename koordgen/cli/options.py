@@ -135,6 +135,18 @@ def _key(command: argparse.ArgumentParser) -> None:
     command.add_argument("file", metavar="FILE")
 
 
+# Of all links between robots, over what the scenario says.
+_NETWORK = {
+    "loss": ("P", "the part of the datagrams between robots that is lost"),
+    "delay": ("S", "seconds that a datagram is under way"),
+    "jitter": ("S", "seconds that come on top at random, at most"),
+    "duplication": ("P", "the part of the datagrams that comes twice"),
+    "reordering": ("P", "the part of the datagrams that others overtake"),
+}
+# Options of a harness's bundle that have the same name here.
+PASSED = ("duration", "seed", "live", "pace", *_NETWORK)
+
+
 def _harness(command: argparse.ArgumentParser) -> None:
     command.add_argument("program", metavar="APP.koord")
     command.add_argument("--duration", metavar="S", type=float, help="seconds of mission, from its first round")
@@ -146,6 +158,9 @@ def _harness(command: argparse.ArgumentParser) -> None:
     command.add_argument("--live", metavar="PORT", type=int, nargs="?", const=0, help=live)
     command.add_argument("--out", metavar="DIR", help="where trace, summary, pictures and report go")
     command.add_argument("--quiet", action="store_true", help="no progress")
+    command.add_argument("--scenario", metavar="FILE", help="what goes wrong in the run, and when (YAML)")
+    for name, (metavar, help) in _NETWORK.items():
+        command.add_argument(f"--{name}", metavar=metavar, type=float, help=help)
     _of_a_build(command, fleet_required=True)
 
 

@@ -1,4 +1,4 @@
-"""A network in memory, on a simulated clock: seeded loss, delay, jitter (and so reordering) and duplication."""
+"""A network in memory, on a simulated clock: seeded loss, delay, jitter, duplication and reordering."""
 
 from __future__ import annotations
 
@@ -11,15 +11,31 @@ from koordgen.runtime.clock import Clock
 from koordgen.runtime.transport import MOST_AT_ONCE
 from koordgen.runtime.wire import LIMIT
 
+OVERTAKEN = 0.05  # seconds
+
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """Probabilities between 0 and 1; seconds."""
+    """Of a link. Probabilities between 0 and 1; seconds. `jitter` is the most that comes, evenly random, on top of
+    `delay`; of what is reordered, and so overtaken, up to OVERTAKEN seconds more."""
 
     loss: float = 0.0
     delay: float = 0.001
     jitter: float = 0.0
     duplication: float = 0.0
+    reordering: float = 0.0
+
+    def delays(self, dice: Random) -> list[float]:
+        """How long each copy of one datagram that arrives is under way; it may be none, and two at most."""
+        found = []
+        for _ in range(2 if dice.random() < self.duplication else 1):
+            lost = dice.random() < self.loss
+            delay = self.delay + self.jitter * dice.random()
+            if self.reordering and dice.random() < self.reordering:
+                delay += OVERTAKEN * dice.random()
+            if not lost:
+                found.append(delay)
+        return found
 
 
 Queue = list[tuple[float, int, bytes]]  # a heap: time of arrival, number, datagram
@@ -51,12 +67,9 @@ class MemoryNetwork:
 
     def send(self, sender: int, receiver: int, datagram: bytes) -> None:
         self.sent += 1
-        now, c = self._clock.now(), self.links.get((sender, receiver), self.conditions)
-        copies = 2 if self._random.random() < c.duplication else 1
-        for _ in range(copies):
-            lost = self._random.random() < c.loss
-            delay = c.delay + c.jitter * self._random.random()
-            if not lost and receiver in self._queues and not self.cut(sender, receiver):
+        now = self._clock.now()
+        for delay in self.links.get((sender, receiver), self.conditions).delays(self._random):
+            if receiver in self._queues and not self.cut(sender, receiver):
                 heapq.heappush(self._queues[receiver], (now + delay, self.sent, datagram[: LIMIT + 1]))
 
     def arrived(self, queue: Queue) -> list[bytes]:

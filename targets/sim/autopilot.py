@@ -20,6 +20,7 @@ from targets.sim.mavlink_setpoints import reposition, take_setpoint
 from targets.sim.mavlink_telemetry import Message, Telemetry
 from targets.sim.ports import Port
 from targets.sim.scenario import BadScenario
+from targets.sim.upset import Upset
 
 REAL_BOOT = 42.0  # seconds of a cold start, as observed
 _SETPOINTS = (
@@ -47,25 +48,30 @@ class SimulatedAutopilot:
         boot = _seconds(harness.get("boot", 3.0))
         positioning = str(context.settings.get("positioning", ""))
         params = Parameters(_version(str(harness.get("version", VERSION))), positioning=positioning)
-        self.copter, reports, streams = self._firmware(str(harness.get("firmware", "ardupilot")), boot, params)
+        firmware = str(harness.get("firmware", "ardupilot"))
+        self.copter, self._reports, streams = self._firmware(firmware, boot, params, context.upset)
         noise, seed = float(harness.get("position_noise", 0.0)), f"{context.seed}/{context.robot}/autopilot"
-        self.copter.estimator = self._estimator = Estimator(params, self._frame, boot, noise, seed, self.copter.say)
+        self.copter.estimator = self._estimator = Estimator(
+            params, self._frame, boot, noise, seed, self.copter.say, context.upset
+        )
         self._listed: deque[str] = deque()  # parameters that PARAM_REQUEST_LIST asked for
-        self._telemetry = Telemetry(reports.makers, streams, self.copter.said, self._send)
+        self._telemetry = Telemetry(self._reports.makers, streams, self.copter.said, self._send)
         self.overrides: Mapping[str, Any] = {}
         if port is None:
             port = context.wiring.port()
             self.overrides = {"autopilot": f"udpin:127.0.0.1:{port.number}"}
         self._port = port
 
-    def _firmware(self, name: str, boot: float, params: Parameters) -> tuple[Copter, Reports, Mapping[int, float]]:
+    def _firmware(
+        self, name: str, boot: float, params: Parameters, upset: Upset
+    ) -> tuple[Copter, Reports, Mapping[int, float]]:
         """The state machine of a firmware, its reports, and what it streams unasked. Raises BadScenario."""
         if name == "ardupilot":
             copter = Copter(boot, params)
-            return copter, Reports(copter, self._frame), _HEARTBEATS
+            return copter, Reports(copter, self._frame, upset), _HEARTBEATS
         if name == "px4":
             px4 = Px4(boot, Px4Parameters(params.positioning), self._frame)
-            return px4, Px4Reports(px4, self._frame), STREAMS
+            return px4, Px4Reports(px4, self._frame, upset), STREAMS
         raise BadScenario(f"firmware is {name!r}", "there are: ardupilot, px4")
 
     def step(self, now: float) -> None:
@@ -95,6 +101,7 @@ class SimulatedAutopilot:
 
     def _fly(self, now: float, dt: float) -> None:
         copter, estimate = self.copter, self._estimator.estimate
+        copter.volts = self._reports.volts
         copter.watch(now)
         self._body.motors(copter.armed)
         if not copter.armed:

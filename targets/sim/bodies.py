@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import msgspec
 
 from targets.sim.ports import Loopback, Wiring
+from targets.sim.upset import Upset
 
 Vector = tuple[float, float, float]
 
@@ -61,7 +62,8 @@ class Car(Protocol):
 class DeviceContext:
     """What a device is made with. `settings` are the robot's own (`body` in its settings.json), `harness` those of
     the sim target, `origin` is WGS-84 (degrees, degrees, metres), `noise` the standard deviation of sensed
-    positions (m), `key` the run's fleet key, `wiring` makes its ends of what connects it with the agent."""
+    positions (m), `key` the run's fleet key, `wiring` makes its ends of what connects it with the agent, `upset` is
+    what is wrong at the moment."""
 
     robot: str
     settings: Mapping[str, Any]
@@ -70,6 +72,7 @@ class DeviceContext:
     seed: int
     key: bytes
     wiring: Wiring = field(default_factory=Loopback)
+    upset: Upset = field(default_factory=Upset)
 
 
 class Device(Protocol):

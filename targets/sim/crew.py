@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from koordgen.runtime.trace import Observe
 from targets.sim.bodies import BodyState
+from targets.sim.medium import Medium
 from targets.sim.scenario import Robot
 from targets.sim.trace import Log, Phase, Record, Round, fault_text
 
@@ -163,6 +164,11 @@ class Conduct(Protocol):
 
     def launch(self, stage: Stage) -> None:
         """Start all agents, and the clock. Raises OSError."""
+        ...
+
+    def disturb(self, medium: Medium) -> None:
+        """From now on the network between the agents is like that. Whoever wants to do so later does it before the
+        launch, too. Raises OSError."""
         ...
 
     def now(self) -> float:

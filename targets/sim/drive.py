@@ -13,17 +13,21 @@ from typing import Any
 from targets.car import vesc
 from targets.car.settings import CarSettings, decode
 from targets.sim.bodies import Car, Device, DeviceContext
+from targets.sim.upset import Upset
 
 TIMEOUT = 0.5  # seconds without a command after which the VESC brakes by itself; asking for values is none
-SUPPLY = 11.1  # volts
+SUPPLY, EMPTY = 11.1, 9.0  # volts, of a usual and of an empty battery
+CUT_OFF = 9.2  # volts below which the VESC gives up
+UNDER_VOLTAGE = 2  # mc_fault_code
 FIRMWARE = 6, 5
 
 
 class Controller:
     """The VESC itself, without its cable: bytes in, bytes out, a body driven."""
 
-    def __init__(self, body: Car, settings: CarSettings) -> None:
+    def __init__(self, body: Car, settings: CarSettings, upset: Upset | None = None) -> None:
         self._body = body
+        self._upset = upset or Upset()
         self._settings = settings
         self._decoder = vesc.Decoder()
         self._speed: float | None = None  # None: it brakes
@@ -46,17 +50,26 @@ class Controller:
                     angle = off / self._settings.steering_to_servo_gain
                     self._steering = max(-self._settings.max_steering, min(self._settings.max_steering, angle))
                 case vesc.AskValues():
-                    answers += vesc.encode(vesc.Values(self._wheel_speed() * self._settings.speed_to_erpm_gain, SUPPLY))
+                    erpm = self._wheel_speed() * self._settings.speed_to_erpm_gain
+                    answers += vesc.encode(vesc.Values(erpm, self._volts, UNDER_VOLTAGE if self._empty else 0))
                 case vesc.AskVersion():
                     answers += vesc.encode(vesc.Version(*FIRMWARE))
                 case vesc.Values() | vesc.Version():
                     pass  # an answer is no question
-        if now - self._commanded > TIMEOUT:
+        if now - self._commanded > TIMEOUT or self._empty:
             self._speed, self._braking = None, self._settings.braking
         self._body.drive(self._speed or 0.0, self._steering)
         if self._speed is None:
             self._body.brake(self._braking)
         return answers
+
+    @property
+    def _volts(self) -> float:
+        return EMPTY + (SUPPLY - EMPTY) * self._upset.battery
+
+    @property
+    def _empty(self) -> bool:
+        return self._volts < CUT_OFF
 
     def _wheel_speed(self) -> float:
         state = self._body.state()
@@ -68,7 +81,7 @@ class SimulatedDrive:
 
     def __init__(self, body: Car, context: DeviceContext) -> None:
         settings = decode(context.settings)
-        self._controller = Controller(body, settings)
+        self._controller = Controller(body, settings, context.upset)
         self._unsent = b""
         self._terminal = context.wiring.terminal()
         self.overrides: Mapping[str, Any] = {"drive": f"vesc:{self._terminal.device}"}

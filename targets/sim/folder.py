@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import IO
 
 MARKER = ".koord-run"
-FILES = ("report.html", "summary.json", "summary.txt", "trace.jsonl", "poses.jsonl", "fleet.key")
+FILES = ("report.html", "summary.json", "summary.txt", "trace.jsonl", "poses.jsonl", "fleet.key", "faults.json")
 FOLDERS = ("plots", "robots")
 
 

@@ -11,14 +11,16 @@ import platform
 import shlex
 import sys
 import traceback
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from targets.sim import faults
 from targets.sim.folder import Foreign, RunFolder
 from targets.sim.scenario import FILE, BadScenario, Scenario, load
+from targets.sim.schedule import CONDITIONS, MOST_DELAY, PROBABILITIES, Schedule
 
 if TYPE_CHECKING:
-    from targets.sim.progress import Progress
     from targets.sim.trace import Header
     from targets.sim.view.live import Live
 
@@ -34,10 +36,15 @@ def main(root: Path, argv: list[str] | None = None) -> int:
         scenario = load(root, options.settings)
         out: Path = options.out or Path(f"run-{scenario.app}")
         _require(scenario)
+        schedule = _schedule(scenario, options)
+        # The file may be what an earlier run has left in the very folder.
+        text = options.scenario.read_bytes() if options.scenario else b""
         if options.check:
             return _check(root, scenario)
         with RunFolder(out) as folder:
-            return _run(root, scenario, folder, options)
+            if text:
+                (folder / "faults.json").write_bytes(text)
+            return _run(root, scenario, schedule, folder, options)
     except BadScenario as error:
         return _fail(BAD_FILES, str(error), error.hint)
     except Foreign as error:
@@ -66,6 +73,12 @@ def _parser(root: Path) -> argparse.ArgumentParser:
     parser.add_argument("--lockstep", action="store_true", help="all in one process, repeatable, as fast as it goes")
     parser.add_argument("--out", type=Path, metavar="DIR", help="what the run leaves, default run-<app>")
     parser.add_argument("--settings", type=Path, metavar="FILE", help="JSON object laid over the scenario's settings")
+    parser.add_argument("--scenario", type=Path, metavar="FILE", help="what goes wrong in the run, and when (JSON)")
+    for name in CONDITIONS:
+        what = "0 to 1" if name in PROBABILITIES else "seconds"
+        parser.add_argument(
+            f"--{name}", type=_condition(name), metavar="X", help=f"of all links between robots, {what}"
+        )
     parser.add_argument("--check", action="store_true", help="check the bundle and its packages; run nothing")
     parser.add_argument("--invoked-as", metavar="TEXT", help="the command to name in the report, if not this one")
     live = "show the run on a page at 127.0.0.1, on PORT or any free one"
@@ -74,6 +87,21 @@ def _parser(root: Path) -> argparse.ArgumentParser:
     parser.add_argument("--pace", type=_seconds, metavar="FACTOR", help=pace)
     parser.add_argument("--quiet", action="store_true", help="no progress")
     return parser
+
+
+def _condition(name: str) -> Callable[[str], float]:
+    most = 1.0 if name in PROBABILITIES else MOST_DELAY
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not 0.0 <= value <= most:
+            raise argparse.ArgumentTypeError(f"{text} is no {name}; give 0 to {most:g}")
+        return value
+
+    return parse
 
 
 def _seconds(text: str) -> float:
@@ -101,6 +129,14 @@ def _require(scenario: Scenario) -> None:
     stage.check(scenario)
 
 
+def _schedule(scenario: Scenario, options: argparse.Namespace) -> Schedule:
+    """What goes wrong in this run. Raises BadScenario."""
+    names = [robot.name for robot in scenario.robots]
+    found = faults.load(options.scenario, names) if options.scenario else Schedule()
+    faults.check_times(found, options.duration)
+    return faults.with_network(found, vars(options))
+
+
 def _check(root: Path, scenario: Scenario) -> int:
     print(f"ok: {root / FILE}: {scenario.app}, {len(scenario.robots)} robots, delta {scenario.delta:g} s")
     for robot in scenario.robots:
@@ -109,7 +145,7 @@ def _check(root: Path, scenario: Scenario) -> int:
     return HELD
 
 
-def _run(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespace) -> int:
+def _run(root: Path, scenario: Scenario, schedule: Schedule, folder: Path, options: argparse.Namespace) -> int:
     import msgspec
 
     from targets.sim import summary, trace
@@ -121,10 +157,11 @@ def _run(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespa
 
     header = _header(scenario, options)
     progress = Progress(sys.stderr, options.quiet, free=options.lockstep)
-    live = _live(header, options, progress)
+    live = _live(header, options)
     try:
         conduct = Lockstep if options.lockstep else RealTime
         run = Run(scenario, conduct(scenario, root, folder, options.seed), folder, options.duration, progress)
+        run.companions += [faults.Faults(schedule)] if schedule != Schedule() else []
         run.companions += [live] if live else []
         run.companions += [Paced(options.pace)] if options.pace and options.lockstep else []
         try:
@@ -162,13 +199,13 @@ def _header(scenario: Scenario, options: argparse.Namespace) -> Header:
     )  # fmt: skip
 
 
-def _live(header: Header, options: argparse.Namespace, progress: Progress) -> Live | None:
+def _live(header: Header, options: argparse.Namespace) -> Live | None:
     if options.live is None:
         return None
     from targets.sim.view.live import Live
 
     live = Live(header, options.live)
-    progress.say(f"live: {live.url}")
+    print(f"live: {live.url}", file=sys.stderr, flush=True)
     return live
 
 
@@ -186,6 +223,9 @@ def _reproduce(root: Path, scenario: Scenario, folder: Path, options: argparse.N
         command.append("--lockstep")
     if options.settings:
         command += ["--settings", str(options.settings)]
+    if options.scenario:
+        command += ["--scenario", str(folder / "faults.json")]
+    command += [f"--{name}={value:g}" for name in CONDITIONS if (value := getattr(options, name)) is not None]
     return {
         "command": options.invoked_as or shlex.join([*command, "--out", str(folder)]),
         "program": f"{scenario.source}, hash {scenario.program_hash}",

@@ -47,6 +47,8 @@ class Copter:
         self.home: Vector | None = None
         self.failing_check = ""  # what a pre-arm check complains about, when one does
         self.ground_station: float | None = None  # when its last heartbeat came
+        self.volts = math.inf  # of the battery
+        self._charged = -math.inf  # when these were last enough
         self._armed_at = 0.0
         self._still: float | None = None
         self._complained: float | None = None
@@ -241,6 +243,12 @@ class Copter:
             if fault:
                 self.say(CRITICAL, f"{self.refusal}: {fault}")
 
+    def _exhausted(self, now: float) -> bool:
+        """Whether the battery has been critical for so long that something is to be done about it."""
+        if self.volts >= self.params.of("BATT_CRT_VOLT"):
+            self._charged = now
+        return now - self._charged > self.params.of("BATT_LOW_TIMER") and bool(self.params.of("BATT_FS_CRT_ACT"))
+
     def _fail_safe(self, now: float) -> None:
         silent = 0.0 if self.ground_station is None else now - self.ground_station
         if silent > self.params.of("FS_GCS_TIMEOUT") and self.params.of("FS_GCS_ENABLE"):
@@ -249,6 +257,8 @@ class Copter:
             self.say(CRITICAL, "EKF Failsafe: changed to LAND Mode")
         elif self.params.of("FS_THR_ENABLE"):
             self.say(WARNING, "Radio Failsafe")
+        elif self._exhausted(now):
+            self.say(CRITICAL, f"Battery 1 is critical {self.volts:.2f}V: landing")
         else:
             return
         self.enter(LAND, now)

@@ -19,8 +19,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from koordgen.runtime.geodesy import LocalFrame
 from targets.sim.bodies import BodyState, Vector
 from targets.sim.mavlink_params import Parameters
+from targets.sim.own_gps import OwnGps
+from targets.sim.upset import Upset
 
-WANDER = 2.0  # seconds over which the error of a GPS's estimate forgets itself
 LOST = 7.5  # seconds without a measurement until the EKF gives up its position
 HEALTHY_PERIOD = 0.245  # seconds: GPS_MAX_DELTA_MS
 DEFAULT_GPS_DELAY = 0.22  # seconds, for GPS1_DELAY_MS = 0
@@ -58,9 +59,11 @@ class Estimator:
         noise: float,
         seed: str,
         say: Callable[[int, str], None],
+        upset: Upset | None = None,
     ) -> None:
-        self._params, self._frame, self._boot, self._noise, self._say = params, frame, boot, noise, say
+        self._params, self._frame, self._boot, self._say = params, frame, boot, say
         self._random = random.Random(seed)
+        self._own = OwnGps(noise, upset or Upset(), self._random)
         turn = self._random.uniform(0.0, math.tau)
         self._bias: Vector = (BIAS * math.cos(turn), BIAS * math.sin(turn), 0.0)
         self._error: Vector = (0.0, 0.0, 0.0)
@@ -112,9 +115,9 @@ class Estimator:
         if self.started is None:
             self.started = now
         own = self.source == "own"
-        if own and self._noise:
-            self._wander(dt)
-        elif not own and math.isfinite(self._measured):
+        if own:
+            self._error = self._own.error(truth, now, dt, self._bias)
+        elif math.isfinite(self._measured):
             self._drift = _plus(self._drift, self._bias, dt)
             self._error = _plus(self._error, self._drift, dt)
         estimate = self.estimate
@@ -123,15 +126,8 @@ class Estimator:
         estimate.yaw = truth.yaw + self._yaw_error
         if not own:
             self._past.append((now, estimate.position))
-        if not self.ready or not own:
+        if not self.ready or not own or self._own.upset.positioning.dropout:
             self._progress(now, now - self.started)
-
-    def _wander(self, dt: float) -> None:
-        """A first-order Gauss-Markov error."""
-        keep = math.exp(-dt / WANDER) if dt else 0.0
-        fresh = self._noise * math.sqrt(1 - keep * keep)
-        (x, y, z), gauss = self._error, self._random.gauss
-        self._error = (keep * x + gauss(0, fresh), keep * y + gauss(0, fresh), keep * z + gauss(0, fresh))
 
     def _progress(self, now: float, age: float) -> None:
         source = self.source
@@ -140,14 +136,14 @@ class Estimator:
                 return
             self.initialised = True
             self._say(mavlink.MAV_SEVERITY_INFO, "EKF3 IMU0 initialised")
-        lost = source != "own" and now - self._measured > LOST
+        lost = now - (self._own.fixed if source == "own" else self._measured) > LOST
         if self.ready:
             self.ready = not lost
             return
         fed = -math.inf if self._fed is None or lost else now - self._fed
         match source:
             case "own":
-                self.ready = age >= self._boot
+                self.ready = age >= self._boot and not lost
             case "gps_input":
                 self.ready = age >= self._boot and fed >= CHECKS * self._boot and self._period() <= HEALTHY_PERIOD
             case "vision":

@@ -29,6 +29,9 @@ class Parameter:
 
 
 PARAMETERS = (
+    Parameter("BATT_CRT_VOLT", 10.8, REAL),
+    Parameter("BATT_FS_CRT_ACT", 1),
+    Parameter("BATT_LOW_TIMER", 10),
     Parameter("COMPASS_ENABLE", 1),
     Parameter("DISARM_DELAY", 10),
     Parameter("EK3_SRC1_POSXY", 3),

@@ -20,6 +20,7 @@ from targets.sim.mavlink_guided import Aim, Vector
 from targets.sim.mavlink_params import REAL, Parameter, Parameters
 from targets.sim.mavlink_reports import Reports
 from targets.sim.mavlink_telemetry import Message
+from targets.sim.upset import Upset
 
 REJECTED: int = mavlink.MAV_RESULT_TEMPORARILY_REJECTED
 
@@ -252,8 +253,8 @@ class Px4(Copter):
 class Px4Reports(Reports):
     """As `Reports`; the estimator's state is in ESTIMATOR_STATUS, and no target is told in global coordinates."""
 
-    def __init__(self, copter: Copter, frame: LocalFrame) -> None:
-        super().__init__(copter, frame)
+    def __init__(self, copter: Copter, frame: LocalFrame, upset: Upset | None = None) -> None:
+        super().__init__(copter, frame, upset)
         del self.makers[mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT]
         del self.makers[mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT]
         self.makers[mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS] = self._estimator_status

@@ -14,6 +14,7 @@ from koordgen.runtime.geodesy import LocalFrame
 from targets.sim.mavlink_copter import Copter
 from targets.sim.mavlink_guided import STILL, Aim, Vector
 from targets.sim.mavlink_telemetry import Maker, Message
+from targets.sim.upset import Upset
 
 VERSION = 4 << 24 | 7 << 16 | 255  # 4.7.0, official
 CAPABILITIES = (
@@ -42,9 +43,10 @@ ARMABLE = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 class Reports:
     """What can be told, by message number. `frame` is the fleet's."""
 
-    def __init__(self, copter: Copter, frame: LocalFrame) -> None:
+    def __init__(self, copter: Copter, frame: LocalFrame, upset: Upset | None = None) -> None:
         self.copter, self.frame = copter, frame
-        self.battery = 1.0  # what is left of it
+        self._charge = 1.0  # what its flying has left of it
+        self._upset = upset or Upset()
         self._drained: float | None = None
         self._seen = 0.0
         self.makers: dict[int, Maker] = {
@@ -66,10 +68,15 @@ class Reports:
             mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self.version,
         }
 
+    @property
+    def battery(self) -> float:
+        """What is left of it."""
+        return min(self._charge, self._upset.battery)
+
     def drain(self, now: float) -> None:
         """The battery empties in the air."""
         if self._drained is not None and self.copter.armed and not self.copter.landed:
-            self.battery = max(0.0, self.battery - (now - self._drained) / ENDURANCE)
+            self._charge = max(0.0, self._charge - (now - self._drained) / ENDURANCE)
         self._drained = now
 
     def clock(self, now: float) -> int:
@@ -101,8 +108,13 @@ class Reports:
         return mavlink.MAVLink_system_time_message(0, self.clock(now))
 
     @property
+    def volts(self) -> float:
+        """Of the battery."""
+        return EMPTY + (FULL - EMPTY) * self.battery
+
+    @property
     def _millivolts(self) -> int:
-        return round((EMPTY + (FULL - EMPTY) * self.battery) * 1000)
+        return round(self.volts * 1000)
 
     @property
     def _current(self) -> float:

@@ -8,7 +8,9 @@ import time
 from pathlib import Path
 
 from targets.sim.crew import Step
+from targets.sim.medium import Medium
 from targets.sim.pace import Pace
+from targets.sim.relay import Relay
 from targets.sim.scenario import Scenario
 from targets.sim.stage import Stage
 from targets.sim.supervise import Process, free_ports, overrides
@@ -30,6 +32,8 @@ class RealTime:
             own.mkdir(parents=True)
             self._agents.append(Process(robot, root / robot.bundle, own, scenario.delta))
         self._pace = Pace(time.monotonic(), STEP)
+        self._medium: Medium | None = None
+        self._relay: Relay | None = None
 
     @property
     def agents(self) -> list[Process]:
@@ -42,9 +46,20 @@ class RealTime:
         count = len(self._agents)
         free = free_ports(2 * count)
         ports, controls = free[:count], free[count:]
-        for agent, actor, control in zip(self._agents, stage.actors, controls, strict=True):
-            agent.launch(overrides(self._scenario.robots, ports, control, actor.overrides, self._key_file, agent))
+        if self._medium is not None:
+            self._relay = Relay(ports, self._seed, self._medium)
+        others = self._relay.ports if self._relay else ports
+        for pid, (agent, actor) in enumerate(zip(self._agents, stage.actors, strict=True)):
+            seen = [*others[:pid], ports[pid], *others[pid + 1 :]]  # it listens on its own
+            laid_over = overrides(self._scenario.robots, seen, controls[pid], actor.overrides, self._key_file, agent)
+            agent.launch(laid_over)
         self._pace = Pace(time.monotonic(), STEP)
+
+    def disturb(self, medium: Medium) -> None:
+        """See Conduct. Only when it was asked for before the launch there is a relay."""
+        self._medium = medium
+        if self._relay is not None:
+            self._relay.change(medium)
 
     def now(self) -> float:
         return time.monotonic()
@@ -75,5 +90,7 @@ class RealTime:
 
     def close(self) -> None:
         for agent in self._agents:
-            agent.kill()
+            agent.close()
+        if self._relay is not None:
+            self._relay.close()
         self._key_file.unlink(missing_ok=True)

@@ -134,7 +134,7 @@ class Run:
             return "interrupted"
         if now - zero >= self._duration:
             return "completed"
-        return "" if any(agent.alive for agent in self.conduct.agents) else "stopped"
+        return "" if any(agent.alive or agent.crashed for agent in self.conduct.agents) else "stopped"
 
     def _until(self, done: Callable[[float], str]) -> str:
         """Go on until `done` says why not; "" when that is the mission's start."""
@@ -223,7 +223,8 @@ class Run:
             fault = agent.first_fault
             if fault is not None:
                 marks.append(Violation(t(fault.time), "fault", (agent.robot.name,), agent.fault_text()))
-            if agent.robot.name not in self._failed and not self.stage.standing(pid):
+            ended_itself = agent.robot.name not in self._failed and not agent.crashed
+            if ended_itself and not self.stage.standing(pid):
                 detail = "still moved or was in the air when its agent had ended"
                 marks.append(Violation(t(now), "unrest", (agent.robot.name,), detail))
         found = watch.closest

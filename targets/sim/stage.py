@@ -21,7 +21,9 @@ from targets.sim.lidar import SETTING, SimulatedLidar
 from targets.sim.ports import Loopback, Wiring
 from targets.sim.quadrotor import SimulatedQuadrotor
 from targets.sim.scenario import BadScenario, Robot, Scenario
+from targets.sim.slowed import Slowed
 from targets.sim.station import SimulatedFeed, fed
+from targets.sim.upset import Upset
 from targets.sim.world import Rigid, World
 
 
@@ -64,6 +66,7 @@ class Actor:
     body: Body
     device: Device
     sensors: tuple[Device, ...]  # lidar and position feed, for robots that have a setting for them
+    upset: Upset
 
     @property
     def devices(self) -> tuple[Device, ...]:
@@ -201,9 +204,10 @@ def _actor(
     body = BODIES[robot.body](world, robot, harness)
     own_seed = random.Random(f"{seed}/{robot.pid}").getrandbits(32)
     place = (origin.latitude, origin.longitude, origin.altitude)
-    context = DeviceContext(robot.name, robot.settings, harness, place, own_seed, key, wiring)
-    device = make(body, context)
+    upset = Upset()
+    context = DeviceContext(robot.name, robot.settings, harness, place, own_seed, key, wiring, upset)
+    device = make(Slowed(body, upset, lambda: world.time), context)
     sensors: list[Device] = [SimulatedLidar(world, body, context, robot.sim.lidar)] if SETTING in robot.settings else []
     if setting := fed(robot.settings):
         sensors.append(SimulatedFeed(body, context, setting, clock))
-    return Actor(robot, body, device, tuple(sensors))
+    return Actor(robot, body, device, tuple(sensors), upset)

@@ -26,7 +26,8 @@ class Carrier(Protocol):
 class BaseStation:
     """Measures a body's pose with seeded noise, 50 times a second: `position_noise` metres (standard deviation) in each
     direction; the yaw error is that of two such markers. What was measured is told `position_delay` seconds later, and
-    not how late that is: what real systems take from the cameras to the network they do not tell either."""
+    not how late that is: what real systems take from the cameras to the network they do not tell either. All of that is
+    worse while the robot is upset."""
 
     def __init__(self, body: Carrier, context: DeviceContext) -> None:
         self._body = body
@@ -34,6 +35,7 @@ class BaseStation:
         self._key = context.key
         self._noise = float(context.harness.get("position_noise", 0.0))
         self._delay = float(context.harness.get("position_delay", 0.0))
+        self._upset = context.upset
         self._random = random.Random(f"{context.seed} {context.robot} position")
         self._sequence = 0
         self._next = -math.inf
@@ -43,17 +45,20 @@ class BaseStation:
         """The datagram that is due, if one is; `now` is the world's time, `sent` the sender's clock."""
         if now >= self._next:
             self._next = max(self._next, now - FEED_PERIOD) + FEED_PERIOD
-            self._measured.append((now + self._delay, self._measure()))
+            pose = self._measure()
+            if pose is not None:
+                self._measured.append((now + self._delay + self._upset.positioning.delay, pose))
         if not self._measured or now < self._measured[0][0]:
             return None
         self._sequence += 1
         return encode(Sample(self._robot, 1, self._sequence, sent, self._measured.popleft()[1]), self._key)
 
-    def _measure(self) -> Pose:
+    def _measure(self) -> Pose | None:
         state = self._body.state()
-        x, y, z = state.position
-        place = Point(*(v + self._random.gauss(0.0, self._noise) for v in (x, y, z)))
-        return Pose(place, state.yaw + self._random.gauss(0.0, math.sqrt(2) * self._noise / BASELINE))
+        place = self._upset.measured(state.position, self._noise, self._random)
+        if place is None:
+            return None
+        return Pose(Point(*place), state.yaw + self._random.gauss(0.0, math.sqrt(2) * self._noise / BASELINE))
 
 
 class SimulatedFeed:

@@ -11,7 +11,7 @@ import msgspec
 
 from targets.sim.bodies import Vector
 from targets.sim.run import Outcome
-from targets.sim.trace import End, Header, Pose, Record, Round, Violation, fault_text
+from targets.sim.trace import Cause, End, Header, Pose, Record, Round, Violation, fault_text
 
 LATE = 0.5  # of delta: a round decided later than this is late
 
@@ -57,6 +57,7 @@ class Summary(msgspec.Struct):
     verdict: Verdict
     why: str
     violations: list[Violation]
+    causes: list[Cause]  # faults that were brought about on purpose
     robots: list[RobotSummary]
     min_separation: Separation | None
     min_separation_asked: float
@@ -75,6 +76,7 @@ def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Su
     }
     ended = False
     violations: list[Violation] = []
+    causes: list[Cause] = []
     for record in records:
         match record:
             case Pose(pid=pid) if pid in tallies:
@@ -83,6 +85,8 @@ def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Su
                 tallies[pid].round(record)
             case Violation():
                 violations.append(record)
+            case Cause():
+                causes.append(record)
             case End():
                 ended = True
             case _:
@@ -104,6 +108,7 @@ def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Su
         verdict=verdict,
         why=why,
         violations=violations,
+        causes=causes,
         robots=robots,
         min_separation=Separation(
             round(closest.distance, 4), closest.time, (names[closest.pids[0]], names[closest.pids[1]])
@@ -176,6 +181,12 @@ def told(violation: Violation) -> str:
     return f"at {violation.t:.2f} s {who}{verb}{violation.detail}"
 
 
+def _brought(cause: Cause) -> str:
+    """A fault in one line."""
+    told = f"at {cause.t:.2f} s {cause.what} ({', '.join(cause.robots)})"
+    return told + (f": {cause.detail}" if cause.detail else "") + (f", for {cause.lasts:g} s" if cause.lasts else "")
+
+
 def write(summary: Summary, folder: Path) -> None:
     """`summary.json` and `summary.txt`. Raises OSError."""
     text = msgspec.json.format(msgspec.json.encode(summary), indent=2)
@@ -209,6 +220,8 @@ def as_text(summary: Summary) -> str:
         lines.append(f"the processor's time: {', '.join(parts)}")
     if len(summary.violations) > 1:
         lines += ["", f"all {len(summary.violations)} violations:", *(f"  {told(v)}" for v in summary.violations)]
+    if summary.causes:
+        lines += ["", "brought about on purpose:", *(f"  {_brought(cause)}" for cause in summary.causes)]
     for robot in summary.robots:
         if robot.last_lines:
             lines += ["", f"the last lines of {robot.name}'s log:", *(f"  {line}" for line in robot.last_lines)]

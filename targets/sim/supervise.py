@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -62,13 +63,17 @@ class Process(Agent):
         self._bundle = bundle
         self._tail = Tail(self.trace_file)
         self._process: subprocess.Popen[bytes] | None = None
+        self._settings: dict[str, Any] = {}
+        self._lives = [self.trace_file]  # a trace of each
+        self._thaw: threading.Timer | None = None
 
     def launch(self, settings: dict[str, Any]) -> None:
         """Start the process. Raises OSError."""
+        self._settings = settings
         self._settings_file.write_bytes(msgspec.json.format(msgspec.json.encode(settings), indent=2) + b"\n")
         # The numeric libraries of all agents share the cores of one host.
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
-        with self.log_file.open("wb") as log:
+        with self.log_file.open("ab") as log:
             self._process = subprocess.Popen(
                 [sys.executable, str(self._bundle.resolve()), "--settings", str(self._settings_file.resolve())],
                 stdin=subprocess.DEVNULL,
@@ -106,10 +111,37 @@ class Process(Agent):
             self._process.wait()
 
     def restart(self) -> None:
-        raise NotImplementedError
+        self.crash()
+        if not self.crashed or self.told:  # it ended by itself, or is not wanted any more
+            return
+        while self.look():
+            pass
+        # An agent writes its trace anew, so each life has a file of its own until the run's end.
+        self._lives.append(self.trace_file.with_name(f"trace-{len(self._lives) + 1}.jsonl"))
+        self._tail = Tail(self._lives[-1])
+        self.crashed = False
+        self.launch({**self._settings, "trace": str(self._lives[-1].resolve())})
 
     def freeze(self, seconds: float) -> None:
-        raise NotImplementedError
+        process = self._process
+        if process is None or process.poll() is not None:
+            return
+        process.send_signal(signal.SIGSTOP)
+        self._thaw = threading.Timer(seconds, process.send_signal, (signal.SIGCONT,))
+        self._thaw.daemon = True
+        self._thaw.start()
+
+    def close(self) -> None:
+        """End it, and make one trace of all its lives. Idempotent."""
+        if self._thaw is not None:
+            self._thaw.cancel()
+        self.kill()
+        while len(self._lives) > 1:
+            life = self._lives.pop(1)
+            if life.exists():
+                with self.trace_file.open("ab") as whole:
+                    whole.write(b"\n" + life.read_bytes())  # a life that was cut short ends within a line
+                life.unlink()
 
     def look(self) -> list[Record]:
         records = self._tail.read()

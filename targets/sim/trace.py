@@ -186,6 +186,17 @@ class Verdict(msgspec.Struct, frozen=True, tag_field="kind", tag="verdict"):
     moments: int = 0
 
 
+class Cause(msgspec.Struct, frozen=True, tag_field="kind", tag="cause"):
+    """A fault that was brought about on purpose: `what` is network, link, or a kind of event of the scenario file;
+    `lasts` seconds (None: for good, or no time at all)."""
+
+    t: float
+    what: str
+    robots: tuple[str, ...]
+    detail: str = ""
+    lasts: float | None = None
+
+
 class End(msgspec.Struct, frozen=True, tag_field="kind", tag="end"):
     """The mission's end: the agents were told to come to rest."""
 
@@ -197,8 +208,8 @@ class _Kind(msgspec.Struct):
     kind: str
 
 
-Mark = Violation | Verdict | End
-Record = Header | Pose | Phase | Init | Round | View | Log | Stream | Metrics | Violation | Verdict | End
+Mark = Violation | Verdict | Cause | End
+Record = Header | Pose | Phase | Init | Round | View | Log | Stream | Metrics | Violation | Verdict | Cause | End
 _KINDS = {kind.__struct_config__.tag for kind in Record.__args__}
 _decoder = msgspec.json.Decoder(Record)
 _kind_decoder = msgspec.json.Decoder(_Kind)

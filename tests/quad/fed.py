@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from msgspec.structs import replace
 from typing import Any
+
+from msgspec.structs import replace
 
 from koordgen.runtime.feed import Sample, encode
 from koordgen.runtime.values import Point, Pose

@@ -17,6 +17,7 @@ from targets.quad.platform import Quad
 from targets.sim.autopilot import SimulatedAutopilot
 from targets.sim.bodies import BodyState, DeviceContext, Vector
 from targets.sim.quadrotor import DRAG
+from targets.sim.upset import Upset
 
 ORIGIN = (47.397742, 8.545594, 488.0)
 FENCE = Box(Point(-6, -5, -0.5), Point(6, 5, 4))
@@ -127,9 +128,10 @@ class Rig:
         self.now = 1000.0
         self.body = PointMass(position)
         self.wire = Wire()
+        self.upset = Upset()
         told = {"positioning": prepared or body.get("positioning", "own")}
         setup = {"boot": boot, "position_noise": noise, **(harness or {})}
-        context = DeviceContext("alice", told, setup, ORIGIN, 7, b"")
+        context = DeviceContext("alice", told, setup, ORIGIN, 7, b"", upset=self.upset)
         self.autopilot = SimulatedAutopilot(self.body, context, self.wire.autopilot_end) if autopilot else None
         self.quad = self.agent(**body)
         self.progress: list[str] = []

@@ -17,6 +17,7 @@ from koordgen.runtime.network import MemoryNetwork
 from koordgen.runtime.runner import Interrupting
 from targets.sim.crew import Step
 from targets.sim.lockstep.resident import Resident, Shared
+from targets.sim.medium import Medium
 from targets.sim.scenario import BadScenario, Scenario
 from targets.sim.stage import Stage
 from targets.sim.world import STEP
@@ -62,6 +63,11 @@ class Lockstep:
         for agent, actor in zip(self._agents, stage.actors, strict=True):
             agent.launch(actor)
         self._began = time.perf_counter()
+
+    def disturb(self, medium: Medium) -> None:
+        """See Conduct."""
+        network = self._shared.network
+        network.conditions, network.links, network.cut = medium.all, dict(medium.by_link()), medium.cut
 
     def now(self) -> float:
         return self._shared.clock.time
@@ -128,6 +134,11 @@ class _Longest:
 
 def _check(scenario: Scenario) -> None:
     for robot in scenario.robots:
+        if robot.sim.autopilot == "external":
+            raise BadScenario(
+                f"{robot.name}: its autopilot is external, a process with a clock of its own",
+                "leave out --lockstep, or say `autopilot: simulated` in its `sim:`",
+            )
         if not robot.inside:
             raise BadScenario(
                 f"{robot.name}: its target {robot.target} cannot run in lockstep",

@@ -1,0 +1,82 @@
+"""A command for each harness: builds its bundle, runs it, and passes on what is asked of it."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import signal
+import subprocess
+import sys
+import tempfile
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+from koordgen import cli
+from koordgen.cli.options import PASSED
+
+
+def harness(options: Namespace) -> int:
+    """Build, run, and hand its exit status on."""
+    bundles, app = cli._planned(options, [options.command])
+    cli._require_packages()
+    bundle = bundles[options.command]
+    scenario = _scenario(options.scenario, bundle) if options.scenario else None
+    passed = [f"--{key}={value}" for key in PASSED if (value := getattr(options, key)) is not None]
+    passed.append(f"--out={options.out or f'run-{app}'}")
+    passed.append(f"--invoked-as={shlex.join(['koordgen', *sys.argv[1:]])}")
+    passed += [f"--{flag}" for flag in ("lockstep", "quiet") if getattr(options, flag)]
+    with tempfile.TemporaryDirectory(prefix="koordgen-") as folder:
+        cli._write({options.command: bundle}, Path(folder))
+        if scenario is not None:
+            file = Path(folder) / "scenario.json"
+            file.write_text(json.dumps(scenario), encoding="utf-8")
+            passed.append(f"--scenario={file}")
+        return _run([sys.executable, f"{folder}/{options.command}", *passed], options)
+
+
+def _run(command: list[str], options: Namespace) -> int:
+    # The child ends its run and writes its report; asked again, it ends at once. In a group of its own it is asked
+    # once, whether a signal comes to us alone or, like a terminal's Ctrl-C, to all of our group.
+    started: list[subprocess.Popen[bytes]] = []
+    early: list[int] = []
+
+    def pass_on(number: int, _: object) -> None:
+        asked = signal.SIGTERM if number == signal.SIGHUP else number
+        started[0].send_signal(asked) if started else early.append(asked)
+
+    for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(each) != signal.SIG_IGN:  # nohup
+            signal.signal(each, pass_on)
+    started.append(subprocess.Popen(command, stdout=cli._output(options), process_group=0))
+    for asked in early:
+        started[0].send_signal(asked)
+    status = started[0].wait()
+    if status < 0:
+        message = f"the run was killed by {signal.Signals(-status).name}; it left no report"
+        raise cli.Failure(cli.SURROUNDINGS, message)
+    return status
+
+
+def _scenario(path: str, bundle: dict[str, bytes]) -> Any:
+    """The scenario file as the bundle takes it. Raises Rejected."""
+    from koordgen.diagnostics import Diagnostic
+    from koordgen.pipeline import Rejected, read_source
+    from koordgen.resources import targets
+    from koordgen.scenario import read
+    from koordgen.source import Source, Span
+
+    sys.path.append(str(targets().parent))
+    from targets.sim.schedule import read as check
+
+    robots = [robot["name"] for robot in json.loads(bundle["scenario.json"])["robots"]]
+    source = read_source(path)
+    found: list[tuple[Source, Diagnostic]] = []
+
+    def report(code: str, message: str, span: Span, help: str) -> None:
+        found.append((source, Diagnostic(code, "error", message, span, help=help)))
+
+    data = read(source, lambda plain: check(plain, robots)[1], report)
+    if found:
+        raise Rejected(found)
+    return data

@@ -1,0 +1,182 @@
+"""Brings a schedule's faults about while a run goes on, and stamps each into the trace as its cause."""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from koordgen.runtime.network import Conditions
+from targets.sim.bodies import BodyState
+from targets.sim.crew import Agent
+from targets.sim.medium import medium, parted
+from targets.sim.scenario import BadScenario
+from targets.sim.schedule import CONDITIONS, Event, Mistake, Schedule, read
+from targets.sim.trace import Cause, Record
+from targets.sim.upset import WELL
+
+if TYPE_CHECKING:
+    from targets.sim.run import Run
+
+
+def load(path: Path, robots: Sequence[str]) -> Schedule:
+    """The schedule of a JSON file. Raises BadScenario with all that is wrong."""
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except json.JSONDecodeError as error:
+        hint = "a bundle takes JSON; `koordgen sim --scenario` takes YAML"
+        raise BadScenario(f"{path}:{error.lineno}:{error.colno}: no JSON: {error.msg}", hint) from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise BadScenario(f"{path}: {getattr(error, 'strerror', None) or error}") from None
+    schedule, mistakes = read(data, robots)
+    if mistakes:
+        told = "\n".join(f"{path}: {_place(mistake)}{mistake.message}" for mistake in mistakes)
+        raise BadScenario(told, next((m.hint for m in mistakes if m.hint), ""))
+    return schedule
+
+
+def _place(mistake: Mistake) -> str:
+    text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in mistake.path)
+    return f"{text.lstrip('.')}: " if text else ""
+
+
+def with_network(schedule: Schedule, given: Mapping[str, float | None]) -> Schedule:
+    """`given` are conditions of all links, laid over the schedule's; None: as it was."""
+    said = {key: given[key] for key in CONDITIONS if given.get(key) is not None}
+    if not said:
+        return schedule
+    before = {key: getattr(schedule.network or Conditions(), key) for key in CONDITIONS}
+    return msgspec.structs.replace(schedule, network=Conditions(**{**before, **said}))
+
+
+def check_times(schedule: Schedule, duration: float) -> None:
+    """A fault that never comes would pass for one that was survived. Raises BadScenario."""
+    late = [event for event in schedule.events if event.at >= duration]
+    if late:
+        first = late[0]
+        message = f"the {first.kind} at {first.at:g} s would come after the run's end, at {duration:g} s"
+        raise BadScenario(message, "ask for a longer --duration, or leave it out")
+
+
+class Faults:
+    """Implements `crew.Companion`."""
+
+    def __init__(self, schedule: Schedule) -> None:
+        self._schedule = schedule
+        moments = [(event.at, 0, event, self._begin) for event in schedule.events]
+        moments += [
+            (event.at + event.lasts, 1, event, self._finish) for event in schedule.events if event.lasts is not None
+        ]
+        # What ends at a time ends before what begins then.
+        moments.sort(key=lambda moment: (moment[0], -moment[1]))
+        self._due: deque[tuple[float, Callable[[Event, float], None], Event]] = deque(
+            (at, act, event) for at, _, event, act in moments
+        )
+
+    def launched(self, run: Run) -> None:
+        """See Companion."""
+        self._run = run
+        self._names = [robot.name for robot in run.scenario.robots]
+        self._medium = medium(self._schedule, self._names)
+        if self._schedule.networked:
+            run.conduct.disturb(self._medium)
+        now = run.conduct.now()
+        if self._schedule.network is not None:
+            self._stamp(now, "network", tuple(self._names), _conditions(self._schedule.network))
+        for link in self._schedule.links:
+            conditions = link.over(self._schedule.network or Conditions())
+            told = f"from {link.sender} to {link.receiver}: {_conditions(conditions)}"
+            self._stamp(now, "link", (link.sender, link.receiver), told)
+
+    def step(self, at: float, states: list[BodyState]) -> None:
+        """See Companion."""
+        t = self._run.t(at)
+        while t is not None and self._due and self._due[0][0] <= t:
+            _, act, event = self._due.popleft()
+            act(event, at)
+
+    def heard(self, agent: Agent, records: list[Record]) -> None:
+        """See Companion: nothing that agents say changes the schedule."""
+
+    def end(self, at: float) -> None:
+        """See Companion."""
+
+    def _stamp(self, at: float, what: str, robots: tuple[str, ...], detail: str, lasts: float | None = None) -> None:
+        self._run.mark(Cause(at, what, robots, detail, lasts))
+
+    def _begin(self, event: Event, at: float) -> None:
+        self._stamp(at, event.kind, event.robots or tuple(self._names), _told(event), event.lasts)
+        run = self._run
+        match event.kind:
+            case "partition":
+                run.conduct.disturb(parted(self._medium, event.groups, self._names))
+            case "crash":
+                self._agent(event).crash()
+            case "restart":
+                self._restart(event)
+            case "freeze":
+                self._agent(event).freeze(event.lasts or 0.0)
+            case "positioning":
+                self._upset(event).positioning = event.positioning
+            case "battery":
+                self._upset(event).battery = event.level
+            case "lag":
+                self._upset(event).lag = event.lag
+            case "wind":
+                run.stage.world.blow(event.wind)
+
+    def _finish(self, event: Event, at: float) -> None:
+        run = self._run
+        match event.kind:
+            case "partition":
+                run.conduct.disturb(self._medium)
+            case "crash":
+                self._stamp(at, "restart", event.robots, f"{event.lasts:g} s after its crash")
+                self._restart(event)
+            case "positioning":
+                self._upset(event).positioning = WELL
+            case "lag":
+                self._upset(event).lag = 0.0
+            case "wind":
+                run.stage.world.blow(run.scenario.world.wind)
+            case _:
+                pass  # a freeze ends by itself
+
+    def _restart(self, event: Event) -> None:
+        agent = self._agent(event)
+        if not agent.told:  # to come to rest: nobody would tell its next life
+            agent.restart()
+
+    def _agent(self, event: Event) -> Agent:
+        return self._run.conduct.agents[self._names.index(event.robots[0])]
+
+    def _upset(self, event: Event) -> Any:
+        return self._run.stage.actors[self._names.index(event.robots[0])].upset
+
+
+def _conditions(conditions: Conditions) -> str:
+    return ", ".join(f"{key} {getattr(conditions, key):g}" for key in CONDITIONS if getattr(conditions, key))
+
+
+def _told(event: Event) -> str:
+    """A fault in words."""
+    match event.kind:
+        case "partition":
+            return " | ".join(", ".join(group) for group in event.groups)
+        case "positioning":
+            wrong = event.positioning
+            parts = [f"{key} {getattr(wrong, key):g}" for key in ("noise", "delay", "dropout") if getattr(wrong, key)]
+            parts += [f"bias ({', '.join(f'{v:g}' for v in wrong.bias)})"] if any(wrong.bias) else []
+            return ", ".join(parts)
+        case "battery":
+            return f"level {event.level:g}"
+        case "lag":
+            return f"{event.lag:g} s"
+        case "wind":
+            mean = ", ".join(f"{v:g}" for v in event.wind.mean)
+            return f"mean ({mean}) m/s, gust {event.wind.gust:g} m/s"
+    return ""

@@ -1,0 +1,177 @@
+"""Faults come when they are due, go when they are over, and are stamped into the trace."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from koordgen.runtime.network import Conditions
+from targets.sim.faults import Faults, check_times, load, with_network
+from targets.sim.medium import Medium
+from targets.sim.scenario import BadScenario, Wind
+from targets.sim.schedule import Schedule, read
+from targets.sim.trace import Cause
+from targets.sim.upset import WELL, Upset
+
+ROBOTS = ("ann", "bob", "cem")
+LAUNCH, ZERO = 100.0, 103.0  # of the run's clock
+
+
+class FakeRun:
+    """As much of a run as faults see of it; `done` is what was done to it, and when."""
+
+    def __init__(self) -> None:
+        self.now = LAUNCH
+        self.zero: float | None = None
+        self.done: list[tuple[float, Any]] = []
+        self.marks: list[Cause] = []
+        self.scenario = SimpleNamespace(
+            robots=[SimpleNamespace(name=name) for name in ROBOTS], world=SimpleNamespace(wind=Wind())
+        )
+        agents = [self._agent(name) for name in ROBOTS]
+        self.conduct = SimpleNamespace(
+            agents=agents, now=lambda: self.now, disturb=lambda medium: self._do("disturb", medium)
+        )
+        self.upsets = [Upset() for _ in ROBOTS]
+        self.stage = SimpleNamespace(
+            actors=[SimpleNamespace(upset=upset) for upset in self.upsets],
+            world=SimpleNamespace(blow=lambda wind: self._do("blow", wind)),
+        )
+
+    def _agent(self, name: str) -> Any:
+        return SimpleNamespace(
+            crash=lambda: self._do("crash", name), restart=lambda: self._do("restart", name),
+            freeze=lambda seconds: self._do("freeze", (name, seconds)), told=False,
+        )  # fmt: skip
+
+    def _do(self, *what: Any) -> None:
+        self.done.append((round(self.now - ZERO, 6), what))
+
+    def mark(self, cause: Cause) -> None:
+        self.marks.append(cause)
+
+    def t(self, at: float) -> float | None:
+        return None if self.zero is None else at - self.zero
+
+    def through(self, faults: Faults, seconds: float) -> None:
+        faults.launched(self)  # type: ignore[arg-type]
+        steps = round((ZERO - LAUNCH + seconds) * 4)
+        for k in range(steps + 1):
+            self.now = LAUNCH + k / 4
+            if self.now >= ZERO + 0.5:  # it is heard of later
+                self.zero = ZERO
+            faults.step(self.now, [])
+
+
+def run(**data: Any) -> FakeRun:
+    schedule, mistakes = read(data, ROBOTS)
+    assert not mistakes
+    made = FakeRun()
+    made.through(Faults(schedule), 10.0)
+    return made
+
+
+def test_a_crash_that_lasts_ends_in_a_restart() -> None:
+    made = run(events=[{"at": 2, "for": 3, "crash": "bob"}])
+    assert made.done == [(2.0, ("crash", "bob")), (5.0, ("restart", "bob"))]
+    assert made.marks == [
+        Cause(ZERO + 2, "crash", ("bob",), "", 3.0), Cause(ZERO + 5, "restart", ("bob",), "3 s after its crash"),
+    ]  # fmt: skip
+
+
+def test_what_is_due_at_once_waits_for_round_1_to_be_heard_of() -> None:
+    assert run(events=[{"at": 0, "freeze": "ann", "for": 1.5}]).done == [(0.5, ("freeze", ("ann", 1.5)))]
+
+
+def test_a_partition_heals() -> None:
+    made = run(network={"loss": 0.1}, events=[{"at": 2, "for": 3, "partition": [["ann"], ["bob", "cem"]]}])
+    whole = Medium(Conditions(loss=0.1))
+    assert made.done == [
+        (LAUNCH - ZERO, ("disturb", whole)),
+        (2.0, ("disturb", Medium(Conditions(loss=0.1), groups=(0, 1, 1)))),
+        (5.0, ("disturb", whole)),
+    ]
+    assert [(cause.what, cause.detail) for cause in made.marks] == [
+        ("network", "loss 0.1, delay 0.001"), ("partition", "ann | bob, cem"),
+    ]  # fmt: skip
+
+
+def test_one_partition_may_follow_another_at_once() -> None:
+    made = run(events=[{"at": 2, "for": 1, "partition": [["ann"], ["bob", "cem"]]},
+                       {"at": 3, "for": 1, "partition": [["ann", "bob"], ["cem"]]}])  # fmt: skip
+    assert [medium.groups for _, (_, medium) in made.done] == [(), (0, 1, 1), (), (0, 0, 1), ()]
+
+
+def test_a_network_of_which_nothing_is_said_is_left_alone() -> None:
+    assert run(events=[{"at": 2, "wind": {"mean": [1, 0, 0]}}]).done == [(2.0, ("blow", Wind((1.0, 0.0, 0.0))))]
+
+
+def test_the_worlds_own_wind_comes_back() -> None:
+    assert run(events=[{"at": 2, "for": 1, "wind": {"gust": 1}}]).done[-1] == (3.0, ("blow", Wind()))
+
+
+def test_devices_are_upset_and_well_again() -> None:
+    events = [
+        {"at": 1, "for": 2, "positioning": {"robot": "bob", "noise": 0.5}},
+        {"at": 1, "for": 2, "lag": {"robot": "cem", "seconds": 0.3}},
+        {"at": 1, "battery": {"robot": "ann", "level": 0.25}},
+    ]
+    schedule, _ = read({"events": events}, ROBOTS)
+    during, after = FakeRun(), FakeRun()
+    during.through(Faults(schedule), 2.0)
+    assert during.upsets[1].positioning.noise == 0.5 and during.upsets[2].lag == 0.3
+    assert [upset.battery for upset in during.upsets] == [0.25, 1.0, 1.0]
+    after.through(Faults(schedule), 4.0)
+    assert after.upsets[1].positioning == WELL and after.upsets[2].lag == 0.0 and after.upsets[0].battery == 0.25
+
+
+def test_flags_are_laid_over_the_file() -> None:
+    schedule = Schedule(Conditions(loss=0.1, delay=0.02))
+    assert with_network(schedule, {"loss": 0.3, "delay": None}).network == Conditions(loss=0.3, delay=0.02)
+    assert with_network(Schedule(), {"loss": 0.3}).network == Conditions(loss=0.3)
+    assert with_network(Schedule(), {"loss": None}) == Schedule()
+
+
+def test_a_fault_after_the_end_is_refused() -> None:
+    schedule, _ = read({"events": [{"at": 30, "crash": "ann"}]}, ROBOTS)
+    check_times(schedule, 31.0)
+    with pytest.raises(BadScenario, match="the crash at 30 s would come after the run's end, at 30 s"):
+        check_times(schedule, 30.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('{"network": {"loss": 0.1}}', ""),
+        ("network: {loss: 0.1}", r"1:1: no JSON"),
+        ('{"network": \n {"loss": }}', r"2:11: no JSON"),
+        ('{"events": [{"at": 1, "crash": "ann"}, {"at": 2, "crash": "zoe"}]}', r"events\[1\]\.crash: no robot 'zoe'"),
+        ('{"network": {"loss": 2}, "links": 3}', r"network\.loss: .*\n.*links: links must be a list"),
+        ("[]", "the scenario must be a mapping"),
+        ("[" * 100_000, "recursion|nested"),
+    ],
+)
+def test_a_bundle_takes_json(tmp_path: Path, text: str, said: str) -> None:
+    file = tmp_path / "scenario.json"
+    file.write_text(text)
+    if not said:
+        assert load(file, ROBOTS) == Schedule(Conditions(loss=0.1))
+        return
+    with pytest.raises(BadScenario, match=said) as raised:
+        load(file, ROBOTS)
+    assert str(file) in str(raised.value)
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(BadScenario, match="No such file"):
+        load(tmp_path / "none.json", ROBOTS)
+
+
+def test_what_is_written_for_a_bundle_is_what_it_reads(tmp_path: Path) -> None:
+    data = {"events": [{"at": 1.5, "for": 2, "partition": [["ann"], ["bob"]]}]}
+    (tmp_path / "s.json").write_text(json.dumps(data))
+    assert load(tmp_path / "s.json", ROBOTS) == read(data, ROBOTS)[0]
