@@ -29,8 +29,8 @@ SOURCE, PARAMS = "source", "params.json"
 
 class Ingredients(Node):
     """All that a plan is made from, read beforehand. `common` are the files that every bundle holds, `target_files`
-    those of each target by its name, `beside` the user's own Python, all by their path inside a bundle; `params` what was
-    given for params."""
+    those of each target by its name, `beside` the user's own Python, all by their path inside a bundle; `params` are
+    values that were given."""
 
     program: Program
     source: bytes

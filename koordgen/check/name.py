@@ -196,6 +196,12 @@ def undefined(name: str, span: Span, c: Context) -> ir.Expr:
         temp = goal(name, span, c)
         if temp is not None:
             return ir.TempRead(temp.unique, temp.type, span)
+    if c.place == "property":
+        from koordgen.check.property import any_value
+
+        temp = any_value(name, span, c)
+        if temp is not None:
+            return ir.TempRead(temp.unique, temp.type, span)
     if is_event(name, c):
         help = "a robot chooses its events by their guards; a variable can tell that one has run"
         return c.error("K017", f"{name} is an event, not a value", span, help)

@@ -8,7 +8,7 @@ from koordgen.check.base import condition
 from koordgen.check.context import Context, Temp
 from koordgen.check.names import unique
 from koordgen.ir import decl
-from koordgen.ir.types import GRID, POINT, list_of
+from koordgen.ir.types import GRID, POINT, Type, list_of
 from koordgen.node import Node
 from koordgen.source import Span
 from koordgen.syntax import decl as ast
@@ -49,6 +49,43 @@ def goal(name: str, span: Span, c: Context) -> Temp | None:
     return temp
 
 
+def any_value(name: str, span: Span, c: Context) -> Temp | None:
+    """Of a name that nothing has, in an axiom that hands it to a function of the program: from then on it stands for
+    every value that the function takes there."""
+    if c.program is None:
+        return None
+    at = span.line, span.column
+    sections = [s for s in c.program.sections if isinstance(s, ast.Property)]
+    before = [s for s in sections if (s.span.line, s.span.column) < at]
+    if not before or before[-1].kind != "axiom":
+        return None
+    type_ = next(_taken(before[-1].formula, name, c), None)
+    if type_ is None:
+        return None
+    temp = c.scopes[0][name] = Temp(c.mint(name), type_, span)
+    return temp
+
+
+def _taken(node: object, name: str, c: Context) -> Iterator[Type]:
+    """The types of the parameters for which a name stands that no quantifier binds there."""
+    if isinstance(node, tree.Quantified) and any(bound.name == name for bound in node.names):
+        node = node.domain
+    if isinstance(node, tree.Call) and isinstance(node.function, tree.Name):
+        entity = c.entities.get(node.function.name)
+        if isinstance(entity, (decl.Function, decl.ExternFunction, decl.SpecFunction)):
+            for arg, parameter in zip(node.args, entity.parameters, strict=False):
+                if isinstance(arg, tree.Name) and arg.name == name:
+                    yield parameter.type
+    for part in _parts(node):
+        yield from _taken(part, name, c)
+
+
+def _parts(node: object) -> tuple[object, ...]:
+    if isinstance(node, Node) and not isinstance(node, Span):
+        return tuple([getattr(node, field) for field in type(node).__match_args__])  # type: ignore[attr-defined]
+    return node if isinstance(node, tuple) else ()
+
+
 def _handed(node: object, name: str, module: str, ports: set[str]) -> Iterator[int]:
     """As which arguments of the module's callable ports a name stands that no quantifier binds there."""
     if isinstance(node, tree.Quantified) and any(bound.name == name for bound in node.names):
@@ -61,10 +98,7 @@ def _handed(node: object, name: str, module: str, ports: set[str]) -> Iterator[i
                         yield place
             case _:
                 pass
-    parts: tuple[object, ...] = node if isinstance(node, tuple) else ()
-    if isinstance(node, Node) and not isinstance(node, Span):
-        parts = tuple([getattr(node, field) for field in type(node).__match_args__])  # type: ignore[attr-defined]
-    for part in parts:
+    for part in _parts(node):
         yield from _handed(part, name, module, ports)
 
 

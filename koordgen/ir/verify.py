@@ -49,6 +49,8 @@ def verify(program: decl.Program) -> None:
             walk.typed(assumption.formula, BOOL)
     for property_ in program.properties:
         walk.enter("property")
+        for name, type_ in decl.free(property_.formula).items() if property_.kind == "axiom" else ():
+            walk.declare(name, type_, property_.span)
         walk.typed(property_.formula, BOOL)
 
 

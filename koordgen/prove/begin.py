@@ -8,7 +8,7 @@ from koordgen.ir.types import POINT
 from koordgen.prove import term as t
 from koordgen.prove.encode.lists import default
 from koordgen.prove.encode.scope import OfFleet
-from koordgen.prove.encode.state import Free, Key
+from koordgen.prove.encode.state import Free, Key, State
 from koordgen.prove.encode.stmt import Cut, Env, Frame
 from koordgen.prove.encode.values import Val, pick, truth
 from koordgen.prove.moment import Stage, temps_of
@@ -17,14 +17,17 @@ from koordgen.prove.term import Term
 _GOALS = ("target", "path")
 
 
-def cleared(program: decl.Program, written: Env) -> Env:
-    """The sensors `reached` of the modules whose target or path is written: false until the new goal is met."""
-    found: Env = {}
+def ended(program: decl.Program, written: Env, state: State, robot: Term) -> Env:
+    """What an event comes to: what it wrote, and `reached` of the modules whose target or path that is, which is false
+    until the new goal is met."""
+    found = {key: value for key, value in written.items() if key[0] != "wrote"}
     for module in program.modules:
-        goals = [("port", f"{module.name}.{p.name}") for p in module.ports if p.name in _GOALS]
+        goals = [f"{module.name}.{p.name}" for p in module.ports if p.name in _GOALS and p.direction == "actuator"]
+        wrote = t.any_of([truth(written["wrote", goal]) for goal in goals if ("wrote", goal) in written])
         reached = [p for p in module.ports if p.name == "reached" and p.direction == "sensor"]
-        if reached and any(key in written for key in goals):
-            found["port", f"{module.name}.reached"] = t.FALSE
+        if reached and wrote is not t.FALSE:
+            key = ("port", f"{module.name}.reached")
+            found[key] = pick(wrote, t.FALSE, state.of(key, robot))
     return found
 
 
@@ -79,11 +82,10 @@ class Run:
         self.counts = t.all_of([demand.term for demand in self.demands])
         ends = [live, *[t.all_of(e.path) for e in self.frame.exits]]
         room.fact(t.any_of(ends), "init ends", 0)
-        self.env.update(cleared(stage.setting.program, self.env))
+        self.writes = ended(stage.setting.program, self.env, launch, robot)
         self.cuts: list[Cut] = self.frame.cuts
         for cut in self.cuts:
-            if cut.kind == "run":
-                stage.holds(stage.setting.invariants, cut.state, t.all_of(cut.path), " in a loop")
+            stage.known_at(cut)
 
 
 class Ready:
@@ -112,7 +114,7 @@ class Ready:
                 self.cells[key] = self._cell(key, before)
             return self.cells[key]
         run = self.run(robot)
-        return pick(run.counts, run.env.get(key, before), before)
+        return pick(run.counts, run.writes.get(key, before), before)
 
     def _cell(self, key: Key, before: Val) -> Val:
         room, wrote = self.stage.room, ("wrote", key[1])

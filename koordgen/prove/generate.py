@@ -12,11 +12,12 @@ from koordgen.ir import decl
 from koordgen.ir import expr as ir
 from koordgen.ir.decl import Program
 from koordgen.prove import term as t
-from koordgen.prove.begin import Ready, cleared, launched
+from koordgen.prove.begin import Ready, ended, launched
 from koordgen.prove.encode.state import Begun, Free, Moved, State, Written
 from koordgen.prove.encode.stmt import Cut, Frame
 from koordgen.prove.encode.values import Val
 from koordgen.prove.fragment import complete
+from koordgen.prove.goal import goal
 from koordgen.prove.moment import Setting, Stage, temps_of
 from koordgen.prove.obligation import Cell, Fact, Kind, Moment, Obligation
 from koordgen.prove.term import Term
@@ -26,13 +27,14 @@ Goal = tuple[decl.Property, str, tuple[Fact, ...]]  # an invariant, at which pla
 
 
 def obligations(
-    program: Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None
+    program: Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None, exact: bool = False
 ) -> list[Obligation]:
     """Everything that is to be shown of a checked program: for `robots` robots, or for any number of them; with the
     values of `params`, the others being any. To leave an invariant out, or to add one, hand over a program without or
-    with it."""
+    with it. `exact`: distances are told by the squares of coordinates in any case, which is slower to solve, and what a
+    counterexample must satisfy."""
     t.forget()
-    setting = Setting(program, robots, params)
+    setting = Setting(program, robots, params, exact)
     found = [*consistent(setting), *base(setting)]
     for event in program.events:
         found += of_event(setting, event)
@@ -51,7 +53,7 @@ def base(setting: Setting) -> list[Obligation]:
         demands = run.demands
         goals += _at_cuts(stage, run.cuts)
     if setting.invariants:
-        goals += [(p, "", stage.goal(p, ready)) for p in setting.invariants]
+        goals += [(p, "", goal(stage, p, ready)) for p in setting.invariants]
     cells = stage.cells([("before", ready.launch), ("after", ready)])
     facts = stage.close()
     line = program.init[0].span.line if program.init else 1
@@ -63,7 +65,7 @@ def of_event(setting: Setting, event: decl.Event) -> list[Obligation]:
     stage, program = Stage(setting), setting.program
     room = stage.room
     room.temps = temps_of(event.effect)
-    own = room.some_robot("pid")
+    own = room.acting("pid")
     now = Free(room, setting.types)
     begun = Begun(now, Free(room, setting.types, "@start"), own, setting.sensors)
     seen: State = begun if event.lock is None else now
@@ -76,19 +78,19 @@ def of_event(setting: Setting, event: decl.Event) -> list[Obligation]:
     frame = Frame(stage.encoder, own, now, seen, ask)
     with room.aside() as demands:
         with room.about(f"guard of {event.name}", event.guard.span.line):
-            room.fact(stage.encoder.term(event.guard, frame))
+            guard = stage.encoder.term(event.guard, frame)
+            room.fact(guard)
+            room.learn(guard)
+            now.read.clear()
         with room.about(f"effect of {event.name}", event.span.line):
             live = frame.block(event.effect)
     room.fact(t.any_of([live, *[t.all_of(e.path) for e in frame.exits]]), f"{event.name} ends", event.span.line)
-    writes = frame.writes()
-    after = Written(now, own, {**writes, **cleared(program, writes)}, "@after")
+    after = Written(room, now, own, ended(program, frame.writes(), now, own), "@after")
     stage.holds(setting.invariants, now)
     for cut in frame.cuts:
-        if cut.kind == "run":
-            stage.holds(setting.invariants, cut.state, t.all_of(cut.path), " in a loop")
-    changed = frozenset(after.writes)
+        stage.known_at(cut)
     goals = _at_cuts(stage, frame.cuts)
-    goals += [(p, "", stage.goal(p, after)) for p in setting.invariants if setting.mentions[p.name] & changed]
+    goals += [(p, "", goal(stage, p, after)) for p in setting.touched(after.writes)]
     room.instantiate()
     moments: list[tuple[Moment, State]] = [("before", now), ("after", after)]
     if begun.used:
@@ -105,7 +107,7 @@ def environment(setting: Setting) -> list[Obligation]:
     after = Moved(now, Free(stage.room, setting.types, "@after"), setting.sensors)
     stage.holds(setting.invariants, now)
     stage.ports(now, after)
-    goals = [(p, "", stage.goal(p, after)) for p in setting.invariants if setting.mentions[p.name] & setting.sensors]
+    goals = [(p, "", goal(stage, p, after)) for p in setting.touched(setting.sensors)]
     if not goals:
         return []
     cells = stage.cells([("before", now), ("after", after)])
@@ -140,10 +142,10 @@ def consistent(setting: Setting) -> list[Obligation]:
 def _at_cuts(stage: Stage, cuts: Sequence[Cut]) -> list[Goal]:
     """The invariants where a loop begins, and where a run of it ends."""
     return [
-        (p, f"loop-{cut.line}-{cut.kind.replace(' ', '-')}", stage.goal(p, cut.state, t.all_of(cut.path)))
+        (p, f"loop-{cut.line}-{cut.kind.replace(' ', '-')}", goal(stage, p, cut.state, t.all_of(cut.path)))
         for cut in cuts
         if cut.kind != "run"
-        for p in stage.setting.invariants
+        for p in stage.setting.touched(cut.state.writes)
     ]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 
 from koordgen.ir import decl, stmt
 from koordgen.ir import expr as ir
@@ -14,19 +14,22 @@ from koordgen.prove.encode.quantifier import domain as domain_of
 from koordgen.prove.encode.room import Room, symbol
 from koordgen.prove.encode.scope import NotHere, OfFleet, OfRobot
 from koordgen.prove.encode.state import Key, State, declared, sensors
+from koordgen.prove.encode.stmt import Cut
 from koordgen.prove.encode.types import build, shape
 from koordgen.prove.encode.values import Val
 from koordgen.prove.obligation import Cell, Fact, Moment
 from koordgen.prove.term import Term
 from koordgen.source import Span
 
-_NAMES = ("i", "j", "k", "l", "m")
-
 
 class Setting:
-    """A program, how many robots it has (None: any number), the params that have values."""
+    """A program, how many robots it has (None: any number), the params that have values, whether distances are told by
+    squares."""
 
-    def __init__(self, program: decl.Program, robots: int | None, params: Mapping[str, ir.Expr] | None) -> None:
+    def __init__(
+        self, program: decl.Program, robots: int | None, params: Mapping[str, ir.Expr] | None, exact: bool
+    ) -> None:
+        self.exact = exact
         self.program, self.robots, self.params = program, robots, params or {}
         self.types = declared(program)
         self.sensors = sensors(program)
@@ -34,6 +37,10 @@ class Setting:
         self.axioms = [p for p in program.properties if p.kind == "axiom"]
         self.initially = [p for p in program.properties if p.kind == "initially"]
         self.mentions = {p.name: frozenset(mentioned(p.formula)) for p in self.invariants}
+
+    def touched(self, keys: Collection[Key]) -> list[decl.Property]:
+        """The invariants that speak of one of these variables: the others stay as they are."""
+        return [p for p in self.invariants if not self.mentions[p.name].isdisjoint(keys)]
 
 
 class Stage:
@@ -101,6 +108,11 @@ class Stage:
                     self.room.for_all(each, over.robots, over.places)
             case _:
                 self.room.fact(t.implies(guard, self.encoder.defined(formula, scope)))
+
+    def known_at(self, cut: Cut) -> None:
+        """At the start of a run of a loop the invariants hold."""
+        if cut.kind == "run":
+            self.holds(self.setting.touched(cut.state.writes), cut.state, t.all_of(cut.path), " in a loop")
 
     def ports(self, before: State, after: State) -> None:
         """Every robot keeps its modules' assumptions in a step of the environment."""
@@ -171,54 +183,10 @@ class Stage:
             many = len(self.room.facts)
             self.room.instantiate()
             self.axioms()
-            self.encoder.geometry.lemmas()
+            self.encoder.geometry.lemmas(self.setting.exact)
             if len(self.room.facts) == many:
                 break
         return tuple(self.room.facts)
-
-    # What is to be shown
-
-    def goal(self, property_: decl.Property, state: State, guard: Term = t.TRUE) -> tuple[Fact, ...]:
-        """The parts of what a property says of a state, of any robots."""
-        found: list[Fact] = []
-        self._goal(property_.formula, OfFleet(state), guard, 0, found, property_.name)
-        return tuple(found)
-
-    def _goal(
-        self, formula: ir.Expr, scope: OfFleet, guard: Term, depth: int, found: list[Fact], name: str
-    ) -> None:  # fmt: skip
-        match formula:
-            case ir.Logic("and", left, right):
-                self._goal(left, scope, guard, depth, found, name)
-                self._goal(right, scope, guard, depth, found, name)
-            case ir.Quantified("forall", variable, domain, body):
-                for value, inside in self._any(domain, scope, depth):
-                    scope.temps[variable] = value
-                    self._goal(body, scope, t.and_(guard, inside), depth + 1, found, name)
-                    del scope.temps[variable]
-            case _:
-                term = t.implies(guard, self.encoder.defined(formula, scope))
-                label = f"invariant {name}: {shown(formula)}"
-                found.append(Fact(label, term, self.setting.program.path, formula.span.line))
-
-    def _any(self, domain: ir.Expr, scope: OfFleet, depth: int) -> Iterator[tuple[Val, Term]]:
-        """An element of a domain, whichever; each, for a number of robots that is known."""
-        room = self.room
-        if isinstance(domain, ir.Ids):
-            if room.robots is not None:
-                yield from [(t.integer(i), t.TRUE) for i in range(room.robots)]
-            else:
-                yield room.some_robot(f"{_NAMES[depth % 5]}@{'goal' if depth < 5 else depth}"), t.TRUE
-            return
-        over = domain_of(self.encoder, domain, scope)
-        if over.few is not None:
-            yield from [(value, t.TRUE) for value in over.few]
-            return
-        place = t.constant(f"place{depth}@goal", t.INT)
-        if over.robots:
-            room.robot(place)
-        room.element(place, False, over.places)
-        yield over.element(place), over.inside(place)
 
     def cells(self, moments: Iterable[tuple[Moment, State]]) -> tuple[Cell, ...]:
         """Which terms are which variables, of the robots that are spoken of."""
@@ -278,13 +246,6 @@ def mentioned(formula: object) -> Iterator[Key]:
                 yield "cell", name
             case _:
                 pass
-
-
-def shown(formula: ir.Expr) -> str:
-    """A formula as the program writes it, nearly."""
-    from koordgen.ir.printer import expression
-
-    return expression(formula)
 
 
 def temps_of(block: stmt.Block) -> dict[str, Type]:

@@ -62,6 +62,7 @@ class Op(Node):
 Term = Value | Apply | Op
 
 _TERMS: dict[object, Term] = {}  # an operator or symbol with its arguments -> the one term of it
+_LITERALS: dict[object, Value] = {}
 
 TRUE, FALSE = Value(True, BOOL), Value(False, BOOL)
 
@@ -72,14 +73,14 @@ def forget() -> None:
 
 
 def integer(value: int) -> Term:
-    found = _TERMS.get(("Int", value))
-    return found or _TERMS.setdefault(("Int", value), Value(value, INT))
+    found = _LITERALS.get(("Int", value))
+    return found or _LITERALS.setdefault(("Int", value), Value(value, INT))
 
 
 def real(value: int | float | Fraction) -> Term:
     """A real number, exactly: a float is the binary fraction that it is."""
-    found = _TERMS.get(("Real", value))
-    return found or _TERMS.setdefault(("Real", value), Value(Fraction(value), REAL))
+    found = _LITERALS.get(("Real", value))
+    return found or _LITERALS.setdefault(("Real", value), Value(Fraction(value), REAL))
 
 
 def boolean(value: bool) -> Term:

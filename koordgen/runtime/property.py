@@ -127,6 +127,12 @@ class Known:
             elif name in self.one:
                 self.one[name].content = value
 
+    def take(self, other: Known) -> None:
+        """Know all that another does."""
+        self.pid, self.asked = other.pid, other.asked
+        self.put({name: each.values for name, each in other.each.items()})
+        self.put({name: one.content for name, one in other.one.items()})
+
     def answer(self, port: str, args: tuple[Any, ...]) -> Any:
         """What a callable port has answered. Raises Unknown where it was not asked."""
         for name, given, answer in self.asked:

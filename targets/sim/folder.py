@@ -13,8 +13,9 @@ from types import TracebackType
 from typing import IO
 
 MARKER = ".koord-run"
+SOURCE = "source"  # the program, its params and functions: what a trace is replayed with
 FILES = ("report.html", "summary.json", "summary.txt", "trace.jsonl", "poses.jsonl", "fleet.key", "faults.json")
-FOLDERS = ("plots", "robots")
+FOLDERS = ("plots", "robots", SOURCE)
 
 
 class Foreign(Exception):

@@ -9,20 +9,24 @@ import importlib.util
 import math
 import platform
 import shlex
+import shutil
 import sys
+import time
 import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from targets.sim import faults
-from targets.sim.folder import Foreign, RunFolder
+from targets.sim.folder import SOURCE, Foreign, RunFolder
 from targets.sim.scenario import FILE, BadScenario, Scenario, load
 from targets.sim.schedule import CONDITIONS, MOST_DELAY, PROBABILITIES, Schedule
 
 if TYPE_CHECKING:
+    from targets.sim.progress import Progress
+    from targets.sim.run import Run
     from targets.sim.trace import Header
-    from targets.sim.view.live import Live
+    from targets.sim.watch import Watcher
 
 HELD, BAD_FILES, USAGE, VIOLATED, SURROUNDINGS, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 5, 70, 130
 STATUS = {"held": HELD, "violated": VIOLATED, "interrupted": INTERRUPTED, "not started": SURROUNDINGS}
@@ -149,46 +153,60 @@ def _run(root: Path, scenario: Scenario, schedule: Schedule, folder: Path, optio
     import msgspec
 
     from targets.sim import summary, trace
-    from targets.sim.lockstep.run import Lockstep
     from targets.sim.progress import Progress
-    from targets.sim.realtime import RealTime
-    from targets.sim.run import Run
-    from targets.sim.view.live import Paced
+    from targets.sim.view import live
 
     header = _header(scenario, options)
     progress = Progress(sys.stderr, options.quiet, free=options.lockstep)
-    live = _live(header, options)
-    try:
-        conduct = Lockstep if options.lockstep else RealTime
-        run = Run(scenario, conduct(scenario, root, folder, options.seed), folder, options.duration, progress)
-        run.companions += [faults.Faults(schedule)] if schedule != Schedule() else []
-        run.companions += [live] if live else []
-        run.companions += [Paced(options.pace)] if options.pace and options.lockstep else []
+    with live.watched(header, options.live) as view:
+        run, watcher = _made(root, scenario, schedule, folder, options, progress)
+        run.companions += [view] if view else []
+        run.companions += [live.Paced(options.pace)] if options.pace and options.lockstep else []
+        began = time.perf_counter()
         try:
             outcome = run.execute()
         finally:
             progress.finish()
+        merged, agents = folder / "trace.jsonl", [agent.trace_file for agent in run.conduct.agents]
         header = msgspec.structs.replace(header, started=outcome.started)
-        merged = folder / "trace.jsonl"
-        agents = [agent.trace_file for agent in run.conduct.agents]
         trace.merge(merged, header, outcome.zero, run.poses_file, agents, outcome.marks)
         run.poses_file.unlink()
         found = summary.summarise(*trace.read(merged), outcome)
+        found.watching = round(watcher.seconds / (time.perf_counter() - began), 4)
         found.reproduce = _reproduce(root, scenario, folder, options)
         summary.write(found, folder)
         progress.say("drawing the report")
         _report(folder)
-        if live:
-            live.close(f"{found.verdict}: {found.why}. The report: {(folder / 'report.html').resolve()}")
-    finally:
-        if live:
-            live.close("the run has failed")
+        if view:
+            view.close(f"{found.verdict}: {found.why}. The report: {(folder / 'report.html').resolve()}")
     print(summary.as_text(found))
     print(f"report: {folder / 'report.html'}")
     return STATUS[found.verdict] if outcome.ended != "died" else VIOLATED
 
 
+def _made(
+    root: Path, scenario: Scenario, schedule: Schedule, folder: Path, options: argparse.Namespace, progress: Progress
+) -> tuple[Run, Watcher]:
+    """The run with all that goes along with it, ready to be executed."""
+    from targets.sim import watch
+    from targets.sim.idle import IDLE_TIMEOUT, Idle
+    from targets.sim.lockstep.run import Lockstep
+    from targets.sim.realtime import RealTime
+    from targets.sim.run import Run
+
+    robots = tuple(robot.name for robot in scenario.robots)
+    watcher = watch.Watcher(watch.load(root), robots, scenario.delta)
+    shutil.copytree(root / SOURCE, folder / SOURCE)
+    conduct = Lockstep if options.lockstep else RealTime
+    run = Run(scenario, conduct(scenario, root, folder, options.seed), folder, options.duration, progress)
+    run.companions += [watcher, Idle(robots, scenario.number("idle_timeout", IDLE_TIMEOUT))]
+    if schedule != Schedule():
+        run.companions.append(faults.Faults(schedule))
+    return run, watcher
+
+
 def _header(scenario: Scenario, options: argparse.Namespace) -> Header:
+    """The merged trace's, of a run that has a round 1."""
     from targets.sim.trace import FORMAT, Header, RobotName
 
     names = tuple(RobotName(r.name, r.pid, r.target) for r in scenario.robots)
@@ -197,16 +215,6 @@ def _header(scenario: Scenario, options: argparse.Namespace) -> Header:
         scenario.number("min_separation", 0.0), (scenario.geofence.lo, scenario.geofence.hi), scenario.obstacles,
         scenario.world, scenario.shared, scenario.records,
     )  # fmt: skip
-
-
-def _live(header: Header, options: argparse.Namespace) -> Live | None:
-    if options.live is None:
-        return None
-    from targets.sim.view.live import Live
-
-    live = Live(header, options.live)
-    print(f"live: {live.url}", file=sys.stderr, flush=True)
-    return live
 
 
 def _report(folder: Path) -> None:

@@ -28,7 +28,7 @@ START_TIMEOUT = 90.0
 class Outcome:
     """How a run went. `zero` is the time of t = 0 on the run's clock: round 1's start, or without one the launch.
     `ended` says why the mission ended: completed, stopped (all agents ended by themselves), died (before the start),
-    timeout (no start), interrupted. Times of `marks` and `closest` are t."""
+    timeout (no start), interrupted, idle (see idle.py). Times of `marks` and `closest` are t."""
 
     started: bool
     ended: str
@@ -62,6 +62,7 @@ class Run:
         self._duration = duration
         self._progress = progress
         self._interrupts = 0
+        self._finished = ""  # why the mission was ended by a companion
         self._steps = 0
         self._marks: list[Mark] = []  # with times of the run's clock
         self._next_look = 0.0
@@ -82,6 +83,10 @@ class Run:
     def marks(self) -> Sequence[Mark]:
         """What companions marked so far, with times of the run's clock."""
         return self._marks
+
+    def finish(self, why: str) -> None:
+        """End the mission: `Outcome.ended` will say why."""
+        self._finished = why
 
     def t(self, at: float) -> float | None:
         """Seconds since the start of round 1, None before that is known."""
@@ -132,6 +137,8 @@ class Run:
     def _during_mission(self, now: float, zero: float) -> str:
         if self._interrupts:
             return "interrupted"
+        if self._finished:
+            return self._finished
         if now - zero >= self._duration:
             return "completed"
         return "" if any(agent.alive or agent.crashed for agent in self.conduct.agents) else "stopped"
@@ -247,10 +254,13 @@ class Run:
 
     @contextmanager
     def _interruptible(self) -> Iterator[None]:
-        """Ctrl-C and SIGTERM end the run in order; a second one does not wait for the robots to come to rest."""
+        """Ctrl-C and SIGTERM end the run in order; a second one does not wait for robots to come to rest, a third
+        for nothing: in lockstep a user's code may be what it hangs in. Raises KeyboardInterrupt then."""
 
         def count(number: int, frame: FrameType | None) -> None:
             self._interrupts += 1
+            if self._interrupts > 2:
+                raise KeyboardInterrupt
 
         before = {number: signal.signal(number, count) for number in (signal.SIGINT, signal.SIGTERM)}
         try:

@@ -11,9 +11,8 @@ import msgspec
 
 from targets.sim.bodies import Vector
 from targets.sim.run import Outcome
-from targets.sim.trace import Cause, End, Header, Pose, Record, Round, Violation, fault_text
-
-LATE = 0.5  # of delta: a round decided later than this is late
+from targets.sim.trace import LATE, Cause, End, Header, Pose, Record, Round, Violation, fault_text
+from targets.sim.trace import Verdict as Found
 
 Verdict = Literal["held", "violated", "interrupted", "not started"]
 
@@ -57,6 +56,7 @@ class Summary(msgspec.Struct):
     verdict: Verdict
     why: str
     violations: list[Violation]
+    properties: list[Found]
     causes: list[Cause]  # faults that were brought about on purpose
     robots: list[RobotSummary]
     min_separation: Separation | None
@@ -65,6 +65,7 @@ class Summary(msgspec.Struct):
     real_time_factor: float
     late_steps: int
     steps: int
+    watching: float = 0.0  # share of the run's time that watching its properties took
     shares: dict[str, float] = {}  # of the processor's time, by part; empty in real time
     reproduce: dict[str, str] = {}  # what one needs to do it again
 
@@ -76,6 +77,7 @@ def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Su
     }
     ended = False
     violations: list[Violation] = []
+    properties: list[Found] = []
     causes: list[Cause] = []
     for record in records:
         match record:
@@ -85,6 +87,8 @@ def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Su
                 tallies[pid].round(record)
             case Violation():
                 violations.append(record)
+            case Found():
+                properties.append(record)
             case Cause():
                 causes.append(record)
             case End():
@@ -108,6 +112,7 @@ def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Su
         verdict=verdict,
         why=why,
         violations=violations,
+        properties=properties,
         causes=causes,
         robots=robots,
         min_separation=Separation(
@@ -177,6 +182,8 @@ def _verdict(outcome: Outcome, violations: list[Violation]) -> tuple[Verdict, st
 def told(violation: Violation) -> str:
     """A violation in one sentence."""
     who = " and ".join(violation.robots)
+    if violation.line:
+        return f"at {violation.t:.2f} s {who}: {violation.detail} ({violation.line})"
     verb = " " if violation.what in ("ended", "unrest") else f": {violation.what}, "
     return f"at {violation.t:.2f} s {who}{verb}{violation.detail}"
 
@@ -203,6 +210,7 @@ def as_text(summary: Summary) -> str:
         *_table(summary),
         "",
         *_details(summary),
+        *_properties(summary),
     ]
     if summary.min_separation:
         found = summary.min_separation
@@ -239,6 +247,18 @@ def _table(summary: Summary) -> list[str]:
     ]  # fmt: skip
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+
+
+def _properties(summary: Summary) -> list[str]:
+    """One line each; nothing for a program without any."""
+    lines = []
+    for found in summary.properties:
+        since = "" if found.since is None else f" since {found.since:.2f} s"
+        detail = f": {found.detail}" if found.detail else f", moments: {found.moments}"
+        name = f"{found.of} {found.name}" if found.name else found.of
+        lines.append(f"{found.outcome.upper()}{since}: {name} ({found.line}){detail}")
+    took = [f"watching them took {summary.watching:.1%} of the time"] if lines else []
+    return ["", "properties:", *(f"  {line}" for line in lines + took)] if lines else []
 
 
 def _details(summary: Summary) -> list[str]:

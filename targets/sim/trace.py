@@ -20,6 +20,7 @@ from targets.sim.bodies import BodyState, Vector
 from targets.sim.scenario import Shared, World
 
 FORMAT = "koord-trace/1"
+LATE = 0.5  # of delta: a round decided later than this is late
 MOST_AT_ONCE = 1 << 20  # bytes of one file in one look
 
 
@@ -77,6 +78,7 @@ class Init(msgspec.Struct, frozen=True, tag_field="kind", tag="init"):
     locals: Values = {}
     shared: Values = {}
     actuators: Values = {}
+    stopped: bool = False
     time: float = 0.0
     t: float = 0.0
     pid: int = -1
@@ -93,8 +95,8 @@ class Restored(msgspec.Struct, frozen=True):
 
 class Round(msgspec.Struct, frozen=True, tag_field="kind", tag="round"):
     """An agent's round; of its fields those that are looked at here. `late` is seconds after the tick. Of locals, the
-    shared store and actuators it has what the event wrote; `copy` is what changed in the robot's copy of the store;
-    `calls` are those of callable ports: port, arguments, answer."""
+    shared store and actuators it has what the event wrote; `copy` is what had changed before in the robot's copy of the
+    shared store, of an allread variable by pid; `calls` of callable ports: port, arguments, answer."""
 
     round: int
     event: str | None = None
@@ -104,8 +106,8 @@ class Round(msgspec.Struct, frozen=True, tag_field="kind", tag="round"):
     sensors: Values = {}
     locals: Values = {}
     shared: Values = {}
-    copy: Values = {}
     actuators: Values = {}
+    copy: Values = {}
     calls: tuple[tuple[str, tuple[msgspec.Raw, ...], msgspec.Raw], ...] = ()
     stopped: bool = False
     restored: Restored | None = None

@@ -9,8 +9,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from koordgen.emit.program import program_text
+from koordgen.emit.property import properties_text
 from targets.sim import harness, stage
 from targets.sim.bodies import DeviceContext
+from tests.emit.generated import checked
 
 AGENT = """
 import json, os, signal, sys, time
@@ -54,6 +57,15 @@ for round_ in range(1, 10_000):
     time.sleep(0.1)
 """
 
+PROGRAM = """\
+using Motion:
+  sensors: Point position
+Move:
+  pre: True
+  eff: pass
+invariant Here: forall i in ID: Motion.position[i] in Ball(Point(0, 0, 0), 50)
+"""
+
 
 class Telling:
     """A device that never commands its body. It passes the robot's settings on as overrides, as a real device passes
@@ -90,7 +102,18 @@ def bundle(root: Path, how: list[str], starts: list[list[float]] | None = None, 
         "robots": robots,
     }  # fmt: skip
     (root / "scenario.json").write_text(json.dumps(scenario))
+    beside(root, PROGRAM)
     return root
+
+
+def beside(root: Path, text: str) -> None:
+    """What a sim bundle holds of its program."""
+    program = checked(text)
+    (root / "program.py").write_text(program_text(program))
+    (root / "properties.py").write_text(properties_text(program))
+    (root / "source").mkdir(exist_ok=True)
+    (root / "source/fake.koord").write_text(text)
+    (root / "source/params.json").write_text("{}")
 
 
 def enlist() -> None:

@@ -10,7 +10,7 @@ from koordgen.ir.types import INT, MapOf, Sized
 from koordgen.prove import term as t
 from koordgen.prove.encode.geometry import path_of
 from koordgen.prove.encode.quantifier import proxy
-from koordgen.prove.encode.values import Changed, Fleet, Known, Val, pick, truth
+from koordgen.prove.encode.values import Changed, Choice, Collection, Fleet, Known, Val, pick, truth
 from koordgen.prove.term import Term
 
 if TYPE_CHECKING:
@@ -52,9 +52,8 @@ def builtin(e: Encoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
             return _length(e, node, args[0])
         case "first" | "last":
             xs = path_of(args[0])
-            long = e.lists.length(xs)
-            e.room.demand(t.less(_ZERO, long), f"{name} of what has elements", line)
-            return e.lists.element(xs, _ZERO if name == "first" else t.subtract(long, _ONE))
+            e.room.demand(t.less(_ZERO, e.lists.length(xs)), f"{name} of what has elements", line)
+            return _end(e, xs, name == "first")
         case "index":
             e.room.demand(e.lists.has(path_of(args[0]), args[1]), "what is looked for is there", line)
             return e.lists.place(path_of(args[0]), args[1])
@@ -64,6 +63,12 @@ def builtin(e: Encoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
             return Changed(name, path_of(args[0]), args[1:], node.type)
         case _:
             return _opaque(e, node, args)
+
+
+def _end(e: Encoder, xs: Collection, first: bool) -> Val:
+    if isinstance(xs, Choice):
+        return pick(xs.condition, _end(e, xs.then, first), _end(e, xs.orelse, first))
+    return e.lists.element(xs, _ZERO if first else t.subtract(e.lists.length(xs), _ONE))
 
 
 def _opaque(e: Encoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 from koordgen.diagnostics import InternalError
 from koordgen.ir import expr as ir
-from koordgen.ir.types import INT, PerRobot, Sized, Type
+from koordgen.ir.types import INT, POINT, PerRobot, Sized, Type
 from koordgen.prove import term as t
 from koordgen.prove.encode.geometry import Geometry, path_of
 from koordgen.prove.encode.lists import Lists
@@ -151,6 +151,8 @@ class Encoder:
             self.room.demand(t.not_(t.equals(divisor, zero)), "divisor is not zero", node.span.line)
         if node.op == "/" and node.left.type is INT:
             left, right = t.to_real(truth(left)), t.to_real(truth(right))
+        if isinstance(left, tuple) or isinstance(right, tuple):
+            self.geometry.measured = True
         match left, right:
             case tuple(), tuple():
                 return tuple([_number(node.op, truth(a), truth(b)) for a, b in zip(left, right, strict=True)])
@@ -199,6 +201,7 @@ class Encoder:
                 assert isinstance(item, tuple) and isinstance(held, tuple)
                 low, high = held
                 assert isinstance(low, tuple) and isinstance(high, tuple)
+                self.geometry.measured = True
                 axes = zip(item, low, high, strict=True)
                 return t.all_of([_between(truth(x), truth(a), truth(b)) for x, a, b in axes])
             case "Ball":
@@ -241,6 +244,7 @@ class Encoder:
     def field(self, node: ir.Field, scope: Scope) -> Val:
         whole = self.value(node.operand, scope)
         if isinstance(whole, tuple):
+            self.geometry.measured = self.geometry.measured or node.operand.type == POINT
             return whole[self.part(node.operand.type, node.name)]
         return self.room.function(f"{node.operand.type}.{node.name}", (truth(whole),), node.type)
 

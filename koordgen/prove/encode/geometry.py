@@ -1,7 +1,7 @@
-"""Distances of points and of paths: functions of which some lemmas are told, each true of koordgen/runtime/geometry.py.
+"""Distances of points and of paths: functions of which lemmas are told, each true of koordgen/runtime/geometry.py.
 
-A distance d of two points has d >= 0 and, where products are wanted at all, d * d = the sum of the squares. A path is
-not looked into: only its first and last points are, and paths of one point.
+A path is not looked into: only its first and last points are, and paths of one point. Squares are told where
+coordinates are reckoned with elsewhere (`measured`), or where they are asked for; all else is linear.
 """
 
 from __future__ import annotations
@@ -10,41 +10,60 @@ from koordgen.ir.types import POINT, list_of
 from koordgen.prove import term as t
 from koordgen.prove.encode.lists import Lists
 from koordgen.prove.encode.room import Room
+from koordgen.prove.encode.types import build
 from koordgen.prove.encode.values import Choice, Collection, Known, Val
 from koordgen.prove.term import Function, Term
 
-_ZERO, _NOTHING = t.integer(0), t.real(0)
-_PATH = list_of(POINT)
-LEMMAS = (
-    "path_distance: symmetric; never negative; of two points their distance; not above the distance of an end; "
-    "1-Lipschitz in a point"
+_ZERO, _ONE, _NOTHING = t.integer(0), t.integer(1), t.real(0)
+DISTANCES = "distances of points: never negative, zero between equal points only, told by squares where that is needed"
+PATHS = (
+    "path_distance: symmetric; never negative; of two paths of one point the distance of the points; not above the "
+    "distance of an end of the path; less by d at most when the point of a path of one point moves by d"
 )
 Triple = tuple[Term, ...]
 
 
 class Geometry:
+    """The distances that were met in one room."""
+
     def __init__(self, room: Room, lists: Lists) -> None:
         self.room, self.lists = room, lists
         self.distances: dict[tuple[Triple, Triple], Term] = {}
-        self.paths: dict[tuple[Term, Term], Term] = {}  # pairs of paths -> their distance
+        self.neighbours: dict[Triple, dict[Triple, Term]] = {}  # of those that the program speaks of
+        self.paths: dict[tuple[Term, Term], Term] = {}  # pairs of paths -> their distance, both ways
         self.points: dict[Term, Triple] = {}  # paths of one point
         self.others: dict[Term, Collection] = {}  # paths that are but terms
+        self.measured = False
+        self.squared: set[Term] = set()
 
     def distance(self, a: Val, b: Val) -> Term:
         """Of two points, in metres."""
-        p, q = self.lists.leaves(a), self.lists.leaves(b)
+        return self.of_points(self.lists.leaves(a), self.lists.leaves(b))
+
+    def of_points(self, p: Triple, q: Triple) -> Term:
+        for one, other in ((p, q), (q, p)):
+            ways = _split(one)
+            if ways is not None:
+                condition, (then, orelse) = ways
+                return t.ite(condition, self.of_points(then, other), self.of_points(orelse, other))
+        found = self._distance(p, q)
+        self.neighbours.setdefault(p, {})[q] = found
+        self.neighbours.setdefault(q, {})[p] = found
+        return found
+
+    def _distance(self, p: Triple, q: Triple) -> Term:
         if p == q:
             return _NOTHING
         found = self.distances.get((p, q))
         if found is None:
+            self.room.note(DISTANCES)
             name = Function("distance@points", (t.REAL,) * 6, t.REAL)
             found = self.distances[p, q] = self.distances[q, p] = t.apply(name, *p, *q)
             with self.room.about("distance of two points", 0):
                 self.room.fact(t.at_most(_NOTHING, found))
-                gaps = [t.subtract(x, y) for x, y in zip(p, q, strict=True)]
-                squares = [t.multiply(gap, gap) for gap in gaps]
-                whole = t.add(t.add(squares[0], squares[1]), squares[2])
-                self.room.fact(t.equals(t.multiply(found, found), whole))
+                equal = t.all_of([t.equals(x, y) for x, y in zip(p, q, strict=True)])
+                self.room.fact(t.equals(t.equals(found, _NOTHING), equal))
+                self.room.fact(t.equals(found, t.apply(name, *q, *p)))
         return found
 
     def path_distance(self, a: Collection, b: Collection) -> Term:
@@ -53,63 +72,106 @@ class Geometry:
             if isinstance(one, Choice):
                 then, orelse = self.path_distance(one.then, other), self.path_distance(one.orelse, other)
                 return t.ite(one.condition, then, orelse)
-        points = [self._point(path) for path in (a, b)]
-        if points[0] is not None and points[1] is not None:
-            return self.distance(points[0], points[1])
-        p, q = self.lists.term(a), self.lists.term(b)
-        for path, point, term in zip((a, b), points, (p, q), strict=True):
-            if point is not None:
-                self.points[term] = self.lists.leaves(point)
-            else:
-                self.others[term] = path
-        found = self.paths.get((p, q))
-        if found is None:
-            self.room.note(LEMMAS)
-            found = t.apply(Function("path_distance@paths", (p.sort, q.sort), t.REAL), p, q)
-            self.paths[p, q] = self.paths[q, p] = found
-            self.room.fact(t.at_most(_NOTHING, found), "no distance is negative", 0)
+        p, q = self._point(a), self._point(b)
+        for point, other in ((p, b), (q, a)):
+            parts = _split(point) if point is not None else None
+            if parts is not None:
+                then, orelse = [self.path_distance(_single(way), other) for way in parts[1]]
+                return t.ite(parts[0], then, orelse)
+        if p is not None and q is not None:
+            return self._distance(p, q)
+        return self._apart(self._path(a, p), self._path(b, q))
+
+    def _point(self, path: Collection) -> Triple | None:
+        one = isinstance(path, Known) and len(path.items) == 1
+        return self.lists.leaves(path.items[0]) if one and isinstance(path, Known) else None
+
+    def _path(self, path: Collection, point: Triple | None) -> Term:
+        found = self.lists.term(path)
+        if point is not None:
+            self.points[found] = point
+        else:
+            self.others[found] = path
         return found
 
-    def _point(self, path: Collection) -> Val | None:
-        return path.items[0] if isinstance(path, Known) and len(path.items) == 1 else None
+    def _apart(self, p: Term, q: Term) -> Term:
+        found = self.paths.get((p, q))
+        if found is None:
+            self.room.note(PATHS)
+            name = Function("path_distance@paths", (p.sort, q.sort), t.REAL)
+            found = self.paths[p, q] = self.paths[q, p] = t.apply(name, p, q)
+            with self.room.about("distance of two paths", 0):
+                self.room.fact(t.at_most(_NOTHING, found))
+                self.room.fact(t.equals(found, t.apply(name, q, p)))
+        return found
 
-    def lemmas(self) -> None:
-        """What is true of the distances of paths that were met."""
+    def _from_point(self, point: Triple, q: Term) -> Term:
+        """How far a point is from a path."""
+        if q in self.points:
+            return self._distance(point, self.points[q])
+        return self._apart(self._path(_single(point), point), q)
+
+    # Lemmas
+
+    def lemmas(self, exact: bool) -> None:
+        """What is true of the distances that were met; of all by squares, if `exact`."""
         with self.room.about("distances of paths", 0):
             for (p, q), found in list(self.paths.items()):
                 if p in self.others:
                     self._ends(p, q, found)
-                if p in self.points:
-                    self._near(p, q, found)
+                else:
+                    self._near(t.TRUE, self.points[p], q, found)
+            if self.measured or exact:
+                self._squares()
 
     def _ends(self, p: Term, q: Term, found: Term) -> None:
-        """A path is not farther away than its first and its last point are."""
-        path = self.others[p]
+        """A path is not farther away than its first and its last point are; one of a single point just as far."""
+        path, fact = self.others[p], self.room.fact
         long = self.lists.length(path)
-        some = t.less(_ZERO, long)
-        ends = (self.lists.element(path, _ZERO), self.lists.element(path, t.subtract(long, t.integer(1))))
-        for end in ends:
-            point = self.lists.leaves(end)
-            if q in self.points:
-                there = self._distance(point, self.points[q])
-                self.room.fact(t.implies(some, t.at_most(found, there)))
-            for single, place in self.points.items():
-                apart = self.paths.get((single, q))
-                if apart is not None:
-                    same = [t.equals(x, y) for x, y in zip(place, point, strict=True)]
-                    self.room.fact(t.implies(t.and_(some, *same), t.at_most(found, apart)))
+        some, one = t.less(_ZERO, long), t.equals(long, _ONE)
+        first = self.lists.leaves(self.lists.element(path, _ZERO))
+        last = self.lists.leaves(self.lists.element(path, t.subtract(long, _ONE)))
+        if q in self.points:
+            for end in (first, last):
+                fact(t.implies(some, t.at_most(found, self._distance(end, self.points[q]))))
+            fact(t.implies(one, t.equals(found, self._distance(first, self.points[q]))))
+        else:
+            for single, point in list(self.points.items()):
+                if point in (first, last) and (single, q) in self.paths:
+                    fact(t.implies(some, t.at_most(found, self.paths[single, q])))
+        if one is not t.FALSE:
+            self._near(one, first, q, found)
 
-    def _near(self, p: Term, q: Term, found: Term) -> None:
-        """A point that moves by d comes nearer to a path by d at most."""
-        for other, place in list(self.points.items()):
-            apart = self.paths.get((other, q))
-            if other is not p and apart is not None:
-                moved = self._distance(place, self.points[p])
-                some = t.less(_ZERO, self.lists.length(self.others[q])) if q in self.others else t.TRUE
-                self.room.fact(t.implies(some, t.at_most(found, t.add(apart, moved))))
+    def _near(self, one: Term, point: Triple, q: Term, found: Term) -> None:
+        """A path of one point, which is near another point: how far that is from what the path is away from."""
+        some = t.less(_ZERO, self.lists.length(self.others[q])) if q in self.others else t.TRUE
+        for other, apart in list(self.neighbours.get(point, {}).items()):
+            there = self._from_point(other, q)
+            bounds = t.at_most(found, t.add(there, apart)), t.at_most(there, t.add(found, apart))
+            self.room.fact(t.implies(t.and_(one, some), t.and_(*bounds)))
 
-    def _distance(self, p: Triple, q: Triple) -> Term:
-        return self.distance(p, q)
+    def _squares(self) -> None:
+        for (p, q), found in list(self.distances.items()):
+            if found not in self.squared:
+                self.squared.add(found)
+                gaps = [t.subtract(x, y) for x, y in zip(p, q, strict=True)]
+                squares = [t.multiply(gap, gap) for gap in gaps]
+                whole = t.add(t.add(squares[0], squares[1]), squares[2])
+                self.room.fact(t.equals(t.multiply(found, found), whole), "distance of two points", 0)
+
+
+def _single(point: Triple) -> Known:
+    return Known((build(POINT, iter(point)),), list_of(POINT))
+
+
+def _split(point: Triple) -> tuple[Term, tuple[Triple, Triple]] | None:
+    """A point that is one or the other, by a condition."""
+    if not all(isinstance(x, t.Op) and x.name == "ite" for x in point):
+        return None
+    ways = [x.args for x in point if isinstance(x, t.Op)]
+    if any(way[0] is not ways[0][0] for way in ways):
+        return None
+    return ways[0][0], (tuple([way[1] for way in ways]), tuple([way[2] for way in ways]))
 
 
 def path_of(value: Val) -> Collection:

@@ -207,7 +207,10 @@ class Lists:
             return t.all_of([self.same(x, y) for x, y in zip(a, b, strict=True)])
         if isinstance(a, _COLLECTIONS) and isinstance(b, _COLLECTIONS):
             return self._equal(a, b)
-        return t.equals(truth(a), truth(b))
+        one, other = truth(a), truth(b)
+        if one.sort is t.INT and self.room.own in (one, other):
+            return self.room.same(other if one is self.room.own else one, one if one is self.room.own else other)
+        return t.equals(one, other)
 
     def _equal(self, a: Collection, b: Collection) -> Term:
         for one, other in ((a, b), (b, a)):

@@ -14,7 +14,7 @@ from koordgen.prove import term as t
 from koordgen.prove.encode.types import build, shape
 from koordgen.prove.encode.values import Val
 from koordgen.prove.obligation import Fact
-from koordgen.prove.term import Function, Sort, Term
+from koordgen.prove.term import Apply, Function, Op, Sort, Term, Value
 
 # What SMT-LIB gives a meaning of its own, quoted or not.
 _RESERVED = frozenset(
@@ -76,6 +76,9 @@ class Room:
         self.witnesses: dict[Term, None] = {}  # those of them that stand for some robot, of which something (not) holds
         self.places: dict[Term, None] = {}  # terms that are places in lists
         self.universals: list[Universal] = []
+        self.own: Term | None = None  # the robot that acts
+        self.others: set[Term] = set()  # terms that name no robot, or another
+        self.known: dict[Term, Term] = {}  # what the guard tells of single variables
         self.instantiating = False
         self.partial = False  # not every universal was looked at everywhere
         self.temps: dict[str, Type] = {}  # of the event's own variables
@@ -154,9 +157,21 @@ class Room:
     def function(self, name: str, args: tuple[Term, ...], type_: Type) -> Val:
         """A value of a type that is a function of terms, and of nothing else."""
         domain = tuple([a.sort for a in args])
-        return build(
-            type_, iter([t.apply(Function(name + suffix, domain, sort), *args) for suffix, sort in shape(type_)])
-        )
+        leaves = [t.apply(Function(name + suffix, domain, sort), *args) for suffix, sort in shape(type_)]
+        return build(type_, iter([self.known.get(leaf, leaf) for leaf in leaves]))
+
+    def learn(self, formula: Term) -> None:
+        """What holds for certain of single variables is put in their place from now on."""
+        for part in formula.args if isinstance(formula, Op) and formula.name == "and" else (formula,):
+            match part:
+                case Apply():
+                    self.known[part] = t.TRUE
+                case Op("not", (Apply() as inner,)):
+                    self.known[inner] = t.FALSE
+                case Op("=", (Apply() as inner, Value() as value)):
+                    self.known[inner] = value
+                case _:
+                    pass
 
     def version(self, value: Val) -> int:
         """A number for a value that is held on to: another value, another number."""
@@ -181,6 +196,24 @@ class Room:
             self.robot(place, witness=True)
         if places:
             self.places[place] = None
+
+    def acting(self, name: str) -> Term:
+        """The robot that acts."""
+        self.own = self.some_robot(name)
+        return self.own
+
+    def another(self, name: str) -> Term:
+        """Any robot but the acting one, or an int that names none, where there is no other."""
+        assert self.own is not None
+        index = t.constant(name, t.INT)
+        self.fact(t.not_(t.equals(index, self.own)), "another robot")
+        self.others.add(index)
+        self.robot(index)
+        return index
+
+    def same(self, robot: Term, own: Term) -> Term:
+        """Whether two robots are one."""
+        return t.FALSE if own is self.own and robot in self.others else t.equals(robot, own)
 
     def some_robot(self, name: str) -> Term:
         """A robot, any."""

@@ -85,24 +85,28 @@ class Begun:
         self.used = True
         if key[0] == "cell":
             return self.other.of(key, robot)
-        if robot is self.own:
-            return self.now.of(key, robot)
-        return pick(t.equals(robot, self.own), self.now.of(key, robot), self.other.of(key, robot))
+        own = self.other.room.same(robot, self.own)
+        if isinstance(own, t.Value):
+            return (self.now if own.value else self.other).of(key, robot)
+        return pick(own, self.now.of(key, robot), self.other.of(key, robot))
 
 
 class Written:
     """A state after what one robot wrote."""
 
-    def __init__(self, before: State, own: Term, writes: Mapping[Key, Val], moment: str) -> None:
-        self.before, self.own, self.writes = before, own, writes
+    def __init__(self, room: Room, before: State, own: Term, writes: Mapping[Key, Val], moment: str) -> None:
+        self.room, self.before, self.own, self.writes = room, before, own, writes
         self.types, self.moment = before.types, moment
 
     def of(self, key: Key, robot: Term) -> Val:
         if key not in self.writes:
             return self.before.of(key, robot)
-        if key[0] == "cell" or robot is self.own:
+        if key[0] == "cell":
             return self.writes[key]
-        return pick(t.equals(robot, self.own), self.writes[key], self.before.of(key, robot))
+        own = self.room.same(robot, self.own)
+        if isinstance(own, t.Value):
+            return self.writes[key] if own.value else self.before.of(key, robot)
+        return pick(own, self.writes[key], self.before.of(key, robot))
 
 
 class Moved:

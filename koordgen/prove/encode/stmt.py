@@ -39,7 +39,7 @@ class Cut:
     """A loop's beginning or a run's end ("begins", "goes on"), where the invariants are shown; or a run's beginning
     ("run"), where they are known."""
 
-    def __init__(self, kind: str, path: Path, state: State, line: int) -> None:
+    def __init__(self, kind: str, path: Path, state: Written, line: int) -> None:
         self.kind, self.path, self.state, self.line = kind, path, state, line
 
 
@@ -87,7 +87,7 @@ class Frame:
         written = {key: value for key, value in self.env.items() if key == ("slot", name)}
         versions = [self.room.version(value) for value in written.values()]
         moment = f"{self.seen.moment}@{versions[0]}" if versions else self.seen.moment
-        return slots(Written(self.seen, self.pid, written, moment), name)
+        return slots(Written(self.room, self.seen, self.pid, written, moment), name)
 
     def local_of(self, name: str, robot: Term) -> Val:
         raise AssertionError("an effect reads its own robot's")
@@ -137,7 +137,7 @@ class Frame:
             self.temps[key[1]] = value
         else:
             self.env[key] = value
-            if key[0] == "cell":
+            if key[0] in ("cell", "port"):
                 self.env["wrote", key[1]] = t.TRUE
 
     def leave(self, kind: str, value: Val | None = None) -> Term:
@@ -258,7 +258,7 @@ class Frame:
         self.mark("begins", line)
         for key in kept:
             self.restore({**self.snapshot(), key: room.any(key[1], self.type_of(key))})
-            if key[0] == "cell":
+            if key[0] in ("cell", "port"):
                 self.env["wrote", key[1]] = room.new(f"wrote {key[1]}", t.BOOL)
         self.mark("run", line)
         ended = room.new("ended", t.BOOL)
@@ -280,8 +280,8 @@ class Frame:
 
     def mark(self, kind: str, line: int) -> None:
         assert self.now is not None
-        writes = dict(self.env)
-        self.cuts.append(Cut(kind, self.room.path, Written(self.now, self.pid, writes, f"@{line}"), line))
+        writes = {key: value for key, value in self.env.items() if key[0] != "wrote"}
+        self.cuts.append(Cut(kind, self.room.path, Written(self.room, self.now, self.pid, writes, f"@{line}"), line))
 
     def type_of(self, key: Key) -> Type:
         if key[0] == "temp":

@@ -82,7 +82,11 @@ def pick(condition: Term, then: Val, orelse: Val) -> Val:
         return tuple([pick(condition, a, b) for a, b in zip(then, orelse, strict=True)])
     if isinstance(then, (Named, Known, Choice, Changed, Fleet)):
         assert isinstance(orelse, (Named, Known, Choice, Changed, Fleet))
-        if isinstance(then, Named) and isinstance(orelse, Named) and then.term is orelse.term:
+        if isinstance(then, Choice) and then.condition is condition:
+            then = then.then
+        if isinstance(orelse, Choice) and orelse.condition is condition:
+            orelse = orelse.orelse
+        if then is orelse or (isinstance(then, Named) and isinstance(orelse, Named) and then.term is orelse.term):
             return then
         return Choice(condition, then, orelse, then.type)
     assert not isinstance(orelse, (tuple, Named, Known, Choice, Changed, Fleet))

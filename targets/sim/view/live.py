@@ -13,7 +13,8 @@ import select
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +22,7 @@ import msgspec
 
 from targets.sim.bodies import BodyState
 from targets.sim.crew import Agent
-from targets.sim.trace import Header, Phase, Pose, Record, Violation
+from targets.sim.trace import Header, Init, Phase, Pose, Record, Round, Violation
 from targets.sim.view.rows import Rows
 
 if TYPE_CHECKING:
@@ -33,6 +34,21 @@ MOST_PENDING = 4 << 20  # bytes that the process has not taken yet
 START_WITHIN = 20.0  # seconds
 ROOT = Path(__file__).parents[3]
 PIPE_SIZE = 1 << 20
+SERVE = (sys.executable, "-m", "targets.sim.view.serve")
+
+
+@contextmanager
+def watched(header: Header, port: int | None) -> Iterator[Live | None]:
+    """The live view while a run goes on, None without a port; its address goes to standard error. Raises OSError."""
+    if port is None:
+        yield None
+        return
+    view = Live(header, port)
+    print(f"live: {view.url}", file=sys.stderr, flush=True)
+    try:
+        yield view
+    finally:
+        view.close("the run has failed")
 
 
 class Live:
@@ -48,9 +64,10 @@ class Live:
         self._seen: set[tuple[str, tuple[int, int]]] = set()  # what the stage's watch has found
         self._names = [robot.name for robot in header.robots]
         self._begun = False
+        self._early: list[tuple[Agent, list[Record]]] = []  # heard before it was known when round 1 began
         # Its own group: Ctrl-C on the terminal ends the run, and that ends the view.
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "targets.sim.view.serve", str(port)],
+            [*SERVE, str(port)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": str(ROOT)},
             start_new_session=True,
         )  # fmt: skip
@@ -96,6 +113,8 @@ class Live:
             self._send()
 
     def heard(self, agent: Agent, records: list[Record]) -> None:
+        if not self._begun:
+            self._early.append((agent, [r for r in records if isinstance(r, (Init, Round))]))
         for record in records:
             if not isinstance(record, (Header, Violation)) and hasattr(record, "pid"):
                 own = msgspec.structs.replace(record, pid=agent.robot.pid)
@@ -127,6 +146,9 @@ class Live:
         self._put({"begin": True})
         for agent in self._run.conduct.agents:
             self._rows.take(Phase(agent.phase.phase, agent.phase.detail, pid=agent.robot.pid), 0.0)
+        for agent, records in self._early:
+            self.heard(agent, records)
+        self._early.clear()
 
     def _marks(self) -> None:
         """What was found since the last time, by the stage's watch and by other companions."""

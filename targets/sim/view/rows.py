@@ -25,8 +25,8 @@ import msgspec
 import numpy as np
 
 from targets.sim.bodies import Vector
-from targets.sim.summary import LATE
 from targets.sim.trace import (
+    LATE,
     Cause,
     End,
     Header,

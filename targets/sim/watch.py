@@ -1,0 +1,260 @@
+"""Watches a run: the program's properties over the truth. Invariants hold at every moment, port assumptions over each
+round of each robot; what a robot does after it has left the model (it landed by itself, died, was removed) is said of
+no property.
+
+A round's moments are the physics steps from its start to the next one's: bodies where they are at each, everything else
+as after the round's events (before them, for the step at which both rounds meet). They are judged when all robots have
+told of the next round.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+import sys
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from koordgen.runtime.property import UNKNOWN, Assumption, Known, Outcome, Properties, judged
+from koordgen.runtime.values import Point, Pose
+from targets.sim.bodies import BodyState
+from targets.sim.crew import Agent
+from targets.sim.judge import Of, Watched, all_of
+from targets.sim.run import Run
+from targets.sim.trace import Init, Phase, Record, Round, Verdict, View
+from targets.sim.truth import Truth
+
+PATIENCE = 3.0  # seconds after a round's end for which records of it are waited for
+MOST_KEPT = 4800  # steps kept while round 1 has not been heard of
+_PORTS: dict[str, Callable[[BodyState], Any]] = {
+    "position": lambda state: Point(*state.position),
+    "velocity": lambda state: Point(*state.velocity),
+    "pose": lambda state: Pose(Point(*state.position), state.yaw),
+}
+
+
+def load(root: Path) -> Properties:
+    """The properties of the sim bundle at `root`."""
+    sys.path.insert(0, str(root))
+    try:
+        for name in ("program", "properties"):  # of another bundle
+            sys.modules.pop(name, None)
+        found: Properties = importlib.import_module("properties").PROPERTIES
+        if found.program.library is not None:
+            found.program.library.load()
+        return found
+    finally:
+        sys.path.remove(str(root))
+
+
+@dataclass(slots=True)
+class _Moment:
+    at: float
+    states: list[BodyState]
+    ports: dict[str, list[Any]] = field(default_factory=dict)  # measured ones, when they are wanted
+
+
+class Watcher:
+    """A `crew.Companion`. `seconds` is what it took of the host's time."""
+
+    def __init__(self, found: Properties, names: tuple[str, ...], delta: float) -> None:
+        self.seconds = 0.0
+        self._found, self._names, self._delta, self._n = found, names, delta, len(names)
+        self._truth = Truth(found.program, self._n)
+        self._known = found.fleet(self._n, None)
+        self._step = found.step(self._n, None)
+        self._moments: deque[_Moment] = deque()
+        self._out: dict[int, float] = {}  # pid -> since when it is out of the model
+        self._view = View(0, 0, (0,) * self._n)
+        self._began = False
+        self._stopped: set[int] = set()
+        self._until = math.inf  # the mission's end: the robots were told to come to rest, or all have stopped
+        self._watched = all_of(found, self._n)
+
+    def launched(self, run: Run) -> None:
+        self._run = run
+
+    def step(self, at: float, states: list[BodyState]) -> None:
+        began = time.perf_counter()
+        if at <= self._until:
+            if any(agent.told for agent in self._run.conduct.agents):
+                self._until = at
+            self._moments.append(_Moment(at, states))
+            if self._run.zero is None and len(self._moments) > MOST_KEPT:
+                self._moments.popleft()
+        self.seconds += time.perf_counter() - began
+
+    def heard(self, agent: Agent, records: list[Record]) -> None:
+        began = time.perf_counter()
+        pid = agent.robot.pid
+        for record in records:
+            match record:
+                case Init() | Round():
+                    self._truth.hear(pid, record)
+                    if record.stopped:
+                        self._stopped.add(pid)
+                case Phase(phase="resting") if not agent.told:
+                    self._rests(pid, record.time)
+                case Phase(phase="running"):
+                    self._out.pop(pid, None)
+                case View() if record.number > self._view.number:
+                    self._view = record
+                case _:
+                    pass
+        for other in self._run.conduct.agents:
+            if not other.alive and not other.told:
+                self._out.setdefault(other.robot.pid, self._run.conduct.now())
+        self._judge(self._ready)
+        self.seconds += time.perf_counter() - began
+
+    def _rests(self, pid: int, at: float) -> None:
+        """A robot comes to rest unasked: when all have stopped, that is the mission's end, else it leaves the model."""
+        if all(p in self._stopped or p in self._out for p in range(self._n)):
+            self._until = min(self._until, at)
+        else:
+            self._out.setdefault(pid, at)
+
+    def end(self, at: float) -> None:
+        began = time.perf_counter()
+        self._judge(lambda round_: True)
+        at = min(at, self._until)
+        gone = ", ".join(self._names[pid] for pid in self._gone(at))
+        for watched in self._watched:
+            self._run.mark(watched.verdict(at, self._run.zero, gone))
+        for left in self._found.unchecked:
+            line = f"{self._found.program.source}:{left.line}"
+            self._run.mark(Verdict(at, left.kind, left.name, line, "unchecked", detail=left.why))
+        self.seconds += time.perf_counter() - began
+
+    def _ready(self, round_: int) -> bool:
+        """Whether all that is to be known of a round has been told, or has been waited for."""
+        zero = self._run.zero
+        if zero is not None and self._moments[-1].at - zero > round_ * self._delta + PATIENCE:
+            return True
+        return all(self._truth.told(pid) >= round_ or self._absent(pid, round_) for pid in range(self._n))
+
+    def _absent(self, pid: int, round_: int) -> bool:
+        return pid in self._out or (self._view.members[pid] < 0 and self._view.since <= round_)
+
+    def _judge(self, ready: Callable[[int], bool]) -> None:
+        """All rounds that can be: their moments have passed, and the next round is known, too."""
+        zero = self._run.zero
+        while len(self._moments) > 1 and self._moments[-1].at > self._until:
+            self._moments.pop()
+        while zero is not None and self._moments:
+            end = zero + max(0, self._truth.round + 1) * self._delta
+            if self._moments[-1].at < end or not ready(self._truth.round + 2):
+                return
+            self._window(zero, end)
+
+    def _window(self, zero: float, end: float) -> None:
+        """The next round: its moments are those up to `end`, both ends included."""
+        if not self._began:
+            self._began = True
+            self._truth.begin()
+            while len(self._moments) > 1 and self._moments[1].at <= zero:
+                self._moments.popleft()
+            self._fleet("initially", [self._moments[0]])
+        self._truth.advance()
+        moments = [self._moments.popleft()]
+        while self._moments and self._moments[0].at <= end:
+            moments.append(self._moments.popleft())
+        self._moments.appendleft(moments[-1])  # where the next round begins
+        self._fleet("invariant", moments)
+        if self._truth.round > 0:
+            self._assumptions(moments)
+
+    def _fleet(self, of: Of, moments: list[_Moment]) -> None:
+        asked = [w for w in self._watched if w.of == of and not w.decided]
+        if not asked:
+            return
+        self._known.put(self._truth.values)
+        gone: list[int] = []
+        for k, moment in enumerate(moments):
+            due = [w for w in asked if (k == 0 or w.moving) and not w.decided]
+            if not due:
+                return
+            if gone != (gone := self._gone(moment.at)):
+                self._known.put(self._without(gone))
+            self._known.put(self._ports(moment))
+            for watched in due:
+                outcome, why = judged(watched.what.holds, self._known)
+                self._note(watched, outcome, moment.at, why, self._known)
+
+    def _without(self, gone: list[int]) -> dict[str, list[Any]]:
+        """What ports say, but those of robots that are out of the model."""
+        values = self._truth.values
+        ports = [p.name for p in self._found.program.ports if p.name in values]
+        return {name: [UNKNOWN if pid in gone else v for pid, v in enumerate(values[name])] for name in ports}
+
+    def _assumptions(self, moments: list[_Moment]) -> None:
+        asked = [w for w in self._watched if w.of == "assume" and not w.decided]
+        for watched in asked:
+            for pid in range(self._n):
+                if not watched.decided:
+                    self._assumption(watched, pid, moments)
+
+    def _assumption(self, watched: Watched, pid: int, moments: list[_Moment]) -> None:
+        """Of one robot over one round: before, its ports right after the program's step; after, at each moment."""
+        assumption, step, values = watched.what, self._step, self._truth.values
+        assert isinstance(assumption, Assumption)
+        if self._is_out(pid, moments[-1].at):
+            watched.left = moments[-1].at if watched.left is None else watched.left
+            return
+        first = self._ports(moments[0])
+        ports = [name for name in step.one if not name.endswith("'")]
+        step.pid, step.asked = pid, self._truth.calls(pid)
+        step.put({name: first[name][pid] if name in first else values[name][pid] for name in ports})
+        actuators = {p.name for p in self._found.program.ports if p.direction == "actuator"}
+        step.put({f"{name}'": values[name][pid] for name in ports if name in actuators})
+        others = {n: self._truth.sensed(pid, n, self._truth.round + 1) for n in self._sampled(assumption)}
+        if UNKNOWN in others.values():
+            return
+        step.put({f"{name}'": value for name, value in others.items()})
+        for moment in moments if watched.moving and not others else moments[-1:]:
+            step.put({f"{name}'": held[pid] for name, held in self._ports(moment).items()})
+            outcome, why = judged(assumption.holds_of_calls, step)
+            self._note(watched, outcome, moment.at, why, step)
+            if watched.decided:
+                return
+
+    def _sampled(self, assumption: Assumption) -> list[str]:
+        """Sensors of which an assumption wants to know what they are afterwards, and only the robot can say: it does at
+        its next round."""
+        primed = [name[:-1] for name in assumption.reads if name.endswith("'")]
+        sensors = {p.name for p in self._found.program.ports if p.direction == "sensor"}
+        return [name for name in primed if name in sensors and name not in self._found.measured]
+
+    def _ports(self, moment: _Moment) -> dict[str, list[Any]]:
+        """The measured ports, as they are in truth."""
+        if not moment.ports:
+            gone = self._gone(moment.at)
+            for name in self._found.measured:
+                measure = _PORTS[name.rpartition(".")[2]]
+                moment.ports[name] = [
+                    UNKNOWN if pid in gone else measure(state) for pid, state in enumerate(moment.states)
+                ]
+        return moment.ports
+
+    def _gone(self, at: float) -> list[int]:
+        """Who is out of the model."""
+        if not self._out and min(self._view.members) >= 0:
+            return []
+        return [pid for pid in range(self._n) if self._is_out(pid, at)]
+
+    def _is_out(self, pid: int, at: float) -> bool:
+        since = self._out.get(pid)
+        if since is not None and at >= since:
+            return True
+        zero = self._run.zero
+        removed = self._view.members[pid] < 0 and zero is not None
+        return removed and at >= (zero or 0.0) + (self._view.since - 1) * self._delta
+
+    def _note(self, watched: Watched, outcome: Outcome, at: float, why: str, known: Known) -> None:
+        violation = watched.note(outcome, at, why, known, self._names, bool(self._gone(at)))
+        if violation is not None:
+            self._run.mark(violation)
