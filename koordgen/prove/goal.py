@@ -10,8 +10,9 @@ from koordgen.prove import term as t
 from koordgen.prove.encode.quantifier import domain as domain_of
 from koordgen.prove.encode.scope import OfFleet
 from koordgen.prove.encode.state import State, Written
+from koordgen.prove.encode.tree import nodes
 from koordgen.prove.encode.values import Val
-from koordgen.prove.moment import Stage, nodes
+from koordgen.prove.moment import Stage
 from koordgen.prove.obligation import Fact
 from koordgen.prove.term import Term
 
