@@ -108,7 +108,7 @@ class Explainer:
     def of(self, program: decl.Program, robots: int) -> list[Obligation]:
         key = (program, robots)
         if key not in self.made:
-            self.made[key] = obligations(program, robots, self.params)
+            self.made[key] = obligations(program, robots, self.params, exact=True)
         return self.made[key]
 
     def lacking(self, invariant: decl.Property) -> tuple[str, ...]:
