@@ -8,10 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import msgspec
 
+from koordgen.runtime.inside import Inside
+from koordgen.runtime.platform import Platform
+from koordgen.runtime.settings import Settings
 from targets.sim.ports import Loopback, Wiring
 from targets.sim.upset import Upset
 
@@ -87,3 +90,13 @@ class Device(Protocol):
         ...
 
     def close(self) -> None: ...
+
+
+@runtime_checkable
+class Embodied(Protocol):
+    """A device that acts on its body directly, with nothing of the real one between: in lockstep the robot's agent has
+    this platform, and not its target's."""
+
+    def platform(self, settings: Settings, key: bytes | None, inside: Inside) -> Platform:
+        """See koordgen.runtime.inside; a new one for each start of the agent."""
+        ...

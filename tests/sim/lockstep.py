@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from koordgen.cli import main
+from targets.sim.bodies import BodyState
+from targets.sim.crew import Agent
+from targets.sim.lockstep.run import Lockstep
+from targets.sim.progress import Progress
+from targets.sim.run import Outcome, Run
+from targets.sim.scenario import load
+from targets.sim.trace import Record
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -41,3 +50,44 @@ def summary(out: Path) -> Any:
 
 def digest(out: Path) -> str:
     return hashlib.sha256((out / "trace.jsonl").read_bytes()).hexdigest()
+
+
+class Plan:
+    """A crew.Companion that does what is planned for a time, with the agent of a robot, and remembers the truth."""
+
+    def __init__(self, *plan: tuple[float, str, Callable[[Agent], object]]) -> None:
+        self._plan = sorted(plan, key=lambda each: each[0])
+        self.states: list[tuple[float, list[BodyState]]] = []
+
+    def launched(self, run: Run) -> None:
+        self.run = run
+
+    def step(self, at: float, states: list[BodyState]) -> None:
+        t = self.run.t(at)
+        if t is None:
+            return
+        self.states.append((t, states))
+        while self._plan and t >= self._plan[0][0]:
+            _, robot, act = self._plan.pop(0)
+            act(self.agent(robot))
+
+    def agent(self, robot: str) -> Agent:
+        return next(agent for agent in self.run.conduct.agents if agent.robot.name == robot)
+
+    def heard(self, agent: Agent, records: list[Record]) -> None: ...
+
+    def end(self, at: float) -> None: ...
+
+    def speed(self, pid: int, t: float) -> float:
+        """Of a robot at a time, m/s."""
+        states = next(states for time, states in self.states if time >= t)
+        return math.hypot(*states[pid].velocity)
+
+
+def played(bundle: Path, folder: Path, seconds: float, plan: Plan, seed: int = 0) -> Outcome:
+    """A run in this process, with a plan."""
+    folder.mkdir()
+    scenario = load(bundle)
+    run = Run(scenario, Lockstep(scenario, bundle, folder, seed), folder, seconds, Progress(sys.stderr, quiet=True))
+    run.companions.append(plan)
+    return run.execute()

@@ -26,6 +26,7 @@ from koordgen.runtime.program import Program
 from koordgen.runtime.runner import Limit
 from koordgen.runtime.settings import BadSettings, Settings, load
 from koordgen.runtime.trace import Trace
+from targets.sim.bodies import Embodied
 from targets.sim.crew import Agent
 from targets.sim.lockstep.keep import MemoryStore
 from targets.sim.lockstep.own import Own
@@ -133,11 +134,13 @@ class Resident(Agent):
 
     def _embodied(self, actor: Actor, settings: Settings) -> Platform:
         """The device's own platform, where it has one, else the target's."""
-        make: Callable[..., Platform] | None = getattr(actor.device, "platform", None)
-        if make is None:
-            module, _, member = self.robot.inside.partition(":")
-            make = getattr(importlib.import_module(module), member)
-        return make(settings, self._shared.key, self._surroundings[-1])
+        if isinstance(actor.device, Embodied):
+            return actor.device.platform(settings, self._shared.key, self._surroundings[-1])
+        module, _, member = self.robot.inside.partition(":")
+        made: Platform = getattr(importlib.import_module(module), member)(
+            settings, self._shared.key, self._surroundings[-1]
+        )
+        return made
 
     @property
     def due(self) -> float:
