@@ -15,6 +15,7 @@ from koordgen.node import replace
 from koordgen.prove.generate import obligations
 from koordgen.prove.ledger import Entry, ledger
 from koordgen.prove.obligation import Obligation
+from koordgen.prove.smtlib import script
 from koordgen.prove.solve import Answer, Both, Solver
 
 if TYPE_CHECKING:  # what explains failures runs programs: a proof needs none of it, and it takes long to import
@@ -101,7 +102,21 @@ def _explained(
 
 
 def _asked(question: Question, program: decl.Program, solver: Solver | Both) -> list[Outcome]:
-    return [Outcome(o, solver.ask(o)) for o in obligations(program, question.robots, question.params)]
+    """What the solver says of all obligations; of those that fail again, with distances told exactly, where that is
+    something else."""
+    found = [Outcome(o, solver.ask(o)) for o in obligations(program, question.robots, question.params)]
+    if all(outcome.holds for outcome in found):
+        return found
+    exact = {o.name: o for o in obligations(program, question.robots, question.params, exact=True)}
+    return [outcome if outcome.holds else _again(outcome, exact, solver) for outcome in found]
+
+
+def _again(outcome: Outcome, exact: Mapping[str, Obligation], solver: Solver | Both) -> Outcome:
+    other = exact.get(outcome.obligation.name)
+    if other is None or script(other) == script(outcome.obligation):
+        return outcome
+    answer = solver.ask(other)
+    return Outcome(other, answer._replace(seconds=answer.seconds + outcome.answer.seconds))
 
 
 def _groups(outcomes: Sequence[Outcome]) -> dict[str, tuple[Outcome, ...]]:

@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 
 from targets.sim.bodies import BodyState, Device, DeviceContext, Vector
 from targets.sim.car import Running, SimulatedCar
+from targets.sim.external import ExternalAutopilot
 from targets.sim.first_order import SimpleCar, SimpleQuadrotor
 from targets.sim.lidar import SETTING, SimulatedLidar
 from targets.sim.ports import Loopback, Wiring
 from targets.sim.quadrotor import SimulatedQuadrotor
 from targets.sim.scenario import BadScenario, Robot, Scenario
+from targets.sim.simple import DirectCar, DirectQuad
 from targets.sim.slowed import Slowed
 from targets.sim.station import SimulatedFeed, fed
 from targets.sim.upset import Upset
@@ -54,6 +56,8 @@ DEVICES: dict[str, str] = {
     "drive": "targets.sim.drive:simulated",
 }
 
+# ... and those of robots of fidelity `simple`, by their body.
+SIMPLE: dict[str, Callable[[Any, DeviceContext], Device]] = {"quadrotor": DirectQuad, "car": DirectCar}
 
 Clock = Callable[[], float]
 
@@ -193,6 +197,11 @@ def check(scenario: Scenario) -> None:
         if robot.body not in BODIES:
             raise BadScenario(f"no simulated body {robot.body!r}", f"there are: {', '.join(sorted(BODIES))}")
         device_class(robot.device)
+        if robot.external and (robot.body, robot.sim.fidelity) != ("quadrotor", "full"):
+            raise BadScenario(
+                f"{robot.name}: an external autopilot flies quads of fidelity full only",
+                "say `fidelity: full`, or `autopilot: simulated`, in its `sim:`",
+            )
 
 
 def _actor(
@@ -206,8 +215,12 @@ def _actor(
     place = (origin.latitude, origin.longitude, origin.altitude)
     upset = Upset()
     context = DeviceContext(robot.name, robot.settings, harness, place, own_seed, key, wiring, upset)
-    device = make(Slowed(body, upset, lambda: world.time), context)
+    slowed = Slowed(body, upset, lambda: world.time)
+    if robot.sim.fidelity == "simple":
+        make = SIMPLE[robot.body]
+    device = ExternalAutopilot(slowed, context, robot.pid) if robot.external else make(slowed, context)
     sensors: list[Device] = [SimulatedLidar(world, body, context, robot.sim.lidar)] if SETTING in robot.settings else []
-    if setting := fed(robot.settings):
+    setting = fed(robot.settings)
+    if setting and robot.sim.fidelity != "simple":  # such a robot knows where it is
         sensors.append(SimulatedFeed(body, context, setting, clock))
     return Actor(robot, body, device, tuple(sensors), upset)
