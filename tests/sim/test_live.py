@@ -247,6 +247,8 @@ def test_the_views_process_knows_nothing_of_pybullet_or_matplotlib() -> None:
 
 
 def test_watching_a_run_in_lockstep_changes_nothing_in_its_trace(tmp_path: Path) -> None:
-    line = built(tmp_path, "lineform")
-    assert ran(line, tmp_path / "alone", 2.0) == ran(line, tmp_path / "watched", 2.0, "--live", "--pace", "5") == 0
+    mapping = built(tmp_path, "mapping")
+    assert (
+        ran(mapping, tmp_path / "alone", 2.0) == ran(mapping, tmp_path / "watched", 2.0, "--live", "--pace", "5") == 0
+    )
     assert digest(tmp_path / "alone") == digest(tmp_path / "watched")
