@@ -1,27 +1,29 @@
 """What mapping.koord leaves to Python: where to look next, what is in the way, what a scan tells, when all is seen.
 
 All of them are pure: the same map and scan give the same answer on every robot. Lengths in metres, local ENU frame.
-The map is parted into strips from west to east, one a robot; each drives within its own, a cell away from the next.
+The map is parted into strips from west to east, one a robot; each drives within its own, away from the next.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator
+from functools import lru_cache
 
-from koordgen.runtime.gridmap import GridMap, cell, center, is_known, is_occupied, mark_free, mark_occupied
+from koordgen.runtime.gridmap import FREE, OCCUPIED, GridMap, cell, center, merge
 from koordgen.runtime.values import Grid, Point, Scan
 
 Cell = tuple[int, int]
 NEAR = ((1, 0), (-1, 0), (0, 1), (0, -1))
-AROUND = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1))
+GAP = 0.5  # metres from a strip's edge to the next strip, a cell at least
+BODY = 0.9  # metres around the place that a robot has told in which a scan may show it: its body, and how far it goes
+# until its next word
 
 
-def pickFrontierPos(known: GridMap, own: Point, part: int, parts: int) -> Point:
+def pickFrontierPos(known: GridMap, own: Point, part: int, parts: int, refused: list[Point]) -> Point:
     """The edge of what is known that is nearest to drive to, or else as the crow flies; without any, where the robot
     is."""
-    edge = _edge(known, part, parts)
+    edge = _left(known, part, parts, refused)
     if not edge:
         return own
     size, room = known.resolution, _room(known, part, parts)
@@ -41,57 +43,83 @@ def pickFrontierPos(known: GridMap, own: Point, part: int, parts: int) -> Point:
 
 def findObs(known: GridMap) -> list[Grid]:
     """The cells that are known to be occupied."""
-    cells = (Grid(x, y, known.resolution) for x, y in _cells(known))
-    return [g for g in cells if is_occupied(known, g)]
+    return [Grid(x, y, known.resolution) for (x, y), code in _codes(known).items() if code == OCCUPIED]
 
 
-def explored(known: GridMap, part: int, parts: int) -> bool:
+def explored(known: GridMap, part: int, parts: int, refused: list[Point]) -> bool:
     """Whether a strip has no edge left to drive to."""
-    return not _edge(known, part, parts)
+    return not _left(known, part, parts, refused)
 
 
-def scanToMap(own: Point, seen: Scan, area: GridMap) -> GridMap:
-    """`area` with the cells free that rays crossed, and those occupied at which rays ended."""
+def scanToMap(own: Point, seen: Scan, area: GridMap, robots: list[Point], me: int) -> GridMap:
+    """In the window of `area`: the cells free that rays crossed, and those occupied at which rays ended, but not where
+    another robot is."""
     size = area.resolution
+    others = [p for pid, p in enumerate(robots) if pid != me]
     free: set[Cell] = set()
     hit: set[Cell] = set()
     for angle, range_ in zip(seen.angles, seen.ranges, strict=True):
-        east, north = math.cos(angle) / size, math.sin(angle) / size
-        x, y = own.x / size, own.y / size
+        east, north = math.cos(angle), math.sin(angle)
         steps = max(1, int(3 * range_ / size))
         for i in range(steps):
             way = range_ * i / steps
-            free.add((math.floor(x + way * east), math.floor(y + way * north)))
+            free.add((math.floor((own.x + way * east) / size), math.floor((own.y + way * north) / size)))
         if range_ < seen.max_range:
             way = range_ + 1e-6  # the surface itself belongs to the cell behind it
-            hit.add((math.floor(x + way * east), math.floor(y + way * north)))
-    result = area
-    for x_, y_ in free & set(_cells(area)):
-        result = mark_free(result, Grid(x_, y_, size))
-    for x_, y_ in hit & set(_cells(area)):
-        result = mark_occupied(result, Grid(x_, y_, size))
-    return result
+            x, y = own.x + way * east, own.y + way * north
+            if all(math.hypot(x - p.x, y - p.y) > BODY for p in others):
+                hit.add((math.floor(x / size), math.floor(y / size)))
+    return merge(_marked(area, free, FREE), _marked(area, hit, OCCUPIED))
 
 
-def _edge(known: GridMap, part: int, parts: int) -> set[Cell]:
+def _marked(area: GridMap, cells: set[Cell], code: int) -> GridMap:
+    """A map in which these are all that is known."""
+    bits = bytearray(len(area.cells))
+    for x, y in cells:
+        i, j = x - area.x, y - area.y
+        if 0 <= i < area.width and 0 <= j < area.height:
+            k = j * area.width + i
+            bits[k >> 2] |= code << 2 * (k & 3)
+    return GridMap(area.resolution, area.x, area.y, area.width, area.height, bytes(bits))
+
+
+def _left(known: GridMap, part: int, parts: int, refused: list[Point]) -> frozenset[Cell]:
+    """The edge, without those to which there was no way."""
+    places = (cell(p, known.resolution) for p in refused)
+    return _edge(known, part, parts).difference((g.x, g.y) for g in places)
+
+
+@lru_cache(maxsize=64)  # a map is asked about in every round until the next one
+def _edge(known: GridMap, part: int, parts: int) -> frozenset[Cell]:
     """The cells of a strip with room for a robot, beside a cell of which nothing is known."""
-    unknown = {c for c in _cells(known) if not is_known(known, Grid(*c, known.resolution))}
-    return {(x, y) for x, y in _room(known, part, parts) if any((x + i, y + j) in unknown for i, j in NEAR)}
+    codes = _codes(known)
+    room = _room(known, part, parts)
+    return frozenset((x, y) for x, y in room if any(codes.get((x + i, y + j)) == 0 for i, j in NEAR))
 
 
-def _room(known: GridMap, part: int, parts: int) -> set[Cell]:
-    """The cells of a strip that are known to be free and have nothing occupied around them."""
-    west = known.x + known.width * part // parts + (1 if part > 0 else 0)
-    east = known.x + known.width * (part + 1) // parts - (1 if part < parts - 1 else 0)
-    taken = {c for c in _cells(known) if is_occupied(known, Grid(*c, known.resolution))}
-    return {
+@lru_cache(maxsize=64)
+def _room(known: GridMap, part: int, parts: int) -> frozenset[Cell]:
+    """The cells of a strip that are known to be free and have nothing occupied around them, as far as a car needs."""
+    gap = max(1, math.ceil(GAP / known.resolution))
+    west = known.x + known.width * part // parts + (gap if part > 0 else 0)
+    east = known.x + known.width * (part + 1) // parts - (gap if part < parts - 1 else 0)
+    codes = _codes(known)
+    reach = range(-_need(known.resolution), _need(known.resolution) + 1)
+    around = [(i, j) for i in reach for j in reach]
+    return frozenset(
         (x, y)
-        for x, y in _cells(known)
-        if west <= x < east
-        and is_known(known, Grid(x, y, known.resolution))
-        and not any((x + i, y + j) in taken for i, j in AROUND)
-    }
+        for (x, y), code in codes.items()
+        if west <= x < east and code == FREE and not any(codes.get((x + i, y + j)) == OCCUPIED for i, j in around)
+    )
 
 
-def _cells(m: GridMap) -> Iterator[Cell]:
-    return ((m.x + i, m.y + j) for j in range(m.height) for i in range(m.width))
+def _need(size: float) -> int:
+    """How many cells around a place a car needs."""
+    return max(1, math.ceil(0.3 / size))
+
+
+@lru_cache(maxsize=8)
+def _codes(m: GridMap) -> dict[Cell, int]:
+    """What is known of each cell of the window: 0 nothing, FREE, OCCUPIED; row by row."""
+    cells = ((m.x + i, m.y + j) for j in range(m.height) for i in range(m.width))
+    return {c: (m.cells[k >> 2] >> 2 * (k & 3)) & 3 for k, c in enumerate(cells)}

@@ -144,7 +144,7 @@ _NETWORK = {
     "reordering": ("P", "the part of the datagrams that others overtake"),
 }
 # Options of a harness's bundle that have the same name here.
-PASSED = ("duration", "seed", *_NETWORK)
+PASSED = ("duration", "seed", "live", "pace", *_NETWORK)
 
 
 def _harness(command: argparse.ArgumentParser) -> None:
@@ -152,6 +152,10 @@ def _harness(command: argparse.ArgumentParser) -> None:
     command.add_argument("--duration", metavar="S", type=float, help="seconds of mission, from its first round")
     command.add_argument("--seed", metavar="N", type=int, help="seed of all that is random")
     command.add_argument("--lockstep", action="store_true", help="all in one process: repeatable, as fast as it goes")
+    pace = "of a run in lockstep: at most so many times real time"
+    command.add_argument("--pace", metavar="FACTOR", type=float, help=pace)
+    live = "show the run while it goes on, on a page of 127.0.0.1, at PORT or any free one"
+    command.add_argument("--live", metavar="PORT", type=int, nargs="?", const=0, help=live)
     command.add_argument("--out", metavar="DIR", help="where trace, summary, pictures and report go")
     command.add_argument("--quiet", action="store_true", help="no progress")
     command.add_argument("--scenario", metavar="FILE", help="what goes wrong in the run, and when (YAML)")

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from koordgen.check.params import Value
     from koordgen.ir.decl import Program
     from koordgen.ir.expr import Expr
+    from koordgen.prove.solve import Both, Solver
     from koordgen.prove.verdict import Verdict
     from koordgen.source import Source
 
@@ -34,9 +35,21 @@ ALL_QUERIES = 60.0  # seconds, at least
 
 def run(options: Namespace) -> int:
     """The whole command."""
+    from koordgen.prove.solve import Limits, SolverMissing, solver_of
+
+    limits = Limits(query=options.timeout, total=max(ALL_QUERIES, 10 * options.timeout))
+    try:
+        with solver_of(options.solver, limits) as solver:
+            solver.start()  # it loads while the program is checked
+            return proved(options, solver)
+    except SolverMissing as error:
+        raise Failure(SURROUNDINGS, str(error), f"{sys.executable} -m pip install 'koordgen[prove]'") from None
+
+
+def proved(options: Namespace, solver: Solver | Both) -> int:
+    """Checks, writes and tells what was asked for. Raises SolverMissing."""
     from koordgen.check.params import BadParam
     from koordgen.pipeline import check_file, fleet_params
-    from koordgen.prove.solve import SolverMissing
 
     checked = check_file(options.program)
     if options.format == "text":
@@ -45,26 +58,23 @@ def run(options: Namespace) -> int:
         given = {**fleet_params(options.fleet, checked, options.program), **_params(options.param)}
         if options.emit:
             emit(options.emit, files(options, checked.source, checked.program, given))
-        found = asked(options, checked.program, given)
+        question = fixed(checked.program, given)
     except BadParam as error:
         raise Failure(USAGE, str(error)) from None
-    except SolverMissing as error:
-        raise Failure(SURROUNDINGS, str(error), f"{sys.executable} -m pip install 'koordgen[prove]'") from None
+    found = asked(checked.program, question, numbers(options.robots), solver)
     if options.trace:
         save(options.trace, trace_of(checked.program, found))
     tell(options, found)
     return status(found)
 
 
-def asked(options: Namespace, program: Program, given: Mapping[str, Value]) -> list[list[Verdict]]:
-    """The verdicts for each number of robots. Raises BadParam, SolverMissing."""
-    from koordgen.prove.solve import Limits, solver_of
+def asked(
+    program: Program, params: Mapping[str, Expr], robots: list[int | None], solver: Solver | Both
+) -> list[list[Verdict]]:
+    """The verdicts for each number of robots. Raises SolverMissing."""
     from koordgen.prove.verdict import Question, prove
 
-    question = Question(program, None, fixed(program, given))
-    limits = Limits(query=options.timeout, total=max(ALL_QUERIES, 10 * options.timeout))
-    with solver_of(options.solver, limits) as solver:
-        return [prove(question._replace(robots=n), solver) for n in numbers(options.robots)]
+    return [prove(Question(program, n, params), solver) for n in robots]
 
 
 def fixed(program: Program, given: Mapping[str, Value]) -> dict[str, Expr]:

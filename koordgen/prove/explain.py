@@ -3,27 +3,29 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 from koordgen.ir import decl
 from koordgen.ir.expr import Expr
 from koordgen.node import replace
 from koordgen.prove.generate import obligations
-from koordgen.prove.model import Counterexample, Unshowable, replayed, wanted, with_values
+from koordgen.prove.model import Counterexample, replayed, with_values
 from koordgen.prove.obligation import Fact, Obligation
 from koordgen.prove.reach import Bounds, Run, run_to
+from koordgen.prove.reading import Reader, Unshowable, flat
 from koordgen.prove.solve import Answer, Both, Solver
 from koordgen.prove.strengthen import closing
-from koordgen.prove.term import REAL, equals, to_int, to_real
+from koordgen.prove.term import REAL, Term, equals, to_int, to_real
 from koordgen.semantics.exact import exact
+from koordgen.semantics.step import initial
 from koordgen.semantics.values import Value as KoordValue
 
 if TYPE_CHECKING:
     from koordgen.prove.verdict import Outcome
 
 FLEETS = (1, 2, 3, 4)  # where a counterexample is looked for first: few robots are read more easily
-SECONDS = 1.0  # for a strengthening
+SECONDS = 1.0  # of computing, for a strengthening
 
 
 class Explanation(NamedTuple):
@@ -81,43 +83,62 @@ class Explainer:
             for same in self.of(relied, robots):
                 if (same.name, same.kind) != (obligation.name, obligation.kind):
                     continue
-                for answer in self.models(same):
+                reader = Reader(same)
+                for answer in self.models(same, program, reader):
+                    reader.answered(answer.values)
                     try:
-                        return replayed(program, same, answer.values, robots)
+                        return replayed(program, same, reader, robots)
                     except Unshowable as error:
                         reasons.append(str(error))
         raise Unshowable(reasons[0] if reasons else f"there is none for 1 to {FLEETS[-1]} robots")
 
-    def models(self, obligation: Obligation) -> Iterable[Answer]:
-        """A model in whole numbers, where there is one, and any."""
+    def models(self, obligation: Obligation, program: decl.Program, reader: Reader) -> Iterator[Answer]:
+        """Models that people read easily, where there are any: with params as the program has them, in whole numbers;
+        then any."""
         reals = [t for cell in obligation.cells for t in cell.terms if t.sort is REAL]
-        whole = tuple(Fact("a whole number", equals(to_real(to_int(t)), t), "", 0) for t in dict.fromkeys(reals))
-        for more in (whole, ()) if whole else ((),):
-            asked = replace(obligation, facts=(*obligation.facts, *more), logic="ALL" if more else obligation.logic)
-            answer = self.solver.ask(asked, wanted(obligation))
+        whole = reader.short() + [equals(to_real(to_int(t)), t) for t in dict.fromkeys(reals)]
+        usual = list(_usual(obligation, program))
+        for more in dict.fromkeys([(*usual, *whole), tuple(whole), ()]):
+            facts = tuple([Fact("to be read easily", term, "", 0) for term in more])
+            asked = replace(obligation, facts=(*obligation.facts, *facts), logic="ALL" if more else obligation.logic)
+            answer = self.solver.ask(asked, reader.wanted())
             if answer.result == "sat":
                 yield answer
 
     def of(self, program: decl.Program, robots: int) -> list[Obligation]:
         key = (program, robots)
         if key not in self.made:
-            self.made[key] = obligations(program, robots, self.params)
+            self.made[key] = obligations(program, robots, self.params, exact=True)
         return self.made[key]
 
     def lacking(self, invariant: decl.Property) -> tuple[str, ...]:
-        until = time.monotonic() + SECONDS
+        until = time.process_time() + SECONDS
+        solving = 0.0
         base = replace(self.proved, properties=(*self.proved.properties, invariant))
 
         def proves(program: decl.Program, names: frozenset[str]) -> frozenset[str]:
+            nonlocal solving
             bad: set[str] = set()
             for obligation in obligations(program, self.robots, self.params):
                 if obligation.invariant in names - bad and obligation.kind != "consistency":
-                    late = time.monotonic() > until
-                    if late or self.solver.ask(obligation).result != obligation.expected:
+                    if time.process_time() + solving > until:
+                        return frozenset()
+                    answer = self.solver.ask(obligation)
+                    solving += answer.seconds
+                    if answer.result != obligation.expected:
                         bad.add(obligation.invariant)
             return names - bad
 
         return closing(base, invariant.name, proves)
+
+
+def _usual(obligation: Obligation, program: decl.Program) -> Iterator[Term]:
+    """That the params have the values that the program gives them."""
+    values = initial(program, 1).params
+    for cell in obligation.cells:
+        parts = flat(values.get(cell.name))
+        if cell.robot is None and len(parts) == len(cell.terms):
+            yield from (equals(term, part) for term, part in zip(cell.terms, parts, strict=True))
 
 
 def invariant_of(program: decl.Program, name: str) -> decl.Property:

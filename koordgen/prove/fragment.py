@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from koordgen.ir import expr as ir
 from koordgen.ir.types import INT
-from koordgen.prove.moment import Setting, nodes
+from koordgen.prove.encode.tree import nodes
+from koordgen.prove.moment import Setting
 
 
 def complete(setting: Setting) -> bool:

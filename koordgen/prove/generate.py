@@ -23,6 +23,7 @@ from koordgen.prove.obligation import Cell, Fact, Kind, Moment, Obligation
 from koordgen.prove.term import Term
 
 WELL_DEFINED = "(well-defined)"
+AFTERWARDS = " afterwards"
 Goal = tuple[decl.Property, str, tuple[Fact, ...]]  # an invariant, at which place within an event, in parts
 
 
@@ -102,6 +103,7 @@ def of_event(setting: Setting, event: decl.Event) -> list[Obligation]:
 
 
 def environment(setting: Setting) -> list[Obligation]:
+    """Of the invariants in their order each may use that those before it hold after the step, too."""
     stage = Stage(setting)
     now = Free(stage.room, setting.types)
     after = Moved(now, Free(stage.room, setting.types, "@after"), setting.sensors)
@@ -110,6 +112,7 @@ def environment(setting: Setting) -> list[Obligation]:
     goals = [(p, "", goal(stage, p, after)) for p in setting.touched(setting.sensors)]
     if not goals:
         return []
+    stage.holds(setting.invariants, after, when=AFTERWARDS)
     cells = stage.cells([("before", now), ("after", after)])
     lines = [m.span.line for m in setting.program.modules]
     out = _Output(stage, "environment", "(environment)", lines[0] if lines else 1, stage.close(), cells)
@@ -158,6 +161,8 @@ class _Output:
         self.stage, self.kind, self.event, self.line = stage, kind, event, line
         self.facts, self.cells = facts, cells
         self.notes = tuple(stage.room.notes)
+        self.seen: set[Term] = set()
+        self.real = self.nonlinear = False
         self.complete = complete(stage.setting) and not stage.room.partial
 
     def all(
@@ -169,10 +174,10 @@ class _Output:
         """One for each invariant, and one that every operation has a value; the others assume it: what has none is
         discarded, and changes nothing."""
         where = {"base": "init", "environment": "environment"}.get(self.kind, self.event)
-        found = [
-            self.one("-".join(filter(None, (p.name, where, place))), p.name, None, assumed, conjuncts)
-            for p, place, conjuncts in goals
-        ]
+        found = []
+        for property_, place, conjuncts in goals:
+            name = "-".join(filter(None, (property_.name, where, place)))
+            found.append(self.one(name, property_.name, None, assumed, conjuncts))
         wanted = tuple([d for d in demands if d.term is not t.TRUE])
         if wanted:
             found.append(self.one(f"well-defined-{where}", WELL_DEFINED, "well-defined", (), wanted))
@@ -186,29 +191,34 @@ class _Output:
         if self.kind != "consistency":
             line = conjuncts[0].line if conjuncts else self.line
             goal = Fact(invariant, t.all_of([c.term for c in conjuncts]), program.path, line)
-        facts = self.facts + assumed
+        facts = self.before(invariant) + assumed
         return Obligation(
-            name, kind or self.kind, invariant, self.event, program.path, self.line, _logic(facts, goal), facts, goal,
-            "sat" if goal is None else "unsat", conjuncts, self.cells, self.complete, self.stage.setting.robots,
-            self.notes,
+            name, kind or self.kind, invariant, self.event, program.path, self.line, self.logic(facts, goal), facts,
+            goal, "sat" if goal is None else "unsat", conjuncts, self.cells, self.complete,
+            self.stage.setting.robots, self.notes,
         )  # fmt: skip
 
+    def before(self, invariant: str) -> tuple[Fact, ...]:
+        """The facts, without that this invariant, or one behind it, holds afterwards."""
+        names = [p.name for p in self.stage.setting.invariants]
+        if invariant in names:
+            names = names[names.index(invariant) :]
+        later = {f"invariant {name}{AFTERWARDS}" for name in names}
+        return tuple([fact for fact in self.facts if fact.label not in later])
 
-def _logic(facts: tuple[Fact, ...], goal: Fact | None) -> str:
-    """The logic of SMT-LIB that all terms are in."""
-    seen: set[Term] = set()
-    pending = [fact.term for fact in facts] + ([goal.term] if goal else [])
-    nonlinear = real = False
-    while pending:
-        term = pending.pop()
-        if term in seen:
-            continue
-        seen.add(term)
-        real = real or term.sort is t.REAL
-        if isinstance(term, t.Value):
-            continue
-        if isinstance(term, t.Op) and term.name in ("*", "/", "div", "mod"):
-            literals = sum(isinstance(a, t.Value) for a in term.args)
-            nonlinear = nonlinear or (literals == 0 if term.name == "*" else not isinstance(term.args[1], t.Value))
-        pending.extend(term.args)
-    return f"QF_UF{'N' if nonlinear else 'L'}{'IRA' if real else 'IA'}"
+    def logic(self, facts: tuple[Fact, ...], goal: Fact | None) -> str:
+        """The logic of SMT-LIB that all terms are in."""
+        pending = [fact.term for fact in facts] + ([goal.term] if goal else [])
+        while pending:
+            term = pending.pop()
+            if term in self.seen:
+                continue
+            self.seen.add(term)
+            self.real = self.real or term.sort is t.REAL
+            if isinstance(term, t.Value):
+                continue
+            if isinstance(term, t.Op) and term.name in ("*", "/", "div", "mod"):
+                literals = [isinstance(a, t.Value) for a in term.args]
+                self.nonlinear = self.nonlinear or not (any(literals) if term.name == "*" else literals[1])
+            pending.extend(term.args)
+        return f"QF_UF{'N' if self.nonlinear else 'L'}{'IRA' if self.real else 'IA'}"

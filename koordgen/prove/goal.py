@@ -10,8 +10,9 @@ from koordgen.prove import term as t
 from koordgen.prove.encode.quantifier import domain as domain_of
 from koordgen.prove.encode.scope import OfFleet
 from koordgen.prove.encode.state import State, Written
+from koordgen.prove.encode.tree import nodes
 from koordgen.prove.encode.values import Val
-from koordgen.prove.moment import Stage, nodes
+from koordgen.prove.moment import Stage
 from koordgen.prove.obligation import Fact
 from koordgen.prove.term import Term
 
@@ -52,12 +53,17 @@ class _Goals:
                     self.scope.temps[variable] = value
                     self.add(body, t.and_(guard, inside), robots)
                     del self.scope.temps[variable]
-            case _ if robots and self.room.own is not None and not self.bystanders and self.room.own not in robots:
+            case _ if robots and self.of_others(robots):
                 pass
             case _:
                 term = t.implies(guard, self.stage.encoder.defined(formula, self.scope))
                 label = f"invariant {self.name}: {shown(formula)}"
                 self.found.append(Fact(label, term, self.stage.setting.program.path, formula.span.line))
+
+    def of_others(self, robots: tuple[Term, ...]) -> bool:
+        """Whether none of these is the acting one, by name; where robots have numbers, each may be."""
+        by_name = self.room.robots is None and self.room.own is not None
+        return by_name and not self.bystanders and self.room.own not in robots
 
     def robots(self, chosen: tuple[Term, ...], more: bool) -> Iterator[tuple[Term, Term]]:
         """Any robot; each, where their number is known. `more`: another one will be asked for."""

@@ -6,19 +6,17 @@ arithmetic, from a state in which the invariants hold to one in which they do no
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from fractions import Fraction
 from typing import Any, NamedTuple
 
 from koordgen.diagnostics import InternalError
 from koordgen.ir import decl
 from koordgen.ir import expr as ir
-from koordgen.ir.types import BOOL, FLOAT, GRID, INT, POINT, POSE, ExternType, RecordType, Sized, TupleOf, Type
 from koordgen.node import replace
 from koordgen.prove.obligation import Cell, Moment, Obligation
-from koordgen.prove.sexpr import ModelValue
-from koordgen.prove.term import Term
-from koordgen.runtime.values import Grid, Opaque, Point, Pose
+from koordgen.prove.reading import Reader, Unshowable
+from koordgen.runtime.values import Point
 from koordgen.semantics.eval import Discarded, View, elements, holds
 from koordgen.semantics.exact import NotExact, made_exact
 from koordgen.semantics.exec import Budget, NoMeaning, library
@@ -26,10 +24,6 @@ from koordgen.semantics.property import holds_assumption, holds_property
 from koordgen.semantics.state import NOTHING, Robot, State, Store
 from koordgen.semantics.step import Step, applied, enabled, execute, initial, no_port, run_init
 from koordgen.semantics.values import RecordValue, Value
-
-
-class Unshowable(Exception):
-    """What was found cannot be run: the message says why."""
 
 
 class Conjunct(NamedTuple):
@@ -58,61 +52,18 @@ class Counterexample(NamedTuple):
     seen: frozenset[str]
 
 
-def wanted(obligation: Obligation) -> list[Term]:
-    """The terms whose values make a counterexample of a model."""
-    terms = [t for cell in obligation.cells for t in (*([cell.robot] if cell.robot is not None else []), *cell.terms)]
-    return list({id(t): t for t in terms}.values())
-
-
 class Reading:
-    """A model: the values of the terms of `wanted`."""
+    """A model, as the states that it tells of."""
 
-    def __init__(self, program: decl.Program, obligation: Obligation, values: Sequence[ModelValue], robots: int):
+    def __init__(self, program: decl.Program, obligation: Obligation, reader: Reader, robots: int) -> None:
         self.obligation = obligation
         self.robots = robots
-        self.of = {id(t): v for t, v in zip(wanted(obligation), values, strict=True)}
+        self.reader = reader
         params = {c.name: self.value(c) for c in obligation.cells if c.name in {p.name for p in program.params}}
         self.program = with_values(program, params)
 
     def value(self, cell: Cell) -> Value:
-        """Raises Unshowable where a value has no form in the program."""
-        parts = iter([self.of[id(t)] for t in cell.terms])
-        found = self.built(cell.type, parts, cell.name)
-        if next(parts, None) is not None:
-            raise Unshowable(f"{cell.name} is known only as a {cell.type} without parts")
-        return found
-
-    def built(self, type_: Type, parts: Iterator[ModelValue], name: str) -> Value:
-        match type_:
-            case _ if type_ == POINT:
-                return Point(*[self.number(next(parts), name) for _ in range(3)])  # type: ignore[arg-type]
-            case _ if type_ in (INT, BOOL):
-                found = next(parts)
-                if isinstance(found, (str, Fraction)):
-                    raise Unshowable(f"{name} is {found}")
-                return found
-            case _ if type_ == FLOAT:
-                return self.number(next(parts), name)  # type: ignore[return-value]
-            case _ if type_ == POSE:
-                return Pose(self.built(POINT, parts, name), self.number(next(parts), name))  # type: ignore[arg-type]
-            case _ if type_ == GRID:
-                x, y = self.built(INT, parts, name), self.built(INT, parts, name)
-                return Grid(x, y, self.number(next(parts), name))  # type: ignore[arg-type]
-            case ExternType():
-                return Opaque(str(next(parts)).encode())
-            case Sized("string"):
-                return str(next(parts))
-            case RecordType(record, fields):
-                return RecordValue(record, tuple([self.built(field, parts, name) for _, field in fields]))
-            case TupleOf(items):
-                return tuple([self.built(item, parts, name) for item in items])
-            case _:
-                raise Unshowable(f"of {name} only what is said of it is known, not which {type_} it is")
-
-    def number(self, value: ModelValue, name: str) -> Fraction:
-        if isinstance(value, (bool, str)):
-            raise Unshowable(f"{name} is {value}")
-        return Fraction(value)
+        return self.reader.value(cell.type, cell.terms, cell.name)
 
     def state(self, moment: Moment) -> State:
         """The fleet at a moment; what the obligation does not speak of is as at first."""
@@ -128,7 +79,7 @@ class Reading:
                 if cell.name in cells:
                     cells[cell.name] = self.value(cell)
                 continue
-            pid = self.of[id(cell.robot)]
+            pid = self.reader.of[id(cell.robot)]
             if not isinstance(pid, int) or not 0 <= pid < self.robots:
                 continue
             for places in (locals_[pid], ports[pid]):
@@ -166,13 +117,11 @@ def exact_all(values: Mapping[str, Value]) -> dict[str, Value]:
     return {name: made_exact(value) for name, value in values.items()}
 
 
-def replayed(
-    program: decl.Program, obligation: Obligation, values: Sequence[ModelValue], robots: int
-) -> Counterexample:
-    """What the model tells of, run. `program` is exact, and holds the invariants that may be relied upon. Raises
-    Unshowable where the run does not show what the solver claims."""
+def replayed(program: decl.Program, obligation: Obligation, reader: Reader, robots: int) -> Counterexample:
+    """What a model tells of, as `reader` read it, run. `program` is exact, and holds the invariants that may be
+    relied upon. Raises Unshowable where the run does not show what the solver claims."""
     try:
-        reading = Reading(program, obligation, values, robots)
+        reading = Reading(program, obligation, reader, robots)
         match obligation.kind:
             case "base":
                 return _base(reading)
@@ -228,11 +177,12 @@ def allowed(program: decl.Program, old: Mapping[str, Value], new: Mapping[str, V
 def _event(reading: Reading) -> Counterexample:
     program, obligation = reading.program, reading.obligation
     before = reading.state("before")
-    begun = reading.state("round start").store if reading.has("round start") else before.store
+    start = reading.state("round start") if reading.has("round start") else before
+    begun = start.store
     event = next(e for e in program.events if e.name == obligation.event)
     seen = before if event.lock is not None else before._replace(store=begun)
     _relied_upon(program, before)
-    _relied_upon(program, before._replace(store=begun))
+    _relied_upon(program, start)
     why = "no robot can take the step"
     for pid in range(reading.robots):
         try:

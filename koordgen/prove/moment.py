@@ -7,7 +7,6 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from koordgen.ir import decl, stmt
 from koordgen.ir import expr as ir
 from koordgen.ir.types import Type
-from koordgen.node import Node
 from koordgen.prove import term as t
 from koordgen.prove.encode.function import Functions
 from koordgen.prove.encode.quantifier import domain as domain_of
@@ -15,11 +14,11 @@ from koordgen.prove.encode.room import Room, symbol
 from koordgen.prove.encode.scope import NotHere, OfFleet, OfRobot
 from koordgen.prove.encode.state import Key, State, declared, sensors
 from koordgen.prove.encode.stmt import Cut
+from koordgen.prove.encode.tree import nodes
 from koordgen.prove.encode.types import build, shape
 from koordgen.prove.encode.values import Val
 from koordgen.prove.obligation import Cell, Fact, Moment
 from koordgen.prove.term import Term
-from koordgen.source import Span
 
 
 class Setting:
@@ -218,18 +217,6 @@ def conjuncts(formula: ir.Expr) -> Iterator[ir.Expr]:
         yield from conjuncts(formula.right)
     else:
         yield formula
-
-
-def nodes(node: object) -> Iterator[Node]:
-    """All nodes of a tree."""
-    if isinstance(node, tuple):
-        for part in node:
-            yield from nodes(part)
-    elif isinstance(node, Node) and not isinstance(node, Span):
-        yield node
-        for field in type(node).__match_args__:  # type: ignore[attr-defined]
-            if field not in ("type", "span"):
-                yield from nodes(getattr(node, field))
 
 
 def mentioned(formula: object) -> Iterator[Key]:

@@ -17,7 +17,8 @@ from koordgen.ir import decl
 from koordgen.ir import expr as ir
 from koordgen.ir.types import BOOL, FLOAT, INT, POINT, Type
 from koordgen.node import Node
-from koordgen.prove.model import Conjunct, Unshowable, allowed, failing, made_state, true
+from koordgen.prove.model import Conjunct, allowed, failing, made_state, true
+from koordgen.prove.reading import Unshowable
 from koordgen.runtime.values import Point
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exact import NotExact, made_exact
@@ -30,7 +31,8 @@ from koordgen.source import Span
 
 
 class Bounds(NamedTuple):
-    """How far to look: robots, rounds, states in all, values of one sensor, moves of the whole fleet, seconds."""
+    """How far to look: robots, rounds, states in all, values of one sensor, moves of the whole fleet, seconds of
+    computing (on a busy computer they take longer)."""
 
     robots: int = 3
     rounds: int = 6
@@ -61,7 +63,7 @@ def run_to(
 ) -> Run | None:
     """A shortest run found, of 1 to `bounds.robots` robots, or of `robots`. `program` is exact; `hints` are values that
     sensors may take."""
-    until = time.monotonic() + bounds.seconds
+    until = time.process_time() + bounds.seconds
     fleets = [robots] if robots is not None else list(range(1, bounds.robots + 1))
     try:
         for n_sys in fleets:
@@ -111,7 +113,7 @@ class _Search:
         """Initial states: sensors take all values on one robot, at first, and values apart from the others'."""
         first = made_state(initial(self.program, n_sys))
         rules = [p for p in self.program.properties if p.kind == "initially"]
-        pools = [[(name, v) for v in self.pool(type_, first)] for name, type_ in self.sensors]
+        pools = [[(name, v) for v in self.first(name, type_, first)] for name, type_ in self.sensors]
         single = [dict(choice) for choice in islice(product(*pools), self.bounds.moves)]
         fleets = islice(product(single, repeat=n_sys), self.bounds.states)
         count = 0
@@ -121,12 +123,18 @@ class _Search:
                 count += 1
                 yield state
 
+    def first(self, name: str, type_: Type, state: State) -> list[Value]:
+        """What a sensor may say at a mission's start: where nothing was commanded yet, everything is reached."""
+        module, _, port = name.partition(".")
+        commands = {f"{module}.target", f"{module}.path"} & set(state.robots[0].ports)
+        return [True] if port == "reached" and commands else self.pool(type_, state)
+
     def rounds(self, layer: list[tuple[Moment, ...]], seen: list[State]) -> Iterator[tuple[Moment, ...]]:
         """Every run with one round more: one event, of one robot or as agents run them, and the environment's step."""
         for run in layer:
             state = run[-1].state
             for stepped in (run, *self.stepped(run, state)):
-                if time.monotonic() > self.until or len(seen) > self.bounds.states:
+                if time.process_time() > self.until or len(seen) > self.bounds.states:
                     return
                 if stepped is not run:
                     yield stepped  # whatever comes after: here the program's step has ended

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any
 
-from koordgen.prove.model import Conjunct, Counterexample
-from koordgen.prove.reach import Run
-from koordgen.prove.spell import shown, spelled
-from koordgen.prove.verdict import Verdict
-from koordgen.semantics.state import Robot, State
+from koordgen.prove.verdict import WELL_DEFINED, Verdict
+
+if TYPE_CHECKING:  # a proof needs nothing of what shows counterexamples
+    from koordgen.prove.explain import Explanation
 
 WIDTH = 100
-CHANGED = "*"
 
 
 def report(verdicts: Sequence[Verdict], path: str) -> str:
@@ -23,6 +21,8 @@ def report(verdicts: Sequence[Verdict], path: str) -> str:
     lines = [f"{path}, for {fleet}", ""]
     for verdict in verdicts:
         lines += [*_verdict(verdict), ""]
+    if not verdicts:
+        lines.append("the program has no invariants: there is nothing to prove")
     lines += _ledger(verdicts)
     return "\n".join(line.rstrip() for line in lines).rstrip() + "\n"
 
@@ -33,23 +33,30 @@ def _verdict(verdict: Verdict) -> Iterator[str]:
     measured = f"{count} obligation{'s' * (count != 1)}, {1000 * seconds:.0f} ms"
     yield f"{verdict.verdict:<14} {verdict.invariant}  ({measured})"
     if verdict.rests_on:
-        yield from _wrapped(f"rests on {', '.join(verdict.rests_on)}")
+        yield from wrapped(f"rests on {', '.join(verdict.rests_on)}")
     if verdict.reason:
-        yield from _wrapped(verdict.reason)
+        yield from wrapped(verdict.reason)
     told = verdict.explanation
     if told is None:
         return
-    if told.unshown and not verdict.reason:
-        yield from _wrapped(told.unshown)
+    if told.counterexample is None:
+        return
+    from koordgen.prove.table import counterexample, run_lines
+
     if told.run is not None:
-        yield from _wrapped("a run from an initial state, made by the executable semantics, ends where it is false:")
-        yield from _run(told.run, told.counterexample)
-    elif told.counterexample is not None:
-        yield from counterexample(told.counterexample)
-    if told.counterexample is not None and told.run is None:
-        yield from _wrapped(
-            suggestion(verdict) or "nothing that was tried closes the proof; think of what else is true"
-        )
+        yield from wrapped("a run from an initial state, made by the executable semantics, ends where it is false:")
+        yield from run_lines(told.run, told.counterexample)
+        return
+    yield from counterexample(told.counterexample)
+    if verdict.invariant != WELL_DEFINED:
+        yield from wrapped(suggestion(verdict) or "no conjunct that was tried closes the proof")
+
+
+def wrapped(text: str) -> list[str]:
+    """A sentence over as many lines as it takes."""
+    return textwrap.wrap(
+        text, WIDTH, initial_indent="  ", subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+    )
 
 
 def suggestion(verdict: Verdict) -> str:
@@ -59,120 +66,6 @@ def suggestion(verdict: Verdict) -> str:
         return ""
     added = " and ".join(f"`{conjunct}`" for conjunct in told.lacking)
     return f"add {added} to {verdict.invariant}: then it is PROVED"
-
-
-def _wrapped(text: str, indent: str = "  ") -> list[str]:
-    lines = textwrap.wrap(
-        text, WIDTH, initial_indent=indent, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
-    )
-    return lines or [indent]
-
-
-def counterexample(found: Counterexample) -> Iterator[str]:
-    """The step, what it makes false, and the table of what was before and after it."""
-    yield from _wrapped(f"{_step(found)}:")
-    yield from _failed(found.failed, found.discarded, found.file)
-    yield ""
-    yield from table(found)
-    yield ""
-
-
-def _step(found: Counterexample) -> str:
-    place = f"({found.file}:{found.line})" if found.pid is None else ""
-    if found.kind == "environment":
-        return "a step of the environment, from a state in which all invariants hold"
-    if found.kind == "base":
-        return f"the state after init {place}".rstrip()
-    return f"{found.event} of robot {found.pid}, from a state in which all invariants hold"
-
-
-def _failed(failed: Conjunct | None, discarded: str, file: str) -> list[str]:
-    if failed is None:
-        return _wrapped(f"it has no result, {discarded}", "    ")
-    bound = "".join(f", {name} = {shown(value)}" for name, value in failed.names.items())
-    return _wrapped(f"false then: {spelled(failed.formula)}{bound}  ({file}:{failed.formula.span.line})", "    ")
-
-
-def table(found: Counterexample) -> Iterator[str]:
-    """Robot by variable, before and after; what changed is marked."""
-    constants = {"N_SYS": len(found.before.robots), **found.before.params}
-    yield from _wrapped("  ".join(f"{name} = {shown(value)}" for name, value in constants.items()))
-    rows = [("robot", "variable", "before", "after")]
-    for owner, name, before, after in cells(found):
-        old, new = shown(before), shown(after)
-        mark = f" {CHANGED}" if old != new or before != after else ""
-        rows.append((owner, name, old, f"{new}{mark}" if mark else ""))
-    yield from _columns(rows)
-    if any("~" in column for row in rows for column in row):
-        yield from _wrapped("(all is reckoned exactly; numbers behind ~ are shown rounded)")
-
-
-def cells(found: Counterexample) -> Iterator[tuple[str, str, Any, Any]]:
-    """Whose, which variable, before, after: of all that matters; a robot's own, then what is shared."""
-    before, after = found.before, found.after
-    for pid, (old, new) in enumerate(zip(before.robots, after.robots, strict=True)):
-        for name, value in own(before, pid).items():
-            changed = own(after, pid)[name]
-            if name in found.seen or value != changed:
-                yield str(pid), name, value, changed
-            if name in before.store.slots and (started := found.begun.slots[name][pid]) != value:
-                yield str(pid), f"{name} (round start)", started, started
-        if new.stopped != old.stopped:
-            yield str(pid), "stopped", old.stopped, new.stopped
-    for name, value in before.store.cells.items():
-        if name in found.seen or value != after.store.cells[name]:
-            yield "", name, value, after.store.cells[name]
-        if (started := found.begun.cells[name]) != value:
-            yield "", f"{name} (round start)", started, started
-
-
-def own(state: State, pid: int) -> dict[str, Any]:
-    """What belongs to a robot: its locals, its ports, its slots."""
-    robot: Robot = state.robots[pid]
-    slots = {name: values[pid] for name, values in state.store.slots.items()}
-    return {**robot.ports, **robot.locals, **slots}
-
-
-def _columns(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
-    """Columns side by side, within WIDTH: what is too wide goes on below."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    room = WIDTH - 2 - 2 * (len(widths) - 1) - widths[0] - widths[1]
-    for i in (2, 3):
-        widths[i] = min(widths[i], max(room // 2, room - widths[5 - i]))
-    last = ""
-    for row in rows:
-        shown_row = ("" if row[0] == last and row[0] else row[0], *row[1:])
-        last = row[0]
-        parts = [textwrap.wrap(text, max(8, width)) or [""] for text, width in zip(shown_row, widths, strict=True)]
-        for k in range(max(map(len, parts))):
-            line = [(part[k] if k < len(part) else "").ljust(width) for part, width in zip(parts, widths, strict=True)]
-            yield "  " + "  ".join(line).rstrip()
-
-
-def _run(run: Run, found: Counterexample | None) -> Iterator[str]:
-    first = run.moments[0].state
-    constants = {"N_SYS": len(first.robots), **first.params}
-    yield from _wrapped("  ".join(f"{name} = {shown(value)}" for name, value in constants.items()))
-    rows = [("round", "step", "", "")]
-    for old, moment in zip((None, *run.moments), run.moments, strict=False):
-        by = moment.event or "the beginning"
-        step = f"{by} of robot {moment.pid}" if moment.pid is not None else by
-        changes = list(_changes(old.state if old else None, moment.state))
-        for i, change in enumerate(changes or ["nothing changes"]):
-            rows.append((str(moment.round) if not i else "", step if not i else "", change, ""))
-    yield from _columns(rows)
-    yield from _failed(run.failed, "", found.file if found else "")
-
-
-def _changes(old: State | None, new: State) -> Iterator[str]:
-    for pid in range(len(new.robots)):
-        was = own(old, pid) if old else {}
-        for name, value in own(new, pid).items():
-            if name not in was or was[name] != value:
-                yield f"{name}[{pid}] = {shown(value)}"
-    for name, value in new.store.cells.items():
-        if old is None or old.store.cells[name] != value:
-            yield f"{name} = {shown(value)}"
 
 
 def _ledger(verdicts: Iterable[Verdict]) -> Iterator[str]:
@@ -214,36 +107,15 @@ def _json(verdict: Verdict) -> dict[str, Any]:
         "verdict": verdict.verdict,
         "robots": "any" if verdict.robots is None else verdict.robots,
         "obligations": obligations,
-        "counterexample": _found(told.counterexample, told.run) if told and told.counterexample else None,
+        "counterexample": _found(told) if told is not None else None,
         "suggestion": suggestion(verdict) or verdict.reason or None,
         "assumptions": [*rests, *(entry._asdict() for entry in verdict.assumptions)],
     }
 
 
-def _found(found: Counterexample, run: Run | None) -> dict[str, Any]:
-    rows = [
-        {"robot": int(owner) if owner else None, "variable": name, "before": shown(before), "after": shown(after)}
-        for owner, name, before, after in cells(found)
-    ]
-    return {
-        "kind": found.kind,
-        "event": found.event,
-        "robot": found.pid,
-        "file": found.file,
-        "line": found.line,
-        "robots": len(found.before.robots),
-        "params": _texts(found.before.params),
-        "conjunct": spelled(found.failed.formula) if found.failed else found.discarded,
-        "names": _texts(found.failed.names) if found.failed else {},
-        "cells": rows,
-        "run": [_moment(m.event, m.pid, m.round, m.state) for m in run.moments] if run else None,
-    }
+def _found(told: Explanation) -> dict[str, Any] | None:
+    if told.counterexample is None:
+        return None
+    from koordgen.prove.table import data
 
-
-def _moment(event: str, pid: int | None, number: int, state: State) -> dict[str, Any]:
-    robots = [_texts(own(state, i)) for i in range(len(state.robots))]
-    return {"round": number, "event": event, "robot": pid, "robots": robots, "shared": _texts(state.store.cells)}
-
-
-def _texts(values: Mapping[str, Any]) -> dict[str, str]:
-    return {name: shown(value) for name, value in values.items()}
+    return data(told.counterexample, told.run)

@@ -7,6 +7,7 @@ where it is long.
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Callable, Iterable, Iterator
 from fractions import Fraction
 from typing import assert_never
@@ -81,7 +82,7 @@ class Printer:
             if seen[id(node)] == 1:
                 pending.append((node, True))
                 if not isinstance(node, Value):
-                    pending.extend((part, False) for part in node.args)
+                    pending.extend((part, False) for part in reversed(node.args))
 
     def print(self, term: Term) -> tuple[list[str], str]:
         """Definitions that come first, and the term."""
@@ -161,7 +162,7 @@ def document(obligation: Obligation, line: Line) -> str:
     for fact in refuted:
         said = f"{fact.label}{_place(fact, line)}"
         if said != last or fact is goal:
-            lines += ["", f"; {'to be shown, and so negated: ' if fact is goal else ''}{said}"]
+            lines += ["", *_comment(f"{'to be shown, and so negated: ' if fact is goal else ''}{said}")]
             last = said
         definitions, text = printer.print(not_(fact.term) if fact is goal else fact.term)
         lines += [wrapped(d) for d in definitions]
@@ -177,7 +178,8 @@ def _head(obligation: Obligation) -> Iterator[str]:
         yield f"; {obligation.file}:{obligation.line}: {obligation.invariant}{by} ({obligation.kind})"
     robots = "for every number of robots" if obligation.robots is None else f"for {obligation.robots} robots"
     yield f"; {robots}; {obligation.expected} is the answer that is expected"
-    yield from (f"; {_flat(note)}" for note in obligation.notes)
+    for note in obligation.notes:
+        yield from _comment(note)
 
 
 def _cells(obligation: Obligation) -> Iterator[str]:
@@ -186,8 +188,9 @@ def _cells(obligation: Obligation) -> Iterator[str]:
     for cell in obligation.cells:
         names = dict.fromkeys(t.function.name for t in cell.terms if isinstance(t, Apply))
         if names:
-            told[f"; {', '.join(map(symbol, names))}: {cell.name} {cell.moment}"] = None
-    yield from told
+            told[f"{', '.join(map(symbol, names))}: {cell.name} {cell.moment}"] = None
+    for text in told:
+        yield from _comment(text)
 
 
 def _place(fact: Fact, line: Line) -> str:
@@ -195,6 +198,10 @@ def _place(fact: Fact, line: Line) -> str:
         return ""
     text = _flat(line(fact.file, fact.line))
     return f" ({fact.file}:{fact.line}{': ' if text else ''}{text})"
+
+
+def _comment(text: str) -> list[str]:
+    return textwrap.wrap(_flat(text), WIDTH, initial_indent="; ", subsequent_indent=";   ", break_on_hyphens=False)
 
 
 def _flat(text: str) -> str:

@@ -11,13 +11,11 @@ import os
 import re
 import resource
 import select
-import subprocess
+import signal
 import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from pathlib import Path
-from shutil import which
 from typing import Literal, NamedTuple, Self
 
 from koordgen.diagnostics import InternalError
@@ -62,8 +60,9 @@ class Broken(Exception):
 
 def command_of(name: str, memory: int) -> list[str]:
     """How a solver is started that may use so many megabytes. Raises SolverMissing."""
-    beside = Path(sys.executable).parent / name
-    found = str(beside) if os.access(beside, os.X_OK) else which(name)
+    folders = [os.path.dirname(sys.executable), *os.environ.get("PATH", "").split(os.pathsep)]
+    places = [os.path.join(folder, name) for folder in folders if folder]
+    found = next((place for place in places if os.path.isfile(place) and os.access(place, os.X_OK)), None)
     if found and name == "z3":
         return [found, "-in", f"-memory:{memory}"]
     if found:
@@ -71,8 +70,47 @@ def command_of(name: str, memory: int) -> list[str]:
     from importlib.util import find_spec
 
     if name == "cvc5" and find_spec("cvc5"):
-        return [sys.executable, "-P", str(Path(__file__).with_name("cvc5_driver.py"))]
+        return [sys.executable, "-P", os.path.join(os.path.dirname(__file__), "cvc5_driver.py")]
     raise SolverMissing(f"there is no solver {name} beside {sys.executable} or on the PATH")
+
+
+class Process(NamedTuple):
+    """A program that runs beside us, and the ends of its pipes. Importing subprocess takes longer than a query."""
+
+    pid: int
+    sink: int
+    source: int
+
+    @classmethod
+    def start(cls, command: Sequence[str]) -> Process:
+        """Raises OSError where it cannot be started."""
+        theirs_in, sink = os.pipe()
+        source, theirs_out = os.pipe()
+        silent = os.open(os.devnull, os.O_WRONLY)
+        actions = [(os.POSIX_SPAWN_DUP2, end, number) for number, end in enumerate((theirs_in, theirs_out, silent))]
+        try:
+            pid = os.posix_spawnp(command[0], list(command), os.environ, file_actions=actions)
+        except OSError:
+            os.close(sink)
+            os.close(source)
+            raise
+        finally:
+            for end in (theirs_in, theirs_out, silent):
+                os.close(end)
+        os.set_blocking(sink, False)
+        os.set_blocking(source, False)
+        return cls(pid, sink, source)
+
+    def end(self) -> int:
+        """Kills it if it still runs; its exit status, negative for a signal."""
+        with suppress(ProcessLookupError):
+            os.kill(self.pid, signal.SIGKILL)
+        return self.wait()
+
+    def wait(self) -> int:
+        os.close(self.sink)
+        os.close(self.source)
+        return os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
 
 
 class Solver:
@@ -83,7 +121,7 @@ class Solver:
         self.limits = limits or Limits()
         self.command = list(command) if command is not None else command_of(name, self.limits.memory)
         self.spent = 0.0
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process: Process | None = None
         self._read = b""
         self._asked = 0
 
@@ -98,29 +136,19 @@ class Solver:
         if self._process is not None:
             return
         try:
-            process = subprocess.Popen(
-                self.command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, bufsize=0
-            )
+            process = Process.start(self.command)
         except OSError as error:
             raise SolverMissing(f"{self.command[0]}: {error.strerror}") from None
         with suppress(AttributeError, OSError):  # where a process' memory cannot be limited from outside
             most = self.limits.memory << 20
             resource.prlimit(process.pid, resource.RLIMIT_AS, (most, most))
-        for pipe in (process.stdin, process.stdout):
-            assert pipe is not None
-            os.set_blocking(pipe.fileno(), False)
         self._process, self._read = process, b""
 
     def end(self) -> None:
         """Ends the process, whatever it is doing."""
         process, self._process = self._process, None
         if process is not None:
-            process.kill()
-            process.wait()
-            for pipe in (process.stdin, process.stdout):
-                if pipe is not None:
-                    with suppress(OSError):
-                        pipe.close()
+            process.end()
 
     def ask(self, obligation: Obligation, wanted: Sequence[Term] = (), core: bool = False) -> Answer:
         """Whether the facts and the goal's negation can be true together. Raises SolverMissing."""
@@ -185,9 +213,9 @@ class Solver:
         self._asked += 1
         end = f"koordgen-{self._asked}"
         process = self._process
-        assert process is not None and process.stdin is not None and process.stdout is not None
+        assert process is not None
         unsent = memoryview(f'{text}(echo "{end}")\n'.encode())
-        source, sink = process.stdout.fileno(), process.stdin.fileno()
+        source, sink = process.source, process.sink
         mark = re.compile(rb'(?:^|\n)"?%b"?\r?\n$' % end.encode())  # quoted by those that keep to the standard
         while not (ended := mark.search(self._read, max(0, len(self._read) - len(end) - 8))):
             left = until - time.monotonic()
@@ -209,7 +237,8 @@ class Solver:
 
     def _obituary(self) -> str:
         assert self._process is not None
-        status = self._process.wait()
+        process, self._process = self._process, None
+        status = process.wait()
         words = _short(self._read.decode(errors="replace"))
         how = f"was killed by signal {-status}" if status < 0 else f"ended with status {status}"
         hint = _exhausted(words) or (

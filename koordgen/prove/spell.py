@@ -1,16 +1,12 @@
-"""Formulas and values as a program writes them: what is told to users and proposed to them is Koord."""
+"""Formulas as a program writes them: what is told to users and proposed to them is Koord."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from fractions import Fraction
-from typing import Any
 
 from koordgen.ir import expr as ir
 from koordgen.ir.types import MapOf, RecordType, Sequence, Type
-from koordgen.runtime.values import Grid, Opaque, Point, Pose
-from koordgen.semantics.exact import Root
-from koordgen.semantics.values import RecordValue
 
 _BINDING = {"or": 1, "and": 2, "+": 5, "-": 5, "*": 6, "/": 6, "//": 6, "%": 6, "**": 8}
 _LOOSE, _NOT, _COMPARE, _UNARY, _ATOM = 0, 3, 4, 7, 9
@@ -115,10 +111,8 @@ def _prime(primed: bool) -> str:
     return "'" if primed else ""
 
 
-def number(value: Fraction | int | Root) -> str:
+def number(value: Fraction | int) -> str:
     """A number exactly, where that can be read: digits that end, or a small fraction; otherwise rounded, with `~`."""
-    if isinstance(value, Root):
-        return f"sqrt({number(value.square)})"
     exact = Fraction(value)
     if exact.denominator == 1 and abs(exact) < 10**15:
         return str(exact.numerator)
@@ -127,28 +121,3 @@ def number(value: Fraction | int | Root) -> str:
         if len(text) <= MOST_DIGITS and text != "inf" and (near == exact or Fraction(text) == exact):
             return text
     return f"~{near:.6g}"
-
-
-def shown(value: Any) -> str:
-    """A value of the language, as a program writes it."""
-    match value:
-        case bool():
-            return str(value)
-        case int() | Fraction() | Root():
-            return number(value)
-        case float():
-            return repr(value)
-        case Point(x, y, z):
-            return f"({shown(x)}, {shown(y)}, {shown(z)})"
-        case Pose(position, yaw):
-            return f"Pose({shown(position)}, {shown(yaw)})"
-        case Grid(x, y, size):
-            return f"Grid({x}, {y}, {shown(size)})"
-        case RecordValue(name, fields):
-            return f"{name}({', '.join(map(shown, fields))})"
-        case Opaque(data):
-            return f"#{data.decode(errors='replace')}"
-        case tuple():
-            return f"[{', '.join(map(shown, value))}]"
-        case _:
-            return repr(value)

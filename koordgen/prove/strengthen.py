@@ -12,7 +12,7 @@ from typing import Any
 
 from koordgen.ir import decl
 from koordgen.ir import expr as ir
-from koordgen.ir.types import Type
+from koordgen.ir.types import BOOL, INT, Type, list_of
 from koordgen.node import Node, replace
 from koordgen.prove.spell import spelled
 from koordgen.source import Span
@@ -60,9 +60,35 @@ def _candidates(program: decl.Program, invariant: str) -> list[decl.Property]:
                 text = spelled(formula)
                 if text not in present:
                     found.setdefault(text, formula)
+    for formula in _bounds(program):
+        text = spelled(formula)
+        if text not in present:
+            found.setdefault(text, formula)
     span = next(p.span for p in known if p.name == invariant)
     chosen = list(found.values())[:MOST]
     return [decl.Property("invariant", f"{MARK} {i}", formula, span) for i, formula in enumerate(chosen)]
+
+
+def _bounds(program: decl.Program) -> Iterator[ir.Expr]:
+    """That ints never are below what they begin with, or never above."""
+    variables: list[decl.Local | decl.Shared] = [*program.locals, *program.shared]
+    for variable in variables:
+        first, span = variable.initial, variable.span
+        literal = first.operand if isinstance(first, ir.Unary) else first
+        if variable.type != INT or not isinstance(literal, ir.Const):
+            continue
+        robot = ir.TempRead("i", INT, span)
+        everyone = True
+        match variable:
+            case decl.Local(name):
+                read: ir.Expr = ir.LocalOf(name, robot, INT, span)
+            case decl.Shared(name, "allread"):
+                read = ir.SlotRead(name, robot, False, INT, span)
+            case _:
+                read, everyone = ir.SharedRead(variable.name, INT, span), False
+        for op in (">=", "<="):
+            bound: ir.Expr = ir.Compare(op, read, first, BOOL, span)
+            yield ir.Quantified("forall", "i", ir.Ids(list_of(INT), span), bound, BOOL, span) if everyone else bound
 
 
 def conjuncts(node: ir.Expr) -> Iterator[ir.Expr]:

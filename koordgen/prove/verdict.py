@@ -7,16 +7,19 @@ themselves PROVED and assumptions that were seen to be consistent. Everything el
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from koordgen.ir import decl
 from koordgen.ir.expr import Expr
 from koordgen.node import replace
-from koordgen.prove.explain import Explainer, Explanation
 from koordgen.prove.generate import obligations
 from koordgen.prove.ledger import Entry, ledger
 from koordgen.prove.obligation import Obligation
+from koordgen.prove.smtlib import script
 from koordgen.prove.solve import Answer, Both, Solver
+
+if TYPE_CHECKING:  # what explains failures runs programs: a proof needs none of it, and it takes long to import
+    from koordgen.prove.explain import Explanation
 
 Name = Literal["PROVED", "VACUOUS", "FALSIFIED", "NOT INDUCTIVE", "UNKNOWN"]
 WELL_DEFINED = "(well-defined)"
@@ -71,11 +74,11 @@ def prove(question: Question, solver: Solver | Both) -> list[Verdict]:
         outcomes = _asked(question, program, solver)
         groups = {name: group for name, group in _groups(outcomes).items() if name not in failed}
     contradiction, doubt = _consistency(outcomes, solver)
-    explainer = Explainer(question.program, question.robots, question.params, solver, program)
+    explained = {} if contradiction else _explained(question, failed, solver, program)
     found = []
     for name in names:
-        group, before = failed.get(name) or (groups[name], program)
-        told = None if contradiction or name not in failed else explainer.explain(name, group, before)
+        group = failed[name][0] if name in failed else groups[name]
+        told = explained.get(name)
         verdict, reason = _verdict(group, told, contradiction, doubt)
         assumed = ledger(question.program, [o.obligation for o in group])
         rests = _rests_on(name, group, program) if verdict == "PROVED" else ()
@@ -83,8 +86,37 @@ def prove(question: Question, solver: Solver | Both) -> list[Verdict]:
     return found
 
 
+def _explained(
+    question: Question,
+    failed: Mapping[str, tuple[tuple[Outcome, ...], decl.Program]],
+    solver: Solver | Both,
+    proved: decl.Program,
+) -> dict[str, Explanation]:
+    """Why each fails; `proved` has the invariants that are PROVED."""
+    if not failed:
+        return {}
+    from koordgen.prove.explain import Explainer
+
+    explainer = Explainer(question.program, question.robots, question.params, solver, proved)
+    return {name: explainer.explain(name, group, relied) for name, (group, relied) in failed.items()}
+
+
 def _asked(question: Question, program: decl.Program, solver: Solver | Both) -> list[Outcome]:
-    return [Outcome(o, solver.ask(o)) for o in obligations(program, question.robots, question.params)]
+    """What the solver says of all obligations; of those that fail again, with distances told exactly, where that is
+    something else."""
+    found = [Outcome(o, solver.ask(o)) for o in obligations(program, question.robots, question.params)]
+    if all(outcome.holds for outcome in found):
+        return found
+    exact = {o.name: o for o in obligations(program, question.robots, question.params, exact=True)}
+    return [outcome if outcome.holds else _again(outcome, exact, solver) for outcome in found]
+
+
+def _again(outcome: Outcome, exact: Mapping[str, Obligation], solver: Solver | Both) -> Outcome:
+    other = exact.get(outcome.obligation.name)
+    if other is None or script(other) == script(outcome.obligation):
+        return outcome
+    answer = solver.ask(other)
+    return Outcome(other, answer._replace(seconds=answer.seconds + outcome.answer.seconds))
 
 
 def _groups(outcomes: Sequence[Outcome]) -> dict[str, tuple[Outcome, ...]]:

@@ -139,7 +139,8 @@ def _operation(node: _Operation, view: View) -> Value:
                 return arithmetic(op, first, second)
             except (ArithmeticError, ValueError) as error:
                 checked = op != "**" and isinstance(error, ZeroDivisionError)
-                raise _fault(node, str(error), proved and checked) from None
+                reason = "division by zero" if checked and is_exact(first, second) else str(error)
+                raise _fault(node, reason, proved and checked) from None
         case ir.Compare(op, left, right):
             return _compared(op, evaluate(left, view), evaluate(right, view))
         case ir.Contains(item, values):

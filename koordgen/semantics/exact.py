@@ -106,7 +106,8 @@ def applied(name: str, args: list[Any]) -> Any:
 
 
 _ROUNDED = frozenset(
-    ["sin", "cos", "tan", "asin", "acos", "atan", "atan2", "exp", "log", "GridMap", "center", "cell", "is_free", "is_occupied", "is_known", "mark_free", "mark_occupied"]
+    ("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "exp", "log", "GridMap", "center", "cell", "is_free",
+     "is_occupied", "is_known", "mark_free", "mark_occupied")
 )  # fmt: skip
 
 

@@ -179,8 +179,9 @@ def standing(obstacles: Iterable[Obstacle], height: float) -> list[Shape]:
 
 
 def named(scene: Scene, body: Footprint, start: Place, clearance: float) -> Iterator[Shape]:
-    """What a program names, as high as anything, and other robots' ways, as wide as this car is long. Cells that touch
-    are one shape, but for those that the start is near to: the car may leave these, not the whole wall."""
+    """What a program names, as high as anything, and other robots' ways, as wide as this car is long, but for those that
+    lead over it. Cells that touch are one shape, but for those that the start is near to: the car may leave these, not
+    the whole wall."""
     cells: dict[float, set[tuple[int, int]]] = {}
     reach = body.reach + clearance + NEXT
     for grid in scene.grids:
@@ -200,6 +201,8 @@ def named(scene: Scene, body: Footprint, start: Place, clearance: float) -> Iter
 
 def _ways(path: Path, reach: float) -> Iterator[Shape]:
     for p, q in pairwise(path if len(path) != 1 else path * 2):
+        if min(p.z, q.z) > 2 * reach:  # as far above as a car would be kept away beside
+            continue
         core = ((p.x, p.y),) if (p.x, p.y) == (q.x, q.y) else ((p.x, p.y), (q.x, q.y))
         yield Shape(core, reach, "another robot's path")
 

@@ -161,6 +161,10 @@ class Bullet:
         self.release(len(self._bodies) - 1)
         return len(self._bodies) - 1
 
+    def number(self, body: int) -> int:
+        """PyBullet's of a body."""
+        return self._numbers[body]
+
     def take(self, body: int, position: Sequence[float], orientation: Sequence[float]) -> None:
         """From now on a body moves here."""
         number = self._numbers[body]

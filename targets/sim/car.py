@@ -88,18 +88,19 @@ class RollingKind(Kind):
         now.spin[1] = np.where(held, (x * z + y * w) * (-2 * _SUSPENSION), now.spin[1])
         return down
 
-    def place(self) -> tuple[Array, Array]:
+    def place(self) -> tuple[Array, Array, Array]:
         """See Kind."""
-        now = self.motions
-        yaw, rate = yaws(now.orientation), now.spin[2]
+        now, yaw = self.motions, yaws(self.motions.orientation)
+        ahead = np.empty((2, self.count))
+        np.cos(yaw, out=ahead[0])
+        np.sin(yaw, out=ahead[1])
+        ahead *= self.ahead
         position, velocity = now.position.copy(), now.velocity.copy()
-        cos, sin = self.ahead * np.cos(yaw), self.ahead * np.sin(yaw)
-        position[0] -= cos
-        position[1] -= sin
+        position[:2] -= ahead
         position[2] -= HEIGHT / 2
-        velocity[0] += rate * sin
-        velocity[1] -= rate * cos
-        return position, velocity
+        velocity[0] += now.spin[2] * ahead[1]
+        velocity[1] -= now.spin[2] * ahead[0]
+        return position, velocity, yaw
 
 
 class Cars(RollingKind):

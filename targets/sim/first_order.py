@@ -51,9 +51,9 @@ class SimpleQuadrotors(Kind):
         now.velocity[:] += gained
         now.spin[2] += (self.asked[3] - now.spin[2]) * (_TURNED * self.running)
 
-    def place(self) -> tuple[Array, Array]:
+    def place(self) -> tuple[Array, Array, Array]:
         """See Kind."""
-        return self.motions.position - _FEET, self.motions.velocity
+        return self.motions.position - _FEET, self.motions.velocity, yaws(self.motions.orientation)
 
 
 class SimpleQuadrotor:
@@ -91,14 +91,14 @@ class SimpleCars(car.RollingKind):
         super().__init__()
         self.asked = np.zeros((2, 0))  # speed (m/s) and steering angle (rad)
         self.steering = np.zeros(0)
-        self.braking = np.zeros(0)  # m/s^2; 0: it holds its speed
-        self.lag = np.zeros(0)  # s, of the speed
+        self.eager = np.zeros(0)  # 1/s: the acceleration by what the speed is off
+        self.most = np.zeros(0)  # m/s^2
 
     def grow(self) -> None:
         """See Kind."""
         self.asked = np.column_stack((self.asked, np.zeros(2)))
         self.ahead, self.steering = np.append(self.ahead, 0.0), np.append(self.steering, 0.0)
-        self.braking, self.lag = np.append(self.braking, 0.0), np.append(self.lag, 1.0)
+        self.eager, self.most = np.append(self.eager, 0.0), np.append(self.most, 0.0)
 
     def push(self, air: Array | None, taken: Mask) -> None:
         """See Kind."""
@@ -106,15 +106,12 @@ class SimpleCars(car.RollingKind):
         down = self.carry(taken)
         turning = (self.asked[1] - self.steering) / car.STEERING_LAG
         self.steering += _limited(turning, car.MAX_STEERING_RATE) * STEP
-        yaw = yaws(now.orientation)
-        headed = yaw - now.spin[2] * (STEP / 2)  # when it got this velocity, below
+        yaw, half = yaws(now.orientation), STEP / 2
+        headed = yaw - now.spin[2] * half  # when it got this velocity, below
         speed = now.velocity[0] * np.cos(headed) + now.velocity[1] * np.sin(headed)
-        braked = self.braking > 0.0
-        wanted = np.where(braked, -speed / STEP, (self.asked[0] - speed) / self.lag)
-        most = np.where(braked, self.braking, car.MAX_ACCELERATION)
-        speed += _limited(wanted, most) * STEP
+        speed += _limited((self.asked[0] - speed) * self.eager, self.most) * STEP
         rate = speed * np.tan(self.steering) / (2 * self.ahead)
-        heading = yaw + rate * (STEP / 2)  # in the middle of the step
+        heading = yaw + rate * half  # in the middle of the step
         cos, sin, across = np.cos(heading), np.sin(heading), self.ahead * rate
         np.copyto(now.velocity[0], speed * cos - across * sin, where=down)
         np.copyto(now.velocity[1], speed * sin + across * cos, where=down)
@@ -137,9 +134,10 @@ class SimpleCar:
         shape, place = car.solid(wheelbase, stiff=True), car.centre(start, yaw, ahead)
         self._all, self.rigid = world.add(SimpleCars, shape, place, yaw)
         self._all.ahead[self.rigid.index] = ahead
-        self._all.lag[self.rigid.index] = running.speed_lag
+        self._lag = running.speed_lag
         self.wheelbase = wheelbase
         self._max_steering = max_steering
+        self.drive(0.0, 0.0)
 
     def state(self) -> BodyState:
         return self.rigid.state()
@@ -152,14 +150,16 @@ class SimpleCar:
         """See bodies.Car."""
         if not (math.isfinite(speed) and math.isfinite(steering)):
             raise ValueError(f"not a speed and a steering angle: {speed}, {steering}")
-        asked, k = self._all.asked, self.rigid.index
-        asked[0, k] = max(-car.MAX_SPEED, min(car.MAX_SPEED, speed))
-        asked[1, k] = max(-self._max_steering, min(self._max_steering, steering))
-        self._all.braking[k] = 0.0
+        every, k = self._all, self.rigid.index
+        every.asked[0, k] = max(-car.MAX_SPEED, min(car.MAX_SPEED, speed))
+        every.asked[1, k] = max(-self._max_steering, min(self._max_steering, steering))
+        every.eager[k], every.most[k] = 1.0 / self._lag, car.MAX_ACCELERATION
 
     def brake(self, deceleration: float) -> None:
         """See bodies.Car."""
-        self._all.braking[self.rigid.index] = max(0.0, deceleration)
+        if deceleration > 0.0:
+            every, k = self._all, self.rigid.index
+            every.asked[0, k], every.eager[k], every.most[k] = 0.0, 1.0 / STEP, deceleration
 
 
 def _limited(value: Array, most: Array | float) -> Array:

@@ -9,7 +9,7 @@ from koordgen.runtime.values import Point
 from targets.sim.bodies import Vector
 from targets.sim.rigid import Array, Mask, Motions, total
 
-LOOK_EVERY = 8  # steps
+LOOK_EVERY = 12  # steps
 MOST_ACCELERATION = 40.0  # m/s^2, more than motors and gravity together give
 MARGIN = 0.05  # m; PyBullet finds contacts from about 0.02 on
 

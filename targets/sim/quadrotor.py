@@ -14,7 +14,7 @@ import numpy as np
 
 from targets.sim.bodies import BodyState, Vector
 from targets.sim.bullet import Solid
-from targets.sim.rigid import Array, Mask, rotations, total
+from targets.sim.rigid import Array, Mask, rotations, total, yaws
 from targets.sim.world import GRAVITY, STEP, Kind, Motion, World
 
 MASS = 1.4  # kg
@@ -127,9 +127,9 @@ class Quadrotors(Kind):
         lift[:2] *= most
         return lift
 
-    def place(self) -> tuple[Array, Array]:
+    def place(self) -> tuple[Array, Array, Array]:
         """See Kind."""
-        return self.motions.position - _FEET, self.motions.velocity
+        return self.motions.position - _FEET, self.motions.velocity, yaws(self.motions.orientation)
 
 
 class SimulatedQuadrotor:

@@ -20,6 +20,7 @@ from targets.sim.bodies import Vector
 from targets.sim.rigid import Array, Mask, total
 
 Index = NDArray[np.int64]
+_LEVEL = 1.0 - 5e-7  # cosine of the tilt up to which a body is upright: a thousandth, less than 0.1 mm on a car
 _SEAM = 1e-9  # of a segment's length by which it is longer, or rays would pass between two
 
 
@@ -37,7 +38,7 @@ class Eye:
 @dataclass(frozen=True, slots=True)
 class Bodies:
     """The other robots: centres (3, n), rotation matrices (3, 3, n), edges of the box or of the box around the upright
-    cylinder (3, n), which of them are cylinders, how far each extends from its centre, and their numbers."""
+    cylinder (3, n), which of them are cylinders, how far each extends from its centre, their numbers."""
 
     centres: Array
     turned: Array
@@ -46,10 +47,17 @@ class Bodies:
     reach: Array
     numbers: Index
 
+    @property
+    def level(self) -> Mask:
+        """Which of them stand upright."""
+        found: Mask = self.turned[2, 2] > _LEVEL
+        return found
+
 
 @dataclass(frozen=True, slots=True)
 class Slice:
-    """What stands at one height: segments (n, 4) as x, y of both ends; circles (n, 3) as x, y and radius."""
+    """What stands at one height: segments (n, 4) as x, y of both ends, seen only by who has the second end to the right
+    of the first; circles (n, 3) as x, y and radius."""
 
     segments: Array
     circles: Array
@@ -80,18 +88,48 @@ class Scenery:
 
 def look(eyes: Sequence[Eye], scenery: Scenery, bodies: Bodies) -> list[Array]:
     """For each lidar how far (m) each of its rays goes until an obstacle or another body; infinite: beyond its range.
-    The floor ends no ray, nor does a round thing that the lidar is inside of."""
+    The floor ends no ray, nor does a solid that the lidar is inside of."""
     field = _Field(eyes)
     slices = [scenery.cut(eye.place[2]) for eye in eyes]
-    _see_segments(field, slices)
-    _see_circles(field, slices)
-    _see_bodies(field, bodies)
+    others = field.others(bodies)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        segments = _Segments(field, [part.segments for part in slices], _outlines(bodies, others))
+        circles = _Circles(field, [part.circles for part in slices], _sections(bodies, others))
+        things, rays = field.spread(*(np.concatenate(pair) for pair in zip(segments.seen, circles.seen, strict=True)))
+        split = int(np.searchsorted(things, segments.count))
+        ways = field.ways[:, rays]
+        distances = np.concatenate(
+            (
+                segments.met(things[:split], ways[:, :split]),
+                circles.met(things[split:] - segments.count, ways[:, split:]),
+            )
+        )
+        field.hit(rays, distances)
+        if not bodies.level.all():
+            _see_tilted(field, bodies, others)
     found = []
-    for eye, first in zip(eyes, field.first, strict=True):
+    for eye, first in zip(eyes, field.first.tolist(), strict=True):
         ranges = field.nearest[first : first + eye.rays]
         ranges[ranges > eye.range] = np.inf
         found.append(ranges)
     return found
+
+
+def _outlines(bodies: Bodies, others: Mask) -> tuple[Index, Array]:
+    """The four sides of those boxes that stand upright, as segments, and which lidar may see them."""
+    ahead = bodies.turned[:2, 0] * (bodies.sizes[0] / 2)
+    left = bodies.turned[:2, 1] * (bodies.sizes[1] / 2)
+    front, rear = bodies.centres[:2] + ahead, bodies.centres[:2] - ahead
+    corners = np.stack((front + left, rear + left, rear - left, front - left))
+    sides = np.concatenate((corners, corners[[1, 2, 3, 0]]), axis=1)  # side, coordinate, body
+    eye, body = np.nonzero(others & bodies.level & ~bodies.round)
+    return np.repeat(eye, 4), sides[:, :, body].transpose(1, 2, 0).reshape(4, -1)
+
+
+def _sections(bodies: Bodies, others: Mask) -> tuple[Index, Array]:
+    """Those cylinders that stand upright, as circles, and which lidar may see them."""
+    eye, body = np.nonzero(others & bodies.level & bodies.round)
+    return eye, np.concatenate((bodies.centres[:2, body], bodies.sizes[:1, body] / 2))
 
 
 class _Field:
@@ -101,10 +139,19 @@ class _Field:
         self.eyes = eyes
         self.rays = np.array([eye.rays for eye in eyes], dtype=np.int64)
         self.range = np.array([eye.range for eye in eyes])
+        self.places = np.array([eye.place[:2] for eye in eyes]).T
         self.first: Index = np.cumsum(self.rays) - self.rays
         angles = [_turn(eye.rays) for eye in eyes]
         self.ways = angles[0] if len(angles) == 1 else np.concatenate(angles, axis=1)
         self.nearest = np.full(self.ways.shape[1], np.inf)
+
+    def others(self, bodies: Bodies) -> Mask:
+        """Which bodies each lidar may see: all at its height but its own, (lidars, n)."""
+        heights = np.array([[eye.place[2]] for eye in self.eyes])
+        unseen = np.array([[eye.unseen] for eye in self.eyes])
+        tall = np.where(bodies.level, bodies.sizes[2] / 2, bodies.reach)
+        found: Mask = (np.abs(bodies.centres[2] - heights) <= tall) & (bodies.numbers != unseen)
+        return found
 
     def spread(self, eye: Index, begin: Array, width: Array) -> tuple[Index, Index]:
         """The rays of lidars between the angles `begin` and `begin + width`, one more at each side: for each the
@@ -117,9 +164,9 @@ class _Field:
         ray = np.arange(len(thing)) + (lowest - (np.cumsum(count) - count))[thing]
         return thing, self.first[eye][thing] + ray % each[thing]
 
-    def hit(self, ray: Index, distance: Array, seen: Mask) -> None:
+    def hit(self, ray: Index, distance: Array) -> None:
         """Some rays end there, at the latest."""
-        np.minimum.at(self.nearest, ray[seen], distance[seen])
+        np.minimum.at(self.nearest, ray, distance)
 
 
 _turns: dict[int, Array] = {}
@@ -133,61 +180,67 @@ def _turn(rays: int) -> Array:
     return _turns[rays]
 
 
-def _gathered(field: _Field, parts: list[Array]) -> tuple[Index, Array]:
-    """The things of all lidars' slices, each with its lidar's number, seen from there."""
-    eye = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-    things = np.concatenate(parts)
-    places = np.array([e.place[:2] for e in field.eyes])[eye]
-    things[:, :2] -= places
-    if things.shape[1] == 4:
-        things[:, 2:] -= places
+def _gathered(field: _Field, parts: list[Array], others: tuple[Index, Array]) -> tuple[Index, Array]:
+    """The things of all lidars, and what they see of others, seen from there, a column each; and each one's lidar."""
+    eye = np.concatenate((np.repeat(np.arange(len(parts)), [len(part) for part in parts]), others[0]))
+    things = np.concatenate((*(part.T for part in parts), others[1]), axis=1)
+    places = field.places[:, eye]
+    things[:2] -= places
+    if len(things) == 4:
+        things[2:] -= places
     return eye, things
 
 
-def _see_segments(field: _Field, slices: list[Slice]) -> None:
-    eye, ends = _gathered(field, [part.segments for part in slices])
-    x, y, to_x, to_y = ends.T
-    along_x, along_y = to_x - x, to_y - y
-    across = x * along_y - y * along_x  # twice the area between the lidar and the segment, by which side it is on
-    length = np.hypot(along_x, along_y)
-    nearer = (np.abs(across) < field.range[eye] * length) & (across != 0.0)
-    eye, x, y, to_x, to_y, along_x, along_y, across = (
-        a[nearer] for a in (eye, x, y, to_x, to_y, along_x, along_y, across)
-    )
-    begin, end = np.arctan2(y, x), np.arctan2(to_y, to_x)
-    begin, end = np.where(across > 0, begin, end), np.where(across > 0, end, begin)
-    thing, ray = field.spread(eye, begin, (end - begin) % math.tau)
-    way_x, way_y = field.ways[:, ray]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        turned = way_x * along_y[thing] - way_y * along_x[thing]
-        distance = across[thing] / turned
-        share = (x[thing] * way_y - y[thing] * way_x) / turned
-    field.hit(ray, distance, (distance >= 0.0) & (share >= -_SEAM) & (share <= 1.0 + _SEAM))
+class _Segments:
+    """Those within the lidars' ranges. `seen` is for `_Field.spread`."""
+
+    def __init__(self, field: _Field, parts: list[Array], others: tuple[Index, Array]) -> None:
+        eye, ends = _gathered(field, parts, others)
+        along = ends[2:] - ends[:2]
+        area = ends[0] * along[1] - ends[1] * along[0]  # length by the line's distance, signed by which side it is on
+        near = area * area < (field.range * field.range)[eye] * total(along * along)
+        near &= area < 0.0  # its outer side
+        self._of_each = np.concatenate((ends[:2], along, area[None]))[:, near]
+        end, begin = np.arctan2(ends[1::2, near], ends[::2, near])
+        self.seen = eye[near], begin, (end - begin) % math.tau
+        self.count = len(begin)
+
+    def met(self, thing: Index, way: Array) -> Array:
+        """How far rays go until their segments; infinite: past them."""
+        x, y, along_x, along_y, area = self._of_each[:, thing]
+        turned = way[0] * along_y - way[1] * along_x
+        distance: Array = area / turned
+        share = (x * way[1] - y * way[0]) / turned
+        distance[(distance < 0.0) | ~(np.abs(share - 0.5) <= 0.5 + _SEAM)] = np.inf
+        return distance
 
 
-def _see_circles(field: _Field, slices: list[Slice]) -> None:
-    eye, circles = _gathered(field, [part.circles for part in slices])
-    x, y, radius = circles.T
-    away = np.hypot(x, y)
-    nearer = (away > radius) & (away - radius < field.range[eye])
-    eye, x, y, radius, away = eye[nearer], x[nearer], y[nearer], radius[nearer], away[nearer]
-    half = np.arcsin(radius / away)
-    thing, ray = field.spread(eye, np.arctan2(y, x) - half, 2 * half)
-    way_x, way_y = field.ways[:, ray]
-    nearest = way_x * x[thing] + way_y * y[thing]
-    aside = way_x * y[thing] - way_y * x[thing]
-    inside = (radius * radius)[thing] - aside * aside
-    distance = nearest - np.sqrt(np.maximum(inside, 0.0))
-    field.hit(ray, distance, (inside >= 0.0) & (distance >= 0.0))
+class _Circles:
+    """As `_Segments`."""
+
+    def __init__(self, field: _Field, parts: list[Array], others: tuple[Index, Array]) -> None:
+        eye, circles = _gathered(field, parts, others)
+        away = np.hypot(circles[0], circles[1])
+        near = (away > circles[2]) & (away - circles[2] < field.range[eye])
+        self._of_each = circles = circles[:, near]
+        half = np.arcsin(circles[2] / away[near])
+        self.seen = eye[near], np.arctan2(circles[1], circles[0]) - half, 2 * half
+
+    def met(self, thing: Index, way: Array) -> Array:
+        """As `_Segments`."""
+        x, y, radius = self._of_each[:, thing]
+        aside = way[0] * y - way[1] * x
+        distance: Array = way[0] * x + way[1] * y - np.sqrt(radius * radius - aside * aside)
+        distance[~(distance >= 0.0)] = np.inf  # not a number where the ray passes by
+        return distance
 
 
-def _see_bodies(field: _Field, bodies: Bodies) -> None:
+def _see_tilted(field: _Field, bodies: Bodies, others: Mask) -> None:
     """Rays in the frame of the body: where each is within its limits along it, and across it."""
     places = np.array([eye.place for eye in field.eyes])
     apart = bodies.centres.T[None] - places[:, None]
     away = np.hypot(apart[:, :, 0], apart[:, :, 1])
-    near = (np.abs(apart[:, :, 2]) < bodies.reach) & (away - bodies.reach < field.range[:, None])
-    near &= bodies.numbers[None] != np.array([eye.unseen for eye in field.eyes])[:, None]
+    near = others & ~bodies.level & (away - bodies.reach < field.range[:, None])
     eye, body = np.nonzero(near)
     if not len(eye):
         return
@@ -200,18 +253,18 @@ def _see_bodies(field: _Field, bodies: Bodies) -> None:
     way_x, way_y = field.ways[:, ray]
     way = turned[0][:, thing] * way_x + turned[1][:, thing] * way_y
     limits = bodies.sizes[:, body[thing]] / 2
-    with np.errstate(divide="ignore", invalid="ignore"):
-        # Along an axis that the ray is level with these are infinite, and both of one sign where it passes by.
-        one, other = (-limits - origin) / way, (limits - origin) / way
-        begins, ends = np.fmin(one, other), np.fmax(one, other)
-        rounded = bodies.round[body[thing]]
-        a, c = total(way[:2] * way[:2]), total(origin[:2] * origin[:2]) - limits[0] * limits[0]
-        b = total(way[:2] * origin[:2])
-        half_chord = np.sqrt(b * b - a * c)  # not a number where the ray passes by
-        begins[:2] = np.where(rounded, (-b - half_chord) / a, begins[:2])
-        ends[:2] = np.where(rounded, (half_chord - b) / a, ends[:2])
+    # Along an axis that the ray is level with these are infinite, and both of one sign where it passes by.
+    one, other = (-limits - origin) / way, (limits - origin) / way
+    begins, ends = np.fmin(one, other), np.fmax(one, other)
+    rounded = bodies.round[body[thing]]
+    a, c = total(way[:2] * way[:2]), total(origin[:2] * origin[:2]) - limits[0] * limits[0]
+    b = total(way[:2] * origin[:2])
+    half_chord = np.sqrt(b * b - a * c)  # not a number where the ray passes by
+    begins[:2] = np.where(rounded, (-b - half_chord) / a, begins[:2])
+    ends[:2] = np.where(rounded, (half_chord - b) / a, ends[:2])
     distance = np.maximum.reduce(begins)
-    field.hit(ray, distance, (distance >= 0.0) & (distance <= np.minimum.reduce(ends)))
+    distance[~((distance >= 0.0) & (distance <= np.minimum.reduce(ends)))] = np.inf
+    field.hit(ray, distance)
 
 
 def _cut(
@@ -229,8 +282,8 @@ def _cut(
         case Mesh(vertices, faces):
             for face in faces:
                 cut = _crossed([vertices[i] for i in face], z)
-                if cut is not None:
-                    segments.append(cut)
+                if cut is not None:  # seen from both sides
+                    segments += [cut, (*cut[2:], *cut[:2])]
 
 
 def _crossed(corners: list[Point], z: float) -> tuple[float, float, float, float] | None:

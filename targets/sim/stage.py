@@ -21,6 +21,7 @@ from targets.sim.lidar import SETTING, SimulatedLidar
 from targets.sim.ports import Loopback, Wiring
 from targets.sim.quadrotor import SimulatedQuadrotor
 from targets.sim.scenario import BadScenario, Robot, Scenario
+from targets.sim.simple import DirectCar, DirectQuad
 from targets.sim.slowed import Slowed
 from targets.sim.station import SimulatedFeed, fed
 from targets.sim.upset import Upset
@@ -54,6 +55,8 @@ DEVICES: dict[str, str] = {
     "drive": "targets.sim.drive:simulated",
 }
 
+# ... and those of robots of fidelity `simple`, by their body.
+SIMPLE: dict[str, Callable[[Any, DeviceContext], Device]] = {"quadrotor": DirectQuad, "car": DirectCar}
 
 Clock = Callable[[], float]
 
@@ -206,8 +209,12 @@ def _actor(
     place = (origin.latitude, origin.longitude, origin.altitude)
     upset = Upset()
     context = DeviceContext(robot.name, robot.settings, harness, place, own_seed, key, wiring, upset)
-    device = make(Slowed(body, upset, lambda: world.time), context)
+    slowed = Slowed(body, upset, lambda: world.time)
+    if robot.sim.fidelity == "simple":
+        make = SIMPLE[robot.body]
+    device = make(slowed, context)
     sensors: list[Device] = [SimulatedLidar(world, body, context, robot.sim.lidar)] if SETTING in robot.settings else []
-    if setting := fed(robot.settings):
+    setting = fed(robot.settings)
+    if setting and robot.sim.fidelity != "simple":  # such a robot knows where it is
         sensors.append(SimulatedFeed(body, context, setting, clock))
     return Actor(robot, body, device, tuple(sensors), upset)

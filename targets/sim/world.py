@@ -17,7 +17,7 @@ from koordgen.runtime.obstacles import Obstacle
 from targets.sim.bodies import BodyState, Vector
 from targets.sim.bullet import Bullet, Solid, Touched
 from targets.sim.near import LOOK_EVERY, Near
-from targets.sim.rigid import Array, Mask, Motions, advance, rotations, yaws
+from targets.sim.rigid import Array, Mask, Motions, advance, rotations
 from targets.sim.scenario import Wind
 from targets.sim.sight import Bodies, Eye, Scenery, look
 from targets.sim.wind import Air
@@ -67,17 +67,17 @@ class Kind:
         """Of a kind that rolls, which ones stand on the floor as they should."""
         return np.zeros(self.count, dtype=bool)
 
-    def place(self) -> tuple[Array, Array]:
-        """Positions and velocities of the reference points, (3, n)."""
-        return self.motions.position, self.motions.velocity
+    def place(self) -> tuple[Array, Array, Array]:
+        """Positions and velocities of the reference points, (3, n), and the bodies' yaws."""
+        raise NotImplementedError
 
     def states(self, steps: int) -> list[BodyState]:
         """The truth after so many steps."""
         if self._told[0] != steps:
-            position, velocity = self.place()
-            yaw, rate = yaws(self.motions.orientation).tolist(), self.motions.spin[2].tolist()
-            places, speeds = zip(*position.tolist(), strict=True), zip(*velocity.tolist(), strict=True)
-            self._told = (steps, [BodyState(*told) for told in zip(places, speeds, yaw, rate, strict=True)])
+            position, velocity, yaw = (array.tolist() for array in self.place())
+            places, speeds = zip(*position, strict=True), zip(*velocity, strict=True)
+            rates = self.motions.spin[2].tolist()
+            self._told = (steps, list(map(BodyState, places, speeds, yaw, rates)))
         return self._told[1]
 
     def forget(self) -> None:
@@ -169,6 +169,10 @@ class World:
         self._taken = np.insert(self._taken, row, False)
         number = self.bullet.body(solid)
         self._numbers.insert(row, number)
+        self._shapes = (
+            np.array([each.size for each in self._solids]).T, np.array([each.round for each in self._solids]),
+            self._reach, np.array(self._numbers),
+        )  # fmt: skip
         self._air = Air(self._wind, self._seed, len(self._numbers))
         for each, rows in self._parts():
             each.motions = self._motions.part(rows.start, rows.stop)
@@ -257,11 +261,8 @@ class World:
 
     def look(self, eyes: Sequence[Eye]) -> list[Array]:
         """What lidars see: the distances along their rays (m), infinite where there is nothing."""
-        now, sizes = self._motions, np.array([solid.size for solid in self._solids]).T
-        bodies = Bodies(
-            now.position, rotations(now.orientation), sizes, np.array([solid.round for solid in self._solids]),
-            self._reach, np.array(self._numbers),
-        )  # fmt: skip
+        now = self._motions
+        bodies = Bodies(now.position, rotations(now.orientation), *self._shapes)
         return look(eyes, self._scenery, bodies)
 
     def close(self) -> None:

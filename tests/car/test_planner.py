@@ -209,6 +209,13 @@ def test_cells_points_and_others_ways_are_driven_around() -> None:
         assert not collisions(world((Cylinder(Point(3.5, at, 0.0), reach, 1.0),)), path)
 
 
+@pytest.mark.parametrize(("height", "around"), [(0.0, True), (0.8, True), (1.0, False)])
+def test_ways_that_lead_over_the_car_are_not_in_its_way(height: float, around: bool) -> None:
+    theirs = (Point(3.5, 0.0, height), Point(3.5, 5.0, height))
+    path = segments(curve(ask(Asked("rrt", world(seed=5)), START, GOAL, Scene(others=(theirs,)))))
+    assert bool(collisions(world((Cylinder(Point(3.5, 4.0, 0.0), 0.1, 1.0),)), path)) is not around
+
+
 def test_what_a_program_names_where_the_car_is_was_seen_wrongly() -> None:
     seen = Scene(points=(Point(1.1, 4.0, 0.0),), others=((Point(1.0, 4.0, 0.0), Point(1.0, 6.0, 0.0)),))
     assert ask(Asked("rrt", world()), START, GOAL, seen).path

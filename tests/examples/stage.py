@@ -16,7 +16,7 @@ from koordgen.check.params import with_params
 from koordgen.fleet import Fleet
 from koordgen.ir.decl import Program
 from koordgen.pipeline import check_file, read_fleet
-from koordgen.runtime.values import Grid, Point, Scan
+from koordgen.runtime.values import Grid, Point, Scan, distance
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exec import Writes
 from koordgen.semantics.property import holds_property
@@ -33,7 +33,7 @@ class Body:
     """One robot's: where it is, where it makes for, how warm its room is."""
 
     def __init__(self, start: Point, height: float) -> None:
-        self.position = Point(start.x, start.y, height)
+        self.position, self.height = Point(start.x, start.y, height), height
         self.goals: deque[Point] = deque()
         self.temp, self.heating = 15.0, False
 
@@ -48,17 +48,20 @@ class Body:
                     self.heating = value
 
     def move(self, seconds: float) -> None:
-        """Heights are the body's own business, as on a quad."""
+        """A quad's goals are raised to its flight height, a car stays on the ground."""
         self.temp += seconds * (0.02 * (5.0 - self.temp) + (1.2 if self.heating else 0.0))
         left, here = SPEED * seconds, self.position
         while self.goals and left > 0:
-            goal = Point(self.goals[0].x, self.goals[0].y, here.z)
-            away = math.dist((here.x, here.y), (goal.x, goal.y))
+            goal = self.lifted(self.goals[0])
+            away = distance(here, goal)
             here = goal if away <= left else here + (goal - here) * (left / away)
             left -= away
-            if math.dist((here.x, here.y), (goal.x, goal.y)) <= NEAR:
+            if distance(here, goal) <= NEAR:
                 self.goals.popleft()
         self.position = here
+
+    def lifted(self, goal: Point) -> Point:
+        return Point(goal.x, goal.y, max(goal.z, self.height) if self.height > 0 else 0.0)
 
 
 class Stage:
@@ -66,11 +69,11 @@ class Stage:
     out, as (pid, line); `discarded` what went wrong. `skips` is the share of rounds that a robot misses; `params` go
     before the fleet file's."""
 
-    def __init__(self, name: str, skips: float = 0.0, **params: Any) -> None:
+    def __init__(self, name: str, skips: float = 0.0, fleet: str = "fleet.yaml", **params: Any) -> None:
         folder = EXAMPLES / name
         targets = {target: manifest.load(target) for target in manifest.available()}
         checked = check_file(str(folder / f"{name}.koord")).program
-        self.fleet, given = read_fleet(str(folder / "fleet.yaml"), targets, checked)
+        self.fleet, given = read_fleet(str(folder / fleet), targets, checked)
         self.program = with_params(checked, {**given, **params})
         self.rng, self.skips = Random(name), skips
         self.bodies = list(bodies(self.fleet))
@@ -137,6 +140,8 @@ class Stage:
     def answer(self, pid: int, port: str, args: tuple[Any, ...]) -> tuple[Point, ...]:
         assert port.endswith(".planner")
         here = self.bodies[pid].position
+        if (self.bodies[pid].height > 0) != (args[0].z > 0):
+            return ()  # on the ground for a quad, in the air for a car
         return way(here, args[0], args[1]) if len(args) > 1 and args[1] else (here, args[0])
 
 

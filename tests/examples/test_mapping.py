@@ -49,8 +49,8 @@ class Asked:
 
         return called
 
-    def is_explored(self, known: GridMap, part: int, parts: int) -> bool:
-        self.questions.append(("explored", known, part, parts))
+    def is_explored(self, known: GridMap, part: int, parts: int, refused: object) -> bool:
+        self.questions.append(("explored", known, part, parts, refused))
         return part in self.explored
 
     def plan(self, pid: int, port: str, args: tuple[object, ...]) -> tuple[Point, ...]:
@@ -64,7 +64,7 @@ def state(on_path: bool, reached: bool = True) -> State:
     ] * N_SYS
     sensors[PID] = {**sensors[PID], "MotionWithScan.position": HERE}
     start = initial(program(), N_SYS, sensors)
-    robots = [r._replace(locals={**r.locals, "onPath": on_path, "localMap": OWN}) for r in start.robots]
+    robots = [r._replace(locals={**r.locals, "onPath": on_path, "localMap": OWN, "looked": True}) for r in start.robots]
     return start._replace(robots=tuple(robots), store=start.store._replace(cells={"map": FLEETS}))
 
 
@@ -84,25 +84,28 @@ def test_a_new_target_is_of_the_own_strip_and_the_way_leads_around_what_all_know
     asked = Asked()
     outcome = run("NewTarget", asked, on_path=False)
     assert asked.questions == [
-        ("pickFrontierPos", FLEETS, HERE, PID, N_SYS),
+        ("pickFrontierPos", FLEETS, HERE, PID, N_SYS, ()),
         ("findObs", FLEETS),
         (PID, "MotionWithScan.planner", GOAL, OBSTACLES),
     ]
     assert outcome.ports == {"MotionWithScan.path": WAY}
-    assert outcome.locals == {"localMap": FLEETS, "target": GOAL, "onPath": True, "obstacles": OBSTACLES}
+    assert outcome.locals == {
+        "localMap": FLEETS, "target": GOAL, "onPath": True, "obstacles": OBSTACLES, "looked": True,
+    }  # fmt: skip
     assert not outcome.cells and not outcome.stopped
 
 
 def test_without_a_way_it_is_not_on_one() -> None:
     outcome = run("NewTarget", Asked(way=()), on_path=False)
     assert outcome.ports == {"MotionWithScan.path": ()} and outcome.locals["onPath"] is False
+    assert outcome.slots == {"refused": (GOAL,)}, "and it does not make for it again"
 
 
 @pytest.mark.parametrize(("explored", "wanted"), [({0, 2}, True), ({1}, False)])
 def test_a_new_target_is_wanted_while_the_own_strip_is_not_explored(explored: set[int], wanted: bool) -> None:
     asked = Asked(explored=frozenset(explored))
     assert holds("NewTarget", asked, on_path=False) is wanted
-    assert asked.questions == [("explored", FLEETS, PID, N_SYS)]
+    assert asked.questions == [("explored", FLEETS, PID, N_SYS, ())]
     assert not holds("NewTarget", asked, on_path=True)
 
 
@@ -110,7 +113,7 @@ def test_a_new_target_is_wanted_while_the_own_strip_is_not_explored(explored: se
 def test_it_is_done_when_every_strip_is_explored(explored: set[int], wanted: bool) -> None:
     asked = Asked(explored=frozenset(explored))
     assert holds("Done", asked, on_path=False) is wanted
-    assert all(known == FLEETS and parts == N_SYS for _, known, _, parts in asked.questions)
+    assert all(known == FLEETS and parts == N_SYS for _, known, _, parts, _ in asked.questions)
     assert not holds("Done", asked, on_path=True)
 
 

@@ -41,44 +41,53 @@ def test_lineform_lines_up(skips: float) -> None:
         assert math.dist(plan(body.position), wanted) < 0.1
 
 
-@SKIPS
-def test_task_all_tasks_are_done(skips: float) -> None:
-    stage = Stage("task", skips)
-    targets = {(-3.0, 2.5), (3.0, 2.5), (0.0, -2.5)}
-    seen: set[tuple[float, float]] = set()
+TASK_FLEETS = ("fleet", "fleet_2q1c", "fleet_1q2c", "fleet_4q", "fleet_4c")
 
-    def done(state: State) -> bool:
-        seen.update(t for t in targets for b in stage.bodies if math.dist(plan(b.position), t) < 0.1)
+
+def done(stage: Stage) -> list[int]:
+    """The tasks that robots said were done, in their order of ids."""
+    return sorted(int(line.split()[1]) for _, line in stage.lines if line.endswith("done"))
+
+
+@SKIPS
+@pytest.mark.parametrize("fleet", TASK_FLEETS)
+def test_task_all_tasks_are_done_once(fleet: str, skips: float) -> None:
+    stage = Stage("task", skips, f"{fleet}.yaml")
+    moving = 0
+
+    def over(state: State) -> bool:
+        nonlocal moving
+        moving = max(moving, sum(len(path) > 1 for path in state.store.slots["shared_paths"]))  # type: ignore[arg-type]
         return stopped(state)
 
-    stage.until(done, 600)
-    assert seen == targets and stage.state.store.cells["all_tasks"] == ()
+    stage.until(over, 3000)
+    assert done(stage) == list(range(1, 21)) and stage.state.store.cells["all_tasks"] == ()
+    assert moving == len(stage.bodies), "all of them were under way at once"
 
 
 @SKIPS
 def test_task_whose_way_is_taken_waits(skips: float) -> None:
     """Cleo's way to the third task would lead between the two others."""
-    places = [[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, -2.5, 0.0]]
+    places = [[5.0, 5.5, 0.0], [2.2, 5.5, 0.0], [3.5, 1.0, 0.0]]
     tasks = [{"target": place, "id": number} for number, place in enumerate(places)]
-    Stage("task", skips, eps=1.5, tasks=tasks).until(stopped, 900)
+    stage = Stage("task", skips, "fleet_4c.yaml", eps=1.2, tasks=tasks)
+    stage.until(stopped, 900)
+    assert done(stage) == [0, 1, 2]
 
 
 @SKIPS
-def test_crossing_all_come_across_one_by_one(skips: float) -> None:
-    stage = Stage("crossing", skips)
-    starts = [plan(body.position) for body in stage.bodies]
-    seen: list[int] = []  # who held the crossing, in turn
-
-    def done(state: State) -> bool:
-        holder = state.store.cells["holder"]
-        if isinstance(holder, int) and holder >= 0 and seen[-1:] != [holder]:
-            seen.append(holder)
-        return stopped(state)
-
-    stage.until(done, 900)
-    assert sorted(seen) == list(range(len(starts)))
-    for (x, y), body in zip(starts, stage.bodies, strict=True):
-        assert math.dist(plan(body.position), (x, y)) > 5.9
+@pytest.mark.parametrize(
+    ("fleet", "left"), [("fleet_4c", [2, 3]), ("fleet_4q", [1]), ("fleet", [])], ids=["cars", "quads", "both"]
+)
+def test_task_that_nobody_can_reach_is_told_and_not_waited_for(fleet: str, left: list[int], skips: float) -> None:
+    places = [[2.0, 5.5, 0.0], [5.0, 5.5, 1.5], [3.5, 1.0, 2.0]]
+    tasks = [{"target": place, "id": number + 1} for number, place in enumerate(places)]
+    stage = Stage("task", skips, f"{fleet}.yaml", tasks=tasks)
+    stage.until(stopped, 1500)
+    assert done(stage) == [number for number in (1, 2, 3) if number not in left]
+    robots = range(len(stage.bodies))
+    told = sorted((pid, line) for pid, line in stage.lines if "reachable" in line)
+    assert told == [(pid, f"task {number} is not reachable") for pid in robots for number in left]
 
 
 @SKIPS

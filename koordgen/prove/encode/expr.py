@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 from koordgen.diagnostics import InternalError
 from koordgen.ir import expr as ir
-from koordgen.ir.types import INT, POINT, PerRobot, Sized, Type
+from koordgen.ir.types import INT, PerRobot, Sized, Type
 from koordgen.prove import term as t
 from koordgen.prove.encode.geometry import Geometry, path_of
 from koordgen.prove.encode.lists import Lists
@@ -162,8 +162,25 @@ class Encoder:
                 return tuple([_number(node.op, truth(left), truth(b)) for b in right])
             case _ if node.op == "**":
                 return self.power(node, truth(left), truth(right))
+            case _ if node.op in ("//", "%") and node.type is INT and t.number(truth(right)) is None:
+                return self.by_unknown(node.op, truth(left), truth(right))
             case _:
                 return _number(node.op, truth(left), truth(right))
+
+    def by_unknown(self, op: str, a: Term, b: Term) -> Term:
+        """Quotient and remainder by what is no literal: functions, of which what goes once around a ring needs is
+        told."""
+        self.room.note("// and % by what is no number: exact below twice the divisor; beyond that the bounds alone")
+        quotient, rest = (t.apply(t.Function(f"{name}@", (t.INT, t.INT), t.INT), a, b) for name in ("div", "mod"))
+        positive, negative = t.less(_ZERO, b), t.less(b, _ZERO)
+        once = t.and_(positive, t.at_most(_ZERO, a), t.less(a, b))
+        twice = t.and_(positive, t.at_most(b, a), t.less(a, t.add(b, b)))
+        with self.room.about("quotient and remainder", 0):
+            self.room.fact(t.implies(positive, t.and_(t.at_most(_ZERO, rest), t.less(rest, b))))
+            self.room.fact(t.implies(negative, t.and_(t.less(b, rest), t.at_most(rest, _ZERO))))
+            self.room.fact(t.implies(once, t.and_(t.equals(quotient, _ZERO), t.equals(rest, a))))
+            self.room.fact(t.implies(twice, t.and_(t.equals(quotient, _ONE), t.equals(rest, t.subtract(a, b)))))
+        return quotient if op == "//" else rest
 
     def power(self, node: ir.Binary, base: Term, exponent: Term) -> Val:
         times = t.number(exponent)
@@ -244,7 +261,6 @@ class Encoder:
     def field(self, node: ir.Field, scope: Scope) -> Val:
         whole = self.value(node.operand, scope)
         if isinstance(whole, tuple):
-            self.geometry.measured = self.geometry.measured or node.operand.type == POINT
             return whole[self.part(node.operand.type, node.name)]
         return self.room.function(f"{node.operand.type}.{node.name}", (truth(whole),), node.type)
 

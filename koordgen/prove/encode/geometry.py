@@ -18,7 +18,8 @@ _ZERO, _ONE, _NOTHING = t.integer(0), t.integer(1), t.real(0)
 DISTANCES = "distances of points: never negative, zero between equal points only, told by squares where that is needed"
 PATHS = (
     "path_distance: symmetric; never negative; of two paths of one point the distance of the points; not above the "
-    "distance of an end of the path; less by d at most when the point of a path of one point moves by d"
+    "distance of an end of the path; less by d at most when the point of a path of one point moves by d; not above the "
+    "way past a third point"
 )
 Triple = tuple[Term, ...]
 
@@ -32,6 +33,9 @@ class Geometry:
         self.neighbours: dict[Triple, dict[Triple, Term]] = {}  # of those that the program speaks of
         self.paths: dict[tuple[Term, Term], Term] = {}  # pairs of paths -> their distance, both ways
         self.points: dict[Term, Triple] = {}  # paths of one point
+        self.given: set[Term] = set()  # paths that the program speaks of
+        self.singles: dict[Triple, Term] = {}
+        self.done: set[tuple[Term, Term, int]] = set()  # pairs of paths, with so many neighbours
         self.others: dict[Term, Collection] = {}  # paths that are but terms
         self.measured = False
         self.squared: set[Term] = set()
@@ -61,8 +65,7 @@ class Geometry:
             found = self.distances[p, q] = self.distances[q, p] = t.apply(name, *p, *q)
             with self.room.about("distance of two points", 0):
                 self.room.fact(t.at_most(_NOTHING, found))
-                equal = t.all_of([t.equals(x, y) for x, y in zip(p, q, strict=True)])
-                self.room.fact(t.equals(t.equals(found, _NOTHING), equal))
+                self.room.fact(t.equals(t.equals(found, _NOTHING), _equal(p, q)))
                 self.room.fact(t.equals(found, t.apply(name, *q, *p)))
         return found
 
@@ -80,7 +83,9 @@ class Geometry:
                 return t.ite(parts[0], then, orelse)
         if p is not None and q is not None:
             return self._distance(p, q)
-        return self._apart(self._path(a, p), self._path(b, q))
+        first, second = self._path(a, p), self._path(b, q)
+        self.given |= {first, second}
+        return self._apart(first, second)
 
     def _point(self, path: Collection) -> Triple | None:
         one = isinstance(path, Known) and len(path.items) == 1
@@ -109,7 +114,10 @@ class Geometry:
         """How far a point is from a path."""
         if q in self.points:
             return self._distance(point, self.points[q])
-        return self._apart(self._path(_single(point), point), q)
+        found = self.singles.get(point)
+        if found is None:
+            found = self.singles[point] = self._path(_single(point), point)
+        return self._apart(found, q)
 
     # Lemmas
 
@@ -117,8 +125,13 @@ class Geometry:
         """What is true of the distances that were met; of all by squares, if `exact`."""
         with self.room.about("distances of paths", 0):
             for (p, q), found in list(self.paths.items()):
+                round_ = (p, q, sum(map(len, self.neighbours.values())) + len(self.points))
+                if round_ in self.done:
+                    continue
+                self.done.add(round_)
                 if p in self.others:
                     self._ends(p, q, found)
+                    self._past_points(p, q, found)
                 else:
                     self._near(t.TRUE, self.points[p], q, found)
             if self.measured or exact:
@@ -137,10 +150,20 @@ class Geometry:
             fact(t.implies(one, t.equals(found, self._distance(first, self.points[q]))))
         else:
             for single, point in list(self.points.items()):
-                if point in (first, last) and (single, q) in self.paths:
-                    fact(t.implies(some, t.at_most(found, self.paths[single, q])))
+                if (single, q) in self.paths and (single in self.given or point in (first, last)):
+                    ends = [
+                        t.all_of([t.equals(x, y) for x, y in zip(point, end, strict=True)]) for end in (first, last)
+                    ]
+                    fact(t.implies(t.and_(some, t.or_(*ends)), t.at_most(found, self.paths[single, q])))
         if one is not t.FALSE:
             self._near(one, first, q, found)
+
+    def _past_points(self, p: Term, q: Term, found: Term) -> None:
+        """The way from one path to another past a point is not shorter."""
+        for single in list(self.points) if q in self.others else ():
+            there, back = self.paths.get((single, p)), self.paths.get((single, q))
+            if there is not None and back is not None:
+                self.room.fact(t.at_most(found, t.add(there, back)))
 
     def _near(self, one: Term, point: Triple, q: Term, found: Term) -> None:
         """A path of one point, which is near another point: how far that is from what the path is away from."""
@@ -158,6 +181,10 @@ class Geometry:
                 squares = [t.multiply(gap, gap) for gap in gaps]
                 whole = t.add(t.add(squares[0], squares[1]), squares[2])
                 self.room.fact(t.equals(t.multiply(found, found), whole), "distance of two points", 0)
+
+
+def _equal(p: Triple, q: Triple) -> Term:
+    return t.all_of([t.equals(x, y) for x, y in zip(p, q, strict=True)])
 
 
 def _single(point: Triple) -> Known:

@@ -74,6 +74,7 @@ class Room:
         self.path: tuple[Term, ...] = ()
         self.indices: dict[Term, bool] = {}  # terms that name robots -> whether that is a fact
         self.witnesses: dict[Term, None] = {}  # those of them that stand for some robot, of which something (not) holds
+        self.ignored: set[Term] = set()  # robots of which nothing need be said
         self.places: dict[Term, None] = {}  # terms that are places in lists
         self.universals: list[Universal] = []
         self.own: Term | None = None  # the robot that acts
@@ -185,7 +186,7 @@ class Room:
 
     def robot(self, index: Term, known: bool = False, witness: bool = False) -> None:
         """What is said of all robots is to be said of this one."""
-        if self.robots is None and (known or index not in self.indices):
+        if self.robots is None and index not in self.ignored and (known or index not in self.indices):
             self.indices[index] = known
             if witness or self.instantiating:
                 self.witnesses[index] = None

@@ -14,6 +14,7 @@ from koordgen.ir import expr as ir
 from koordgen.ir import stmt
 from koordgen.ir.types import Type
 from koordgen.prove import term as t
+from koordgen.prove.encode.block import kept_by, key_of, tells
 from koordgen.prove.encode.expr import Encoder
 from koordgen.prove.encode.quantifier import Domain, domain
 from koordgen.prove.encode.state import Key, State, Written, slots
@@ -219,6 +220,9 @@ class Frame:
         room, start = self.room, self.snapshot()
         found, first = room.new("found", t.BOOL), room.new(loop.names[0].split("@")[0], t.INT)
         path, depth = room.path, len(room.path)
+        if not tells(loop.block, loop.names):
+            room.ignored.add(first)
+            room.partial = True
 
         def leaves(index: Term) -> Term:
             self.restore(start)
@@ -244,7 +248,7 @@ class Frame:
             return t.implies(here, t.and_(found, order))
 
         with room.about("what a loop looks for", loop.span.line):
-            room.element(first, over.robots, over.places)
+            room.element(first, over.robots, over.places and first not in room.ignored)
             room.for_all(instance, over.robots, over.places)
         self.restore(start)
         self.exits = [Exit(e.kind, (*e.path[:depth], found, *e.path[depth:]), e.env, e.value) for e in exits]
@@ -323,69 +327,3 @@ class Frame:
         for left in self.exits:
             env = self.merged(t.all_of(left.path), left.env, env)
         return {key: value for key, value in env.items() if key[0] != "temp"}
-
-
-def key_of(place: stmt.Place) -> Key:
-    match place:
-        case stmt.LocalPlace(name):
-            return "local", name
-        case stmt.OwnSlot(name):
-            return "slot", name
-        case stmt.SharedPlace(name):
-            return "cell", name
-        case stmt.PortPlace(module, port):
-            return "port", f"{module}.{port}"
-        case stmt.TempPlace(name):
-            return "temp", name
-        case _:
-            assert_never(place)
-
-
-def kept_by(block: stmt.Block, temps: frozenset[str]) -> dict[Key, None]:
-    """What a loop's block writes on some way that leads to its next run: not what it writes and then leaves. Temps of
-    its own are not counted."""
-    found, _ = _kept(block)
-    return {key: None for key in found if key[0] != "temp" or key[1] in temps}
-
-
-def _kept(block: stmt.Block) -> tuple[dict[Key, None], bool]:
-    """What is written on the ways that reach the block's end or a `continue`; whether the end is reached at all."""
-    found: dict[Key, None] = {}
-    on: dict[Key, None] = {}  # on ways that ended in a `continue`
-    for statement in block:
-        match statement:
-            case stmt.Assign(place):
-                found[key_of(place)] = None
-            case stmt.If(_, then, orelse):
-                ways = [_kept(then), _kept(orelse)]
-                for inner, _ in ways:
-                    found.update(inner)
-                if not any(reached for _, reached in ways):
-                    return {**found, **on}, False
-            case stmt.For() | stmt.While():
-                found.update(_all(statement.block))
-            case stmt.Continue():
-                return {**found, **on}, False
-            case stmt.Break() | stmt.Return() | stmt.Stop():
-                return on, False
-            case stmt.Let() | stmt.Emit():
-                pass
-            case _:
-                assert_never(statement)
-    return {**found, **on}, True
-
-
-def _all(block: stmt.Block) -> dict[Key, None]:
-    found: dict[Key, None] = {}
-    for statement in block:
-        match statement:
-            case stmt.Assign(place):
-                found[key_of(place)] = None
-            case stmt.If(_, then, orelse):
-                found.update(_all(then))
-                found.update(_all(orelse))
-            case stmt.For() | stmt.While():
-                found.update(_all(statement.block))
-            case _:
-                pass
-    return found

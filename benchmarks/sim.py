@@ -1,0 +1,71 @@
+"""How fast the simulated world is: `python benchmarks/sim.py [--quick] [--json FILE] [--gym-pybullet-drones PATH]`.
+
+First the physics alone, one step of 25 robots beside others who step as many; a lidar's turn beside PyBullet's; how
+many times faster than real time the physics is at 1, 4, 16 and 64 robots. Peers that are not there are left out, and it
+says so. Ends with 1 when a figure is not reached.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks import sim_physics
+
+COUNTS = (1, 4, 16, 64)
+MILLIMETRE = 1e-3
+
+
+def _physics(turns: int, drones: Path | None) -> tuple[bool, dict[str, object]]:
+    pairs, left = sim_physics.peers(25, turns, drones)
+    seen = sim_physics.lidars(25, turns)
+    print("physics alone, 25 robots at 240 Hz: milliseconds of CPU a step")
+    good = True
+    for pair in (*pairs, seen.pair):
+        enough = pair.ratio >= pair.least
+        good = good and enough
+        print(
+            f"  {pair.name:18} {pair.ours:8.4f}   {pair.other:20} {pair.theirs:8.4f}   "
+            f"{pair.ratio:6.1f} times as fast (at least {pair.least:g}){'' if enough else '  MISSED'}"
+        )
+    for what in left:
+        print(f"  left out: {what}")
+    print(f"  one lidar's turn alone   {seen.single:.4f}")
+    print(
+        f"  lidar from plane geometry {seen.geometry * 1e3:.6f} mm; rayTestBatch from it, over 10 degrees from tangent:"
+    )
+    print(f"    {seen.faces * 1e3:.3f} mm at faces, {seen.round * 1e3:.3f} mm at round things (its own iteration's)")
+    good = good and seen.geometry < MILLIMETRE and seen.faces < MILLIMETRE
+    found = {"pairs": [{**asdict(p), "ratio": p.ratio} for p in pairs], "left_out": left, "lidar": asdict(seen)}
+    return good, found
+
+
+def _factors(turns: int) -> dict[str, object]:
+    found = sim_physics.factors(COUNTS, turns)
+    print("physics alone, times real time" + "".join(f"{count:>10}" for count in COUNTS) + " robots")
+    for name, by_count in found.items():
+        print(f"  {name:28}" + "".join(f"{by_count[count]:10.1f}" for count in COUNTS))
+    return {name: {str(k): v for k, v in by_count.items()} for name, by_count in found.items()}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--quick", action="store_true", help="fewer turns: under a minute")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there, too")
+    parser.add_argument("--gym-pybullet-drones", type=Path, metavar="PATH", help="a checkout of it, to measure beside")
+    options = parser.parse_args()
+    turns = 7 if options.quick else 25
+    good, physics = _physics(turns, options.gym_pybullet_drones)
+    figures = {"physics": physics, "factors": _factors(turns)}
+    if options.json is not None:
+        options.json.write_text(json.dumps(figures, indent=2) + "\n")
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

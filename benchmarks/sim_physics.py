@@ -1,0 +1,308 @@
+"""What one step of the world costs beside others who step the same: for benchmarks/sim.py.
+
+Times are CPU time of this process, so that what else runs on the computer counts little; ours and theirs alternate, and
+the median of the turns counts.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+import random
+import statistics
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
+from koordgen.runtime.values import Point
+from targets.sim.car import SimulatedCar
+from targets.sim.first_order import SimpleCar, SimpleQuadrotor
+from targets.sim.quadrotor import SimulatedQuadrotor
+from targets.sim.sight import Eye
+from targets.sim.world import STEP, World
+from tests.sim.test_sight import to_obstacle
+
+Step = Callable[[], object]
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Milliseconds a step: ours, and the other's."""
+
+    name: str
+    ours: float
+    other: str
+    theirs: float
+    least: float  # how many times as fast we must be
+
+    @property
+    def ratio(self) -> float:
+        return self.theirs / self.ours
+
+
+def timed(steps: list[Step], turns: int, each: int) -> list[float]:
+    """Milliseconds of CPU of one call of each, in turns of so many calls."""
+    found: list[list[float]] = [[] for _ in steps]
+    for step in steps:
+        for _ in range(each):
+            step()
+    for _ in range(turns):
+        for step, told in zip(steps, found, strict=True):
+            began = time.process_time()
+            for _ in range(each):
+                step()
+            told.append((time.process_time() - began) / each * 1e3)
+    return [statistics.median(told) for told in found]
+
+
+def grid(count: int, height: float) -> list[tuple[float, float, float]]:
+    """Places 2 m apart."""
+    side = math.ceil(math.sqrt(count))
+    return [(2.0 * (k % side), 2.0 * (k // side), height) for k in range(count)]
+
+
+def quads(count: int) -> tuple[World, Step]:
+    """Full ones that fly to and fro; each is commanded, and asked for its state, in every step."""
+    world = World()
+    flown = [SimulatedQuadrotor(world, place, 0.1) for place in grid(count, 20.0)]
+    for quad in flown:
+        quad.motors(True)
+
+    def step() -> None:
+        push = 0.5 * math.sin(2.0 * world.time)
+        for quad in flown:
+            quad.accelerate((push, 0.1, 0.0), 0.1)
+        world.step()
+        for quad in flown:
+            quad.state()
+
+    return world, step
+
+
+def simple_quads(count: int) -> tuple[World, Step]:
+    """As `quads`."""
+    world = World()
+    flown = [SimpleQuadrotor(world, place, 0.1) for place in grid(count, 20.0)]
+    for quad in flown:
+        quad.motors(True)
+
+    def step() -> None:
+        speed = 0.5 * math.sin(2.0 * world.time)
+        for quad in flown:
+            quad.fly((speed, 0.1, 0.0), 0.1)
+        world.step()
+        for quad in flown:
+            quad.state()
+
+    return world, step
+
+
+def cars(count: int, make: type[SimulatedCar] | type[SimpleCar]) -> tuple[World, Step]:
+    """Cars in circles; each is commanded, and asked for its state, in every step."""
+    world = World()
+    driven = [make(world, place, 0.1, 0.33, 0.4) for place in grid(count, 0.0)]
+
+    def step() -> None:
+        for car in driven:
+            car.drive(0.8, 0.35)
+        world.step()
+        for car in driven:
+            car.state()
+
+    return world, step
+
+
+def gym_drones(folder: Path, count: int) -> Step:
+    """gym-pybullet-drones from a checkout: `CtrlAviary.step` of the CF2X with its usual physics (Physics.PYB) at 240 Hz
+    and as many control steps, in free air, with an action for each drone, which answers with their states. Raises
+    ImportError."""
+    sys.path.insert(0, str(folder))
+    with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        from gym_pybullet_drones.envs.CtrlAviary import CtrlAviary
+        from gym_pybullet_drones.utils.enums import DroneModel, Physics
+
+        world = CtrlAviary(
+            DroneModel.CF2X, count, initial_xyzs=np.array(grid(count, 20.0)), physics=Physics.PYB,
+            pyb_freq=240, ctrl_freq=240, gui=False, user_debug_gui=False,
+        )  # fmt: skip
+        world.reset()
+    action = np.full((count, 4), world.HOVER_RPM)
+    return lambda: world.step(action)
+
+
+def racecars(count: int) -> tuple[Callable[[], None], Step]:
+    """PyBullet's racecar/racecar.urdf: in every step a velocity for each of its four wheels, a position for each of its
+    two hinges, and its position and velocity asked for; how to end it, and a step."""
+    from targets.sim.bullet import _pybullet
+
+    bullet = _pybullet()
+    import pybullet_data
+
+    client = bullet.connect(bullet.DIRECT)
+    own = {"physicsClientId": client}
+    bullet.setGravity(0, 0, -9.81, **own)
+    bullet.setTimeStep(STEP, **own)
+    bullet.setAdditionalSearchPath(pybullet_data.getDataPath(), **own)
+    bullet.loadURDF("plane.urdf", **own)
+    driven = [bullet.loadURDF("racecar/racecar.urdf", (x, y, 0.1), **own) for x, y, _ in grid(count, 0.0)]
+
+    def step() -> None:
+        for car in driven:
+            for wheel in (2, 3, 5, 7):
+                bullet.setJointMotorControl2(car, wheel, bullet.VELOCITY_CONTROL, targetVelocity=16, force=10, **own)
+            for hinge in (4, 6):
+                bullet.setJointMotorControl2(car, hinge, bullet.POSITION_CONTROL, targetPosition=0.35, **own)
+        bullet.stepSimulation(**own)
+        for car in driven:
+            bullet.getBasePositionAndOrientation(car, **own)
+            bullet.getBaseVelocity(car, **own)
+
+    return lambda: bullet.disconnect(**own), step
+
+
+RAYS = 1080
+WAYS = [(math.cos(a), math.sin(a)) for a in (math.tau * i / RAYS for i in range(RAYS))]
+ROOM: tuple[Obstacle, ...] = (
+    *(Block(Point(x, y, 0), Point(x + 0.6, y + 0.4, 1)) for x, y in ((-4, -3), (-2, 3), (3, 3), (2, -4), (-1, -2.5))),
+    *(Cylinder(Point(x, y, 0), 0.3, 1.2) for x, y in ((-3, 1), (1.5, 2), (4, -1), (-1.5, -4), (0.5, 4.5))),
+    *(Sphere(Point(x, y, 0.2), 0.4) for x, y in ((-2, -1), (2.5, 0.5), (0.5, -2), (-4, 4))),
+    *(
+        Mesh((Point(x, y, 0), Point(x + 1, y + 0.5, 0), Point(x + 0.5, y, 1.5)), ((0, 1, 2),))
+        for x, y in ((-5, 0), (4, 4), (0, 3), (3, -2.5))
+    ),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Lidars:
+    """A turn of 1,080 rays and 6 m of each of many cars among one another and 18 obstacles, from where they are to
+    their ranges: ours all at once, PyBullet's one after the other. How far (m) ours are from plane geometry, and
+    PyBullet's from ours where a ray meets at over 10 degrees: faces, and round things."""
+
+    pair: Pair
+    single: float  # ms, one turn alone, of ours
+    geometry: float
+    faces: float
+    round: float
+
+
+def lidars(count: int, turns: int) -> Lidars:
+    """Measured."""
+    world = World()
+    for obstacle in ROOM:
+        world.obstacle(obstacle)
+    driven: list[SimulatedCar] = []
+    dice = random.Random(1)
+    while len(driven) < count:
+        place = (dice.uniform(-5.0, 5.0), dice.uniform(-5.0, 5.0), 0.0)
+        room = min(to_obstacle((*place[:2], 0.07), math.tau * i / 60, o) for i in range(60) for o in ROOM)
+        if room > 0.5 and all(math.dist(place, car.state().position) > 0.8 for car in driven):
+            driven.append(SimulatedCar(world, place, dice.uniform(-3.0, 3.0), 0.33, 0.4))
+    world.step()
+    bullet, own = world.bullet.bullet, {"physicsClientId": world.bullet.client}
+    eyes = []
+    for car in driven:
+        motion = car.motion()
+        eyes.append(Eye((*car.state().position[:2], motion.position[2] + 1e-3), RAYS, 6.0, car.rigid.number))
+        world.bullet.take(car.rigid.number, motion.position, motion.orientation)  # its rays see those that it has
+
+    def theirs() -> list[list[float]]:
+        return [_cast(world, bullet, own, eye) for eye in eyes]
+
+    ours, single, other = timed([lambda: world.look(eyes), lambda: world.look(eyes[:1]), theirs], turns, 2)
+    pair = Pair(f"lidars, {RAYS} rays", ours / count, "rayTestBatch", other / count, 30.0)
+    worst = [_apart(eye, one.tolist(), two) for eye, one, two in zip(eyes, world.look(eyes), theirs(), strict=True)]
+    world.close()
+    geometry, faces, rounded = (max(column) for column in zip(*worst, strict=True))
+    return Lidars(pair, single, geometry, faces, rounded)
+
+
+def _cast(world: World, bullet: Any, own: dict[str, int], eye: Eye) -> list[float]:
+    """PyBullet's rays, with the robot itself hidden from them."""
+    x, y, z = eye.place
+    number = world.bullet.number(eye.unseen)
+    bullet.setCollisionFilterGroupMask(number, -1, 0, 0, **own)
+    ends = [(x + eye.range * c, y + eye.range * s, z) for c, s in WAYS]
+    found = bullet.rayTestBatch([eye.place] * len(ends), ends, **own)
+    bullet.setCollisionFilterGroupMask(number, -1, 1, 7, **own)
+    return [share * eye.range if hit >= 0 else math.inf for hit, _, share, *_ in found]
+
+
+def _apart(eye: Eye, ours: list[float], theirs: list[float]) -> tuple[float, float, float]:
+    """The largest differences; see Lidars. Rays that meet a car are compared with PyBullet's alone."""
+    geometry = faces = rounded = 0.0
+    for i, one in enumerate(ours):
+        ways = [to_obstacle(eye.place, math.tau * i / eye.rays, obstacle) for obstacle in ROOM]
+        nearest = min(ways)
+        if one < nearest - 1e-6 or not math.isfinite(one):
+            continue  # a car, or nothing
+        geometry = max(geometry, abs(one - nearest))
+        if max(_slope(ours, i), _slope(theirs, i)) >= 1 / math.tan(math.radians(10)):
+            continue  # it grazes, or passes an edge
+        if isinstance(ROOM[ways.index(nearest)], (Block, Mesh)):
+            faces = max(faces, abs(one - theirs[i]))
+        else:
+            rounded = max(rounded, abs(one - theirs[i]))
+    return geometry, faces, rounded
+
+
+def _slope(ranges: list[float], i: int) -> float:
+    """How much steeper than across its ray the surface is there, from what the rays beside it met."""
+    beside = ranges[i - 1], ranges[(i + 1) % len(ranges)]
+    if not all(map(math.isfinite, (ranges[i], *beside))) or ranges[i] <= 0.0:
+        return math.inf
+    return max(abs(b - ranges[i]) for b in beside) / (ranges[i] * math.tau / len(ranges))
+
+
+def peers(count: int, turns: int, drones: Path | None) -> tuple[list[Pair], list[str]]:
+    """Ours beside theirs at so many robots, and what was left out."""
+    pairs, left = [], []
+    world, simple = cars(count, SimpleCar)
+    end, step = racecars(count)
+    ours, theirs = timed([simple, step], turns, 20)
+    pairs.append(Pair("cars, simple", ours, "racecar URDF", theirs, 25.0))
+    world.close()
+    end()
+    if drones is None:
+        left.append("gym-pybullet-drones: give its checkout by --gym-pybullet-drones PATH")
+        return pairs, left
+    try:
+        step = gym_drones(drones, count)
+    except ImportError as error:
+        left.append(f"gym-pybullet-drones: {error}")
+        return pairs, left
+    flown, full = quads(count)
+    plain, light = simple_quads(count)
+    ours, first_order, theirs = timed([full, light, step], turns, 40)
+    pairs.append(Pair("quads, full", ours, "gym-pybullet-drones", theirs, 5.0))
+    pairs.append(Pair("quads, simple", first_order, "gym-pybullet-drones", theirs, 10.0))
+    flown.close()
+    plain.close()
+    return pairs, left
+
+
+def factors(counts: tuple[int, ...], turns: int) -> dict[str, dict[int, float]]:
+    """How many times faster than real time the physics alone is, by kind and number of robots."""
+    kinds: dict[str, Callable[[int], tuple[World, Step]]] = {
+        "quads, full": quads,
+        "quads, simple": simple_quads,
+        "cars, full": lambda count: cars(count, SimulatedCar),
+        "cars, simple": lambda count: cars(count, SimpleCar),
+    }
+    found: dict[str, dict[int, float]] = {}
+    for name, make in kinds.items():
+        for count in counts:
+            world, step = make(count)
+            (cost,) = timed([step], turns, 40)
+            found.setdefault(name, {})[count] = STEP * 1e3 / cost
+            world.close()
+    return found

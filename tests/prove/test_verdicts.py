@@ -1,0 +1,145 @@
+"""Verdicts on programs whose truth is known; every counterexample and every run is what the semantics made of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from fractions import Fraction
+from pathlib import Path
+
+import pytest
+
+from koordgen.ir.decl import Program
+from koordgen.pipeline import check_file
+from koordgen.prove.explain import invariant_of
+from koordgen.prove.model import failing, true, with_values
+from koordgen.prove.solve import Answer, Limits, Solver
+from koordgen.prove.verdict import Question, Verdict, prove
+from koordgen.semantics.exact import exact
+from tests.prove.programs import CONTRADICTION, COUNTER, CUBES, DIVIDES, LINE, STRONG, TOKEN
+
+
+@pytest.fixture(scope="module")
+def solver() -> Iterator[Solver]:
+    with Solver("z3", Limits(query=2.0)) as running:
+        yield running
+
+
+def program_of(tmp_path: Path, text: str) -> Program:
+    path = tmp_path / "app.koord"
+    path.write_text(text)
+    return check_file(str(path)).program
+
+
+def verdicts(tmp_path: Path, text: str, solver: Solver, robots: int | None = None) -> dict[str, Verdict]:
+    return {v.invariant: v for v in prove(Question(program_of(tmp_path, text), robots, None), solver)}
+
+
+@pytest.mark.parametrize("robots", [None, 1, 3])
+def test_what_is_inductive_is_proved(tmp_path: Path, solver: Solver, robots: int | None) -> None:
+    found = verdicts(tmp_path, STRONG, solver, robots)
+    assert {name: v.verdict for name, v in found.items()} == {"Geofence": "PROVED", "(well-defined)": "PROVED"}
+    kinds = {entry.kind for entry in found["Geofence"].assumptions}
+    assert {"port assumption", "initially", "arithmetic"} <= kinds
+    assert all(o.answer.result == "unsat" for o in found["Geofence"].outcomes)
+
+
+def test_the_published_invariant_lacks_a_bound_on_targets_which_is_named(tmp_path: Path, solver: Solver) -> None:
+    found = verdicts(tmp_path, LINE, solver)["Geofence"]
+    assert found.verdict == "NOT INDUCTIVE"
+    told = found.explanation
+    assert told is not None and told.counterexample is not None
+    assert told.lacking == ("forall i in ID: Motion.target[i] in Rect(lo, hi)",)
+    shown = told.counterexample
+    assert shown.kind == "environment" and shown.failed is not None
+    # Once more, by the semantics alone: true before, false after, by a step that the assumption allows.
+    program = with_values(exact(program_of(tmp_path, LINE)), shown.before.params)
+    geofence = invariant_of(program, "Geofence")
+    assert true(geofence, program, shown.before)
+    assert not true(geofence, program, shown.after)
+    numbers = [c for r in shown.after.robots for p in r.ports.values() for c in (p.x, p.y, p.z)]  # type: ignore[union-attr]
+    assert all(type(number) is Fraction for number in numbers)
+
+
+def test_with_what_was_named_it_is_proved(tmp_path: Path, solver: Solver) -> None:
+    told = verdicts(tmp_path, LINE, solver)["Geofence"].explanation
+    assert told is not None
+    stronger = f"{LINE}invariant More: {told.lacking[0]}\n"
+    assert {v.verdict for v in verdicts(tmp_path, stronger, solver).values()} == {"PROVED"}
+
+
+def test_a_false_invariant_comes_with_a_run_and_does_not_spoil_the_others(tmp_path: Path, solver: Solver) -> None:
+    found = verdicts(tmp_path, COUNTER, solver)
+    assert (found["Below"].verdict, found["Small"].verdict) == ("FALSIFIED", "PROVED")
+    assert "Below" not in found["Small"].rests_on
+    told = found["Below"].explanation
+    assert told is not None and told.run is not None
+    events = [moment.event for moment in told.run.moments]
+    assert events[:2] == ["", "init"] and events.count("Up") == 3
+    last = told.run.moments[-1].state
+    program = exact(program_of(tmp_path, COUNTER))
+    assert failing(invariant_of(program, "Below"), program, last) is not None
+    assert all(failing(invariant_of(program, "Below"), program, m.state) is None for m in told.run.moments[:-1])
+    acted = next(m.pid for m in told.run.moments if m.event == "Up")
+    assert acted is not None and last.robots[acted].locals["third"] == Fraction(1)
+
+
+def test_contradictory_assumptions_prove_nothing(tmp_path: Path, solver: Solver) -> None:
+    found = verdicts(tmp_path, CONTRADICTION, solver)["Low"]
+    assert found.verdict == "VACUOUS"
+    assert "app.koord:3" in found.reason and "app.koord:4" in found.reason
+
+
+def test_an_event_without_a_result_is_told_with_its_line(tmp_path: Path, solver: Solver) -> None:
+    found = verdicts(tmp_path, DIVIDES, solver)["(well-defined)"]
+    assert found.verdict == "NOT INDUCTIVE"
+    told = found.explanation
+    assert told is not None and told.counterexample is not None
+    assert told.counterexample.discarded == "line 8: division by zero"
+
+
+def test_what_is_beyond_solvers_is_unknown_and_names_the_obligation(tmp_path: Path) -> None:
+    with Solver("z3", Limits(query=0.3)) as quick:
+        found = verdicts(tmp_path, CUBES, quick)["Right"]
+    assert found.verdict == "UNKNOWN"
+    assert "Right-Try" in found.reason and "z3" in found.reason
+
+
+def test_two_robots_that_read_the_same_moment_both_take_it(tmp_path: Path, solver: Solver) -> None:
+    found = verdicts(tmp_path, TOKEN, solver)["One"]
+    assert found.verdict in ("FALSIFIED", "NOT INDUCTIVE")
+    told = found.explanation
+    assert told is not None
+    state = told.run.moments[-1].state if told.run else told.counterexample.after  # type: ignore[union-attr]
+    assert [robot.locals["mine"] for robot in state.robots] == [True, True]
+
+
+class Lying(Solver):
+    """Says of every obligation what it is told to say."""
+
+    def __init__(self, result: str, about: str = "") -> None:
+        super().__init__("z3", Limits())
+        self.result, self.about = result, about
+
+    def ask(self, obligation, wanted=(), core=False) -> Answer:  # type: ignore[no-untyped-def]
+        if obligation.kind == "consistency" and self.about != "consistency":
+            return Answer("sat", 0.0)
+        if self.about in obligation.name:
+            values = tuple([0] * len(wanted)) if self.result == "sat" else ()
+            return Answer(self.result, 0.0, "it said so", values)  # type: ignore[arg-type]
+        return Answer("unsat", 0.0)
+
+
+@pytest.mark.parametrize("result", ["unknown", "sat"])
+@pytest.mark.parametrize("about", ["", "Geofence-init", "Geofence-TargetUpdate", "Geofence-environment"])
+def test_a_solver_that_is_wrong_or_silent_about_one_obligation_proves_nothing(
+    tmp_path: Path, result: str, about: str
+) -> None:
+    found = verdicts(tmp_path, STRONG, Lying(result, about))["Geofence"]
+    assert found.verdict == "UNKNOWN"
+    assert "it said so" in found.reason or "not shown" in found.reason
+
+
+def test_without_knowing_that_assumptions_are_consistent_nothing_is_proved(tmp_path: Path) -> None:
+    found = verdicts(tmp_path, STRONG, Lying("unknown", "consistency"))["Geofence"]
+    assert found.verdict == "UNKNOWN"
+    assert "contradict" in found.reason
