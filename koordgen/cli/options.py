@@ -181,6 +181,12 @@ def _campaign(command: argparse.ArgumentParser) -> None:
     _of_a_build(command, fleet_required=True)
 
 
+def _replay(command: argparse.ArgumentParser) -> None:
+    command.add_argument("trace", metavar="TRACE", help="a run's folder, its trace.jsonl, or a robot's own trace")
+    command.add_argument("--program", metavar="APP.koord", help="the program (default: that in the run's folder)")
+    _of_a_build(command)
+
+
 def _count(text: str) -> int:
     value = int(text)
     if value < 1:
@@ -226,6 +232,7 @@ _COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "basestation": ("pass the poses of a motion capture system on to the robots of a fleet", _basestation),
     "doctor": ("look whether a robot is ready for a mission, on its own computer; nothing moves", _doctor),
     "key": ("make a fleet's key", _key),
+    "replay": ("run a trace's program again on what its robots saw, and compare what they did", _replay),
     "campaign": ("run a fleet many times, and tell what came of it", _campaign),
     "report": ("make the page that shows a run: moving pictures, rounds, shared variables, network", _report),
     "export": ("write a run's trace as MCAP, CSV, pictures or a film", _export),

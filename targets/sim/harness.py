@@ -138,6 +138,7 @@ def _schedule(scenario: Scenario, options: argparse.Namespace) -> Schedule:
     names = [robot.name for robot in scenario.robots]
     found = faults.load(options.scenario, names) if options.scenario else Schedule()
     faults.check_times(found, options.duration)
+    faults.check_external(found, scenario.robots)
     return faults.with_network(found, vars(options))
 
 
