@@ -48,6 +48,7 @@ FLOORS = {
     "basestation": BASE | {"fleet", "manifest", "mocap", "robots", "runtime"},
     "doctor": BASE,
     "campaign": BASE,
+    "replay": BASE | {"ir", "emit", "semantics", "runtime"},
     "pipeline": BASE | {"syntax", "ir", "check", "emit", "manifest", "fleet", "offered", "bundle"},
     "scenario": {"node", "source", "located"},
     "cli": BASE
@@ -66,6 +67,8 @@ FLOORS = {
         "basestation",
         "doctor",
         "campaign",
+        "replay",
+        "emit",
     },
     "__main__": {"cli"},
     "__init__": set(),

@@ -216,6 +216,12 @@ def _campaign(options: Namespace) -> int:
     return campaign(options)
 
 
+def _replay(options: Namespace) -> int:
+    from koordgen.cli.replay import replay
+
+    return replay(options)
+
+
 def _afterwards(options: Namespace) -> int:
     from koordgen.cli.afterwards import afterwards
 
@@ -225,7 +231,7 @@ def _afterwards(options: Namespace) -> int:
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "check": _check, "dump": _dump, "build": _build, "prove": _prove, "fmt": _fmt, "explain": _explain,
     "estop": _estop, "basestation": _basestation, "doctor": _doctor, "key": _key, "report": _afterwards,
-    "export": _afterwards, "campaign": _campaign,
+    "export": _afterwards, "campaign": _campaign, "replay": _replay,
 }  # fmt: skip
 
 

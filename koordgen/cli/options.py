@@ -144,7 +144,7 @@ _NETWORK = {
     "reordering": ("P", "the part of the datagrams that others overtake"),
 }
 # Options of a harness's bundle that have the same name here.
-PASSED = ("duration", "seed", *_NETWORK)
+PASSED = ("duration", "seed", "live", "pace", *_NETWORK)
 
 
 def _harness(command: argparse.ArgumentParser) -> None:
@@ -152,6 +152,10 @@ def _harness(command: argparse.ArgumentParser) -> None:
     command.add_argument("--duration", metavar="S", type=float, help="seconds of mission, from its first round")
     command.add_argument("--seed", metavar="N", type=int, help="seed of all that is random")
     command.add_argument("--lockstep", action="store_true", help="all in one process: repeatable, as fast as it goes")
+    pace = "of a run in lockstep: at most so many times real time"
+    command.add_argument("--pace", metavar="FACTOR", type=float, help=pace)
+    live = "show the run while it goes on, on a page of 127.0.0.1, at PORT or any free one"
+    command.add_argument("--live", metavar="PORT", type=int, nargs="?", const=0, help=live)
     command.add_argument("--out", metavar="DIR", help="where trace, summary, pictures and report go")
     command.add_argument("--quiet", action="store_true", help="no progress")
     command.add_argument("--scenario", metavar="FILE", help="what goes wrong in the run, and when (YAML)")
@@ -175,6 +179,12 @@ def _campaign(command: argparse.ArgumentParser) -> None:
     command.add_argument("--cluster", metavar="ADDRESS", help="hand the runs to this Dask scheduler")
     command.add_argument("--quiet", action="store_true", help="no progress")
     _of_a_build(command, fleet_required=True)
+
+
+def _replay(command: argparse.ArgumentParser) -> None:
+    command.add_argument("trace", metavar="TRACE", help="a run's folder, its trace.jsonl, or a robot's own trace")
+    command.add_argument("--program", metavar="APP.koord", help="the program (default: that in the run's folder)")
+    _of_a_build(command)
 
 
 def _count(text: str) -> int:
@@ -222,6 +232,7 @@ _COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "basestation": ("pass the poses of a motion capture system on to the robots of a fleet", _basestation),
     "doctor": ("look whether a robot is ready for a mission, on its own computer; nothing moves", _doctor),
     "key": ("make a fleet's key", _key),
+    "replay": ("run a trace's program again on what its robots saw, and compare what they did", _replay),
     "campaign": ("run a fleet many times, and tell what came of it", _campaign),
     "report": ("make the page that shows a run: moving pictures, rounds, shared variables, network", _report),
     "export": ("write a run's trace as MCAP, CSV, pictures or a film", _export),

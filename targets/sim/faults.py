@@ -14,8 +14,9 @@ from koordgen.runtime.network import Conditions
 from targets.sim.bodies import BodyState
 from targets.sim.crew import Agent
 from targets.sim.medium import medium, parted
-from targets.sim.scenario import BadScenario
+from targets.sim.scenario import BadScenario, Robot
 from targets.sim.schedule import CONDITIONS, Event, Mistake, Schedule, read
+from targets.sim.station import fed
 from targets.sim.trace import Cause, Record
 from targets.sim.upset import WELL
 
@@ -60,6 +61,17 @@ def check_times(schedule: Schedule, duration: float) -> None:
         first = late[0]
         message = f"the {first.kind} at {first.at:g} s would come after the run's end, at {duration:g} s"
         raise BadScenario(message, "ask for a longer --duration, or leave it out")
+
+
+def check_external(schedule: Schedule, robots: Sequence[Robot]) -> None:
+    """What cannot be done to a robot whose autopilot is not ours. Raises BadScenario."""
+    own_gps = {r.name for r in robots if r.external and not fed(r.settings)}
+    for event in schedule.events:
+        if event.kind == "positioning" and event.robots[0] in own_gps:
+            raise BadScenario(
+                f"positioning at {event.at:g} s: the GPS of {event.robots[0]} is that of its external autopilot",
+                "set ArduPilot's own SIM_GPS parameters, or feed it: `positioning: gps_input` in its settings",
+            )
 
 
 class Faults:

@@ -15,11 +15,18 @@ import time
 import traceback
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from targets.sim import faults
 from targets.sim.folder import SOURCE, Foreign, RunFolder
 from targets.sim.scenario import FILE, BadScenario, Scenario, load
 from targets.sim.schedule import CONDITIONS, MOST_DELAY, PROBABILITIES, Schedule
+
+if TYPE_CHECKING:
+    from targets.sim.progress import Progress
+    from targets.sim.run import Run
+    from targets.sim.trace import Header
+    from targets.sim.watch import Watcher
 
 HELD, BAD_FILES, USAGE, VIOLATED, SURROUNDINGS, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 5, 70, 130
 STATUS = {"held": HELD, "violated": VIOLATED, "interrupted": INTERRUPTED, "not started": SURROUNDINGS}
@@ -78,6 +85,10 @@ def _parser(root: Path) -> argparse.ArgumentParser:
         )
     parser.add_argument("--check", action="store_true", help="check the bundle and its packages; run nothing")
     parser.add_argument("--invoked-as", metavar="TEXT", help="the command to name in the report, if not this one")
+    live = "show the run on a page at 127.0.0.1, on PORT or any free one"
+    parser.add_argument("--live", type=int, nargs="?", const=0, metavar="PORT", help=live)
+    pace = "of a run in lockstep: at most so many times real time"
+    parser.add_argument("--pace", type=_seconds, metavar="FACTOR", help=pace)
     parser.add_argument("--quiet", action="store_true", help="no progress")
     return parser
 
@@ -127,6 +138,7 @@ def _schedule(scenario: Scenario, options: argparse.Namespace) -> Schedule:
     names = [robot.name for robot in scenario.robots]
     found = faults.load(options.scenario, names) if options.scenario else Schedule()
     faults.check_times(found, options.duration)
+    faults.check_external(found, scenario.robots)
     return faults.with_network(found, vars(options))
 
 
@@ -139,14 +151,50 @@ def _check(root: Path, scenario: Scenario) -> int:
 
 
 def _run(root: Path, scenario: Scenario, schedule: Schedule, folder: Path, options: argparse.Namespace) -> int:
+    import msgspec
+
+    from targets.sim import summary, trace
+    from targets.sim.progress import Progress
+    from targets.sim.view import live
+
+    header = _header(scenario, options)
+    progress = Progress(sys.stderr, options.quiet, free=options.lockstep)
+    with live.watched(header, options.live) as view:
+        run, watcher = _made(root, scenario, schedule, folder, options, progress)
+        run.companions += [view] if view else []
+        run.companions += [live.Paced(options.pace)] if options.pace and options.lockstep else []
+        began = time.perf_counter()
+        try:
+            outcome = run.execute()
+        finally:
+            progress.finish()
+        merged, agents = folder / "trace.jsonl", [agent.trace_file for agent in run.conduct.agents]
+        header = msgspec.structs.replace(header, started=outcome.started)
+        trace.merge(merged, header, outcome.zero, run.poses_file, agents, outcome.marks)
+        run.poses_file.unlink()
+        found = summary.summarise(*trace.read(merged), outcome)
+        found.watching = round(watcher.seconds / (time.perf_counter() - began), 4)
+        found.reproduce = _reproduce(root, scenario, folder, options)
+        summary.write(found, folder)
+        progress.say("drawing the report")
+        _report(folder)
+        if view:
+            view.close(f"{found.verdict}: {found.why}. The report: {(folder / 'report.html').resolve()}")
+    print(summary.as_text(found))
+    print(f"report: {folder / 'report.html'}")
+    return STATUS[found.verdict] if outcome.ended != "died" else VIOLATED
+
+
+def _made(
+    root: Path, scenario: Scenario, schedule: Schedule, folder: Path, options: argparse.Namespace, progress: Progress
+) -> tuple[Run, Watcher]:
+    """The run with all that goes along with it, ready to be executed."""
     from targets.sim import watch
     from targets.sim.idle import IDLE_TIMEOUT, Idle
     from targets.sim.lockstep.run import Lockstep
-    from targets.sim.progress import Progress
     from targets.sim.realtime import RealTime
     from targets.sim.run import Run
 
-    progress = Progress(sys.stderr, options.quiet, free=options.lockstep)
     robots = tuple(robot.name for robot in scenario.robots)
     watcher = watch.Watcher(watch.load(root), robots, scenario.delta)
     shutil.copytree(root / SOURCE, folder / SOURCE)
@@ -155,31 +203,19 @@ def _run(root: Path, scenario: Scenario, schedule: Schedule, folder: Path, optio
     run.companions += [watcher, Idle(robots, scenario.number("idle_timeout", IDLE_TIMEOUT))]
     if schedule != Schedule():
         run.companions.append(faults.Faults(schedule))
-    began = time.perf_counter()
-    try:
-        outcome = run.execute()
-    finally:
-        progress.finish()
-    from targets.sim import summary, trace
+    return run, watcher
 
-    names = tuple(trace.RobotName(r.name, r.pid, r.target) for r in scenario.robots)
-    header = trace.Header(
-        trace.FORMAT, scenario.app, scenario.program_hash, scenario.delta, options.seed, names, options.duration,
-        outcome.started, scenario.number("min_separation", 0.0), (scenario.geofence.lo, scenario.geofence.hi),
-        scenario.obstacles, scenario.world, scenario.shared, scenario.records,
+
+def _header(scenario: Scenario, options: argparse.Namespace) -> Header:
+    """The merged trace's, of a run that has a round 1."""
+    from targets.sim.trace import FORMAT, Header, RobotName
+
+    names = tuple(RobotName(r.name, r.pid, r.target) for r in scenario.robots)
+    return Header(
+        FORMAT, scenario.app, scenario.program_hash, scenario.delta, options.seed, names, options.duration, True,
+        scenario.number("min_separation", 0.0), (scenario.geofence.lo, scenario.geofence.hi), scenario.obstacles,
+        scenario.world, scenario.shared, scenario.records,
     )  # fmt: skip
-    merged = folder / "trace.jsonl"
-    trace.merge(merged, header, outcome.zero, run.poses_file, [a.trace_file for a in run.conduct.agents], outcome.marks)
-    run.poses_file.unlink()
-    found = summary.summarise(*trace.read(merged), outcome)
-    found.watching = round(watcher.seconds / (time.perf_counter() - began), 4)
-    found.reproduce = _reproduce(root, scenario, folder, options)
-    summary.write(found, folder)
-    progress.say("drawing the report")
-    _report(folder)
-    print(summary.as_text(found))
-    print(f"report: {folder / 'report.html'}")
-    return STATUS[found.verdict] if outcome.ended != "died" else VIOLATED
 
 
 def _report(folder: Path) -> None:

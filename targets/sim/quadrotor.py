@@ -67,6 +67,7 @@ class Quadrotors(Kind):
         self.turning = np.zeros(0)  # rad/s
         self.running = np.zeros(0)  # 1: its motors run
         self.motors = np.zeros((4, 0))  # speeds, of the highest
+        self.direct: dict[int, tuple[float, float, float, float]] = {}  # thrusts that nobody asks the attitude loop for
 
     def grow(self) -> None:
         """See Kind."""
@@ -114,6 +115,8 @@ class Quadrotors(Kind):
         np.minimum(common, 1.0 - np.maximum.reduce(found), out=common)
         np.maximum(common, -np.minimum.reduce(found), out=common)
         found += common
+        for index, thrusts in self.direct.items():
+            found[:, index] = thrusts
         np.minimum(np.maximum(found, 0.0, out=found), 1.0, out=found)
         return found
 
@@ -155,6 +158,11 @@ class SimulatedQuadrotor:
         asked, k = self._all.asked, self._index
         asked[0, k], asked[1, k], asked[2, k] = x, y, z
         self._all.turning[k] = max(-MAX_YAW_RATE, min(MAX_YAW_RATE, yaw_rate))
+
+    def thrusts(self, shares: tuple[float, float, float, float]) -> None:
+        """Ask each motor for a share of its most thrust, past the attitude loop: front left, rear left, rear right,
+        front right. Until told otherwise; whoever begins with it does not go back to `accelerate`."""
+        self._all.direct[self._index] = shares
 
     def motors(self, on: bool) -> None:
         """See bodies.Quadrotor."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -78,6 +78,11 @@ class Run:
     def mark(self, mark: Mark) -> None:
         """What belongs into the merged trace; its `t` is a time of the run's clock here."""
         self._marks.append(mark)
+
+    @property
+    def marks(self) -> Sequence[Mark]:
+        """What companions marked so far, with times of the run's clock."""
+        return self._marks
 
     def finish(self, why: str) -> None:
         """End the mission: `Outcome.ended` will say why."""

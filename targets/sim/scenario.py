@@ -117,6 +117,11 @@ class Robot(msgspec.Struct, frozen=True):
     inside: str = ""  # "module:function" that makes the robot's platform in lockstep; empty: it cannot be
     sim: Sim = Sim()
 
+    @property
+    def external(self) -> bool:
+        """Whether a real autopilot flies it."""
+        return self.sim.autopilot == "external"
+
 
 class Shared(msgspec.Struct, frozen=True):
     """A shared variable: `allread`, one value of `type` a robot, or `allwrite`, one for all."""

@@ -33,6 +33,11 @@ class Slowed:
         x, y, z, rate = self._slow("fly", (*velocity, yaw_rate))
         self._body.fly((x, y, z), rate)
 
+    def thrusts(self, shares: tuple[float, float, float, float]) -> None:
+        """See quadrotor.SimulatedQuadrotor."""
+        a, b, c, d = self._slow("thrusts", shares)
+        self._body.thrusts((a, b, c, d))
+
     def drive(self, speed: float, steering: float) -> None:
         """See bodies.Car."""
         self._body.drive(*self._slow("drive", (speed, steering)))

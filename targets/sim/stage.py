@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from targets.sim.bodies import BodyState, Device, DeviceContext, Vector
 from targets.sim.car import Running, SimulatedCar
+from targets.sim.external import ExternalAutopilot
 from targets.sim.first_order import SimpleCar, SimpleQuadrotor
 from targets.sim.lidar import SETTING, SimulatedLidar
 from targets.sim.ports import Loopback, Wiring
@@ -196,6 +197,11 @@ def check(scenario: Scenario) -> None:
         if robot.body not in BODIES:
             raise BadScenario(f"no simulated body {robot.body!r}", f"there are: {', '.join(sorted(BODIES))}")
         device_class(robot.device)
+        if robot.external and (robot.body, robot.sim.fidelity) != ("quadrotor", "full"):
+            raise BadScenario(
+                f"{robot.name}: an external autopilot flies quads of fidelity full only",
+                "say `fidelity: full`, or `autopilot: simulated`, in its `sim:`",
+            )
 
 
 def _actor(
@@ -212,7 +218,7 @@ def _actor(
     slowed = Slowed(body, upset, lambda: world.time)
     if robot.sim.fidelity == "simple":
         make = SIMPLE[robot.body]
-    device = make(slowed, context)
+    device = ExternalAutopilot(slowed, context, robot.pid) if robot.external else make(slowed, context)
     sensors: list[Device] = [SimulatedLidar(world, body, context, robot.sim.lidar)] if SETTING in robot.settings else []
     setting = fed(robot.settings)
     if setting and robot.sim.fidelity != "simple":  # such a robot knows where it is

@@ -11,10 +11,8 @@ import msgspec
 
 from targets.sim.bodies import Vector
 from targets.sim.run import Outcome
-from targets.sim.trace import Cause, End, Header, Pose, Record, Round, Violation, fault_text
+from targets.sim.trace import LATE, Cause, End, Header, Pose, Record, Round, Violation, fault_text
 from targets.sim.trace import Verdict as Found
-
-LATE = 0.5  # of delta: a round decided later than this is late
 
 Verdict = Literal["held", "violated", "interrupted", "not started"]
 

@@ -20,6 +20,7 @@ from targets.sim.bodies import BodyState, Vector
 from targets.sim.scenario import Shared, World
 
 FORMAT = "koord-trace/1"
+LATE = 0.5  # of delta: a round decided later than this is late
 MOST_AT_ONCE = 1 << 20  # bytes of one file in one look
 
 

@@ -151,8 +151,8 @@ class Truth:
         """What an actuator has before it is written: a target is where the robot is."""
         port = next(p for p in self._program.ports if p.name == name)
         place = name.rpartition(".")[0] + ".position"
-        if name.endswith(".target") and init is not None and place in init.sensors:
-            return self._read(place, init.sensors)
+        if name.endswith(".target") and init is not None:
+            return self._read(place, init.sensors) if place in init.sensors else self._read(name, init.actuators)
         return port.unset() if port.unset is not None else UNKNOWN
 
     def _read(self, name: str, values: Mapping[str, msgspec.Raw]) -> Any:

@@ -62,6 +62,7 @@ def rounds() -> list[dict[str, Any]]:
         {"kind": "log", "t": 6.0, "pid": 1, "level": "warning", "message": "=HYPERLINK(1)"},
         {"kind": "stream", "t": 6.5, "pid": 1, "round": 9, "port": "Log.out", "text": "hello"},
         {"kind": "phase", "t": 0.0, "pid": 1, "phase": "running", "detail": ""},
+        {"kind": "cause", "t": 7.0, "what": "crash", "robots": ["bert"], "detail": "", "lasts": 2.0},
         {"kind": "verdict", "t": 10.0, "of": "invariant", "name": "Safe", "line": "a.koord:4", "outcome": "violated"},
     ]  # fmt: skip
 
@@ -92,7 +93,8 @@ def test_tables_hold_all_of_the_trace(run: Path, capsys: pytest.CaptureFixture[s
     }  # fmt: skip
     assert found["links"][0]["loss"] == "0.25" and found["links"][0]["delay_p99_ms"] == "4.0"
     assert [row["text"] for row in found["logs"]] == ["=HYPERLINK(1)", "hello"]
-    assert [row["what"] for row in found["marks"]] == ["fault", "violated", "completed"]
+    assert [row["what"] for row in found["marks"]] == ["fault", "crash", "violated", "completed"]
+    assert found["marks"][1]["detail"] == "for 2 s"
 
 
 def fits(value: Any, schema: dict[str, Any], where: str = "$") -> None:
@@ -132,7 +134,7 @@ def test_a_recording_holds_what_its_schemas_say(run: Path) -> None:
     found = messages(run / "trace.mcap")
     assert set(found) == {
         "/poses/alice $x_{", "/poses/bert", "/tf", "/scene", "/separation", "/rounds/alice $x_{", "/rounds/bert",
-        "/shared/tasks", "/shared/map", "/maps/map", "/metrics/alice $x_{", "/log", "/phases", "/verdicts",
+        "/shared/tasks", "/shared/map", "/maps/map", "/metrics/alice $x_{", "/log", "/phases", "/verdicts", "/causes",
     }  # fmt: skip
     at, pose = found["/poses/bert"][2]
     assert at == 1_000_000_000 and pose["timestamp"] == {"sec": 1, "nsec": 0}  # round 1 begins 1 s after the file

@@ -134,7 +134,7 @@ class _Longest:
 
 def _check(scenario: Scenario) -> None:
     for robot in scenario.robots:
-        if robot.sim.autopilot == "external":
+        if robot.external:
             raise BadScenario(
                 f"{robot.name}: its autopilot is external, a process with a clock of its own",
                 "leave out --lockstep, or say `autopilot: simulated` in its `sim:`",

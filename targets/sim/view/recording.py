@@ -16,7 +16,20 @@ from typing import Any
 import msgspec
 from mcap.writer import Writer
 
-from targets.sim.trace import Header, Log, Metrics, Phase, Pose, Record, Round, Stream, Verdict, Violation, fault_text
+from targets.sim.trace import (
+    Cause,
+    Header,
+    Log,
+    Metrics,
+    Phase,
+    Pose,
+    Record,
+    Round,
+    Stream,
+    Verdict,
+    Violation,
+    fault_text,
+)
 from targets.sim.view import scene
 from targets.sim.view.rows import Rows
 from targets.sim.view.schemas import schema
@@ -97,6 +110,9 @@ class _Messages:
             case Violation(what=what, robots=robots, name=own, line=line, detail=detail):
                 yield "/verdicts", "koord.Verdict", _verdict(record.t, "violation", what, robots, own, line, detail)
                 yield "/log", "foxglove.Log", _log(at, 4, f"{what}: {detail}", " and ".join(robots))
+            case Cause(what=what, robots=robots, detail=detail):
+                yield "/causes", "koord.Verdict", _verdict(record.t, "cause", what, robots, "", "", detail)
+                yield "/log", "foxglove.Log", _log(at, 3, f"cause: {what} {detail}", " and ".join(robots))
             case Verdict(of=of, outcome=outcome, robots=robots, name=own, line=line, detail=detail):
                 yield "/verdicts", "koord.Verdict", _verdict(record.t, of, outcome, robots, own, line, detail)
             case Pose(position=position, yaw=yaw) if name:

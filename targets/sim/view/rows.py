@@ -12,7 +12,7 @@ sends them on. `page/model.js` reads them; numbers are rounded to what can be se
 | late | pid, t of a second, longest lateness in it (s), rounds, late rounds |
 | links | pid, t, [[peer, loss, delay p50, p99 (ms), silent (ms), repeats]], datagrams rejected |
 | near | t, distance of the closest pair (m), their pids |
-| marks | t, kind, what, robots' names, detail |
+| marks | t, kind, what, robots' names, detail; of a cause that goes on how long (s) |
 | markers | t, number, state (0 to do, 1 taken, 2 done); with the first one name, position, radius if it is of a list |
 """
 
@@ -25,8 +25,9 @@ import msgspec
 import numpy as np
 
 from targets.sim.bodies import Vector
-from targets.sim.summary import LATE
 from targets.sim.trace import (
+    LATE,
+    Cause,
     End,
     Header,
     Init,
@@ -79,6 +80,8 @@ class Rows:
                 self._add("marks", [t, "violation", what, list(robots), detail])
             case End(why=why):
                 self._add("marks", [t, "end", why, [], ""])
+            case Cause(what=what, robots=robots, detail=detail, lasts=lasts):
+                self._add("marks", [t, "cause", what, list(robots), detail, *(() if lasts is None else (lasts,))])
             case Verdict():
                 what = f"{record.of} {record.name}: {record.outcome}"
                 detail = ", ".join(filter(None, (record.line, record.detail)))

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from targets.sim.trace import (
+    Cause,
     End,
     Header,
     Init,
@@ -62,6 +63,10 @@ def _rows(record: Record, names: dict[int, str]) -> Iterator[tuple[str, Row]]:
             yield "marks", (t, "violation", what, " ".join(robots), name, line, detail)
         case Verdict(of=of, name=name, line=line, outcome=outcome, robots=robots, detail=detail):
             yield "marks", (t, f"verdict on {of}", outcome, " ".join(robots), name, line, detail)
+        case Cause(what=what, robots=robots, detail=detail, lasts=lasts):
+            for_so_long = "" if lasts is None else f"for {lasts:g} s"
+            told = " ".join(filter(None, (detail, for_so_long)))
+            yield "marks", (t, "cause", what, " ".join(robots), "", "", told)
         case End(why=why):
             yield "marks", (t, "end", why, "", "", "", "")
         case Pose() | Init() | Round() | Phase() | Log() | Stream() | Metrics():

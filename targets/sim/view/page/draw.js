@@ -100,6 +100,9 @@ function stroke(ctx, points, ink, { width = 1.6, lines = [], alpha = 1, step = f
 function overTime(chart, model, now) {
   const { ctx, height, top, bottom } = chart;
   const line = (t, ink, lines, width) => stroke(ctx, [[chart.x(t), top], [chart.x(t), height - bottom]], ink, { lines, width });
+  ctx.fillStyle = "#7a3db820"; // while a cause goes on
+  for (const [t, kind, , , , lasts] of model.marks)
+    if (kind === "cause" && lasts) ctx.fillRect(chart.x(t), top, chart.x(t + lasts) - chart.x(t), height - bottom - top);
   line(0, STONE_EDGE, [3, 3], 1);
   for (const [t, kind] of model.marks) line(t, kind === "violation" ? RED : kind === "cause" ? "#7a3db8" : STONE_EDGE, [3, 3], 1);
   line(now, INK, [], 1.2);

@@ -225,8 +225,8 @@ function listen() {
   const source = new EventSource("events");
   const hear = (name, act) => source.addEventListener(name, (event) => { act(JSON.parse(event.data)); refresh(); });
   $("status").textContent = "connecting";
-  source.onopen = () => { $("status").textContent = "live"; };
-  source.onerror = () => { $("status").textContent = "no connection"; };
+  source.onopen = () => { $("status").textContent = ""; };
+  source.onerror = () => { $("status").textContent = "no connection to the run"; };
   hear("whole", (chunk) => { Object.assign(model, new Model(given.header)); chips(); model.extend(chunk); });
   hear("rows", (chunk) => model.extend(chunk));
   hear("over", ({ words }) => { source.close(); follow(false); $("status").textContent = words; });

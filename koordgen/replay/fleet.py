@@ -1,0 +1,97 @@
+"""A whole trace again: each robot by itself, and when all of a fleet are there also what they held together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from koordgen.ir import decl
+from koordgen.replay.robot import Counts, Difference, Replay
+from koordgen.replay.trace import Line, Trace
+from koordgen.replay.values import plain
+from koordgen.semantics.step import initial
+
+Shown = Mapping[str, Any]  # a store in JSON: of an allread variable a list by pid
+
+
+def replayed(
+    program: decl.Program, externs: Mapping[str, Callable[..., Any]], trace: Trace, counts: Counts
+) -> Iterator[Difference]:
+    """Every difference, in the trace's order. Raises BadTrace, Unreplayable."""
+    n_sys = len(trace.robots)
+    robots = [Replay(program, externs, pid, n_sys, counts) for pid in range(n_sys)]
+    stores = None if trace.own else Stores(program, n_sys, trace)
+    last = 0
+    for line in trace.lines():
+        robot = robots[line.pid]
+        yield from robot.line(line)
+        if robot.saw is not None and stores is not None:
+            yield from stores.compared(line, robot.saw)
+        last = line.number
+    if not trace.cut:
+        for robot in robots:
+            yield from robot.end(last)
+
+
+class Stores:
+    """The shared store of each round, by what all robots say that they wrote: first commits, then plain events by
+    ascending pid. From where a robot died on, which may have written what it told nobody, it is not known."""
+
+    def __init__(self, program: decl.Program, n_sys: int, trace: Trace) -> None:
+        self._locks = {event.name: event.lock is not None for event in program.events}
+        self._slots = {v.name for v in program.shared if v.kind == "allread"}
+        self._writes: dict[int, list[tuple[bool, int, dict[str, Any]]]] = {}
+        ends = dict.fromkeys(range(n_sys), 0)
+        until = float("inf")
+        for line in trace.lines():
+            record = line.record
+            if record["kind"] == "stream":
+                continue
+            round_ = int(record.get("round", 0))
+            ends[line.pid] = max(ends[line.pid], round_)
+            if record.get("restored"):
+                until = min(until, round_)
+            if record.get("shared"):
+                plain_event = not self._locks.get(record.get("event") or "", False)
+                self._writes.setdefault(round_, []).append((plain_event, line.pid, record["shared"]))
+        self._until = min(until, min(ends.values()))
+        store = initial(program, n_sys).store
+        first = {
+            **{n: [plain(v) for v in held] for n, held in store.slots.items()},
+            **{n: plain(v) for n, v in store.cells.items()},
+        }
+        self._known: dict[int, Shown] = {0: self._after(first, 0)}  # round -> after it
+
+    def compared(self, line: Line, copy: Mapping[str, Any]) -> Iterator[Difference]:
+        """A robot's copy at a round's start beside the store after the round before."""
+        round_ = int(line.record["round"])
+        if round_ > self._until:
+            return
+        store = self._of(round_ - 1)
+        for name, meant in store.items():
+            if name in self._slots:
+                for pid, own in enumerate(meant):
+                    if plain(copy[name][pid]) != own:
+                        yield Difference(
+                            line.number, round_, line.pid, f"copy of {name}[{pid}]", plain(copy[name][pid]), own
+                        )
+            elif plain(copy[name]) != meant:
+                yield Difference(line.number, round_, line.pid, f"copy of {name}", plain(copy[name]), meant)
+
+    def _of(self, round_: int) -> Shown:
+        latest = max(self._known)
+        for r in range(latest + 1, round_ + 1):
+            self._known[r] = self._after(self._known[r - 1], r)
+        return self._known[round_]
+
+    def _after(self, store: Shown, round_: int) -> Shown:
+        writes = self._writes.get(round_)
+        if not writes:
+            return store
+        found = dict(store)
+        for _, pid, shared in sorted(writes, key=lambda w: w[:2]):
+            for name, value in shared.items():
+                found[name] = (
+                    [value if p == pid else own for p, own in enumerate(found[name])] if name in self._slots else value
+                )
+        return found

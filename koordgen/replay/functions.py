@@ -1,0 +1,91 @@
+"""A program's extern functions, called by the executable semantics as robots call them: through the generated code."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from importlib import util
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from koordgen.emit.names import Names
+from koordgen.emit.program import functions_module, program_text
+from koordgen.ir import decl
+from koordgen.ir.types import MapOf, PerRobot, RecordType, Sequence, TupleOf, Type
+from koordgen.semantics.values import RecordValue, Value
+
+
+class CannotCall(Exception):
+    """The file of the extern functions cannot be used; the message says why."""
+
+
+def externs(program: decl.Program, file: Path | None) -> Mapping[str, Callable[..., Value]]:
+    """The extern functions by name. Runs the user's file. Raises CannotCall."""
+    if not program.externs:
+        return {}
+    if file is None or not file.is_file():
+        raise CannotCall(f"{file or functions_module(program) + '.py'}, which has the extern functions, is not there")
+    _load(functions_module(program), file)
+    names = Names(program)
+    module = sys.modules["replayed"] = ModuleType("replayed")  # where annotations of records are looked up
+    vars(module)["__file__"] = "program.py"
+    exec(compile(program_text(program), "program.py", "exec"), vars(module))
+    return {f.name: _called(f, vars(module), names) for f in program.externs}
+
+
+def _load(name: str, file: Path) -> None:
+    spec = util.spec_from_file_location(name, file)
+    assert spec is not None and spec.loader is not None
+    module = sys.modules[name] = util.module_from_spec(spec)
+    sys.path.insert(0, str(file.parent))
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise CannotCall(f"{file} cannot be imported: {type(error).__name__}: {error}") from error
+    finally:
+        sys.path.remove(str(file.parent))
+
+
+def _called(function: decl.ExternFunction, scope: Mapping[str, Any], names: Names) -> Callable[..., Value]:
+    wrapped = scope[names.calls[function.name]]
+
+    def call(*args: Value) -> Value:
+        types = [parameter.type for parameter in function.parameters]
+        return _meant(
+            wrapped(*[_python(a, t, scope, names) for a, t in zip(args, types, strict=True)]), function.result
+        )
+
+    return call
+
+
+def _python(value: Any, type_: Type, scope: Mapping[str, Any], names: Names) -> Any:
+    """A value of the semantics as robots have it: records are of the program's classes."""
+    match type_:
+        case RecordType(name, fields):
+            parts = zip(value.fields, fields, strict=True)
+            return scope[names.records[name]](*[_python(part, t, scope, names) for part, (_, t) in parts])
+        case Sequence(_, element) | PerRobot(element):
+            return tuple([_python(part, element, scope, names) for part in value])
+        case MapOf(key, held):
+            return tuple([(_python(k, key, scope, names), _python(v, held, scope, names)) for k, v in value])
+        case TupleOf(items):
+            return tuple([_python(part, t, scope, names) for part, t in zip(value, items, strict=True)])
+        case _:
+            return value
+
+
+def _meant(value: Any, type_: Type) -> Value:
+    match type_:
+        case RecordType(name, fields):
+            parts = [getattr(value, field) for field in value.__struct_fields__]
+            return RecordValue(name, tuple([_meant(p, t) for p, (_, t) in zip(parts, fields, strict=True)]))
+        case Sequence(_, element) | PerRobot(element):
+            return tuple([_meant(part, element) for part in value])
+        case MapOf(key, held):
+            return tuple([(_meant(k, key), _meant(v, held)) for k, v in value])
+        case TupleOf(items):
+            return tuple([_meant(part, t) for part, t in zip(value, items, strict=True)])
+        case _:
+            found: Value = value
+            return found

@@ -1,0 +1,182 @@
+"""The live view's own process: one page for this computer's browsers, and rows as server-sent events.
+
+It is told on standard input, a JSON object a line: {"header"} first, then {"rows"}, {"begin"} (all before does not
+count) and {"over": words}; it ends when its input does. The first line it says is {"port"} or {"error"}. Nothing that a
+browser sends changes anything, and one that reads slowly misses rows and is then given all of them anew.
+"""
+
+from __future__ import annotations
+
+import json
+import queue
+import signal
+import sys
+import threading
+import time
+from html import escape
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+
+import msgspec
+
+from targets.sim.trace import Header
+from targets.sim.view.history import History
+from targets.sim.view.page import page
+
+HOST = "127.0.0.1"
+MOST_CLIENTS = 16
+MOST_WAITING = 64  # events of one client
+SEND_TIMEOUT = 10.0  # seconds that a write to a client may take
+KEEP_ALIVE = 5.0  # seconds of silence after which a client is told that we are there
+FAREWELL = 2.0  # seconds for the last events to get out
+_encoder = msgspec.json.Encoder()
+
+
+def event(name: str, what: Any) -> bytes:
+    """A server-sent event. JSON has no line ends, so it is one line."""
+    return b"event: %b\ndata: %b\n\n" % (name.encode(), _encoder.encode(what))
+
+
+class Hub:
+    """What clients are told. All its methods may be called from any thread; none waits for a client."""
+
+    def __init__(self, header: Header) -> None:
+        self.header = header
+        self._history = History(header)
+        self._clients: set[queue.Queue[bytes]] = set()
+        self._lock = threading.Lock()
+        self.over = threading.Event()
+
+    def rows(self, chunk: dict[str, Any]) -> None:
+        with self._lock:
+            self._history.extend(chunk)
+            self._tell(event("rows", chunk))
+
+    def begin(self) -> None:
+        """Everything so far was before the run's clock began."""
+        with self._lock:
+            self._history = History(self.header)
+            self._tell(event("whole", self._history.whole()))
+
+    def end(self, words: str) -> None:
+        with self._lock:
+            self._tell(event("over", {"words": words}))
+        deadline = time.monotonic() + FAREWELL
+        while any(not client.empty() for client in self._clients) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        self.over.set()
+
+    def _tell(self, words: bytes) -> None:
+        for client in self._clients:
+            try:
+                client.put_nowait(words)
+            except queue.Full:  # too slow: what is whole makes up for all that it has missed
+                while not client.empty():
+                    client.get_nowait()
+                client.put_nowait(event("whole", self._history.whole()))
+
+    def join(self) -> queue.Queue[bytes] | None:
+        """A new client's events, the first has all rows; None when there are too many clients."""
+        with self._lock:
+            if len(self._clients) >= MOST_CLIENTS:
+                return None
+            client: queue.Queue[bytes] = queue.Queue(MOST_WAITING)
+            client.put_nowait(event("whole", self._history.whole()))
+            self._clients.add(client)
+            return client
+
+    def leave(self, client: queue.Queue[bytes]) -> None:
+        with self._lock:
+            self._clients.discard(client)
+
+
+class Server(ThreadingHTTPServer):
+    daemon_threads = True
+    block_on_close = False
+
+    def __init__(self, port: int, hub: Hub) -> None:
+        super().__init__((HOST, port), Handler)
+        self.hub = hub
+        header = hub.header
+        title = f"{header.app}, live"
+        before = f"<h1>{escape(title)}</h1>"
+        self.page = page(title, header, {}, before, "", live=True).encode()
+        own = self.server_address[1]
+        # Another name that leads here is another site's: it may not read what we say (DNS rebinding).
+        self.names = {f"{name}:{own}" for name in (HOST, "localhost")}
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Clients come and go."""
+
+
+class Handler(BaseHTTPRequestHandler):
+    server: Server
+    timeout = SEND_TIMEOUT
+    server_version, sys_version = "koordgen", ""
+
+    def do_GET(self) -> None:
+        if self.headers.get_all("Host") not in [[name] for name in self.server.names]:
+            self.send_error(403, "This page is for the computer it runs on")
+        elif self.path == "/":
+            self._answer("text/html; charset=utf-8", str(len(self.server.page)))
+            self.wfile.write(self.server.page)
+        elif self.path == "/events":
+            self._events()
+        else:
+            self.send_error(404)
+
+    def _answer(self, kind: str, length: str | None = None) -> None:
+        self.send_response(200)
+        self.send_header("Content-Type", kind)
+        self.send_header("Cache-Control", "no-store")
+        self.send_header("X-Content-Type-Options", "nosniff")
+        if length is not None:
+            self.send_header("Content-Length", length)
+        self.end_headers()
+
+    def _events(self) -> None:
+        client = self.server.hub.join()
+        if client is None:
+            self.send_error(503, "Too many pages watch already")
+            return
+        try:
+            self._answer("text/event-stream")
+            while not self.server.hub.over.is_set():
+                try:
+                    self.wfile.write(client.get(timeout=KEEP_ALIVE))
+                except queue.Empty:
+                    self.wfile.write(b": here\n\n")
+        except OSError:  # it has gone, or takes nothing
+            pass
+        finally:
+            self.server.hub.leave(client)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Nobody reads it."""
+
+
+def main() -> int:
+    """Serve until standard input ends; the only argument is the port, 0 for any."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run's end is ours
+    lines = sys.stdin.buffer
+    hub = Hub(msgspec.convert(json.loads(lines.readline())["header"], Header))
+    try:
+        server = Server(int(sys.argv[1]), hub)
+    except OSError as error:
+        print(json.dumps({"error": error.strerror or str(error)}), flush=True)
+        return 1
+    print(json.dumps({"port": server.server_address[1]}), flush=True)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    for line in lines:
+        match json.loads(line):
+            case {"rows": rows}:
+                hub.rows(rows)
+            case {"begin": _}:
+                hub.begin()
+            case {"over": words}:
+                hub.end(str(words))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
