@@ -31,12 +31,13 @@ SECONDS = 1.0  # of computing, for a strengthening
 class Explanation(NamedTuple):
     """`run` leads from an initial state to where the invariant is false; without one the counterexample is to
     induction only. `unshown` says why there is none, though the solver claims one; `lacking` are the conjuncts that
-    close the proof."""
+    close the proof; `usual`: with the params as the program has them it is proved without."""
 
     counterexample: Counterexample | None
     run: Run | None
     unshown: str
     lacking: tuple[str, ...]
+    usual: bool = False
 
 
 class Explainer:
@@ -69,8 +70,18 @@ class Explainer:
         values = shown.before.params
         program = with_values(exact(self.program), {p: v for p, v in values.items() if self.free(p)})
         run = run_to(program, invariant_of(program, name), _values(shown), Bounds(), self.robots)
-        lacking = () if run is not None else self.lacking(invariant)
-        return Explanation(shown, run, "", lacking)
+        usual = self.usually(name, relied)
+        lacking = () if run is not None or usual else self.lacking(invariant)
+        return Explanation(shown, run, "", lacking, usual)
+
+    def usually(self, name: str, relied: decl.Program) -> bool:
+        """Whether the invariant is kept with the params that the program has."""
+        free = {p.name: p.default for p in relied.params if self.free(p.name)}
+        if not free:
+            return False
+        made = obligations(relied, self.robots, {**(self.params or {}), **free})
+        own = [o for o in made if o.invariant == name and o.kind != "consistency"]
+        return all(self.solver.ask(o).result == o.expected for o in own)
 
     def free(self, param: str) -> bool:
         return self.params is None or param not in self.params

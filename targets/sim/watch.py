@@ -99,8 +99,6 @@ class Watcher:
                         self._stopped.add(pid)
                 case Phase(phase="resting") if not agent.told:
                     self._rests(pid, record.time)
-                case Phase(phase="running"):
-                    self._out.pop(pid, None)
                 case View() if record.number > self._view.number:
                     self._view = record
                 case _:
