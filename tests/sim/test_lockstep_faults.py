@@ -96,6 +96,8 @@ def changed(bundle: Path, tmp_path: Path, **robot: Any) -> Path:
     root = tmp_path / "sim"
     root.mkdir()
     shutil.copytree(bundle / "agents", root / "agents")
+    for module in bundle.glob("*.py"):
+        shutil.copy(module, root)
     scenario = json.loads((bundle / "scenario.json").read_text())
     scenario["robots"][0] |= robot
     (root / "scenario.json").write_text(json.dumps(scenario))
