@@ -79,11 +79,10 @@ def power(base: Any, exponent: Any) -> Fraction:
     return Fraction(base) ** int(exponent)
 
 
-def path_distance(a: tuple[Point, ...], b: tuple[Point, ...]) -> Exact:
-    """The least distance of two paths of exact coordinates, in metres. Raises NotExact where one has no points, and so
-    is infinitely far away."""
+def path_distance(a: tuple[Point, ...], b: tuple[Point, ...]) -> Exact | float:
+    """The least distance of two paths of exact coordinates, in metres; infinite when one has no points."""
     if not a or not b:
-        raise NotExact("the distance of a path without points")
+        return math.inf
     return root(min(_squared(p, q, r, s) for p, q in _segments(a) for r, s in _segments(b)))
 
 
@@ -134,7 +133,7 @@ def applied(name: str, args: list[Any]) -> Any:
         case "path_distance", [a, b]:
             return path_distance(a, b)
         case "clear", [path, paths, eps]:
-            return not path or all(not other or path_distance(path, other) > eps for other in paths)
+            return all(path_distance(path, other) > eps for other in paths)
         case "sum", [xs]:
             return sum(xs, type(xs[0])())
         case _:

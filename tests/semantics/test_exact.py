@@ -78,6 +78,7 @@ def test_numbers(expression: str, value: object) -> None:
         ("p in Rect(Point(third, 0, 0), Point(0, 0, 4))", True),
         ("floor(3 * third) == 1", True),
         ("round(third) == 0", True),
+        ("path_distance([], [p]) > 1000000", True),
         ("clear([p], [[Point(third, 3, 0)]], 5)", False),
     ],
 )
@@ -95,7 +96,7 @@ def test_the_distance_of_paths_is_that_of_the_robots_own_geometry() -> None:
         assert math.isclose(math.sqrt(square), geometry.path_distance(*paths), abs_tol=1e-12)
 
 
-@pytest.mark.parametrize("expression", ["sin(third)", "sqrt(2.0) + 1", "third ** 0.5", "path_distance([], [p])"])
+@pytest.mark.parametrize("expression", ["sin(third)", "sqrt(2.0) + 1", "third ** 0.5"])
 def test_what_has_no_exact_value_is_refused(expression: str) -> None:
     with pytest.raises(NotExact):
         value_of(expression)
