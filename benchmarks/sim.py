@@ -1,8 +1,10 @@
 """How fast the simulated world is: `python benchmarks/sim.py [--quick] [--json FILE] [--gym-pybullet-drones PATH]`.
 
 First the physics alone, one step of 25 robots beside others who step as many; a lidar's turn beside PyBullet's; how
-many times faster than real time the physics is at 1, 4, 16 and 64 robots. Peers that are not there are left out, and it
-says so. Ends with 1 when a figure is not reached.
+many times faster than real time the physics is at 1, 4, 16 and 64 robots. Then whole runs in lockstep, agents included.
+Peers that are not there are left out, and it says so. All times are CPU time of this process: what else runs on the
+computer counts little, and on one that does nothing else it is the time that passes. Ends with 1 when a figure is not
+reached.
 """
 
 from __future__ import annotations
@@ -15,10 +17,11 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks import sim_physics
+from benchmarks import sim_lockstep, sim_physics
 
 COUNTS = (1, 4, 16, 64)
 MILLIMETRE = 1e-3
+MOST_HARNESS = 0.6  # of a core
 
 
 def _physics(turns: int, drones: Path | None) -> tuple[bool, dict[str, object]]:
@@ -53,6 +56,32 @@ def _factors(turns: int) -> dict[str, object]:
     return {name: {str(k): v for k, v in by_count.items()} for name, by_count in found.items()}
 
 
+def _lockstep(quick: bool) -> tuple[bool, dict[str, object]]:
+    """Quads that fly LineForm."""
+    print("lockstep, agents included: simulated seconds by seconds of CPU, and what these went to")
+    good, found = True, dict[str, object]()
+    for fidelity, least in (("simple", 8.0), ("full", 2.0)):
+        for count in COUNTS[:3] if quick else COUNTS:
+            _tell_mission(found, count, fidelity, 2.0 if count > 16 else 5.0)
+        eight = _tell_mission(found, 8, fidelity, 10.0 if quick else 30.0)
+        enough = eight.factor >= least
+        good = good and enough
+        print(f"    8 quads at {fidelity}: at least {least:g} times real time{'' if enough else '  MISSED'}")
+    harness = sim_lockstep.mission(16, "quad", "full", 5.0).harness
+    enough = harness <= MOST_HARNESS
+    print(f"  16 quads at full, in real time: world and autopilots need {harness:.0%} of a core")
+    print(f"    at most {MOST_HARNESS:.0%}{'' if enough else '  MISSED'}")
+    return good and enough, {**found, "harness of 16 quads": harness}
+
+
+def _tell_mission(found: dict[str, object], count: int, fidelity: str, seconds: float) -> sim_lockstep.Mission:
+    mission = sim_lockstep.mission(count, "quad", fidelity, seconds)
+    shares = ", ".join(f"{part} {share:.0%}" for part, share in mission.shares.items())
+    print(f"  {count:3} quads, {fidelity:7} {mission.factor:8.2f}   {shares}", flush=True)
+    found[f"{count} quads, {fidelity}"] = {**asdict(mission), "factor": mission.factor}
+    return mission
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--quick", action="store_true", help="fewer turns: under a minute")
@@ -61,10 +90,11 @@ def main() -> int:
     options = parser.parse_args()
     turns = 7 if options.quick else 25
     good, physics = _physics(turns, options.gym_pybullet_drones)
-    figures = {"physics": physics, "factors": _factors(turns)}
+    figures: dict[str, object] = {"physics": physics, "factors": _factors(turns)}
+    held, figures["lockstep"] = _lockstep(options.quick)
     if options.json is not None:
         options.json.write_text(json.dumps(figures, indent=2) + "\n")
-    return 0 if good else 1
+    return 0 if good and held else 1
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ def harness(options: Namespace) -> int:
     passed = [f"--{key}={value}" for key in PASSED if (value := getattr(options, key)) is not None]
     passed.append(f"--out={options.out or f'run-{app}'}")
     passed.append(f"--invoked-as={shlex.join(['koordgen', *sys.argv[1:]])}")
-    passed += [f"--{flag}" for flag in ("lockstep", "quiet") if getattr(options, flag)]
+    passed += [f"--{flag}" for flag in ("lockstep", "gui", "quiet") if getattr(options, flag)]
     with tempfile.TemporaryDirectory(prefix="koordgen-") as folder:
         cli._write({options.command: bundle}, Path(folder))
         if scenario is not None:

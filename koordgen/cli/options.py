@@ -152,6 +152,7 @@ def _harness(command: argparse.ArgumentParser) -> None:
     command.add_argument("--duration", metavar="S", type=float, help="seconds of mission, from its first round")
     command.add_argument("--seed", metavar="N", type=int, help="seed of all that is random")
     command.add_argument("--lockstep", action="store_true", help="all in one process: repeatable, as fast as it goes")
+    command.add_argument("--gui", action="store_true", help="show PyBullet's window")
     pace = "of a run in lockstep: at most so many times real time"
     command.add_argument("--pace", metavar="FACTOR", type=float, help=pace)
     live = "show the run while it goes on, on a page of 127.0.0.1, at PORT or any free one"

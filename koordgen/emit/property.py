@@ -8,7 +8,7 @@ from collections.abc import Collection
 from typing import Any
 
 from koordgen import __version__
-from koordgen.emit import expr, library
+from koordgen.emit import expr, library, surely
 from koordgen.emit.names import Names, snake
 from koordgen.emit.render import render
 from koordgen.emit.types import annotation, display
@@ -105,6 +105,7 @@ def _property(property_: ir.Property, program: ir.Program, names: _Names) -> dic
         "mark": f"{property_.kind}{f' {property_.name}' if property_.name else ''}, {program.path}:{line}",
         "formula": expr.text(property_.formula, names),
         "reads": _display(_reads(property_.formula)),
+        "surely": surely.text(property_.formula, names) if property_.kind == "invariant" else "",
     }
 
 
@@ -119,6 +120,7 @@ def _assumption(module: ir.Module, assumption: ir.Assumption, program: ir.Progra
         "mark": f"assume of {module.name}, {program.path}:{line}",
         "formula": expr.text(assumption.formula, names),
         "reads": _display(_reads(assumption.formula)),
+        "surely": "",
         "goals": display(list(dict.fromkeys([_asking(*found, names) for found in ir.handed(assumption.formula)]))),
     }
 

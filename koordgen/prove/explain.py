@@ -25,18 +25,21 @@ if TYPE_CHECKING:
     from koordgen.prove.verdict import Outcome
 
 FLEETS = (1, 2, 3, 4)  # where a counterexample is looked for first: few robots are read more easily
+MOST = 1.0  # seconds of one query that is no proof
+PATIENCE = 4.0  # seconds of looking for a counterexample that can be shown
 SECONDS = 1.0  # of computing, for a strengthening
 
 
 class Explanation(NamedTuple):
     """`run` leads from an initial state to where the invariant is false; without one the counterexample is to
     induction only. `unshown` says why there is none, though the solver claims one; `lacking` are the conjuncts that
-    close the proof."""
+    close the proof; `usual`: with the params as the program has them it is proved without."""
 
     counterexample: Counterexample | None
     run: Run | None
     unshown: str
     lacking: tuple[str, ...]
+    usual: bool = False
 
 
 class Explainer:
@@ -69,8 +72,18 @@ class Explainer:
         values = shown.before.params
         program = with_values(exact(self.program), {p: v for p, v in values.items() if self.free(p)})
         run = run_to(program, invariant_of(program, name), _values(shown), Bounds(), self.robots)
-        lacking = () if run is not None else self.lacking(invariant)
-        return Explanation(shown, run, "", lacking)
+        usual = self.usually(name, relied)
+        lacking = () if run is not None or usual else self.lacking(invariant)
+        return Explanation(shown, run, "", lacking, usual)
+
+    def usually(self, name: str, relied: decl.Program) -> bool:
+        """Whether the invariant is kept with the params that the program has."""
+        free = {p.name: p.default for p in relied.params if self.free(p.name)}
+        if not free:
+            return False
+        made = obligations(relied, self.robots, {**(self.params or {}), **free})
+        own = [o for o in made if o.invariant == name and o.kind != "consistency"]
+        return all(self.solver.ask(o, most=MOST).result == o.expected for o in own)
 
     def free(self, param: str) -> bool:
         return self.params is None or param not in self.params
@@ -78,12 +91,15 @@ class Explainer:
     def counterexample(self, obligation: Obligation, relied: decl.Program) -> Counterexample:
         """Raises Unshowable, with the reason of the least fleet."""
         program = exact(relied)
-        reasons = []
+        reasons: list[str] = []
+        until = time.monotonic() + PATIENCE
         for robots in (self.robots,) if self.robots is not None else FLEETS:
             for same in self.of(relied, robots):
                 if (same.name, same.kind) != (obligation.name, obligation.kind):
                     continue
                 reader = Reader(same)
+                if time.monotonic() > until:
+                    raise Unshowable(f"{reasons[0] if reasons else 'none was found'}, within {PATIENCE:g} s")
                 for answer in self.models(same, program, reader):
                     reader.answered(answer.values)
                     try:
@@ -101,7 +117,7 @@ class Explainer:
         for more in dict.fromkeys([(*usual, *whole), tuple(whole), ()]):
             facts = tuple([Fact("to be read easily", term, "", 0) for term in more])
             asked = replace(obligation, facts=(*obligation.facts, *facts), logic="ALL" if more else obligation.logic)
-            answer = self.solver.ask(asked, reader.wanted())
+            answer = self.solver.ask(asked, reader.wanted(), most=MOST)
             if answer.result == "sat":
                 yield answer
 
@@ -123,7 +139,7 @@ class Explainer:
                 if obligation.invariant in names - bad and obligation.kind != "consistency":
                     if time.process_time() + solving > until:
                         return frozenset()
-                    answer = self.solver.ask(obligation)
+                    answer = self.solver.ask(obligation, most=MOST)
                     solving += answer.seconds
                     if answer.result != obligation.expected:
                         bad.add(obligation.invariant)

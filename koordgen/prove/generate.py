@@ -21,6 +21,7 @@ from koordgen.prove.goal import goal
 from koordgen.prove.moment import Setting, Stage, temps_of
 from koordgen.prove.obligation import Cell, Fact, Kind, Moment, Obligation
 from koordgen.prove.term import Term
+from koordgen.prove.within import changes
 
 WELL_DEFINED = "(well-defined)"
 AFTERWARDS = " afterwards"
@@ -96,6 +97,7 @@ def of_event(setting: Setting, event: decl.Event) -> list[Obligation]:
     moments: list[tuple[Moment, State]] = [("before", now), ("after", after)]
     if begun.used:
         stage.holds(setting.invariants, begun, when=" at the round's start")
+        changes(stage, begun, now)
         moments.insert(0, ("round start", begun))
     cells = stage.cells(moments)
     out = _Output(stage, "event", event.name, event.span.line, stage.close(), cells)

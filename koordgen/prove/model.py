@@ -16,6 +16,7 @@ from koordgen.ir import expr as ir
 from koordgen.node import replace
 from koordgen.prove.obligation import Cell, Moment, Obligation
 from koordgen.prove.reading import Reader, Unshowable
+from koordgen.prove.served import Served
 from koordgen.runtime.values import Point
 from koordgen.semantics.eval import Discarded, View, elements, holds
 from koordgen.semantics.exact import NotExact, made_exact
@@ -142,7 +143,10 @@ def _base(reading: Reading) -> Counterexample:
     for property_ in reading.program.properties:
         if property_.kind == "initially" and not true(property_, reading.program, before):
             raise Unshowable("what holds initially does not hold in it")
-    after, steps = run_init(reading.program, before)
+    served = Served(reading.program, reading.reader)
+    after, steps = run_init(reading.program, before, served.world)
+    if served.missing or served.asked:
+        raise Unshowable("what is asked in init is known only by what is said of it")
     discarded = next((str(s.outcome) for s in steps if isinstance(s.outcome, Discarded)), "")
     return _told(reading, before.store, before, after, None, discarded)
 
@@ -185,12 +189,14 @@ def _event(reading: Reading) -> Counterexample:
     _relied_upon(program, start)
     why = "no robot can take the step"
     for pid in range(reading.robots):
+        served = Served(program, reading.reader)
         try:
-            if not enabled(program, event, seen, pid):
+            if not enabled(program, event, seen, pid, served.world):
                 continue
-            outcome = execute(program, event.effect, seen, pid)
+            outcome = execute(program, event.effect, seen, pid, served.world)
         except (Discarded, InternalError) as fault:
             outcome = fault if isinstance(fault, Discarded) else Discarded(str(fault), event.span)
+        served.check(seen, pid)
         if isinstance(outcome, Discarded):
             why = outcome.reason
             if obligation.kind == "well-defined":

@@ -39,7 +39,7 @@ class Bounds(NamedTuple):
     states: int = 1500
     values: int = 6
     moves: int = 12
-    seconds: float = 0.4
+    seconds: float = 0.25
 
 
 class Moment(NamedTuple):

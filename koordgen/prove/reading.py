@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from typing import Any
 
-from koordgen.ir.types import BOOL, FLOAT, GRID, INT, POINT, POSE, ExternType, RecordType, Sized, TupleOf, Type
+from koordgen.ir.types import BOOL, FLOAT, GRID, INT, POINT, POSE, ExternType, RecordType, Sized, TupleOf, Type, list_of
 from koordgen.ir.types import Sequence as SequenceType
 from koordgen.prove.encode.types import shape
 from koordgen.prove.obligation import Obligation
@@ -22,6 +22,7 @@ from koordgen.prove.term import Apply, Function, Sort, Term, apply, at_most, boo
 from koordgen.runtime.values import Grid, Opaque, Point, Pose
 from koordgen.semantics.values import RecordValue, Value
 
+PATH = list_of(POINT)  # what a PathPlanner answers
 SHORT = 4  # elements of a list that is read from a model
 
 
@@ -35,6 +36,7 @@ class Reader:
     def __init__(self, obligation: Obligation) -> None:
         self.known = {f.name: f for f in _functions(obligation)}
         self.terms: dict[int, Term] = {}
+        self.answers: dict[str, list[tuple[int, Term]]] = {}
         self.lengths: dict[int, Term] = {}
         for cell in obligation.cells:
             for term in ((cell.robot,) if cell.robot is not None else ()) + cell.terms:
@@ -44,6 +46,21 @@ class Reader:
                 if isinstance(type_, SequenceType) and id(term) not in self.lengths:
                     self.ask_for_list(type_, term)
         self.of: dict[int, ModelValue] = {}
+        self.ask_for_answers()
+
+    def ask_for_answers(self) -> None:
+        """Adds what callable ports answer: `Motion.planner@3` is the third unknown of an obligation."""
+        for name, function in self.known.items():
+            port, mark, number = name.partition("@")
+            if mark and number.isdigit() and "." in port and not function.domain and function.result == Sort(str(PATH)):
+                term = apply(function)
+                self.terms[id(term)] = term
+                self.ask_for_list(PATH, term)
+                self.answers.setdefault(port, []).append((int(number), term))
+
+    def answered_by(self, port: str) -> list[Value]:
+        """What a callable port answers, in the order of the calls."""
+        return [self.listed(PATH, term, port) for _, term in sorted(self.answers.get(port, []), key=lambda a: a[0])]
 
     def ask_for_list(self, type_: SequenceType, term: Term) -> None:
         """Adds what tells a list's length and first elements."""

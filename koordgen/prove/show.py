@@ -46,6 +46,8 @@ def _verdict(verdict: Verdict) -> Iterator[str]:
     if told.run is not None:
         yield from wrapped("a run from an initial state, made by the executable semantics, ends where it is false:")
         yield from run_lines(told.run, told.counterexample)
+        if suggestion(verdict):
+            yield from wrapped(suggestion(verdict))
         return
     yield from counterexample(told.counterexample)
     if verdict.invariant != WELL_DEFINED:
@@ -62,6 +64,11 @@ def wrapped(text: str) -> list[str]:
 def suggestion(verdict: Verdict) -> str:
     """What closes the proof, in a sentence; empty where that is not known."""
     told = verdict.explanation
+    if told is not None and told.usual:
+        return (
+            f"with the params as the program has them {verdict.invariant} is PROVED: say in `initially` what they must "
+            "satisfy, or fix them by --param"
+        )
     if told is None or not told.lacking:
         return ""
     added = " and ".join(f"`{conjunct}`" for conjunct in told.lacking)

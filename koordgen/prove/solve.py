@@ -7,6 +7,7 @@ a new one. Measured: z3's executable is up within 17 ms, its Python module withi
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import resource
@@ -150,15 +151,18 @@ class Solver:
         if process is not None:
             process.end()
 
-    def ask(self, obligation: Obligation, wanted: Sequence[Term] = (), core: bool = False) -> Answer:
-        """Whether the facts and the goal's negation can be true together. Raises SolverMissing."""
+    def ask(
+        self, obligation: Obligation, wanted: Sequence[Term] = (), core: bool = False, most: float = math.inf
+    ) -> Answer:
+        """Whether the facts and the goal's negation can be true together; in `most` seconds, where that is less than
+        the limit of a query. Raises SolverMissing."""
         began = time.monotonic()
         left = self.limits.total - self.spent
         if left <= 0:
             return Answer(
                 "unknown", 0.0, f"{self.limits.total:g} s for all queries are used up; a longer --timeout may help"
             )
-        limit = min(self.limits.query, left)
+        limit = min(self.limits.query, left, most)
         try:
             answer = self._answered(obligation, wanted, core, limit)
         except Broken as broken:
@@ -273,9 +277,11 @@ class Both:
         for solver in self.solvers:
             solver.start()
 
-    def ask(self, obligation: Obligation, wanted: Sequence[Term] = (), core: bool = False) -> Answer:
+    def ask(
+        self, obligation: Obligation, wanted: Sequence[Term] = (), core: bool = False, most: float = math.inf
+    ) -> Answer:
         """The answer of the first that decides. Raises InternalError where one says sat and another unsat."""
-        answers = [solver.ask(obligation, wanted, core) for solver in self.solvers]
+        answers = [solver.ask(obligation, wanted, core, most) for solver in self.solvers]
         decided = [answer for answer in answers if answer.result != "unknown"]
         if len({answer.result for answer in decided}) > 1:
             told = ", ".join(f"{s.name} {a.result}" for s, a in zip(self.solvers, answers, strict=True))

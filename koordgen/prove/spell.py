@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from fractions import Fraction
 
 from koordgen.ir import expr as ir
 from koordgen.ir.types import MapOf, RecordType, Sequence, Type
 
 _BINDING = {"or": 1, "and": 2, "+": 5, "-": 5, "*": 6, "/": 6, "//": 6, "%": 6, "**": 8}
+_ORDER = {"<", "<="}
 _LOOSE, _NOT, _COMPARE, _UNARY, _ATOM = 0, 3, 4, 7, 9
 MOST_DIGITS = 9
 
@@ -32,6 +33,9 @@ def _text(node: ir.Expr) -> tuple[str, int]:
             return f"not {_in(operand, _NOT)}", _NOT
         case ir.Unary(op, operand):
             return f"{op}{_in(operand, _UNARY)}", _UNARY
+        case ir.Logic("and"):
+            parts = _chained(list(_conjuncts(node)))
+            return " and ".join(parts), _BINDING["and"] if len(parts) > 1 else _COMPARE
         case ir.Binary(op, left, right) | ir.Logic(op, left, right):
             level = _BINDING[op]
             sides = (level + 1, level) if op == "**" else (level, level + (0 if op in ("and", "or") else 1))
@@ -46,6 +50,28 @@ def _text(node: ir.Expr) -> tuple[str, int]:
             return f"{kind} {name} in {_in(domain, 1)}: {_in(body, _LOOSE)}", _LOOSE
         case _:
             return _atom(node), _ATOM
+
+
+def _conjuncts(node: ir.Expr) -> Iterator[ir.Expr]:
+    if isinstance(node, ir.Logic) and node.op == "and":
+        yield from _conjuncts(node.left)
+        yield from _conjuncts(node.right)
+    else:
+        yield node
+
+
+def _chained(parts: list[ir.Expr]) -> list[str]:
+    """The texts of conjuncts; `a <= b and b <= c` becomes `a <= b <= c`, as programs write it."""
+    found: list[str] = []
+    last: ir.Expr | None = None
+    for part in parts:
+        chain = isinstance(last, ir.Compare) and isinstance(part, ir.Compare) and last.right == part.left
+        if chain and isinstance(part, ir.Compare) and isinstance(last, ir.Compare) and {last.op, part.op} <= _ORDER:
+            found[-1] += f" {part.op} {_in(part.right, _COMPARE + 1)}"
+        else:
+            found.append(_in(part, _BINDING["and"]))
+        last = part
+    return found
 
 
 def _atom(node: ir.Expr) -> str:

@@ -27,7 +27,14 @@ def closing(program: decl.Program, invariant: str, proves: Proves) -> tuple[str,
     """The conjuncts, as a program writes them, with which the invariant is inductive; none where none was found.
     `program` holds the invariants that may be relied upon and this one; `proves` says which of the named invariants are
     kept, all invariants of a program being relied upon."""
-    candidates = _candidates(program, invariant)
+    for blocks in (True, False):
+        found = _closing(program, invariant, _candidates(program, invariant, blocks), proves)
+        if found:
+            return found
+    return ()
+
+
+def _closing(program: decl.Program, invariant: str, candidates: list[decl.Property], proves: Proves) -> tuple[str, ...]:
     names = {c.name for c in candidates}
     while candidates:
         kept = proves(_with(program, candidates), frozenset({invariant, *names}))
@@ -49,13 +56,15 @@ def _with(program: decl.Program, more: Iterable[decl.Property]) -> decl.Program:
     return replace(program, properties=(*program.properties, *more))
 
 
-def _candidates(program: decl.Program, invariant: str) -> list[decl.Property]:
+def _candidates(program: decl.Program, invariant: str, blocks: bool) -> list[decl.Property]:
+    """`blocks`: all that is said of one variable is one candidate for another."""
     known = [p for p in program.properties if p.kind in ("invariant", "initially")]
     known.sort(key=lambda p: p.name != invariant)  # its own predicates first
     present = {spelled(c) for p in known if p.kind == "invariant" for c in conjuncts(p.formula)}
     found: dict[str, ir.Expr] = {}
     for property_ in known:
-        for conjunct in conjuncts(property_.formula):
+        parts = list(conjuncts(property_.formula))
+        for conjunct in _blocks(parts) if blocks else parts:
             for formula in (conjunct, *_variants(conjunct, program)):
                 text = spelled(formula)
                 if text not in present:
@@ -104,6 +113,22 @@ def conjuncts(node: ir.Expr) -> Iterator[ir.Expr]:
             yield node
 
 
+def _blocks(parts: list[ir.Expr]) -> list[ir.Expr]:
+    """Conjuncts that speak of one and the same variable, of each robot alone, joined."""
+    found: dict[object, ir.Expr] = {}
+    for part in parts:
+        about = {_key(node) for node in _nodes(part)} - {None}
+        match part:
+            case ir.Quantified("forall", name, domain, body, type_, span) if len(about) == 1:
+                key = (name, domain, *about)
+                before = found.get(key)
+                joined = ir.Logic("and", before.body, body, BOOL, span) if isinstance(before, ir.Quantified) else body
+                found[key] = ir.Quantified("forall", name, domain, joined, type_, span)
+            case _:
+                found[part] = part
+    return list(found.values())
+
+
 def _variants(formula: ir.Expr, program: decl.Program) -> Iterator[ir.Expr]:
     """The formula about other variables: each variable in it by each other of its type, everywhere at once."""
     subjects: dict[tuple[str, str], Type] = {}
@@ -114,8 +139,7 @@ def _variants(formula: ir.Expr, program: decl.Program) -> Iterator[ir.Expr]:
     for key, type_ in subjects.items():
         for other in _variables(program):
             if other[1] == type_ and other[0] != key:
-                made = _renamed(formula, key, other[0])
-                yield made
+                yield _renamed(formula, key, other[0])
     for key, type_ in subjects.items():
         for shared in program.shared:
             if shared.kind == "allwrite" and shared.type == type_ and key[0] != "":

@@ -42,15 +42,19 @@ class Stores:
         self._slots = {v.name for v in program.shared if v.kind == "allread"}
         self._writes: dict[int, list[tuple[bool, int, dict[str, Any]]]] = {}
         ends = dict.fromkeys(range(n_sys), 0)
+        acted = dict.fromkeys(range(n_sys), 0)  # the last round whose event a robot told of
         until = float("inf")
         for line in trace.lines():
             record = line.record
             if record["kind"] == "stream":
                 continue
             round_ = int(record.get("round", 0))
+            restored = record.get("restored")
+            if restored and restored["round"] != acted[line.pid]:
+                until = min(until, restored["round"] - 1)
+            if record.get("event") is not None and not record.get("fault"):
+                acted[line.pid] = round_
             ends[line.pid] = max(ends[line.pid], round_)
-            if record.get("restored"):
-                until = min(until, round_)
             if record.get("shared"):
                 plain_event = not self._locks.get(record.get("event") or "", False)
                 self._writes.setdefault(round_, []).append((plain_event, line.pid, record["shared"]))
@@ -65,7 +69,7 @@ class Stores:
     def compared(self, line: Line, copy: Mapping[str, Any]) -> Iterator[Difference]:
         """A robot's copy at a round's start beside the store after the round before."""
         round_ = int(line.record["round"])
-        if round_ > self._until:
+        if round_ - 1 > self._until:
             return
         store = self._of(round_ - 1)
         for name, meant in store.items():

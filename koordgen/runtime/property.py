@@ -177,13 +177,15 @@ class Known:
 
 @dataclass(frozen=True, slots=True)
 class Property:
-    """`reads`: the names of ports, locals and shared variables in its formula."""
+    """`reads`: the names of ports, locals and shared variables in its formula. `surely`: a condition over arrays that is
+    enough for it at many moments, for who evaluates it often; None when it has none."""
 
     kind: Literal["initially", "invariant"]
     name: str
     line: int
     holds: Callable[[Any], bool]
     reads: tuple[str, ...]
+    surely: Callable[[Any], Any] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from fractions import Fraction
 from functools import total_ordering
+from itertools import pairwise
 from typing import Any
 
 from koordgen.ir import decl, expr
@@ -78,11 +79,47 @@ def power(base: Any, exponent: Any) -> Fraction:
     return Fraction(base) ** int(exponent)
 
 
-def path_distance(a: tuple[Point, ...], b: tuple[Point, ...]) -> Exact:
-    """The distance of two paths that are mere points. Raises NotExact for others."""
-    if len(a) == len(b) == 1:
-        return distance(a[0], b[0])
-    raise NotExact("the distance of two paths")
+def path_distance(a: tuple[Point, ...], b: tuple[Point, ...]) -> Exact | float:
+    """The least distance of two paths of exact coordinates, in metres; infinite when one has no points."""
+    if not a or not b:
+        return math.inf
+    return root(min(_squared(p, q, r, s) for p, q in _segments(a) for r, s in _segments(b)))
+
+
+def _segments(path: tuple[Point, ...]) -> list[tuple[Point, Point]]:
+    return list(pairwise(path)) if len(path) > 1 else [(path[0], path[0])]
+
+
+def _squared(p: Point, q: Point, r: Point, s: Point) -> Fraction:
+    """Of the segments pq and rs: the squared distance of p + x (q - p) and r + y (s - r) is convex in x and y; its
+    least value on the unit square is at one end of a segment, or where both derivatives are zero."""
+    d, e, w = _minus(q, p), _minus(s, r), _minus(p, r)
+    best = min(_beyond(p, r, s), _beyond(q, r, s), _beyond(r, p, q), _beyond(s, p, q))
+    dd, ee, de, dw, ew = _dot(d, d), _dot(e, e), _dot(d, e), _dot(d, w), _dot(e, w)
+    square = dd * ee - de * de
+    if square:
+        x, y = (de * ew - ee * dw) / square, (dd * ew - de * dw) / square
+        if 0 <= x <= 1 and 0 <= y <= 1:
+            gap = [w[i] + x * d[i] - y * e[i] for i in range(3)]
+            best = min(best, _dot(gap, gap))
+    return best
+
+
+def _beyond(x: Point, p: Point, q: Point) -> Fraction:
+    """The squared distance of a point from the segment pq."""
+    d, w = _minus(q, p), _minus(x, p)
+    along = _dot(d, d)
+    t = min(max(_dot(w, d) / along, Fraction(0)), Fraction(1)) if along else Fraction(0)
+    gap = [w[i] - t * d[i] for i in range(3)]
+    return _dot(gap, gap)
+
+
+def _minus(a: Point, b: Point) -> list[Fraction]:
+    return [Fraction(a.x) - Fraction(b.x), Fraction(a.y) - Fraction(b.y), Fraction(a.z) - Fraction(b.z)]
+
+
+def _dot(a: list[Fraction], b: list[Fraction]) -> Fraction:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def applied(name: str, args: list[Any]) -> Any:

@@ -137,12 +137,16 @@ class Avoidance:
         if not self._others:
             return math.inf
         body, here = self._ground.body, curve.at(station)
+        reach = body.reach
         others = named(Scene(others=self._others), body, here[:2], self._ground.clearance)
         least = [(shape, min(0.0, body.distance(*here, shape) - ROUGH)) for shape in others]
         for i in range(1, math.ceil(min(ahead, curve.length - station) / LOOK) + 1):
-            pose = curve.at(min(station + i * LOOK, curve.length))
-            if any(body.distance(*pose, shape) < away for shape, away in least):
-                return (i - 1) * LOOK
+            x, y, yaw = curve.at(min(station + i * LOOK, curve.length))
+            for shape, away in least:
+                west, south, east, north = shape.bounds
+                near = west - reach <= x <= east + reach and south - reach <= y <= north + reach
+                if near and body.distance(x, y, yaw, shape) < away:
+                    return (i - 1) * LOOK
         return math.inf
 
     def news(self) -> list[str]:

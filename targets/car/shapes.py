@@ -75,7 +75,13 @@ class Footprint:
             gap = _to_box(self, x, y, c, s, shape.bounds)
         else:
             local = [(c * (px - x) + s * (py - y), c * (py - y) - s * (px - x)) for px, py in shape.core]
-            gap = _to_point(self, *local[0]) if len(local) == 1 else _to_polygon(self, local)
+            match local:
+                case [(px, py)]:
+                    gap = _to_point(self, px, py)
+                case [a, b]:
+                    gap = _to_line(self, a, b)
+                case _:
+                    gap = _to_polygon(self, local)
         return gap - shape.radius if gap > 0 else OVERLAP
 
 
@@ -111,6 +117,34 @@ def _to_box(body: Footprint, x: float, y: float, c: float, s: float, bounds: Bou
 
 def _to_point(body: Footprint, px: float, py: float) -> float:
     return math.hypot(max(-body.overhang - px, 0.0, px - body.front), max(0.0, abs(py) - body.width / 2))
+
+
+def _to_line(body: Footprint, a: Place, b: Place) -> float:
+    """As `_to_polygon` for two corners: another robot's way, which is looked at again and again."""
+    front, back, half = body.front, -body.overhang, body.width / 2
+    (ax, ay), (bx, by) = a, b
+    ex, ey = bx - ax, by - ay
+    length = ex * ex + ey * ey
+    dx = ax - front if ax > front else back - ax if ax < back else 0.0
+    dy = ay - half if ay > half else -half - ay if ay < -half else 0.0
+    best = dx * dx + dy * dy
+    dx = bx - front if bx > front else back - bx if bx < back else 0.0
+    dy = by - half if by > half else -half - by if by < -half else 0.0
+    best = min(best, dx * dx + dy * dy)
+    apart = (ax > front and bx > front) or (ax < back and bx < back)
+    apart = apart or (ay > half and by > half) or (ay < -half and by < -half)
+    left = right = True  # whether all of the footprint is on that side of the line
+    for cx, cy in ((back, -half), (front, -half), (front, half), (back, half)):
+        rx, ry = cx - ax, cy - ay
+        aside = rx * ey - ry * ex
+        left, right = left and aside < 0.0, right and aside > 0.0
+        share = (rx * ex + ry * ey) / length if length else 0.0
+        share = 0.0 if share < 0.0 else 1.0 if share > 1.0 else share
+        dx, dy = rx - share * ex, ry - share * ey
+        square = dx * dx + dy * dy
+        if square < best:
+            best = square
+    return math.sqrt(best) if apart or left or right else 0.0
 
 
 def _to_polygon(body: Footprint, corners: list[Place]) -> float:

@@ -154,6 +154,7 @@ class SimpleQuad(Quad):
                 self._phase = Phase.CLIMBING
                 self._flyer.motors(True)
             case Phase.CLIMBING:
+                self._flyer.motors(True)  # again: what goes to another process may be lost
                 left = self._body.flight_height - position.z
                 self._flyer.fly((0.0, 0.0, min(self._body.max_climb, GAIN * max(left, ARRIVED))), 0.0)
                 if left < ARRIVED:

@@ -30,6 +30,13 @@ class BodyState(msgspec.Struct, frozen=True):
     yaw_rate: float
 
 
+class Asked(msgspec.Struct, frozen=True, array_like=True):
+    """What a body is to do, told from another process: the name of its method, and the numbers that this takes."""
+
+    what: str
+    values: tuple[float, ...]
+
+
 class Quadrotor(Protocol):
     """A multicopter that follows an acceleration: the attitude loop is the body's own."""
 

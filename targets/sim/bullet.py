@@ -29,7 +29,7 @@ Quaternion = tuple[float, float, float, float]
 Moved = tuple[Vector, Quaternion, Vector, Vector]  # position, orientation, velocity, spin
 
 
-class NoDisplay(Exception):
+class NoDisplay(OSError):
     """PyBullet's window was asked for where there is no display."""
 
 
@@ -101,7 +101,7 @@ class Bullet:
 
     def __init__(self, step: float, friction: float = 1.0, gui: bool = False) -> None:
         if gui and not _displayed():
-            raise NoDisplay("there is no display to open PyBullet's window on")
+            raise NoDisplay("there is no display to open PyBullet's window on; leave out --gui, or set DISPLAY")
         bullet: Any = _pybullet()
         self.bullet, self.shown = bullet, gui
         self._client: int = bullet.connect(bullet.GUI if gui else bullet.DIRECT)

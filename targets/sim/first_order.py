@@ -137,6 +137,7 @@ class SimpleCar:
         self._lag = running.speed_lag
         self.wheelbase = wheelbase
         self._max_steering = max_steering
+        self._told: tuple[float, float] | None = None
         self.drive(0.0, 0.0)
 
     def state(self) -> BodyState:
@@ -148,8 +149,11 @@ class SimpleCar:
 
     def drive(self, speed: float, steering: float) -> None:
         """See bodies.Car."""
+        if self._told == (speed, steering):
+            return  # devices repeat themselves in every step
         if not (math.isfinite(speed) and math.isfinite(steering)):
             raise ValueError(f"not a speed and a steering angle: {speed}, {steering}")
+        self._told = speed, steering
         every, k = self._all, self.rigid.index
         every.asked[0, k] = max(-car.MAX_SPEED, min(car.MAX_SPEED, speed))
         every.asked[1, k] = max(-self._max_steering, min(self._max_steering, steering))
@@ -158,6 +162,7 @@ class SimpleCar:
     def brake(self, deceleration: float) -> None:
         """See bodies.Car."""
         if deceleration > 0.0:
+            self._told = None
             every, k = self._all, self.rigid.index
             every.asked[0, k], every.eager[k], every.most[k] = 0.0, 1.0 / STEP, deceleration
 

@@ -17,6 +17,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from msgspec.structs import replace
+
 from targets.sim import faults
 from targets.sim.folder import SOURCE, Foreign, RunFolder
 from targets.sim.scenario import FILE, BadScenario, Scenario, load
@@ -37,7 +39,7 @@ def main(root: Path, argv: list[str] | None = None) -> int:
     """Run the bundle at `root`; returns the exit status. Usage errors leave by SystemExit(2)."""
     options = _parser(root).parse_args(argv)
     try:
-        scenario = load(root, options.settings)
+        scenario = replace(load(root, options.settings), gui=options.gui)
         out: Path = options.out or Path(f"run-{scenario.app}")
         _require(scenario)
         schedule = _schedule(scenario, options)
@@ -83,6 +85,7 @@ def _parser(root: Path) -> argparse.ArgumentParser:
         parser.add_argument(
             f"--{name}", type=_condition(name), metavar="X", help=f"of all links between robots, {what}"
         )
+    parser.add_argument("--gui", action="store_true", help="show PyBullet's window")
     parser.add_argument("--check", action="store_true", help="check the bundle and its packages; run nothing")
     parser.add_argument("--invoked-as", metavar="TEXT", help="the command to name in the report, if not this one")
     live = "show the run on a page at 127.0.0.1, on PORT or any free one"

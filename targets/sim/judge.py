@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from koordgen.runtime.property import Assumption, Known, Outcome, Properties, Property, Trail, judged
 from targets.sim.told import told
@@ -36,6 +36,10 @@ class Watched:
     @property
     def decided(self) -> bool:
         return self.outcome is not None
+
+    @property
+    def surely(self) -> Callable[[Any], Any] | None:
+        return self.what.surely if isinstance(self.what, Property) else None
 
     def note(
         self, outcome: Outcome, at: float, why: str, known: Known, names: tuple[str, ...], gone: bool

@@ -7,12 +7,14 @@ import secrets
 import time
 from pathlib import Path
 
+import msgspec
+
 from targets.sim.crew import Step
 from targets.sim.medium import Medium
 from targets.sim.pace import Pace
 from targets.sim.relay import Relay
-from targets.sim.scenario import Scenario
-from targets.sim.stage import Stage
+from targets.sim.scenario import Robot, Scenario
+from targets.sim.stage import Actor, Stage
 from targets.sim.supervise import Process, free_ports, overrides
 from targets.sim.world import STEP
 
@@ -21,7 +23,7 @@ class RealTime:
     """Implements `crew.Conduct`. `root` is the sim bundle, `folder` gets the key and a folder of each robot."""
 
     def __init__(self, scenario: Scenario, root: Path, folder: Path, seed: int) -> None:
-        self._scenario, self._seed = scenario, seed
+        self._scenario, self._root, self._seed = scenario, root, seed
         self._key_file = folder / "fleet.key"
         self._key = secrets.token_bytes(32)
         with open(os.open(self._key_file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
@@ -52,8 +54,17 @@ class RealTime:
         for pid, (agent, actor) in enumerate(zip(self._agents, stage.actors, strict=True)):
             seen = [*others[:pid], ports[pid], *others[pid + 1 :]]  # it listens on its own
             laid_over = overrides(self._scenario.robots, seen, controls[pid], actor.overrides, self._key_file, agent)
-            agent.launch(laid_over)
+            agent.launch(laid_over, *self._simple(agent.robot, actor))
         self._pace = Pace(time.monotonic(), STEP)
+
+    def _simple(self, robot: Robot, actor: Actor) -> tuple[list[str] | None, str]:
+        """What is run instead of a bundle, and the PYTHONPATH for it, for a robot that has no devices."""
+        found = getattr(actor.device, "agent", None)
+        if found is None:
+            return None, ""
+        bundle, drivers = str((self._root / robot.bundle).resolve()), msgspec.json.encode(self._scenario.drivers)
+        command = ["-m", "targets.sim.simple_agent", *found, bundle, drivers.decode()]
+        return command, os.pathsep.join((str(self._root.resolve()), bundle))
 
     def disturb(self, medium: Medium) -> None:
         """See Conduct. Only when it was asked for before the launch there is a relay."""

@@ -117,13 +117,16 @@ def look(eyes: Sequence[Eye], scenery: Scenery, bodies: Bodies) -> list[Array]:
 
 def _outlines(bodies: Bodies, others: Mask) -> tuple[Index, Array]:
     """The four sides of those boxes that stand upright, as segments, and which lidar may see them."""
-    ahead = bodies.turned[:2, 0] * (bodies.sizes[0] / 2)
-    left = bodies.turned[:2, 1] * (bodies.sizes[1] / 2)
-    front, rear = bodies.centres[:2] + ahead, bodies.centres[:2] - ahead
+    eye, body = np.nonzero(others & bodies.level & ~bodies.round)
+    if not len(eye):
+        return eye, np.zeros((4, 0))
+    ahead = bodies.turned[:2, 0, body] * (bodies.sizes[0, body] / 2)
+    left = bodies.turned[:2, 1, body] * (bodies.sizes[1, body] / 2)
+    centre = bodies.centres[:2, body]
+    front, rear = centre + ahead, centre - ahead
     corners = np.stack((front + left, rear + left, rear - left, front - left))
     sides = np.concatenate((corners, corners[[1, 2, 3, 0]]), axis=1)  # side, coordinate, body
-    eye, body = np.nonzero(others & bodies.level & ~bodies.round)
-    return np.repeat(eye, 4), sides[:, :, body].transpose(1, 2, 0).reshape(4, -1)
+    return np.repeat(eye, 4), sides.transpose(1, 2, 0).reshape(4, -1)
 
 
 def _sections(bodies: Bodies, others: Mask) -> tuple[Index, Array]:

@@ -1,28 +1,37 @@
 """Devices of robots of fidelity `simple`: nothing stands between the agent's platform and the body.
 
 The platform that the agent gets for such a robot asks the device here, which is the body with the errors of positions,
-and with what a robot does whose agent has fallen silent: a quad stops, and lands later; a car brakes.
+and with what a robot does whose agent has fallen silent: a quad stops, and lands later; a car brakes. In lockstep it
+asks directly; in real time by datagrams, from a process of its own (simple_agent.py).
 """
 
 from __future__ import annotations
 
 import importlib
+import math
 import random
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, ClassVar
 
-from targets.sim.bodies import BodyState, DeviceContext, Vector
+import msgspec
+
+from targets.sim.bodies import Asked, BodyState, DeviceContext, Vector
 from targets.sim.first_order import SimpleCar, SimpleQuadrotor
+from targets.sim.ports import Loopback
 
 HOVERING, LANDING = 0.5, 5.0  # s without a command after which a quad stops, and lands, as an autopilot does
 BRAKING = 0.15  # s without a command after which a car brakes, as its watchdog does
 SINKING, GROUND = 0.5, 0.02  # m/s, m
+TOLD_EVERY = 0.02  # s
+_encode, _decode = msgspec.msgpack.Encoder().encode, msgspec.msgpack.Decoder(Asked).decode
 
 
 class Direct:
     """targets.sim.bodies.Device. `platform` makes the agent's, in this process."""
 
-    made: str  # what makes the platform
+    module: ClassVar[str]  # that has the platform, with a function `inside` that makes it in lockstep
+    member: ClassVar[str]  # its class
+    takes: ClassVar[Mapping[str, int]]  # what may be asked of the body, and how many numbers come with it
 
     def __init__(self, body: SimpleQuadrotor | SimpleCar, context: DeviceContext) -> None:
         self._seen = body
@@ -31,11 +40,17 @@ class Direct:
         self._upset = context.upset
         self._now, self._heard = 0.0, 0.0
         self.overrides: Mapping[str, Any] = {}
+        self._port = context.wiring.port() if isinstance(context.wiring, Loopback) else None
+        self._next = 0.0
+
+    @property
+    def agent(self) -> tuple[str, str] | None:
+        """What simple_agent.py is to be told: the platform, and the port."""
+        return (f"{self.module}:{self.member}", str(self._port.number)) if self._port else None
 
     def platform(self, settings: Any, key: bytes | None, inside: Any) -> Any:
         """See koordgen.runtime.inside."""
-        module, _, member = self.made.partition(":")
-        make: Callable[..., Any] = getattr(importlib.import_module(module), member)
+        make: Callable[..., Any] = importlib.import_module(self.module).inside
         return make(settings, key, inside, self)
 
     def state(self) -> BodyState | None:
@@ -47,15 +62,39 @@ class Direct:
     def step(self, now: float) -> None:
         """See Device."""
         self._now = now
+        if self._port is None:
+            return
+        for datagram in self._port.receive():
+            self._obey(datagram)
+        if now >= self._next:
+            self._next = max(self._next + TOLD_EVERY, now)
+            seen = self.state()
+            if seen is not None:
+                self._port.send(_encode((seen.position, seen.velocity, seen.yaw, seen.yaw_rate)))
+
+    def _obey(self, datagram: bytes) -> None:
+        try:
+            asked = _decode(datagram)
+        except msgspec.DecodeError:
+            return
+        if self.takes.get(asked.what) == len(asked.values) and all(map(math.isfinite, asked.values)):
+            self.ask(asked.what, asked.values)
+
+    def ask(self, what: str, values: tuple[float, ...]) -> None:
+        """Pass on what the agent asks of the body."""
+        raise NotImplementedError
 
     def close(self) -> None:
         """See Device."""
+        if self._port is not None:
+            self._port.close()
 
 
 class DirectQuad(Direct):
     """Flies as its platform says."""
 
-    made = "targets.quad.simple:inside"
+    module, member = "targets.quad.simple", "SimpleQuad"
+    takes: ClassVar = {"fly": 4, "motors": 1}
 
     def __init__(self, body: SimpleQuadrotor, context: DeviceContext) -> None:
         super().__init__(body, context)
@@ -70,9 +109,17 @@ class DirectQuad(Direct):
         self._heard, self._flying = self._now, on
         self._body.motors(on)
 
+    def ask(self, what: str, values: tuple[float, ...]) -> None:
+        """See Direct."""
+        if what == "fly":
+            x, y, z, rate = values
+            self.fly((x, y, z), rate)
+        else:
+            self.motors(values[0] > 0.5)
+
     def step(self, now: float) -> None:
         """See Device."""
-        self._now = now
+        super().step(now)
         silent = now - self._heard
         if not self._flying or silent <= HOVERING:
             return
@@ -85,7 +132,8 @@ class DirectQuad(Direct):
 class DirectCar(Direct):
     """Drives as its platform says."""
 
-    made = "targets.car.simple:inside"
+    module, member = "targets.car.simple", "SimpleCar"
+    takes: ClassVar = {"drive": 2, "brake": 1}
 
     def __init__(self, body: SimpleCar, context: DeviceContext) -> None:
         super().__init__(body, context)
@@ -100,8 +148,15 @@ class DirectCar(Direct):
         self._heard = self._now
         self._body.brake(deceleration)
 
+    def ask(self, what: str, values: tuple[float, ...]) -> None:
+        """See Direct."""
+        if what == "drive":
+            self.drive(*values)
+        else:
+            self.brake(*values)
+
     def step(self, now: float) -> None:
         """See Device."""
-        self._now = now
+        super().step(now)
         if now - self._heard > BRAKING:
             self._body.brake(self._braking)

@@ -133,13 +133,12 @@ class Stage:
         scenario: Scenario,
         seed: int,
         key: bytes,
-        gui: bool = False,
         wiring: Wiring | None = None,
         clock: Clock = time.monotonic,
     ) -> None:
         """`wiring` is how agents are reached, and `clock` the one that they live by. Raises BadScenario, and
-        bullet.NoDisplay when a `gui` is asked for where there is none."""
-        self.world = World(scenario.world.wind, scenario.world.floor_friction, seed, gui)
+        bullet.NoDisplay when a window is asked for where there is none."""
+        self.world = World(scenario.world.wind, scenario.world.floor_friction, seed, scenario.gui)
         self.actors: list[Actor] = []
         self.watch = Watch(scenario.number("min_separation", 0.0))
         self.spent = 0.0  # host seconds on devices

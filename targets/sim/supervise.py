@@ -64,18 +64,22 @@ class Process(Agent):
         self._tail = Tail(self.trace_file)
         self._process: subprocess.Popen[bytes] | None = None
         self._settings: dict[str, Any] = {}
+        self._command: list[str] = []
+        self._path = ""
         self._lives = [self.trace_file]  # a trace of each
         self._thaw: threading.Timer | None = None
 
-    def launch(self, settings: dict[str, Any]) -> None:
-        """Start the process. Raises OSError."""
-        self._settings = settings
+    def launch(self, settings: dict[str, Any], command: list[str] | None = None, path: str = "") -> None:
+        """Start the process: the bundle, or in its place `command` with `path` as PYTHONPATH. Raises OSError."""
+        self._settings, self._command, self._path = settings, command or [str(self._bundle.resolve())], path
         self._settings_file.write_bytes(msgspec.json.format(msgspec.json.encode(settings), indent=2) + b"\n")
         # The numeric libraries of all agents share the cores of one host.
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
+        if path:
+            environment["PYTHONPATH"] = path
         with self.log_file.open("ab") as log:
             self._process = subprocess.Popen(
-                [sys.executable, str(self._bundle.resolve()), "--settings", str(self._settings_file.resolve())],
+                [sys.executable, *self._command, "--settings", str(self._settings_file.resolve())],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
@@ -120,7 +124,7 @@ class Process(Agent):
         self._lives.append(self.trace_file.with_name(f"trace-{len(self._lives) + 1}.jsonl"))
         self._tail = Tail(self._lives[-1])
         self.crashed = False
-        self.launch({**self._settings, "trace": str(self._lives[-1].resolve())})
+        self.launch({**self._settings, "trace": str(self._lives[-1].resolve())}, self._command, self._path)
 
     def freeze(self, seconds: float) -> None:
         process = self._process

@@ -19,8 +19,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from koordgen.runtime.property import UNKNOWN, Assumption, Known, Outcome, Properties, judged
 from koordgen.runtime.values import Point, Pose
+from targets.sim.batch import Batch
 from targets.sim.bodies import BodyState
 from targets.sim.crew import Agent
 from targets.sim.judge import Of, Watched, all_of
@@ -99,8 +103,6 @@ class Watcher:
                         self._stopped.add(pid)
                 case Phase(phase="resting") if not agent.told:
                     self._rests(pid, record.time)
-                case Phase(phase="running"):
-                    self._out.pop(pid, None)
                 case View() if record.number > self._view.number:
                     self._view = record
                 case _:
@@ -173,17 +175,42 @@ class Watcher:
         if not asked:
             return
         self._known.put(self._truth.values)
+        due = self._due(asked, moments)
         gone: list[int] = []
-        for k, moment in enumerate(moments):
-            due = [w for w in asked if (k == 0 or w.moving) and not w.decided]
-            if not due:
-                return
+        for k in sorted(due):
+            moment = moments[k]
             if gone != (gone := self._gone(moment.at)):
                 self._known.put(self._without(gone))
             self._known.put(self._ports(moment))
-            for watched in due:
-                outcome, why = judged(watched.what.holds, self._known)
-                self._note(watched, outcome, moment.at, why, self._known)
+            for watched in due[k]:
+                if not watched.decided:
+                    outcome, why = judged(watched.what.holds, self._known)
+                    self._note(watched, outcome, moment.at, why, self._known)
+
+    def _due(self, asked: list[Watched], moments: list[_Moment]) -> dict[int, list[Watched]]:
+        """By moment, what has to be asked there one by one: of what moves all moments but those at which many at once
+        have shown that it surely holds."""
+        due: dict[int, list[Watched]] = {}
+        batch: Batch | None = None
+        for watched in asked:
+            which = list(range(len(moments))) if watched.moving else [0]
+            surely = watched.surely
+            if watched.moving and surely is not None and not self._gone(moments[-1].at):
+                batch = batch or Batch(len(moments), self._n, self._measured(moments), self._truth.values)
+                which = batch.unsure(surely)
+                watched.moments += len(moments) - len(which)
+            for k in which:
+                due.setdefault(k, []).append(watched)
+        return due
+
+    def _measured(self, moments: list[_Moment]) -> dict[str, NDArray[Any]]:
+        """The places and velocities of a round, for a Batch."""
+        found = {}
+        for name in self._found.measured:
+            kind = name.rpartition(".")[2]
+            if kind in ("position", "velocity"):
+                found[name] = np.array([[getattr(state, kind) for state in moment.states] for moment in moments])
+        return found
 
     def _without(self, gone: list[int]) -> dict[str, list[Any]]:
         """What ports say, but those of robots that are out of the model."""

@@ -120,7 +120,7 @@ class Lying(Solver):
         super().__init__("z3", Limits())
         self.result, self.about = result, about
 
-    def ask(self, obligation, wanted=(), core=False) -> Answer:  # type: ignore[no-untyped-def]
+    def ask(self, obligation, wanted=(), core=False, most=0.0) -> Answer:  # type: ignore[no-untyped-def]
         if obligation.kind == "consistency" and self.about != "consistency":
             return Answer("sat", 0.0)
         if self.about in obligation.name:

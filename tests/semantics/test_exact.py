@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+import random
 from fractions import Fraction
 from typing import Any
 
 import pytest
 
 from koordgen.prove.model import made_state
+from koordgen.runtime import geometry
 from koordgen.runtime.values import Point
-from koordgen.semantics.exact import NotExact, Root, distance, exact, made_exact, root
+from koordgen.semantics.exact import NotExact, Root, distance, exact, made_exact, path_distance, root
 from koordgen.semantics.exec import Writes
 from koordgen.semantics.step import execute, initial
 from tests.semantics.programs import compiled
@@ -76,6 +78,7 @@ def test_numbers(expression: str, value: object) -> None:
         ("p in Rect(Point(third, 0, 0), Point(0, 0, 4))", True),
         ("floor(3 * third) == 1", True),
         ("round(third) == 0", True),
+        ("path_distance([], [p]) > 1000000", True),
         ("clear([p], [[Point(third, 3, 0)]], 5)", False),
     ],
 )
@@ -83,7 +86,17 @@ def test_comparisons(expression: str, value: bool) -> None:
     assert value_of(expression, "bool") is value
 
 
-@pytest.mark.parametrize("expression", ["sin(third)", "sqrt(2.0) + 1", "third ** 0.5", "path_distance([p, p], [p])"])
+def test_the_distance_of_paths_is_that_of_the_robots_own_geometry() -> None:
+    generator = random.Random(3)
+    for _ in range(300):
+        size = generator.choice([1, 2, 3]), generator.choice([1, 2])
+        paths = [tuple(Point(*[generator.randint(-3, 3) / 2 for _ in range(3)]) for _ in range(n)) for n in size]
+        found = path_distance(*[made_exact(path) for path in paths])
+        square = found.square if isinstance(found, Root) else found * found
+        assert math.isclose(math.sqrt(square), geometry.path_distance(*paths), abs_tol=1e-12)
+
+
+@pytest.mark.parametrize("expression", ["sin(third)", "sqrt(2.0) + 1", "third ** 0.5"])
 def test_what_has_no_exact_value_is_refused(expression: str) -> None:
     with pytest.raises(NotExact):
         value_of(expression)

@@ -24,6 +24,7 @@ from targets.sim.view.live import Live, Paced
 from targets.sim.view.serve import MOST_CLIENTS, MOST_WAITING, Hub
 from tests.sim.canned import header
 from tests.sim.fake_fleet import bundle
+from tests.sim.lockstep import built, digest, ran
 
 FLEET = Path(__file__).parent / "fake_fleet.py"
 HEAD = header(["alice", "bert"])
@@ -243,3 +244,11 @@ def test_a_port_that_is_taken_is_told_before_anything_runs(tmp_path: Path) -> No
 def test_the_views_process_knows_nothing_of_pybullet_or_matplotlib() -> None:
     code = f"import sys; import {serve.__name__}; sys.exit(any(m in sys.modules for m in ('pybullet', 'matplotlib')))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_watching_a_run_in_lockstep_changes_nothing_in_its_trace(tmp_path: Path) -> None:
+    mapping = built(tmp_path, "mapping")
+    assert (
+        ran(mapping, tmp_path / "alone", 2.0) == ran(mapping, tmp_path / "watched", 2.0, "--live", "--pace", "5") == 0
+    )
+    assert digest(tmp_path / "alone") == digest(tmp_path / "watched")

@@ -92,10 +92,9 @@ def test_an_interrupted_run_leaves_a_report(lineform: Path, tmp_path: Path) -> N
 
 
 def changed(bundle: Path, tmp_path: Path, **robot: Any) -> Path:
-    """The same scenario with another robot 0, beside the same agents."""
+    """The same bundle with another robot 0."""
     root = tmp_path / "sim"
-    root.mkdir()
-    shutil.copytree(bundle / "agents", root / "agents")
+    shutil.copytree(bundle, root)
     scenario = json.loads((bundle / "scenario.json").read_text())
     scenario["robots"][0] |= robot
     (root / "scenario.json").write_text(json.dumps(scenario))

@@ -80,7 +80,15 @@ def root(context, missing=missing):
         yield str(environment.getattr(l_1_f, 'mark'))
         yield '"""\n    return '
         yield str(environment.getattr(l_1_f, 'formula'))
-        yield '\n\n\n'
+        yield '\n'
+        if environment.getattr(l_1_f, 'surely'):
+            pass
+            yield '\n\ndef surely_'
+            yield str(environment.getattr(l_1_f, 'function'))
+            yield '(b: Any) -> Any:\n    """Enough for it, of many moments at once."""\n    return '
+            yield str(environment.getattr(l_1_f, 'surely'))
+            yield '\n'
+        yield '\n\n'
     l_1_f = missing
     yield 'PROPERTIES = Properties(\n    PROGRAM,\n    '
     yield str(('Fleet' if (undefined(name='fleet') if l_0_fleet is missing else l_0_fleet) else 'Known'))
@@ -100,6 +108,7 @@ def root(context, missing=missing):
         yield str(environment.getattr(l_1_f, 'function'))
         yield ', '
         yield str(environment.getattr(l_1_f, 'reads'))
+        yield str((str_join((', surely_', environment.getattr(l_1_f, 'function'), )) if environment.getattr(l_1_f, 'surely') else ''))
         yield '),\n'
     l_1_f = missing
     yield '    ),\n    assumptions=(\n'
@@ -137,4 +146,4 @@ def root(context, missing=missing):
     yield ',\n)\n'
 
 blocks = {}
-debug_info = '1=20&3=23&7=25&8=29&13=41&18=44&19=48&31=56&33=60&34=64&35=66&41=72&42=76&43=80&44=82&50=86&51=88&53=90&54=94&58=106&59=110&63=122&64=126&67=136'
+debug_info = '1=20&3=23&7=25&8=29&13=41&18=44&19=48&31=56&33=60&34=64&35=66&41=72&42=76&43=80&44=82&45=84&48=87&50=89&57=94&58=96&60=98&61=102&65=115&66=119&70=131&71=135&74=145'

@@ -14,13 +14,13 @@ from typing import IO, Any
 
 import msgspec
 
-from koordgen.runtime.clock import SimulatedClock
+from koordgen.runtime.clock import Clock, SimulatedClock
 from koordgen.runtime.drivers import Drivers, with_drivers
 from koordgen.runtime.extern import BadExtern
 from koordgen.runtime.layout import TooLarge
 from koordgen.runtime.machine import INTERNAL, SURROUNDINGS, WRONG_PROGRAM
 from koordgen.runtime.machine import Agent as Machine
-from koordgen.runtime.network import MemoryNetwork, MemoryTransport
+from koordgen.runtime.network import MemoryNetwork, MemoryTransport, Queue
 from koordgen.runtime.platform import Platform, Unready
 from koordgen.runtime.program import Program
 from koordgen.runtime.runner import Limit
@@ -61,6 +61,25 @@ class Told:
         self._file.close()
 
 
+class Timed(MemoryNetwork):
+    """A network that tells what it takes."""
+
+    def __init__(self, clock: Clock, seed: int, shares: Shares) -> None:
+        super().__init__(clock, seed)
+        self._shares = shares
+
+    def send(self, sender: int, receiver: int, datagram: bytes) -> None:
+        began = self._shares.begin()
+        super().send(sender, receiver, datagram)
+        self._shares.end("network", began)
+
+    def arrived(self, queue: Queue) -> list[bytes]:
+        began = self._shares.begin()
+        taken = super().arrived(queue)
+        self._shares.end("network", began)
+        return taken
+
+
 class Shared:
     """What all agents of a run have in common."""
 
@@ -68,9 +87,9 @@ class Shared:
         self.scenario, self.root, self.seed, self.key = scenario, root, seed, key
         self.iterations, self.limit = iterations, limit
         self.clock = SimulatedClock()
-        self.network = MemoryNetwork(self.clock, Random(f"{seed}/network").getrandbits(32))
-        self.hub = Hub()
         self.shares = Shares()
+        self.network = Timed(self.clock, Random(f"{seed}/network").getrandbits(32), self.shares)
+        self.hub = Hub()
 
 
 class Resident(Agent):

@@ -17,12 +17,14 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import ListedColormap
+from matplotlib.path import Path as Lines
 
 STYLE = {
     "font.size": 11, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
     "grid.color": "#DDDDDD", "grid.linewidth": 0.7, "axes.axisbelow": True, "figure.dpi": 110, "svg.hashsalt": "koord",
     "text.parse_math": False,  # names are names, whatever is in them
 }  # fmt: skip
+TICK = Lines([(-0.5, 0.0), (-0.15, -0.4), (0.5, 0.45)])
 UNKNOWN, FREE, OCCUPIED = "#C9CCD1", "#FFFFFF", "#2B2F38"
 
 
@@ -76,8 +78,11 @@ def mark(axes: Any, found: Tracks, t: float) -> list[Any]:
         )
         made.append(dot)
         if state:
-            sign, ink = ("$\u2713$", "white") if state == 2 else (".", colour)
-            made += axes.plot(x, y, marker=sign, markersize=7, color=ink, linestyle="", zorder=2.6)
+            sign, ink = (TICK, "white") if state == 2 else (".", colour)
+            made += axes.plot(
+                x, y, marker=sign, markersize=6, color=ink, markerfacecolor="none" if state == 2 else ink,
+                markeredgewidth=1.5, linestyle="", zorder=2.6,
+            )  # fmt: skip
         if z > 0.05:
             made.append(axes.annotate(f"{z:.1f} m", (x, y), (0, -15), textcoords="offset points", fontsize=7,
                                       ha="center", color=colour))  # fmt: skip

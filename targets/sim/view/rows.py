@@ -83,7 +83,7 @@ class Rows:
             case Cause(what=what, robots=robots, detail=detail, lasts=lasts):
                 self._add("marks", [t, "cause", what, list(robots), detail, *(() if lasts is None else (lasts,))])
             case Verdict():
-                what = f"{record.of} {record.name}: {record.outcome}"
+                what = f"{f'{record.of} {record.name}'.strip()}: {record.outcome}"
                 detail = ", ".join(filter(None, (record.line, record.detail)))
                 self._add("marks", [t, "verdict", what, list(record.robots), detail])
             case Pose() | Phase() | Init() | Round() | Log() | Stream() | Metrics() if 0 <= record.pid < self._count:

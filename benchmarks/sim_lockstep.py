@@ -1,0 +1,117 @@
+"""What a run in lockstep costs, agents included: for benchmarks/sim.py.
+
+The program is LineForm (examples/lineform): every robot tells where it is and goes to the middle of its neighbours, in
+every round of 0.1 s. Only the mission counts, from round 1 on; loading, take-off, rest and report do not.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from koordgen.cli import main
+from targets.sim import scenario
+from targets.sim.lockstep.run import Lockstep
+from targets.sim.stage import Stage
+
+PROGRAM = Path(__file__).parents[1] / "examples" / "lineform" / "lineform.koord"
+
+
+@dataclass(frozen=True, slots=True)
+class Mission:
+    """Seconds simulated, of the host's clock, of this process's CPU, and of that in the world and its devices; each
+    part's share of the time since the launch."""
+
+    simulated: float
+    host: float
+    cpu: float
+    stage: float
+    shares: dict[str, float]
+
+    @property
+    def factor(self) -> float:
+        """Simulated seconds per second of CPU: on an idle computer, times real time."""
+        return self.simulated / self.cpu
+
+    @property
+    def harness(self) -> float:
+        """What a run in real time would need of a core for the world and its devices."""
+        return self.stage / self.simulated
+
+
+def fleet(count: int, target: str) -> dict[str, Any]:
+    """So many robots 1.5 m apart, as the fleet file says it."""
+    places = [[1.5 * (k % 8) - 5.0, 1.5 * (k // 8) - 5.0, 0.0] for k in range(count)]
+    robots = [
+        {"name": f"r{k}", "target": target, "address": f"127.0.0.1:{47100 + k}", "start": {"position": place}}
+        for k, place in enumerate(places)
+    ]
+    return {
+        "delta": 0.1,
+        "origin": {"latitude": 47.4, "longitude": 8.5, "altitude": 488.0},
+        "geofence": {"lo": [-20.0, -20.0, -0.5], "hi": [20.0, 20.0, 6.0]},
+        "robots": robots,
+    }
+
+
+def built(folder: Path, count: int, target: str) -> Path:
+    """The sim bundle."""
+    file = folder / "fleet.yaml"
+    file.write_text(json.dumps(fleet(count, target)))
+    arguments = ["build", str(PROGRAM), "--fleet", str(file), "--target", "sim", "-o", str(folder / "build")]
+    with contextlib.redirect_stdout(io.StringIO()):
+        assert main(arguments) == 0
+    return folder / "build" / "lineform" / "sim"
+
+
+def mission(count: int, target: str, fidelity: str, seconds: float) -> Mission:
+    """Run it in this process."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        root = built(folder, count, target)
+        laid_over = folder / "settings.json"
+        laid_over.write_bytes(msgspec.json.encode({"fidelity": fidelity}))
+        conduct = Lockstep(scenario.load(root, laid_over), root, folder / "run", 0)
+        stage = conduct.stage()
+        try:
+            conduct.launch(stage)
+            while not all(agent.round for agent in conduct.agents):
+                _go_on(conduct, stage, 0.5)
+                for agent in conduct.agents:
+                    agent.look()
+                assert conduct.now() < 60.0, [agent.waiting_for() for agent in conduct.agents]
+            timer = _Timer(stage)
+            host, cpu = time.perf_counter(), time.process_time()
+            _go_on(conduct, timer, seconds)
+            spent = time.perf_counter() - host, time.process_time() - cpu
+            return Mission(seconds, *spent, timer.spent, conduct.shares)
+        finally:
+            conduct.close()
+            stage.close()
+
+
+class _Timer:
+    """Steps a stage and counts its CPU time."""
+
+    def __init__(self, stage: Stage) -> None:
+        self._stage = stage
+        self.spent = 0.0
+
+    def step(self, at: float) -> None:
+        began = time.process_time()
+        self._stage.step(at)
+        self.spent += time.process_time() - began
+
+
+def _go_on(conduct: Lockstep, stage: Stage | _Timer, seconds: float) -> None:
+    end = conduct.now() + seconds
+    while conduct.now() < end - 1e-9:
+        conduct.go_on(stage.step)
