@@ -53,7 +53,10 @@ class _Writer:
             body += [*self.block(2, indent + "    "), f"{indent}    break"]
             return [f"{indent}for k in {self.pick('ID', 'range(N_SYS)', 'range(1, N_SYS)')}:", *body]
         if roll < 0.4 and depth < 2:
-            return [f"{indent}for k in range({self.pick('2', '3', 'N_SYS')}):", f"{indent}  a = max(a, k)"]
+            return [
+                f"{indent}for k in range({self.pick('2', '3', 'N_SYS')}):",
+                indent + "  " + self.pick("a = max(a, k)", "a += 1", "s = min(s, x[0])"),
+            ]
         if roll < 0.7:
             return [f"{indent}{self.pick('a', 'x[pid]', 's', 'free')} = {self.number()}"]
         if roll < 0.75:
