@@ -131,14 +131,14 @@ class Printer:
 
 
 def script(obligation: Obligation, wanted: Iterable[Term] = (), named: bool = False) -> tuple[str, list[str]]:
-    """What a solver is asked, without the command to answer; and the terms `wanted` of a model, printed. `named` calls
-    the facts fact!0, fact!1, ... for unsat cores."""
+    """What a solver is asked, without its logic and the command to answer; and the terms `wanted` of a model, printed.
+    `named` calls the facts fact!0, fact!1, ... for unsat cores."""
     facts = [f.term for f in obligation.facts]
     if obligation.goal is not None:
         facts.append(not_(obligation.goal.term))
     values = list(wanted)
     printer = Printer([*facts, *values])
-    lines = [f"(set-logic {obligation.logic})", *printer.declarations()]
+    lines = list(printer.declarations())
     for number, fact in enumerate(facts):
         definitions, text = printer.print(fact)
         lines += definitions
