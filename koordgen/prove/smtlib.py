@@ -151,6 +151,21 @@ def script(obligation: Obligation, wanted: Iterable[Term] = (), named: bool = Fa
     return "\n".join(lines) + "\n", shown
 
 
+def in_parts(obligation: Obligation) -> tuple[str, list[str]]:
+    """The facts as a solver is told them, and each conjunct of the goal negated: to be refuted one by one."""
+    negated = [not_(part.term) for part in obligation.conjuncts]
+    printer = Printer([*(f.term for f in obligation.facts), *negated])
+    lines, parts = list(printer.declarations()), []
+    for number, term in enumerate([*(f.term for f in obligation.facts), *negated]):
+        definitions, text = printer.print(term)
+        lines += definitions
+        if number < len(obligation.facts):
+            lines.append(f"(assert {text})")
+        else:
+            parts.append(text)
+    return "\n".join(lines) + "\n", parts
+
+
 def document(obligation: Obligation, line: Line) -> str:
     """The obligation as a file for people and for every solver. `line` tells the program's text."""
     goal = obligation.goal

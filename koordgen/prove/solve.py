@@ -22,7 +22,7 @@ from typing import Literal, NamedTuple, Self
 from koordgen.diagnostics import InternalError
 from koordgen.prove.obligation import Obligation
 from koordgen.prove.sexpr import ModelValue, Unreadable, values
-from koordgen.prove.smtlib import script
+from koordgen.prove.smtlib import in_parts, script
 from koordgen.prove.term import Term
 
 Result = Literal["sat", "unsat", "unknown"]
@@ -187,6 +187,8 @@ class Solver:
         if self._warming:
             self._warming = False
             self._heard("koordgen-0", memoryview(b""), until)
+        if self._by_parts(obligation) and not wanted and not core:
+            return self._refuted(obligation, limit, until)
         text, names = script(obligation, wanted, core)
         said = self._said(self._room(obligation.logic, core, bool(names), limit) + text + "(check-sat)\n", until)
         match said:
@@ -198,6 +200,25 @@ class Solver:
                 return Answer("unknown", 0.0, self._why(limit, until))
             case _:
                 raise Broken(f"{self.name} answered neither sat nor unsat: {_short(said)}{_exhausted(said)}")
+
+    def _by_parts(self, obligation: Obligation) -> bool:
+        """With robots by number there are many conjuncts: one by one they take a third of the time of all at once."""
+        numbered = obligation.robots is not None and len(obligation.conjuncts) > 1
+        return numbered and self.name == "z3" and obligation.logic in LINEAR
+
+    def _refuted(self, obligation: Obligation, limit: float, until: float) -> Answer:
+        text, parts = in_parts(obligation)
+        asked = "".join([f"(push)\n(assert {part})\n(check-sat)\n(pop)\n" for part in parts])
+        said = self._said(self._room(obligation.logic, False, False, limit) + text + asked, until).split("\n")
+        if len(said) != len(parts) or not {"sat", "unsat", "unknown"}.issuperset(said):
+            raise Broken(f"{self.name} answered neither sat nor unsat: {_short(' '.join(said))}{_exhausted(said[0])}")
+        if "sat" in said:
+            return Answer("sat", 0.0)
+        if "unknown" in said:
+            return Answer(
+                "unknown", 0.0, f"{self.name} found no answer within {limit:g} s; a longer --timeout may help"
+            )
+        return Answer("unsat", 0.0)
 
     def _room(self, logic: str, core: bool, model: bool, limit: float) -> str:
         """The commands with which a query begins, so that nothing is left of the one before. Within a scope z3 solves
