@@ -121,12 +121,9 @@ def _place(reader: Reader, node: YamlNode | None, what: str) -> Place | None:
 
 
 def _wind(reader: Reader, node: YamlNode | None) -> dict[str, Any]:
-    return read_wind(reader, node, "world.wind")
-
-
-def read_wind(reader: Reader, node: YamlNode | None, what: str) -> dict[str, Any]:
     """`mean`, the air's velocity (m/s, ENU); `gust`, the standard deviation of what comes on top of it in each
     direction (m/s); `correlation`, the time in which that changes (s)."""
+    what = "world.wind"
     given = reader.table(node, what, [], ["mean", "gust", "correlation"])
     gust = reader.number(given.get("gust"), f"{what}.gust (m/s)", 0.0, 50.0)
     correlation = reader.number(given.get("correlation"), f"{what}.correlation (seconds)", 0.01, 1000.0)

@@ -120,7 +120,7 @@ def _assumption(module: ir.Module, assumption: ir.Assumption, program: ir.Progra
         "mark": f"assume of {module.name}, {program.path}:{line}",
         "formula": expr.text(assumption.formula, names),
         "reads": _display(_reads(assumption.formula)),
-        "surely": "",
+        "surely": surely.text_of_each(assumption.formula, names),
         "goals": display(list(dict.fromkeys([_asking(*found, names) for found in ir.handed(assumption.formula)]))),
     }
 

@@ -28,6 +28,14 @@ def text(formula: ir.Expr, names: Names) -> str:
         return ""
 
 
+def text_of_each(formula: ir.Expr, names: Names) -> str:
+    """The same of an assumption, for all robots at once: they are along the first axis."""
+    try:
+        return _sure(formula, True, {"": 0}, names)
+    except _Beyond:
+        return ""
+
+
 def _sure(node: ir.Expr, wanted: bool, axes: dict[str, int], names: Names) -> str:
     """That a condition surely is what is wanted. `axes`: of each quantified robot."""
     match node:
@@ -55,7 +63,7 @@ def _sure(node: ir.Expr, wanted: bool, axes: dict[str, int], names: Names) -> st
 def _compared(op: str, left: ir.Expr, right: ir.Expr, axes: dict[str, int], names: Names) -> str:
     first, second = _value(left, axes, names), _value(right, axes, names)
     match left, right:
-        case ir.TempRead(), ir.TempRead():  # two robots
+        case ((ir.TempRead() | ir.Pid()), (ir.TempRead() | ir.Pid())):  # two robots
             return f"{first} {op} {second}"
         case _ if left.type == BOOL and op in ("==", "!="):
             return f"({first}) {op} ({second})"
@@ -76,6 +84,11 @@ def _value(node: ir.Expr, axes: dict[str, int], names: Names) -> str:
             return "b.n_sys"
         case ir.ParamRead(name) if _plain(node.type):
             return f"b.point({names.params[name]})" if node.type == POINT else names.params[name]
+        case ir.Pid():
+            return "b.robot(0)"
+        case ir.PortRead(module, port, primed) if _plain(node.type):
+            prime = "'" if primed else ""
+            return f"b.each({exact.literal(f'{module}.{port}{prime}')}, 0)"
         case ir.TempRead(name) if name in axes:
             return f"b.robot({axes[name]})"
         case ir.SharedRead(name) if _plain(node.type):

@@ -80,8 +80,7 @@ class Run:
             live = self.frame.block(stage.setting.program.init)
             self.env = self.frame.writes()
         self.counts = t.all_of([demand.term for demand in self.demands])
-        ends = [live, *[t.all_of(e.path) for e in self.frame.exits]]
-        room.fact(t.any_of(ends), "init ends", 0)
+        self.ends = t.any_of([live, *[t.all_of(e.path) for e in self.frame.exits]])
         self.writes = ended(stage.setting.program, self.env, launch, robot)
         self.cuts: list[Cut] = self.frame.cuts
         for cut in self.cuts:
@@ -97,12 +96,15 @@ class Ready:
         self.stage, self.launch = stage, Launch(stage)
         self.types = stage.setting.types
         self.runs: dict[Term, Run] = {}
+        self.shown: Term | None = None  # whose init is looked into: of that it is not said that it has come to its end
         self.cells: dict[Key, Val] = {}
 
     def run(self, robot: Term) -> Run:
         found = self.runs.get(robot)
         if found is None:
             found = self.runs[robot] = Run(self.stage, self.launch, robot)
+            if robot is not self.shown:
+                self.stage.room.fact(found.ends, "init ends", 0)
         return found
 
     def of(self, key: Key, robot: Term) -> Val:

@@ -21,6 +21,7 @@ from koordgen.prove.goal import goal
 from koordgen.prove.moment import Setting, Stage, temps_of
 from koordgen.prove.obligation import Cell, Fact, Kind, Moment, Obligation
 from koordgen.prove.term import Term
+from koordgen.prove.within import changes
 
 WELL_DEFINED = "(well-defined)"
 AFTERWARDS = " afterwards"
@@ -50,6 +51,7 @@ def base(setting: Setting) -> list[Obligation]:
     own = stage.room.some_robot("pid")
     demands: Sequence[Fact] = ()
     if program.init:
+        ready.shown = own
         run = ready.run(own)
         demands = run.demands
         goals += _at_cuts(stage, run.cuts)
@@ -85,7 +87,7 @@ def of_event(setting: Setting, event: decl.Event) -> list[Obligation]:
             now.read.clear()
         with room.about(f"effect of {event.name}", event.span.line):
             live = frame.block(event.effect)
-    room.fact(t.any_of([live, *[t.all_of(e.path) for e in frame.exits]]), f"{event.name} ends", event.span.line)
+    ends = t.any_of([live, *[t.all_of(e.path) for e in frame.exits]])
     after = Written(room, now, own, ended(program, frame.writes(), now, own), "@after")
     stage.holds(setting.invariants, now)
     for cut in frame.cuts:
@@ -96,10 +98,12 @@ def of_event(setting: Setting, event: decl.Event) -> list[Obligation]:
     moments: list[tuple[Moment, State]] = [("before", now), ("after", after)]
     if begun.used:
         stage.holds(setting.invariants, begun, when=" at the round's start")
+        changes(stage, begun, now)
         moments.insert(0, ("round start", begun))
     cells = stage.cells(moments)
     out = _Output(stage, "event", event.name, event.span.line, stage.close(), cells)
-    return out.all(goals, demands, tuple(demands))
+    over = Fact(f"{event.name} ends", ends, program.path, event.span.line)
+    return out.all(goals, demands, (*demands, over))
 
 
 def environment(setting: Setting) -> list[Obligation]:
@@ -169,14 +173,15 @@ class _Output:
         self,
         goals: list[Goal],
         demands: Sequence[Fact],
-        assumed: tuple[Fact, ...],
+        ended: tuple[Fact, ...],
     ) -> list[Obligation]:
         """One for each invariant, and one that every operation has a value; the others assume it: what has none is
-        discarded, and changes nothing."""
+        discarded, and changes nothing. `ended`: that the effect has come to its end, which it has not in a loop."""
         where = {"base": "init", "environment": "environment"}.get(self.kind, self.event)
         found = []
         for property_, place, conjuncts in goals:
             name = "-".join(filter(None, (property_.name, where, place)))
+            assumed = tuple(demands) if place else ended
             found.append(self.one(name, property_.name, None, assumed, conjuncts))
         wanted = tuple([d for d in demands if d.term is not t.TRUE])
         if wanted:

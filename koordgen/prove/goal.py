@@ -46,7 +46,8 @@ class _Goals:
             case ir.Quantified("forall", variable, ir.Ids(), body):
                 for robot, inside in self.robots(robots, isinstance(body, ir.Quantified)):
                     self.scope.temps[variable] = robot
-                    self.add(body, t.and_(guard, inside), (*robots, robot))
+                    with self.room.grant(robot):
+                        self.add(body, t.and_(guard, inside), (*robots, robot))
                     del self.scope.temps[variable]
             case ir.Quantified("forall", variable, domain, body):
                 for value, inside in self.elements(domain):

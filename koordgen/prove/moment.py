@@ -92,7 +92,8 @@ class Stage:
 
                 def instance(value: Val, within: Term) -> None:
                     kept, scope.temps = scope.temps, {**temps, name: value}
-                    self.assume(body, scope, t.and_(guard, within))
+                    with self.room.grant(value if isinstance(domain, ir.Ids) else None):
+                        self.assume(body, scope, t.and_(guard, within))
                     scope.temps = kept
 
                 def each(index: Term) -> Term:

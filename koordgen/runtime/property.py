@@ -177,8 +177,8 @@ class Known:
 
 @dataclass(frozen=True, slots=True)
 class Property:
-    """`reads`: the names of ports, locals and shared variables in its formula. `surely`: a condition over arrays that is
-    enough for it at many moments, for who evaluates it often; None when it has none."""
+    """`reads`: the names of ports, locals and shared variables in its formula. `surely`: a condition over arrays that
+    is enough for it at many moments, for who evaluates it often; None when it has none."""
 
     kind: Literal["initially", "invariant"]
     name: str
@@ -199,13 +199,15 @@ class Asking:
 
 @dataclass(frozen=True, slots=True)
 class Assumption:
-    """Of every robot with the module; with goals, it holds of all calls that were made."""
+    """Of every robot with the module; with goals, it holds of all calls that were made. `surely` as of a Property, for
+    all robots at once."""
 
     module: str
     line: int
     holds: Callable[..., bool]
     reads: tuple[str, ...]
     goals: tuple[Asking, ...] = ()
+    surely: Callable[[Any], Any] | None = None
 
     def holds_of_calls(self, known: Known) -> bool:
         """Whether it holds of each combination of goals that was asked for; where none was, it does."""

@@ -42,13 +42,16 @@ class Limits:
     def top(self, direction: Point, drift: Point = ZERO) -> float:
         """The largest s, not negative, at which the velocity s * direction + drift is within the limits. `direction` is
         a unit vector, `drift` itself within the limits."""
-        along = _dot(direction, drift)
-        room = self.speed**2 - _dot(drift, drift)
+        return self.most(_dot(direction, drift), direction.z, drift.z, self.speed**2 - _dot(drift, drift))
+
+    def most(self, along: float, up: float, drift_up: float, room: float) -> float:
+        """`top` of the direction's product with the drift, the vertical components of both, and what the square of the
+        drift leaves of that of the speed."""
         s = math.sqrt(max(0.0, along * along + room)) - along
-        if direction.z > _STILL:
-            s = min(s, (self.climb - drift.z) / direction.z)
-        elif direction.z < -_STILL:
-            s = min(s, (-self.climb - drift.z) / direction.z)
+        if up > _STILL:
+            s = min(s, (self.climb - drift_up) / up)
+        elif up < -_STILL:
+            s = min(s, (-self.climb - drift_up) / up)
         return max(0.0, s)
 
     def limited(self, velocity: Point) -> Point:
@@ -174,29 +177,45 @@ def _turned(start: State, goal: Point, fast: float, limits: Limits, drift: Point
     far = norm(u)
     if far < CLOSE:
         return None
-    u = u / far
+    # Plain numbers: a new target that comes in every round is what agents' planning costs most.
+    x, y, z = u.x / far, u.y / far, u.z / far
+    vx, vy, vz, dx, dy, dz = v.x, v.y, v.z, drift.x, drift.y, drift.z
+    away, room, hypot = goal - start.position, limits.speed**2 - _dot(drift, drift), math.hypot
     for _ in range(25):
-        s = min(fast, limits.top(u, drift))
-        seconds = norm(u * s - v) / a
-        way = goal - start.position - v * (seconds / 2)
-        far = norm(way)
+        s = min(fast, limits.most(x * dx + y * dy + z * dz, z, dz, room))
+        seconds = hypot(x * s - vx, y * s - vy, z * s - vz) / a
+        half = seconds / 2
+        to_x, to_y, to_z = away.x - vx * half, away.y - vy * half, away.z - vz * half
+        far = hypot(to_x, to_y, to_z)
         if far < CLOSE:
             return None
-        before, u = u, way / far
-        if distance(before, u) < 1e-11:
+        to_x, to_y, to_z = to_x / far, to_y / far, to_z / far
+        turned = hypot(to_x - x, to_y - y, to_z - z)
+        x, y, z = to_x, to_y, to_z
+        if turned < 1e-11:
             break
     else:
         return None
     if far - s * seconds / 2 < s * s / (2 * a):
         return None
+    u = Point(x, y, z)
     push = (u * s - v) / seconds if seconds > _STILL else ZERO
-    piece = Piece(seconds, start, push, ahead)
-    for i in range(9):
-        state = piece.at(seconds * i / 8)
-        moved = State(state.position + drift * (seconds * i / 8), state.velocity + drift)
-        if not limits.safe(moved):
-            return None
-    return piece
+    if not all(_stays(start, push, seconds * i / 8, drift, limits) for i in range(9)):
+        return None
+    return Piece(seconds, start, push, ahead)
+
+
+def _stays(start: State, push: Point, t: float, drift: Point, limits: Limits) -> bool:
+    """`Limits.safe` of a piece's state after t seconds, moved on with the drift."""
+    p, v, half = start.position, start.velocity, t * t / 2
+    vx, vy, vz = v.x + push.x * t + drift.x, v.y + push.y * t + drift.y, v.z + push.z * t + drift.z
+    far = math.hypot(vx, vy, vz) / (2 * limits.acceleration)
+    x, y, z = (
+        p.x + v.x * t + push.x * half + drift.x * t + vx * far,
+        p.y + v.y * t + push.y * half + drift.y * t + vy * far,
+        p.z + v.z * t + push.z * half + drift.z * t + vz * far,
+    )
+    return inside(limits.box, Point(x, y, z))
 
 
 def _legs(nodes: list[Point], ahead: list[int], entry: float, limits: Limits, drift: Point) -> list[Piece]:

@@ -105,6 +105,14 @@ class Batch:
     def _whole(self, a: Any) -> Array:
         return np.asarray(a).reshape(np.shape(a) or (1,) * (1 + MOST_AXES))
 
+    def unsure_of(self, surely: Callable[[Any], Any]) -> list[tuple[int, int]]:
+        """The same of each robot, those along the first axis: moments and pids."""
+        try:
+            found = np.broadcast_to(surely(self), (self.moments, self.n_sys, *[1] * (MOST_AXES - 1)))
+        except (ValueError, TypeError, LookupError, AttributeError):
+            return [(k, pid) for k in range(self.moments) for pid in range(self.n_sys)]
+        return [(int(k), int(pid)) for k, pid, *_ in np.argwhere(~found)]
+
     def unsure(self, surely: Callable[[Any], Any]) -> list[int]:
         """The moments at which a condition is not surely so; all of them where something is not known."""
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -24,12 +25,14 @@ if TYPE_CHECKING:
     from targets.sim.run import Run
 
 
-def load(path: Path, robots: Sequence[str]) -> Schedule:
-    """The schedule of a JSON file. Raises BadScenario with all that is wrong."""
+def load(path: Path, robots: Sequence[str]) -> tuple[Schedule, Any]:
+    """The schedule of a file, JSON or, if its name ends so, YAML; and its plain values. Raises BadScenario with all
+    that is wrong."""
+    read_plain = _yaml if path.suffix in (".yaml", ".yml") else json.loads
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = read_plain(path.read_text(encoding="utf-8"))
     except json.JSONDecodeError as error:
-        hint = "a bundle takes JSON; `koordgen sim --scenario` takes YAML"
+        hint = "a file of YAML is called .yaml or .yml"
         raise BadScenario(f"{path}:{error.lineno}:{error.colno}: no JSON: {error.msg}", hint) from None
     except (OSError, ValueError, RecursionError) as error:
         raise BadScenario(f"{path}: {getattr(error, 'strerror', None) or error}") from None
@@ -37,7 +40,19 @@ def load(path: Path, robots: Sequence[str]) -> Schedule:
     if mistakes:
         told = "\n".join(f"{path}: {_place(mistake)}{mistake.message}" for mistake in mistakes)
         raise BadScenario(told, next((m.hint for m in mistakes if m.hint), ""))
-    return schedule
+    return schedule, data
+
+
+def _yaml(text: str) -> Any:
+    """Plain values; a bundle does not require the package. Raises ValueError."""
+    try:
+        yaml = importlib.import_module("yaml")
+    except ModuleNotFoundError:
+        raise ValueError("YAML needs the Python package PyYAML here; JSON needs nothing") from None
+    try:
+        return yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise ValueError(f"no YAML: {error}") from None
 
 
 def _place(mistake: Mistake) -> str:

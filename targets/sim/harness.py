@@ -6,6 +6,7 @@ import argparse
 import errno
 import hashlib
 import importlib.util
+import json
 import math
 import platform
 import shlex
@@ -15,7 +16,7 @@ import time
 import traceback
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import replace
 
@@ -42,14 +43,12 @@ def main(root: Path, argv: list[str] | None = None) -> int:
         scenario = replace(load(root, options.settings), gui=options.gui)
         out: Path = options.out or Path(f"run-{scenario.app}")
         _require(scenario)
-        schedule = _schedule(scenario, options)
-        # The file may be what an earlier run has left in the very folder.
-        text = options.scenario.read_bytes() if options.scenario else b""
+        schedule, told = _schedule(scenario, options)
         if options.check:
             return _check(root, scenario)
         with RunFolder(out) as folder:
-            if text:
-                (folder / "faults.json").write_bytes(text)
+            if told is not None:
+                (folder / "faults.json").write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
             return _run(root, scenario, schedule, folder, options)
     except BadScenario as error:
         return _fail(BAD_FILES, str(error), error.hint)
@@ -79,7 +78,7 @@ def _parser(root: Path) -> argparse.ArgumentParser:
     parser.add_argument("--lockstep", action="store_true", help="all in one process, repeatable, as fast as it goes")
     parser.add_argument("--out", type=Path, metavar="DIR", help="what the run leaves, default run-<app>")
     parser.add_argument("--settings", type=Path, metavar="FILE", help="JSON object laid over the scenario's settings")
-    parser.add_argument("--scenario", type=Path, metavar="FILE", help="what goes wrong in the run, and when (JSON)")
+    parser.add_argument("--scenario", type=Path, metavar="FILE", help="what goes wrong in the run, and when")
     for name in CONDITIONS:
         what = "0 to 1" if name in PROBABILITIES else "seconds"
         parser.add_argument(
@@ -136,13 +135,13 @@ def _require(scenario: Scenario) -> None:
     stage.check(scenario)
 
 
-def _schedule(scenario: Scenario, options: argparse.Namespace) -> Schedule:
-    """What goes wrong in this run. Raises BadScenario."""
+def _schedule(scenario: Scenario, options: argparse.Namespace) -> tuple[Schedule, Any]:
+    """What goes wrong in this run, and the scenario file's plain values. Raises BadScenario."""
     names = [robot.name for robot in scenario.robots]
-    found = faults.load(options.scenario, names) if options.scenario else Schedule()
+    found, told = faults.load(options.scenario, names) if options.scenario else (Schedule(), None)
     faults.check_times(found, options.duration)
     faults.check_external(found, scenario.robots)
-    return faults.with_network(found, vars(options))
+    return faults.with_network(found, vars(options)), told
 
 
 def _check(root: Path, scenario: Scenario) -> int:

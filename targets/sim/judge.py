@@ -39,7 +39,7 @@ class Watched:
 
     @property
     def surely(self) -> Callable[[Any], Any] | None:
-        return self.what.surely if isinstance(self.what, Property) else None
+        return self.what.surely
 
     def note(
         self, outcome: Outcome, at: float, why: str, known: Known, names: tuple[str, ...], gone: bool

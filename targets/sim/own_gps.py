@@ -7,12 +7,14 @@ import random
 from collections import deque
 
 from targets.sim.bodies import BodyState, Vector
-from targets.sim.upset import Upset
+from targets.sim.upset import WELL, Upset
 
 WANDER = 2.0  # seconds over which the error forgets itself
 PERIOD = 0.2  # seconds between two fixes
 CORRECTED = 1.0  # seconds in which fixes that are wrong, or right again, draw the estimate to them
 HELD = 60.0  # seconds of past positions that a delay needs
+HERE: Vector = (0.0, 0.0, 0.0)
+NEAR = 1e-4  # metres: what is left of an error then is none
 
 
 class OwnGps:
@@ -32,6 +34,11 @@ class OwnGps:
         """In metres, `dt` seconds after the last time; `bias` (m/s^2) is that of the accelerometers, by which it drifts
         while no fix comes."""
         wrong = self.upset.positioning
+        if wrong is WELL and self._pulled == HERE:
+            self.fixed = now
+            if self._noise:
+                self._wander(dt, self._noise)
+            return self._usual
         if self._noise or wrong.noise:
             self._wander(dt, math.hypot(self._noise, wrong.noise))
         if wrong.delay:
@@ -49,8 +56,10 @@ class OwnGps:
             self._pulled = _plus(self._pulled, self._drift, dt)
         else:
             told = _plus(wrong.bias, _plus(self._then(now - wrong.delay, truth.position), truth.position, -1.0), 1.0)
-            if told != self._pulled:
-                self._pulled = _plus(self._pulled, _plus(told, self._pulled, -1.0), 1.0 - math.exp(-dt / CORRECTED))
+            rest = _plus(told, self._pulled, -1.0)
+            self._pulled = _plus(self._pulled, rest, 1.0 - math.exp(-dt / CORRECTED))
+            if wrong is WELL and math.hypot(*rest) < NEAR:
+                self._pulled = HERE
         return _plus(self._usual, self._pulled, 1.0)
 
     def _wander(self, dt: float, noise: float) -> None:

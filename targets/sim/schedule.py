@@ -144,8 +144,9 @@ class _Form:
         return data
 
     def number(self, data: Any, path: Path, what: str, least: float, most: float) -> float | None:
-        if type(data) not in (int, float) or not math.isfinite(data):
-            self.tell("F004", path, f"{what} must be a finite number, not {data!r}")
+        sound = (type(data) is int and abs(data) < 2**53) or (type(data) is float and math.isfinite(data))
+        if not sound:
+            self.tell("F004", path, f"{what} must be a finite number, not {data!r:.40}")
             return None
         if not least <= data <= most:
             self.tell("F005", path, f"{what} is {data:g}; it must be {least:g} to {most:g}")

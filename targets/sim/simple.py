@@ -55,7 +55,7 @@ class Direct:
 
     def state(self) -> BodyState | None:
         """Where the body is taken to be; None: that is not known now."""
-        truth = self._seen.state()
+        truth = self._upset.late(self._now, self._seen.state())
         place = self._upset.measured(truth.position, self._noise, self._dice)
         return None if place is None else BodyState(place, truth.velocity, truth.yaw, truth.yaw_rate)
 

@@ -11,7 +11,7 @@ import msgspec
 
 from targets.sim.bodies import Vector
 from targets.sim.run import Outcome
-from targets.sim.trace import LATE, Cause, End, Header, Pose, Record, Round, Violation, fault_text
+from targets.sim.trace import Cause, End, Header, Pose, Record, Round, Violation, fault_text
 from targets.sim.trace import Verdict as Found
 
 Verdict = Literal["held", "violated", "interrupted", "not started"]
@@ -152,9 +152,7 @@ class _Tally:
         own.rounds += 1
         slept = max(0, record.round - self._round - 1) if self._round else 0
         self._round = record.round
-        # Decided at the deadline, as it should be.
-        waited = (record.skipped or "").startswith(("not current", "not confirmed"))
-        own.late_rounds += slept + (record.late > LATE * self._delta and not waited)
+        own.late_rounds += slept + record.was_late(self._delta)
         if record.fault is not None:
             own.faults += 1
             own.first_fault = own.first_fault or fault_text(record.fault)

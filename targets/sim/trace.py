@@ -115,6 +115,11 @@ class Round(msgspec.Struct, frozen=True, tag_field="kind", tag="round"):
     t: float = 0.0
     pid: int = -1
 
+    def was_late(self, delta: float) -> bool:
+        """Whether it was decided later than it should be: one that waits for others is, at the deadline."""
+        waited = (self.skipped or "").startswith(("not current", "not confirmed"))
+        return self.late > LATE * delta and not waited
+
 
 class Log(msgspec.Struct, frozen=True, tag_field="kind", tag="log"):
     level: str = "info"

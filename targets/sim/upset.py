@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, field
 from random import Random
+from typing import Any, TypeVar
 
 import msgspec
 
+T = TypeVar("T")
 Vector = tuple[float, float, float]
 
 
@@ -32,6 +35,20 @@ class Upset:
     positioning: Positioning = WELL
     battery: float = 1.0
     lag: float = 0.0
+    _past: deque[tuple[float, Any]] = field(default_factory=deque)
+
+    def late(self, now: float, state: T) -> T:
+        """What is known at `now` (s) of what is `state` in truth: how it was a delay of the positions ago. To be asked
+        again and again, of one thing."""
+        delay, past = self.positioning.delay, self._past
+        if not delay:
+            past.clear()
+            return state
+        past.append((now, state))
+        while len(past) > 1 and past[1][0] <= now - delay:
+            past.popleft()
+        known: T = past[0][1]
+        return known
 
     def measured(self, position: Vector, noise: float, dice: Random) -> Vector | None:
         """A position as it is measured with so much usual noise (m, standard deviation); None: it never comes."""

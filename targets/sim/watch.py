@@ -75,6 +75,7 @@ class Watcher:
         self._out: dict[int, float] = {}  # pid -> since when it is out of the model
         self._view = View(0, 0, (0,) * self._n)
         self._began = False
+        self._arrays: dict[str, NDArray[Any]] = {}  # of the round that is looked at
         self._stopped: set[int] = set()
         self._until = math.inf  # the mission's end: the robots were told to come to rest, or all have stopped
         self._watched = all_of(found, self._n)
@@ -162,6 +163,7 @@ class Watcher:
                 self._moments.popleft()
             self._fleet("initially", [self._moments[0]])
         self._truth.advance()
+        self._arrays = {}
         moments = [self._moments.popleft()]
         while self._moments and self._moments[0].at <= end:
             moments.append(self._moments.popleft())
@@ -205,12 +207,13 @@ class Watcher:
 
     def _measured(self, moments: list[_Moment]) -> dict[str, NDArray[Any]]:
         """The places and velocities of a round, for a Batch."""
-        found = {}
-        for name in self._found.measured:
-            kind = name.rpartition(".")[2]
-            if kind in ("position", "velocity"):
-                found[name] = np.array([[getattr(state, kind) for state in moment.states] for moment in moments])
-        return found
+        if not self._arrays:
+            for name in self._found.measured:
+                kind = name.rpartition(".")[2]
+                if kind in ("position", "velocity"):
+                    rows = [[getattr(state, kind) for state in moment.states] for moment in moments]
+                    self._arrays[name] = np.array(rows)
+        return self._arrays
 
     def _without(self, gone: list[int]) -> dict[str, list[Any]]:
         """What ports say, but those of robots that are out of the model."""
@@ -219,30 +222,44 @@ class Watcher:
         return {name: [UNKNOWN if pid in gone else v for pid, v in enumerate(values[name])] for name in ports}
 
     def _assumptions(self, moments: list[_Moment]) -> None:
-        asked = [w for w in self._watched if w.of == "assume" and not w.decided]
-        for watched in asked:
+        for watched in [w for w in self._watched if w.of == "assume" and not w.decided]:
+            due = self._due_of_each(watched, moments)
             for pid in range(self._n):
-                if not watched.decided:
-                    self._assumption(watched, pid, moments)
+                if due[pid] and not watched.decided:
+                    self._assumption(watched, pid, moments[0], [moments[k] for k in due[pid]])
 
-    def _assumption(self, watched: Watched, pid: int, moments: list[_Moment]) -> None:
-        """Of one robot over one round: before, its ports right after the program's step; after, at each moment."""
+    def _due_of_each(self, watched: Watched, moments: list[_Moment]) -> list[list[int]]:
+        """By pid the moments at which an assumption has to be asked: as `_due`."""
+        what, last = watched.what, len(moments) - 1
+        assert isinstance(what, Assumption)
+        sampled = bool(self._sampled(what))
+        if what.surely is None or sampled or not watched.moving or self._gone(moments[last].at):
+            return [[last] if sampled or not watched.moving else list(range(last + 1))] * self._n
+        measured = {f"{name}'": places for name, places in self._measured(moments).items()}
+        values = {**self._truth.values, **self._ports(moments[0])}
+        values |= {f"{p.name}'": values[p.name] for p in self._found.program.ports if p.direction == "actuator"}
+        unsure = Batch(last + 1, self._n, measured, values).unsure_of(what.surely)
+        watched.moments += (last + 1) * self._n - len(unsure)
+        return [[k for k, p in unsure if p == pid] for pid in range(self._n)]
+
+    def _assumption(self, watched: Watched, pid: int, first: _Moment, moments: list[_Moment]) -> None:
+        """Of one robot in one round: before, its ports right after the program's step; after, at each moment."""
         assumption, step, values = watched.what, self._step, self._truth.values
         assert isinstance(assumption, Assumption)
         if self._is_out(pid, moments[-1].at):
             watched.left = moments[-1].at if watched.left is None else watched.left
             return
-        first = self._ports(moments[0])
+        before = self._ports(first)
         ports = [name for name in step.one if not name.endswith("'")]
         step.pid, step.asked = pid, self._truth.calls(pid)
-        step.put({name: first[name][pid] if name in first else values[name][pid] for name in ports})
+        step.put({name: before[name][pid] if name in before else values[name][pid] for name in ports})
         actuators = {p.name for p in self._found.program.ports if p.direction == "actuator"}
         step.put({f"{name}'": values[name][pid] for name in ports if name in actuators})
         others = {n: self._truth.sensed(pid, n, self._truth.round + 1) for n in self._sampled(assumption)}
         if UNKNOWN in others.values():
             return
         step.put({f"{name}'": value for name, value in others.items()})
-        for moment in moments if watched.moving and not others else moments[-1:]:
+        for moment in moments:
             step.put({f"{name}'": held[pid] for name, held in self._ports(moment).items()})
             outcome, why = judged(assumption.holds_of_calls, step)
             self._note(watched, outcome, moment.at, why, step)

@@ -184,7 +184,7 @@ def test_election_has_one_leader(skips: float) -> None:
 def test_atomicsum_loses_nothing(skips: float) -> None:
     stage = Stage("atomicsum", skips)
     stage.until(stopped, 300)
-    assert stage.state.store.cells["sum"] == 15
+    assert stage.state.store.cells["total"] == 15
     assert sorted(stage.lines) == [(pid, "sum 15 of 5 robots") for pid in range(5)]
 
 

@@ -106,6 +106,36 @@ def test_what_is_surely_so_is_so(tmp_path: Path) -> None:
     assert sum(s > 0 for s in sure) >= len(SURE) - 1, "but for what is held on an edge only"
 
 
+ASSUMED = [
+    "position' in Rect(position, target) or position' in Ball(target, 0.5)",
+    "distance(position', target) <= distance(position, target) + 0.01",
+    "pid != 0 or not (position'.z > target.z) or reached",
+]
+
+
+def test_what_surely_is_of_each_robot_is(tmp_path: Path) -> None:
+    lines = "".join(f"  assume {formula}\n" for formula in ASSUMED)
+    beside(tmp_path, HEAD.replace("allread:\n", f"{lines}allread:\n", 1))
+    found, rng = watch.load(tmp_path), Random(3)
+    held = sure = 0
+    for _ in range(60):
+        before = values(rng) | {"Motion.position": [place(rng) for _ in range(N)]}
+        later = [{"Motion.position'": [place(rng) for _ in range(N)]} for _ in range(4)]
+        for assumption in found.assumptions:
+            assert assumption.surely is not None
+            unsure = Batch(4, N, arrays(later), before).unsure_of(assumption.surely)
+            for m, moment in enumerate(later):
+                for pid in range(N):
+                    known = found.step(N, None)
+                    known.pid = pid
+                    known.put({name: v[pid] for name, v in {**before, **moment}.items() if name.startswith("Motion")})
+                    outcome, why = judged(assumption.holds_of_calls, known)
+                    assert outcome in ("held", "violated"), why
+                    assert (m, pid) in unsure or outcome == "held"
+                    held, sure = held + (outcome == "held"), sure + ((m, pid) not in unsure)
+    assert 0.5 * held < sure < held < 0.9 * 60 * 4 * N * len(ASSUMED), (sure, held)
+
+
 def test_what_has_no_such_form_has_none(tmp_path: Path) -> None:
     assert [p.surely for p in properties(tmp_path, *BEYOND).properties] == [None] * len(BEYOND)
 

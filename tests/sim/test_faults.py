@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -159,7 +160,7 @@ def test_a_bundle_takes_json(tmp_path: Path, text: str, said: str) -> None:
     file = tmp_path / "scenario.json"
     file.write_text(text)
     if not said:
-        assert load(file, ROBOTS) == Schedule(Conditions(loss=0.1))
+        assert load(file, ROBOTS) == (Schedule(Conditions(loss=0.1)), json.loads(text))
         return
     with pytest.raises(BadScenario, match=said) as raised:
         load(file, ROBOTS)
@@ -174,4 +175,16 @@ def test_a_file_that_is_not_there(tmp_path: Path) -> None:
 def test_what_is_written_for_a_bundle_is_what_it_reads(tmp_path: Path) -> None:
     data = {"events": [{"at": 1.5, "for": 2, "partition": [["ann"], ["bob"]]}]}
     (tmp_path / "s.json").write_text(json.dumps(data))
-    assert load(tmp_path / "s.json", ROBOTS) == read(data, ROBOTS)[0]
+    assert load(tmp_path / "s.json", ROBOTS) == (read(data, ROBOTS)[0], data)
+
+
+def test_a_bundle_takes_yaml_where_the_package_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "s.yaml"
+    file.write_text("network: {loss: 0.1}\n")
+    assert load(file, ROBOTS)[0] == Schedule(Conditions(loss=0.1))
+    file.write_text("network: {loss: 0.1\n")
+    with pytest.raises(BadScenario, match=r"no YAML(.|\n)*line 2"):
+        load(file, ROBOTS)
+    monkeypatch.setitem(sys.modules, "yaml", None)
+    with pytest.raises(BadScenario, match="YAML needs the Python package PyYAML here; JSON needs nothing"):
+        load(file, ROBOTS)

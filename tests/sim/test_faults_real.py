@@ -98,10 +98,10 @@ def test_a_scenario_that_cannot_be_is_told_before_the_run(
 def test_a_full_disk_is_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(self: Path, data: bytes) -> int:
+    def full(self: Path, data: str, encoding: str) -> int:
         raise OSError(errno.ENOSPC, "No space left on device", str(self))
 
     root, told = bundle(tmp_path / "sim", ["good"]), scenario(tmp_path, network={"loss": 0.1})
-    monkeypatch.setattr(Path, "write_bytes", full)
+    monkeypatch.setattr(Path, "write_text", full)
     assert sim(root, tmp_path / "out", told) == 5
     assert "faults.json: the disk is full" in capsys.readouterr().err

@@ -5,10 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from koordgen.runtime.network import Conditions
 from targets.sim.scenario import Wind
-from targets.sim.schedule import Event, Link, Schedule, read
+from targets.sim.schedule import CONDITIONS, KINDS, Event, Link, Schedule, read
 from targets.sim.upset import Positioning
 
 ROBOTS = ("ann", "bob", "cem")
@@ -124,3 +126,21 @@ def test_faults_that_overlap(events: list[dict[str, Any]], said: str) -> None:
     _, mistakes = read({"events": events}, ROBOTS)
     assert [m.code for m in mistakes] == ["F006"] * bool(said)
     assert not said or said in mistakes[0].message
+
+
+PLAIN = st.recursive(
+    st.one_of(st.none(), st.booleans(), st.integers(), st.just(10**400), st.floats(), st.sampled_from([*ROBOTS, "x"])),
+    lambda inner: (
+        st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(["robot", "level", *CONDITIONS]), inner)
+    ),
+    max_leaves=8,
+)
+PARTS = st.dictionaries(st.sampled_from(["at", "for", *KINDS, 3]), PLAIN, max_size=4)
+
+
+@given(st.fixed_dictionaries({}, optional={"network": PLAIN, "links": PLAIN, "events": st.lists(PARTS, max_size=3)}))
+def test_strange_data_are_mistakes_not_crashes(data: Any) -> None:
+    schedule, mistakes = read(data, ROBOTS)
+    assert mistakes or len(schedule.events) == len(data.get("events", []))
+    for mistake in mistakes:
+        assert mistake.message and mistake.code in ("F002", "F003", "F004", "F005", "F006")

@@ -53,6 +53,16 @@ def test_a_feed_drops_out() -> None:
     assert 150 < len(told(Positioning(dropout=0.6))) < 250
 
 
+def test_what_is_known_late_is_how_it_was() -> None:
+    upset = Upset()
+    assert upset.late(0.0, "a") == "a"
+    upset.positioning = Positioning(delay=0.25)
+    known = [upset.late(k / 10, k) for k in range(1, 9)]
+    assert known == [1, 1, 1, 1, 2, 3, 4, 5]
+    upset.positioning = Positioning()
+    assert upset.late(1.0, 9) == 9
+
+
 def gps_error(upset: Upset, seconds: float, gps: OwnGps | None = None, begin: float = 0.0) -> tuple[OwnGps, Vector]:
     gps = gps or OwnGps(0.0, upset, Random(1))
     error: Vector = (0.0, 0.0, 0.0)

@@ -83,6 +83,7 @@ def test_an_agent_that_dies_fails_the_run_but_does_not_end_it(tmp_path: Path) ->
     assert violation["what"] == "ended" and violation["robots"] == ["r1"]
     assert violation["t"] == pytest.approx(0.45, abs=0.3)
     assert "70" in found["why"] and "ouch" in found["why"]
+    assert [(p["name"], p["outcome"]) for p in found["properties"]] == [("Here", "out of model")]
     assert found["robots"][0]["rounds"] >= 6
     assert "ValueError: <b>ouch</b>" in found["robots"][1]["last_lines"]
     page = (out / "report.html").read_text()

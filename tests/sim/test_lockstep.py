@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -47,3 +50,16 @@ def test_drivers_functions_scans_and_planners_run_in_it_and_repeat(tmp_path: Pat
     assert found["verdict"] == "held"
     assert all(sum(robot["events"].values()) > 0 for robot in found["robots"])
     assert found["shares"]["agents"] > 0
+
+
+@pytest.mark.slow
+def test_real_time_and_lockstep_come_to_the_same(lineform: Path, tmp_path: Path) -> None:
+    """Half a minute of the host's time: the real clock cannot be hurried."""
+    run = [sys.executable, str(lineform), "--duration", "10", "--out", str(tmp_path / "real"), "--quiet"]
+    subprocess.run(run, check=True, capture_output=True, timeout=300)
+    assert ran(lineform, tmp_path / "lockstep", 10.0) == 0
+    real, lockstep = (summary(tmp_path / name) for name in ("real", "lockstep"))
+    assert real["verdict"] == lockstep["verdict"] == "held"
+    for one, other in zip(real["robots"], lockstep["robots"], strict=True):
+        assert math.dist(one["final"], other["final"]) < 0.5
+        assert abs(sum(one["events"].values()) - sum(other["events"].values())) <= 10

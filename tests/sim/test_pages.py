@@ -57,7 +57,8 @@ def test_a_page_of_sixteen_robots_and_three_minutes_is_drawn_quickly_enough(tmp_
         page.open(f"file://{tmp_path}/report.html#t=170")
         took = page.value("(() => { const t = performance.now(); for (let k = 0; k < 5; k++) draw(); "
                           "return (performance.now() - t) / 5; })()")  # fmt: skip
-        assert took < 500, f"{took:.0f} ms a picture"
+        print(f"{took:.0f} ms a picture")
+        assert took < 500
         assert page.complaints == []
 
 

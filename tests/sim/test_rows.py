@@ -115,6 +115,29 @@ def test_a_history_keeps_the_whole_run_however_long_it_is() -> None:
     assert len(json.dumps(whole)) < 1_000_000
 
 
+def test_thinning_leaves_no_robot_out_and_no_marker() -> None:
+    names = [f"r{pid}" for pid in range(64)]
+    history = History(header(names))
+    for second in range(600):
+        history.extend(
+            {"late": [[pid, second, 0.001, 10, 0] for pid in range(64)], "markers": [[second, second % 9, 1]]}
+        )
+    whole = history.whole()
+    assert {row[0] for row in whole["late"]} == set(range(64)) and len(whole["late"]) < 6000
+    assert [row[1] for row in whole["late"] if row[0] == 1][-1] == 599
+    assert len(whole["markers"]) == 600
+
+
+def test_a_round_that_waited_for_others_is_not_late() -> None:
+    found = rows(
+        Round(1, "Go", late=0.07, t=0.1, pid=0),
+        Round(2, skipped="not current: lacks bert", late=0.07, t=0.2, pid=0),
+        Round(3, skipped="not confirmed", late=0.07, t=0.3, pid=0),
+        Round(4, "Go", late=0.04, t=0.4, pid=0),
+    )
+    assert found["late"] == [[0, 0, 0.07, 4, 1]]
+
+
 def test_rounds_with_one_outcome_are_one_row_and_a_fault_outlasts_thinning() -> None:
     history = History(HEAD)
     for k in range(40_000):

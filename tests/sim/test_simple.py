@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -25,6 +27,17 @@ from targets.sim.world import STEP, World
 from tests.sim.lockstep import built, digest, ran, summary
 
 ORIGIN = (47.0, 8.0, 400.0)
+FLEET = {
+    "delta": 0.1,
+    "origin": {"latitude": 47.0, "longitude": 8.0, "altitude": 400.0},
+    "geofence": {"lo": [-6.0, -6.0, -0.5], "hi": [6.0, 6.0, 4.0]},
+    "robots": [
+        {"name": "ann", "target": "quad", "address": "127.0.0.1:47100", "start": {"position": [-2.0, 0.0, 0.0]}},
+        {"name": "bea", "target": "car", "address": "127.0.0.1:47101", "start": {"position": [2.0, 0.0, 0.0]}},
+        {"name": "cas", "target": "quad", "address": "127.0.0.1:47102", "start": {"position": [0.0, 3.0, 0.0]}},
+    ],
+    "sim": {"fidelity": "simple"},
+}
 FENCE = Box(Point(-4.0, -4.0, -0.5), Point(4.0, 4.0, 3.0))
 
 
@@ -62,6 +75,12 @@ class Rig:
     def sensed(self, port: str) -> Any:
         return self.platform.sense(self.world.time).values[f"Motion.{port}"]
 
+    def ready(self) -> bool:
+        return self.platform.ready
+
+    def rested(self) -> bool:
+        return self.platform.rested
+
     def close(self) -> None:
         self.platform.close()
         self.device.close()
@@ -84,14 +103,14 @@ def car() -> Iterator[Rig]:
 
 def up(rig: Rig) -> None:
     rig.run(5.0)
-    assert rig.platform.ready, rig.platform.progress
+    assert rig.ready(), rig.platform.progress
 
 
 def test_a_quad_takes_off_before_it_is_ready(quad: Rig) -> None:
     quad.run(0.5)
-    assert not quad.platform.ready and quad.platform.progress == "climbing"
+    assert not quad.ready() and quad.platform.progress == "climbing"
     quad.run(4.5)
-    assert quad.platform.ready
+    assert quad.ready()
     assert quad.body.state().position == pytest.approx((0.0, 0.0, 1.2), abs=0.06)
 
 
@@ -99,10 +118,10 @@ def test_a_quad_that_is_held_stays_on_the_ground() -> None:
     rig = Rig("quad")
     rig.platform.hold(True, 0.0)
     rig.run(2.0)
-    assert rig.world.grounded(rig.body.rigid) and not rig.platform.ready
+    assert rig.world.grounded(rig.body.rigid) and not rig.ready()
     rig.platform.rest(rig.world.time)
     rig.run(0.1)
-    assert rig.platform.rested
+    assert rig.rested()
     rig.close()
 
 
@@ -148,9 +167,9 @@ def test_a_quad_lands_to_rest(quad: Rig) -> None:
     up(quad)
     quad.platform.rest(quad.world.time)
     quad.run(1.0)
-    assert not quad.platform.rested
+    assert not quad.rested()
     quad.run(4.0)
-    assert quad.platform.rested and quad.world.grounded(quad.body.rigid)
+    assert quad.rested() and quad.world.grounded(quad.body.rigid)
 
 
 def test_a_quad_whose_agent_falls_silent_stops_and_then_lands(quad: Rig) -> None:
@@ -179,7 +198,7 @@ def test_a_quad_that_does_not_know_where_it_is_waits(quad: Rig) -> None:
 
 def test_a_car_goes_to_its_target_and_rests(car: Rig) -> None:
     car.run(0.5)
-    assert car.platform.ready, car.platform.progress
+    assert car.ready(), car.platform.progress
     car.platform.command({"Motion.target": Point(2.0, 1.0, 0.0)}, car.world.time)
     car.run(8.0)
     assert car.sensed("reached"), car.platform.progress
@@ -187,7 +206,7 @@ def test_a_car_goes_to_its_target_and_rests(car: Rig) -> None:
     assert car.sensed("pose").position == car.sensed("position")
     car.platform.rest(car.world.time)
     car.run(1.0)
-    assert car.platform.rested
+    assert car.rested()
 
 
 def test_a_car_whose_agent_falls_silent_brakes(car: Rig) -> None:
@@ -222,3 +241,15 @@ def test_a_mixed_fleet_of_both_fidelities_runs_in_lockstep_and_repeats(tmp_path:
         assert ran(bundle, tmp_path / str(k), 5.0, hashing=str(k)) == 0
     assert digest(tmp_path / "0") == digest(tmp_path / "1")
     assert summary(tmp_path / "0")["verdict"] == "held"
+
+
+@pytest.mark.slow
+def test_in_real_time_its_agent_is_a_process_of_its_own(tmp_path: Path) -> None:
+    """A quad and a car; what is killed is begun anew by a fault, and finds its body again."""
+    bundle = built(tmp_path, "lineform", json.dumps(FLEET))
+    script = tmp_path / "faults.json"
+    script.write_text(json.dumps({"events": [{"at": 1.0, "crash": "bea"}, {"at": 1.5, "restart": "bea"}]}))
+    command = [sys.executable, str(bundle), "--duration", "6", "--out", str(tmp_path / "out"), "--quiet"]
+    done = subprocess.run([*command, "--scenario", str(script)], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert min(robot["rounds"] for robot in summary(tmp_path / "out")["robots"]) > 10

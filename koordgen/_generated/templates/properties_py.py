@@ -125,6 +125,7 @@ def root(context, missing=missing):
         yield str(environment.getattr(l_1_f, 'reads'))
         yield ', '
         yield str(environment.getattr(l_1_f, 'goals'))
+        yield str((str_join((', surely_', environment.getattr(l_1_f, 'function'), )) if environment.getattr(l_1_f, 'surely') else ''))
         yield '),\n'
     l_1_f = missing
     yield '    ),\n    unchecked=(\n'
@@ -146,4 +147,4 @@ def root(context, missing=missing):
     yield ',\n)\n'
 
 blocks = {}
-debug_info = '1=20&3=23&7=25&8=29&13=41&18=44&19=48&31=56&33=60&34=64&35=66&41=72&42=76&43=80&44=82&45=84&48=87&50=89&57=94&58=96&60=98&61=102&65=115&66=119&70=131&71=135&74=145'
+debug_info = '1=20&3=23&7=25&8=29&13=41&18=44&19=48&31=56&33=60&34=64&35=66&41=72&42=76&43=80&44=82&45=84&48=87&50=89&57=94&58=96&60=98&61=102&65=115&66=119&70=132&71=136&74=146'

@@ -48,7 +48,7 @@ def _kept(block: stmt.Block) -> tuple[dict[Key, None], bool]:
                 if not any(reached for _, reached in ways):
                     return {**found, **on}, False
             case stmt.For() | stmt.While():
-                found.update(_all(statement.block))
+                found.update(written(statement.block))
             case stmt.Continue():
                 return {**found, **on}, False
             case stmt.Break() | stmt.Return() | stmt.Stop():
@@ -77,17 +77,18 @@ def tells(block: stmt.Block, names: tuple[str, ...]) -> bool:
     return False
 
 
-def _all(block: stmt.Block) -> dict[Key, None]:
+def written(block: stmt.Block) -> dict[Key, None]:
+    """What a block may write, on any way."""
     found: dict[Key, None] = {}
     for statement in block:
         match statement:
             case stmt.Assign(place):
                 found[key_of(place)] = None
             case stmt.If(_, then, orelse):
-                found.update(_all(then))
-                found.update(_all(orelse))
+                found.update(written(then))
+                found.update(written(orelse))
             case stmt.For() | stmt.While():
-                found.update(_all(statement.block))
+                found.update(written(statement.block))
             case _:
                 pass
     return found

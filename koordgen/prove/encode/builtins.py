@@ -8,6 +8,7 @@ from koordgen.ir import expr as ir
 from koordgen.ir.builtins import UPDATE_SIGNATURES
 from koordgen.ir.types import INT, MapOf, Sized
 from koordgen.prove import term as t
+from koordgen.prove.encode.fold import folded
 from koordgen.prove.encode.geometry import path_of
 from koordgen.prove.encode.quantifier import proxy
 from koordgen.prove.encode.values import Changed, Choice, Collection, Fleet, Known, Val, pick, truth
@@ -57,6 +58,13 @@ def builtin(e: Encoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
         case "index":
             e.room.demand(e.lists.has(path_of(args[0]), args[1]), "what is looked for is there", line)
             return e.lists.place(path_of(args[0]), args[1])
+        case "sum" if isinstance(args[0], Fleet):
+            zero = _ZERO if node.type is INT else t.real(0)
+            return folded(e, args[0], "sum", (), truth, zero)
+        case "count" if isinstance(args[0], Fleet):
+            wanted = args[1]
+            one = lambda x: t.ite(e.lists.same(x, wanted), _ONE, _ZERO)  # noqa: E731
+            return folded(e, args[0], "count", e.lists.leaves(wanted), one, _ZERO)
         case "get" | "map_at":
             return _looked_up(e, node, args)
         case _ if name in _LISTS and not isinstance(args[0], Fleet):

@@ -11,7 +11,7 @@ from koordgen.ir.types import INT, PerRobot, Sized, Type
 from koordgen.prove import term as t
 from koordgen.prove.encode.geometry import Geometry, path_of
 from koordgen.prove.encode.lists import Lists
-from koordgen.prove.encode.quantifier import any_of, quantified
+from koordgen.prove.encode.quantifier import in_fleet, quantified
 from koordgen.prove.encode.room import Room
 from koordgen.prove.encode.types import parts_of
 from koordgen.prove.encode.values import Changed, Fleet, Known, Val, is_collection, pick, truth
@@ -121,7 +121,7 @@ class Encoder:
 
     def robot(self, node: ir.Expr, scope: Scope) -> Term:
         index = self.term(node, scope)
-        if not self.room.indices.get(index, False):
+        if not self.room.indices.get(index, False) and index not in self.room.granted:
             self.room.demand(self.room.within(index), "index of a robot", node.span.line)
             self.room.robot(index)
         return index
@@ -227,7 +227,7 @@ class Encoder:
             case "string":
                 return self.room.function("string.has", (truth(held), truth(item)), node.type)
         if isinstance(held, Fleet):
-            return any_of(self.room, held, lambda element: self.lists.same(element, item))
+            return in_fleet(self, held, item)
         return self.lists.has(path_of(held), item)
 
     def logic(self, node: ir.Logic, scope: Scope) -> Val:

@@ -67,9 +67,15 @@ def proxy(room: Room, instance: Callable[[Term], Term], name: str, robots: bool 
     return found
 
 
-def any_of(room: Room, xs: Fleet, holds: Callable[[Val], Term]) -> Term:
-    """Whether something holds of an element of what has one a robot."""
-    return t.not_(proxy(room, lambda index: t.implies(room.within(index), t.not_(holds(xs.slot(index)))), "robot"))
+def in_fleet(e: Encoder, xs: Fleet, item: Val) -> Term:
+    """Whether a robot has that."""
+    room = e.room
+    key = (xs.name, *e.lists.leaves(item))
+    if key not in room.nowhere:
+        room.nowhere[key] = proxy(
+            room, lambda index: t.implies(room.within(index), t.not_(e.lists.same(xs.slot(index), item))), "robot"
+        )
+    return t.not_(room.nowhere[key])
 
 
 def domain(e: Encoder, node: ir.Expr, scope: Scope) -> Domain:

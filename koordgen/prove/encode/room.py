@@ -40,7 +40,7 @@ _RESERVED = frozenset(
     )
 )
 _ZERO = t.integer(0)
-GENERATIONS = 2  # of index terms that only instances bring forth
+GENERATIONS = 1  # of terms naming robots that only instances bring forth
 
 
 def symbol(name: str) -> str:
@@ -81,8 +81,12 @@ class Room:
         self.others: set[Term] = set()  # terms that name no robot, or another
         self.known: dict[Term, Term] = {}  # what the guard tells of single variables
         self.instantiating = False
+        self.passes = 0
         self.partial = False  # not every universal was looked at everywhere
         self.temps: dict[str, Type] = {}  # of the event's own variables
+        self.nowhere: dict[tuple[object, ...], Term] = {}  # what no robot has
+        self.granted: set[Term] = set()  # ints that name robots where they are spoken of just now
+        self.folds: set[Term] = set()  # sums over all robots
         self.texts: dict[str, Term] = {}  # literals
         self.versions: dict[int, tuple[int, Val]] = {}
         self.fresh = 0
@@ -121,6 +125,18 @@ class Room:
             yield
         finally:
             self.path = kept
+
+    @contextmanager
+    def grant(self, robot: object) -> Iterator[None]:
+        """That an int names a robot is known for now."""
+        new = isinstance(robot, (Value, Apply, Op)) and robot not in self.granted
+        if new:
+            self.granted.add(robot)  # type: ignore[arg-type]
+        try:
+            yield
+        finally:
+            if new:
+                self.granted.discard(robot)
 
     @contextmanager
     def about(self, label: str, line: int) -> Iterator[None]:
@@ -187,6 +203,9 @@ class Room:
     def robot(self, index: Term, known: bool = False, witness: bool = False) -> None:
         """What is said of all robots is to be said of this one."""
         if self.robots is None and index not in self.ignored and (known or index not in self.indices):
+            if self.instantiating and self.passes > GENERATIONS:
+                self.partial = True  # instances of instances of instances: there is no end to them
+                return
             self.indices[index] = known
             if witness or self.instantiating:
                 self.witnesses[index] = None
@@ -195,7 +214,9 @@ class Room:
         """What is said of all elements of a domain is to be said of the one at this place."""
         if robots:
             self.robot(place, witness=True)
-        if places:
+        if places and self.instantiating and self.passes > GENERATIONS:
+            self.partial = True
+        elif places:
             self.places[place] = None
 
     def acting(self, name: str) -> Term:
@@ -223,16 +244,19 @@ class Room:
         self.robot(index, known=True)
         return index
 
-    def for_all(self, instance: Callable[[Term], Term], robots: bool = True, places: bool = False) -> None:
+    def for_all(
+        self, instance: Callable[[Term], Term], robots: bool = True, places: bool = False, inner: bool = False
+    ) -> None:
         """A fact of all ints; `instance` holds the domain's bounds."""
-        inner = self.instantiating
+        inner = inner or self.instantiating
         self.universals.append(Universal(instance, robots, places, inner, self.label, self.line))
 
     def instantiate(self) -> None:
         """Every formula for all robots at every term that names one; likewise for all places in lists. What arose from
         an instance of another is not looked at for witnesses: pairs of robots would be too many."""
         self.instantiating = True
-        for _ in range(GENERATIONS):
+        while True:
+            self.passes += 1
             many = len(self.universals), len(self.indices), len(self.places)
             robots, places = list(self.indices) or [_ZERO], list(self.places)
             outer = [index for index in robots if index not in self.witnesses]
@@ -242,8 +266,6 @@ class Room:
                 at += 1
             if many == (len(self.universals), len(self.indices), len(self.places)):
                 break
-        else:
-            self.partial = True
         self.instantiating = False
 
     def _apply(self, universal: Universal, robots: list[Term], outer: list[Term], places: list[Term]) -> None:

@@ -50,7 +50,10 @@ def slots(state: State, name: str) -> Fleet:
     key = ("slot", name)
     while (isinstance(state, Written) and key not in state.writes) or (isinstance(state, Moved)):
         state = state.before
-    return Fleet(f"{name}{state.moment}", lambda robot: state.of(key, robot), PerRobot(state.types[key]))
+    changed = None
+    if isinstance(state, Written):
+        changed = slots(state.before, name), state.own, state.writes[key]
+    return Fleet(f"{name}{state.moment}", lambda robot: state.of(key, robot), PerRobot(state.types[key]), changed)
 
 
 class Free:

@@ -55,11 +55,13 @@ class Changed(Node):
 
 
 class Fleet(Node):
-    """One value a robot, as a whole: `slot` reads one; `name` tells the variable and the moment."""
+    """One value a robot, as a whole: `slot` reads one; `name` tells the variable and the moment. `changed`: it is
+    another one but for what one robot has there."""
 
     name: str
     slot: Callable[[Term], Val]
     type: Type
+    changed: tuple[Fleet, Term, Val] | None = None
     __eq__ = object.__eq__
     __hash__ = object.__hash__
 

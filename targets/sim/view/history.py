@@ -3,13 +3,13 @@ covers the whole run. Violations, causes and the mission's end stay."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import msgspec
 
 from targets.sim.trace import Header, Record
-from targets.sim.view.rows import FAULT, SKIPPED, TABLES, Chunk, Rows
+from targets.sim.view.rows import FAULT, SKIPPED, Chunk, Rows
 
 # Of each table: rows of one robot (of one variable's writer), and of all together. 5 MB hold them.
 MOST_POSES, ALL_POSES = 4000, 40_000
@@ -34,8 +34,12 @@ class History:
         self._shared: dict[tuple[str, int], _Values] = {}
         self._bytes = SHARED_BYTES // series
         self._one_for_all = {v.name for v in header.shared if v.kind == "allwrite"}
-        self._others = {t: _Thinned(ALL_OTHERS) for t in TABLES if t not in ("poses", "rounds", "shared", "marks")}
-        self._marks: list[Row] = []
+        self._of_robots = {
+            table: [_Thinned(ALL_OTHERS // robots) for _ in header.robots]
+            for table in ("phases", "logs", "paths", "late", "links")
+        }
+        self._near = _Thinned(ALL_OTHERS)
+        self._kept: Chunk = {"marks": [], "markers": []}
 
     def extend(self, chunk: Chunk) -> None:
         """Take in rows, each table's in the order of their times."""
@@ -50,11 +54,14 @@ class History:
                 case "shared":
                     for row in rows:
                         self._share(row)
-                case "marks":
-                    self._marks += rows[: max(0, ALL_OTHERS - len(self._marks))]
+                case "near":
+                    for row in rows:
+                        self._near.add(row)
+                case "marks" | "markers":
+                    self._kept[table] += rows[: max(0, ALL_OTHERS - len(self._kept[table]))]
                 case _:
                     for row in rows:
-                        self._others[table].add(row)
+                        self._of_robots[table][row[0]].add(row)
 
     def _share(self, row: Row) -> None:
         name, writer = row[0], row[1]
@@ -68,13 +75,17 @@ class History:
 
     def whole(self) -> Chunk:
         """All rows that are left, by table."""
-        chunk: Chunk = {
-            "poses": [row for series in self._poses for row in series.rows()],
-            "rounds": [row for series in self._rounds for row in series.rows()],
-            "shared": sorted((row for s in self._shared.values() for row in s.rows()), key=lambda row: float(row[2])),
-            "marks": self._marks,
+        by_robot: dict[str, Sequence[_Thinned | _Rounds]] = {
+            "poses": self._poses,
+            "rounds": self._rounds,
+            **self._of_robots,
         }
-        return chunk | {table: list(series.rows()) for table, series in self._others.items()}
+        return {
+            **{table: [row for each in series for row in each.rows()] for table, series in by_robot.items()},
+            "shared": sorted((row for s in self._shared.values() for row in s.rows()), key=lambda row: float(row[2])),
+            "near": list(self._near.rows()),
+            **{table: list(rows) for table, rows in self._kept.items()},
+        }
 
 
 class _Thinned:

@@ -64,7 +64,8 @@ there.</figcaption></figure>
 <figcaption>In space, between the robots' reference points, at the poses of the trace.</figcaption></figure>
 <h2>Network</h2>
 <figure><canvas id="late" aria-label="lateness of rounds over time"></canvas>
-<figcaption>How long after its tick the latest round of each second was decided.</figcaption></figure>
+<figcaption>How long after its tick the latest round of each second was decided. Red: some were late, and
+not only because they waited for others.</figcaption></figure>
 <figure><canvas id="loss" aria-label="loss of datagrams over time"></canvas>
 <figcaption>Datagrams lost, of those sent lately, on each robot's worst link.</figcaption></figure>
 <div class="wide scroll"><table><thead><tr><th>robot</th><th>hears</th><th class="n">lost</th>

@@ -26,7 +26,6 @@ import numpy as np
 
 from targets.sim.bodies import Vector
 from targets.sim.trace import (
-    LATE,
     Cause,
     End,
     Header,
@@ -44,7 +43,6 @@ from targets.sim.trace import (
 )
 from targets.sim.view.markers import Markers
 
-TABLES = ("poses", "rounds", "phases", "logs", "shared", "paths", "late", "links", "near", "marks", "markers")
 EVENT, SKIPPED, FAULT = 0, 1, 2
 Chunk = dict[str, list[list[Any]]]
 _decoder = msgspec.json.Decoder()
@@ -55,7 +53,7 @@ class Rows:
 
     def __init__(self, header: Header) -> None:
         self._count = len(header.robots)
-        self._late_after = LATE * header.delta
+        self._delta = header.delta
         self._chunk: Chunk = {}
         self._second: dict[int, list[Any]] = {}
         self._near = _Nearest(self._count)
@@ -166,7 +164,7 @@ class Rows:
             row = self._second[record.pid] = [record.pid, second, 0.0, 0, 0]
         row[2] = max(row[2], round(record.late, 4))
         row[3] += 1
-        row[4] += record.late > self._late_after
+        row[4] += record.was_late(self._delta)
 
     def end(self) -> None:
         """The trace is over: what was still gathered becomes rows."""

@@ -127,14 +127,16 @@ function coordinate(canvas, model, axis, span, now, height) {
   return chart;
 }
 
-// Any lines over time: {points: [[t, v]], ink, lines}, and a bound that is drawn red with its words.
-function lines(canvas, model, span, now, height, series, { ylabel, bound, words, step }) {
+// Any lines over time: {points: [[t, v]], ink, lines, step, dots}, and a bound that is drawn red with its words.
+function lines(canvas, model, span, now, height, series, { ylabel, bound, words }) {
   let high = bound > 0 ? 1.15 * bound : 0, low = 0;
   for (const { points } of series) for (const [, v] of points) { if (v > high) high = v; if (v < low) low = v; }
   if (high === low) high = low + 1;
   const chart = frame(pen(canvas, height), span, [low, low + (high - low) * 1.08], { xlabel: "time since round 1 (s)", ylabel });
-  for (const { points, ink, lines } of series)
+  for (const { points, ink, lines, step } of series)
     stroke(chart.ctx, points.map(([t, v]) => [chart.x(t), chart.y(v)]), ink, { width: 1.8, lines, step });
+  chart.ctx.fillStyle = RED;
+  for (const [t, v] of series.flatMap((each) => each.dots || [])) chart.ctx.fillRect(chart.x(t) - 3, chart.y(v) - 3, 6, 6);
   if (bound > 0) {
     stroke(chart.ctx, [[chart.left, chart.y(bound)], [chart.width, chart.y(bound)]], RED, { width: 1.2 });
     text(chart.ctx, words, chart.width - chart.right - 4, chart.y(bound) - 4, { align: "right", ink: RED, halo: true });

@@ -148,7 +148,11 @@ function linksTable() {
 
 // ---- drawing
 
-function maximum(robot) { return robot.shown ? { points: robot.late.map(([, t, worst]) => [t + 0.5, 1000 * worst]), ink: colour(robot.pid), lines: dash(robot.pid) } : { points: [] }; }
+function maximum(robot) {
+  const seconds = robot.shown ? robot.late : [], at = ([, t, worst]) => [t + 0.5, 1000 * worst];
+  const dots = seconds.filter((row) => row[4] > 0).map(at);
+  return { points: seconds.map(at), ink: colour(robot.pid), lines: dash(robot.pid), dots };
+}
 
 function draw() {
   const now = state.now, at = span(), tail = Number($("tail").value), map = chosenMap();

@@ -98,6 +98,11 @@ def assume_motion(s: Step) -> bool:
     return s.after.motion_position.value in Rect(s.before.motion_position.value, s.before.motion_target.value) or distance(s.after.motion_position.value, s.before.motion_target.value) <= PARAM_MARGIN
 
 
+def surely_assume_motion(b: Any) -> Any:
+    """Enough for it, of many moments at once."""
+    return b.either(b.in_rect(b.each("Motion.position'", 0), b.each("Motion.position", 0), b.each("Motion.target", 0)), b.over(PARAM_MARGIN, b.distance(b.each("Motion.position'", 0), b.each("Motion.target", 0))))
+
+
 def assume_motion_2(s: Step, my_goal: Point) -> bool:
     """assume of Motion, kitchen.koord:52"""
     return equal(s.motion_planner(my_goal), ()) or equal(last(s.motion_planner(my_goal)), my_goal)
@@ -114,7 +119,7 @@ PROPERTIES = Properties(
         Property("invariant", "Class", 163, invariant_class, ("done", "x", "class", "spot")),
     ),
     assumptions=(
-        Assumption("Motion", 51, assume_motion, ("Motion.position'", "Motion.position", "Motion.target"), ()),
+        Assumption("Motion", 51, assume_motion, ("Motion.position'", "Motion.position", "Motion.target"), (), surely_assume_motion),
         Assumption("Motion", 52, assume_motion_2, (), (Asking("Motion.planner", 1, {0: "my_goal"}),)),
     ),
     unchecked=(
