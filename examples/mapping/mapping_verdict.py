@@ -1,7 +1,7 @@
 """Judges a simulated run of Mapping: does the shared map show what is there?
 
-`python mapping_verdict.py DIR [--picture FILE]`: DIR is the folder that the run left, FILE gets the map at three times as a PNG. From DIR/trace.jsonl, for every version
-of the map that a robot handed in:
+`python mapping_verdict.py DIR [--picture FILE]`: DIR is the folder that the run left, FILE gets the map
+at three times as a PNG. From DIR/trace.jsonl, for every version of the map that a robot handed in:
 
 - a cell that is occupied in it has an obstacle within the length of its diagonal from its middle;
 - a cell that is free in it has its middle no deeper than half its side in an obstacle;
