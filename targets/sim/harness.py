@@ -33,6 +33,10 @@ if TYPE_CHECKING:
 
 HELD, BAD_FILES, USAGE, VIOLATED, SURROUNDINGS, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 5, 70, 130
 STATUS = {"held": HELD, "violated": VIOLATED, "interrupted": INTERRUPTED, "not started": SURROUNDINGS}
+REAL_TIME = (
+    "real time on this host: the same seed gives the same world and the same sensor noise, but not the same timing of "
+    "processes and datagrams"
+)
 NEEDED = ("numpy", "pybullet", "matplotlib")
 
 
@@ -242,5 +246,6 @@ def _reproduce(root: Path, scenario: Scenario, folder: Path, options: argparse.N
         "program": f"{scenario.source}, hash {scenario.program_hash}",
         "scenario": f"{FILE}, SHA-256 {hashlib.sha256((root / FILE).read_bytes()).hexdigest()}",
         "settings": ", ".join(f"{key} {value}" for key, value in sorted(scenario.harness.items())),
+        "clock": "lockstep: the same seed gives the same trace" if options.lockstep else REAL_TIME,
         "host": f"Python {platform.python_version()}, {platform.system()} {platform.machine()}",
     }

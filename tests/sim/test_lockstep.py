@@ -63,3 +63,32 @@ def test_real_time_and_lockstep_come_to_the_same(lineform: Path, tmp_path: Path)
     for one, other in zip(real["robots"], lockstep["robots"], strict=True):
         assert math.dist(one["final"], other["final"]) < 0.5
         assert abs(sum(one["events"].values()) - sum(other["events"].values())) <= 10
+
+
+EVERY_LINK = """
+delta: 0.1
+origin: {latitude: 47.397742, longitude: 8.545594, altitude: 488.0}
+geofence: {lo: [-20.0, -20.0, -0.5], hi: [20.0, 20.0, 4.0]}
+robots:
+  - {name: a, target: quad, address: "h:1", start: {position: [-6, -1, 0]}, settings: {positioning: vision}}
+  - {name: b, target: car, address: "h:2", start: {position: [-4, 1, 0]}, settings: {drive: "rover:udpin:0.0.0.0:1"}}
+  - {name: c, target: quad, address: "h:3", start: {position: [-2, -1, 0]}, settings: {positioning: gps_input}}
+  - name: d
+    target: car
+    address: h:4
+    start: {position: [0, 1, 0]}
+    settings: {drive: "rover:udpin:0.0.0.0:1", position: rover}
+  - {name: e, target: quad, address: "h:5", start: {position: [2, -1, 0]}, settings: {positioning: odometry}}
+  - {name: f, target: quad, address: "h:6", start: {position: [4, 1, 0]}, sim: {fidelity: simple}}
+  - {name: g, target: car, address: "h:7", start: {position: [6, -1, 0]}, sim: {fidelity: simple}}
+"""
+
+
+def test_every_kind_of_link_is_in_memory_and_repeats(tmp_path: Path) -> None:
+    """Feeds to autopilots, rovers and their own estimates, and robots without any device."""
+    bundle = built(tmp_path, "lineform", EVERY_LINK)
+    for k in range(2):
+        assert ran(bundle, tmp_path / str(k), SECONDS, "--loss=0.05", "--jitter=0.01", hashing=str(k)) == 0
+    assert digest(tmp_path / "0") == digest(tmp_path / "1")
+    moved = {robot["name"]: robot["path_length"] for robot in summary(tmp_path / "0")["robots"]}
+    assert all(moved[name] > 0.5 for name in "bcdef"), moved

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -13,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from targets.sim import harness
+from targets.sim import harness, run, trace
 from tests.sim.lockstep import Plan, built, played, summary
 
 CAR, QUAD = 1, 2  # pids of bert and cleo
@@ -122,3 +124,15 @@ def test_an_agent_that_cannot_begin_is_that_robots_failure(lineform: Path, tmp_p
 
 def nothing(*arguments: object) -> float:
     return 1 / 0
+
+
+def test_a_full_disk_ends_the_run(lineform: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Full(trace.Poses):
+        def write(self, *_: Any) -> None:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "poses.jsonl")
+
+    monkeypatch.setattr(run, "Poses", Full)
+    plan = Plan()
+    with pytest.raises(OSError, match="No space left"):
+        played(lineform, tmp_path / "out", 5.0, plan)
+    assert not any(agent.alive for agent in plan.run.conduct.agents)

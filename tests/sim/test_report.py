@@ -131,6 +131,7 @@ def test_a_trace_alone_has_a_report_too(canned: Path) -> None:
     text = (canned.parent / "page.html").read_text()
     assert "Violated" in text and "at 0.70 s bert: fault" in text
     assert "To do it again" not in text and "real-time factor" not in text
+    assert "at the poses of the trace" in text and "physics step" not in text
 
 
 def test_another_runs_summary_is_not_taken_for_this_ones(canned: Path) -> None:

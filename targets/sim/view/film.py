@@ -111,7 +111,7 @@ class _Scene:
         self._bodies = [axes.fill([0], [0], color=of_robot(p), edgecolor="white", zorder=4)[0] for p in self._pids()]
         self._names = [
             axes.annotate(found.header.robots[p].name, (0, 0), (9, 7), textcoords="offset points", color=of_robot(p),
-                          fontweight="bold", fontsize=9, annotation_clip=True)
+                          fontweight="bold", fontsize=9, annotation_clip=True, path_effects=ground.HALO)
             for p in self._pids()
         ]  # fmt: skip
         self._moving = [*self._ways, *self._ahead, *self._tails, *self._bodies, *self._names, self._title]

@@ -18,12 +18,14 @@ from matplotlib import pyplot as plt
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import ListedColormap
 from matplotlib.path import Path as Lines
+from matplotlib.patheffects import withStroke
 
 STYLE = {
     "font.size": 11, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
     "grid.color": "#DDDDDD", "grid.linewidth": 0.7, "axes.axisbelow": True, "figure.dpi": 110, "svg.hashsalt": "koord",
     "text.parse_math": False,  # names are names, whatever is in them
 }  # fmt: skip
+HALO = [withStroke(linewidth=3, foreground="white")]  # of words that stand on lines
 TICK = Lines([(-0.5, 0.0), (-0.15, -0.4), (0.5, 0.45)])
 UNKNOWN, FREE, OCCUPIED = "#C9CCD1", "#FFFFFF", "#2B2F38"
 

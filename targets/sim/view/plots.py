@@ -120,7 +120,7 @@ def _top(found: Tracks, path: Path) -> Path:
         axes.plot(x[-1], y[-1], marker, markersize=10, color=style["color"], markeredgecolor="white", zorder=3)
         axes.annotate(
             f"{robot.name} ({robot.pid})", (x[-1], y[-1]), xytext=(9, 7), textcoords="offset points",
-            color=style["color"], fontweight="bold",
+            color=style["color"], fontweight="bold", path_effects=ground.HALO, zorder=5,
         )  # fmt: skip
     ground.mark(axes, found, until)
     axes.set_title(f"{found.header.app}: top view", loc="left")

@@ -18,10 +18,6 @@ from targets.sim.view.rows import Chunk
 
 MOST_LINES = 200  # of events and log lines
 COLOURS = {"held": "#1B7F4B", "violated": "#B00020", "interrupted": "#8A5A00", "not started": "#B00020"}
-TIMING = (
-    "Agents run in real time on this host: the same seed gives the same world and the same sensor noise, but not the "
-    "same timing of processes and datagrams."
-)
 
 
 def important(header: Header, records: Iterable[Record]) -> list[tuple[float, str, str, str]]:
@@ -74,7 +70,7 @@ def html(header: Header, summary: Summary, rows: Chunk, lines: list[tuple[float,
         _lines(lines),
     ]
     if summary.reproduce:
-        after += ["<h2>To do it again</h2>", _pairs(summary.reproduce), f'<p class="dim">{TIMING}</p>']
+        after += ["<h2>To do it again</h2>", _pairs(summary.reproduce)]
     return page(f"{title}: {summary.verdict}", header, rows, before, "\n".join(after))
 
 
@@ -107,10 +103,11 @@ def _facts(summary: Summary) -> str:
     facts = {"mission": f"{summary.duration:.1f} of {summary.duration_asked:g} s, seed {summary.seed}"}
     if summary.min_separation:
         found = summary.min_separation
+        when = "every physics step of the run" if summary.steps else "the poses of the trace"
         asked = f"; at least {summary.min_separation_asked:g} m asked" if summary.min_separation_asked else ""
         facts["closest"] = (
             f"{found.robots[0]} and {found.robots[1]}, {found.distance:.3f} m at {found.time:.2f} s{asked} "
-            "(in space, between the robots' reference points, at every physics step of the run)"
+            f"(in space, between the robots' reference points, at {when})"
         )
     facts["collisions"] = str(summary.collisions)
     if summary.steps:
