@@ -131,14 +131,14 @@ class Printer:
 
 
 def script(obligation: Obligation, wanted: Iterable[Term] = (), named: bool = False) -> tuple[str, list[str]]:
-    """What a solver is asked, without the command to answer; and the terms `wanted` of a model, printed. `named` calls
-    the facts fact!0, fact!1, ... for unsat cores."""
+    """What a solver is asked, without its logic and the command to answer; and the terms `wanted` of a model, printed.
+    `named` calls the facts fact!0, fact!1, ... for unsat cores."""
     facts = [f.term for f in obligation.facts]
     if obligation.goal is not None:
         facts.append(not_(obligation.goal.term))
     values = list(wanted)
     printer = Printer([*facts, *values])
-    lines = [f"(set-logic {obligation.logic})", *printer.declarations()]
+    lines = list(printer.declarations())
     for number, fact in enumerate(facts):
         definitions, text = printer.print(fact)
         lines += definitions
@@ -149,6 +149,21 @@ def script(obligation: Obligation, wanted: Iterable[Term] = (), named: bool = Fa
         lines += definitions
         shown.append(text)
     return "\n".join(lines) + "\n", shown
+
+
+def in_parts(obligation: Obligation) -> tuple[str, list[str]]:
+    """The facts as a solver is told them, and each conjunct of the goal negated: to be refuted one by one."""
+    negated = [not_(part.term) for part in obligation.conjuncts]
+    printer = Printer([*(f.term for f in obligation.facts), *negated])
+    lines, parts = list(printer.declarations()), []
+    for number, term in enumerate([*(f.term for f in obligation.facts), *negated]):
+        definitions, text = printer.print(term)
+        lines += definitions
+        if number < len(obligation.facts):
+            lines.append(f"(assert {text})")
+        else:
+            parts.append(text)
+    return "\n".join(lines) + "\n", parts
 
 
 def document(obligation: Obligation, line: Line) -> str:

@@ -22,10 +22,12 @@ from typing import Literal, NamedTuple, Self
 from koordgen.diagnostics import InternalError
 from koordgen.prove.obligation import Obligation
 from koordgen.prove.sexpr import ModelValue, Unreadable, values
-from koordgen.prove.smtlib import script
+from koordgen.prove.smtlib import in_parts, script
 from koordgen.prove.term import Term
 
 Result = Literal["sat", "unsat", "unknown"]
+LINEAR = frozenset(("QF_UFLIA", "QF_UFLIRA"))
+WARM = '(push)\n(check-sat)\n(pop)\n(echo "koordgen-0")\n'  # its first answer takes z3 10 ms more than others
 GRACE = 1.0  # seconds beyond its own limit after which a solver is killed
 CHUNK = 1 << 16
 MOST_BYTES = 1 << 24  # of an answer
@@ -125,6 +127,9 @@ class Solver:
         self._process: Process | None = None
         self._read = b""
         self._asked = 0
+        self._warming = False
+        self._left = ""  # what undoes the query before
+        self._timeout = 0  # that is set, in milliseconds
 
     def __enter__(self) -> Self:
         return self
@@ -143,7 +148,11 @@ class Solver:
         with suppress(AttributeError, OSError):  # where a process' memory cannot be limited from outside
             most = self.limits.memory << 20
             resource.prlimit(process.pid, resource.RLIMIT_AS, (most, most))
-        self._process, self._read = process, b""
+        self._process, self._read, self._left, self._timeout = process, b"", "", 0
+        if self.name == "z3":
+            with suppress(BrokenPipeError):
+                os.write(process.sink, WARM.encode())
+            self._warming = True
 
     def end(self) -> None:
         """Ends the process, whatever it is doing."""
@@ -175,12 +184,13 @@ class Solver:
     def _answered(self, obligation: Obligation, wanted: Sequence[Term], core: bool, limit: float) -> Answer:
         self.start()
         until = time.monotonic() + limit + GRACE
+        if self._warming:
+            self._warming = False
+            self._heard("koordgen-0", memoryview(b""), until)
+        if self._by_parts(obligation) and not wanted and not core:
+            return self._refuted(obligation, limit, until)
         text, names = script(obligation, wanted, core)
-        milliseconds = max(1, int(limit * 1000))
-        option = f":timeout {milliseconds}" if self.name == "z3" else f":tlimit-per {milliseconds}"
-        asked = ["(reset)", f"(set-option {option})"]
-        asked += ["(set-option :produce-unsat-cores true)"] * core + ["(set-option :produce-models true)"] * bool(names)
-        said = self._said("\n".join(asked) + "\n" + text + "(check-sat)\n", until)
+        said = self._said(self._room(obligation.logic, core, bool(names), limit) + text + "(check-sat)\n", until)
         match said:
             case "unsat":
                 return Answer("unsat", 0.0, core=self._core(until) if core else ())
@@ -190,6 +200,40 @@ class Solver:
                 return Answer("unknown", 0.0, self._why(limit, until))
             case _:
                 raise Broken(f"{self.name} answered neither sat nor unsat: {_short(said)}{_exhausted(said)}")
+
+    def _by_parts(self, obligation: Obligation) -> bool:
+        """With robots by number there are many conjuncts: one by one they take a third of the time of all at once."""
+        numbered = obligation.robots is not None and len(obligation.conjuncts) > 1
+        return numbered and self.name == "z3" and obligation.logic in LINEAR
+
+    def _refuted(self, obligation: Obligation, limit: float, until: float) -> Answer:
+        text, parts = in_parts(obligation)
+        asked = "".join([f"(push)\n(assert {part})\n(check-sat)\n(pop)\n" for part in parts])
+        said = self._said(self._room(obligation.logic, False, False, limit) + text + asked, until).split("\n")
+        if len(said) != len(parts) or not {"sat", "unsat", "unknown"}.issuperset(said):
+            raise Broken(f"{self.name} answered neither sat nor unsat: {_short(' '.join(said))}{_exhausted(said[0])}")
+        if "sat" in said:
+            return Answer("sat", 0.0)
+        if "unknown" in said:
+            return Answer(
+                "unknown", 0.0, f"{self.name} found no answer within {limit:g} s; a longer --timeout may help"
+            )
+        return Answer("unsat", 0.0)
+
+    def _room(self, logic: str, core: bool, model: bool, limit: float) -> str:
+        """The commands with which a query begins, so that nothing is left of the one before. Within a scope z3 solves
+        what is linear, which spares 2 to 10 ms of each query; what is not it solves as its logic is best solved."""
+        milliseconds = max(1, int(limit * 1000))
+        if self.name == "z3" and logic in LINEAR and not core:
+            before, self._left = self._left, "(pop)\n"
+            changed = f"(set-option :timeout {milliseconds})\n" if milliseconds != self._timeout else ""
+            self._timeout = milliseconds
+            return f"{before}{changed}(push)\n"
+        self._left, self._timeout = "(reset)\n", 0
+        option = "timeout" if self.name == "z3" else "tlimit-per"
+        asked = ["(reset)", f"(set-option :{option} {milliseconds})"]
+        asked += ["(set-option :produce-unsat-cores true)"] * core + ["(set-option :produce-models true)"] * model
+        return "\n".join([*asked, f"(set-logic {logic})", ""])
 
     def _values(self, names: list[str], until: float) -> tuple[ModelValue, ...]:
         if not names:
@@ -216,9 +260,12 @@ class Solver:
         """What the solver says to some commands. Raises Broken."""
         self._asked += 1
         end = f"koordgen-{self._asked}"
+        return self._heard(end, memoryview(f'{text}(echo "{end}")\n'.encode()), until)
+
+    def _heard(self, end: str, unsent: memoryview, until: float) -> str:
+        """All up to a word that it was to echo, while the rest of the commands goes out."""
         process = self._process
         assert process is not None
-        unsent = memoryview(f'{text}(echo "{end}")\n'.encode())
         source, sink = process.source, process.sink
         mark = re.compile(rb'(?:^|\n)"?%b"?\r?\n$' % end.encode())  # quoted by those that keep to the standard
         while not (ended := mark.search(self._read, max(0, len(self._read) - len(end) - 8))):

@@ -191,7 +191,8 @@ def device_class(name: str) -> Callable[[Any, DeviceContext], Device]:
 
 
 def check(scenario: Scenario) -> None:
-    """Whether there is a body and a device for every robot. Raises as `device_class`."""
+    """Whether there is a body and a device for every robot, and no body is in contact where it starts. Raises as
+    `device_class`."""
     for robot in scenario.robots:
         if robot.body not in BODIES:
             raise BadScenario(f"no simulated body {robot.body!r}", f"there are: {', '.join(sorted(BODIES))}")
@@ -201,6 +202,27 @@ def check(scenario: Scenario) -> None:
                 f"{robot.name}: an external autopilot flies quads of fidelity full only",
                 "say `fidelity: full`, or `autopilot: simulated`, in its `sim:`",
             )
+    _check_contacts(scenario)
+
+
+def _check_contacts(scenario: Scenario) -> None:
+    """In a world of its own, for one step: what touches then did so at the start."""
+    world = World()
+    try:
+        for obstacle in scenario.obstacles:
+            world.obstacle(obstacle)
+        for robot in scenario.robots:
+            BODIES[robot.body](world, robot, scenario.harness)
+        world.step()
+        touched = world.touched()
+    finally:
+        world.close()
+    hint = "give it another start in the fleet file"
+    names = [robot.name for robot in scenario.robots]
+    for first, second in sorted(touched.bodies):
+        raise BadScenario(f"{names[second]} starts in contact with {names[first]}", hint)
+    for pid, number in sorted(touched.obstacles):
+        raise BadScenario(f"{names[pid]} starts in contact with obstacle {number}", hint)
 
 
 def _actor(

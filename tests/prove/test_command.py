@@ -147,6 +147,7 @@ def test_without_a_solver(folder: Path, capsys: pytest.CaptureFixture[str], monk
 def test_a_solver_that_lies_proves_nothing(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("koordgen.prove.solve.GRACE", 0.05)
     fake = folder / "z3"
     fake.write_text("#!/bin/sh\nwhile read line; do echo unsat; echo unsat; done\n")
     fake.chmod(0o755)

@@ -10,10 +10,12 @@ from pathlib import Path
 import pytest
 
 from koordgen.diagnostics import InternalError
+from koordgen.node import replace
 from koordgen.prove import solve
+from koordgen.prove.obligation import Fact, Obligation
 from koordgen.prove.sexpr import Unreadable, read, value, values
 from koordgen.prove.solve import Both, Limits, Solver, SolverMissing, solver_of
-from koordgen.prove.term import INT, constant
+from koordgen.prove.term import INT, all_of, constant, less, real
 from tests.prove.terms import ROBOT, contradictory, false_one, hard, true_one, x
 
 QUICK = Limits(query=0.2, total=5.0, memory=512)
@@ -174,3 +176,30 @@ def test_values() -> None:
     for text in ("((a 1)", "(a 1))", "((a 1))", "sat"):
         with pytest.raises(Unreadable):
             values(text, 2)
+
+
+def parted() -> Obligation:
+    """A true and a false conjunct, of three robots by number."""
+    parts = (less(x(ROBOT), real(1)), less(x(ROBOT), real(Fraction(1, 3))))
+    facts = tuple([Fact("goal", part, "app.koord", 9) for part in parts])
+    return replace(true_one(), conjuncts=facts, robots=3, goal=Fact("goal", all_of(parts), "app.koord", 9))
+
+
+def test_a_goal_in_parts_is_proved_when_all_parts_are() -> None:
+    fact = Fact("guard", less(x(ROBOT), real(Fraction(1, 4))), "app.koord", 1)
+    with Solver("z3", Limits()) as solver:
+        assert solver.ask(replace(parted(), facts=(fact,))).result == "unsat"
+        assert solver.ask(parted()).result == "unsat"
+        fact = Fact("guard", less(x(ROBOT), real(Fraction(1, 2))), "app.koord", 1)
+        assert solver.ask(replace(parted(), facts=(fact,))).result == "sat"
+        assert solver.ask(true_one()).result == "unsat"
+
+
+@pytest.mark.parametrize(
+    "said", ["unsat", "unsat\\nunsat\\nunsat", "", "unsat\\nmaybe", "unsat\\nunknown", "(error)\\nunsat"]
+)
+def test_a_part_without_an_answer_is_no_proof(tmp_path: Path, said: str) -> None:
+    with fake(tmp_path, f"print('{said}')") as solver:
+        assert solver.ask(parted()).result == "unknown"
+    with fake(tmp_path, "print('unsat\\nunsat')") as solver:
+        assert solver.ask(parted()).result == "unsat"
