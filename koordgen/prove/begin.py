@@ -6,6 +6,7 @@ from koordgen.ir import decl
 from koordgen.ir import expr as ir
 from koordgen.ir.types import POINT
 from koordgen.prove import term as t
+from koordgen.prove.encode.block import written
 from koordgen.prove.encode.lists import default
 from koordgen.prove.encode.scope import OfFleet
 from koordgen.prove.encode.state import Free, Key, State
@@ -17,13 +18,13 @@ from koordgen.prove.term import Term
 _GOALS = ("target", "path")
 
 
-def ended(program: decl.Program, written: Env, state: State, robot: Term) -> Env:
+def ended(program: decl.Program, writes: Env, state: State, robot: Term) -> Env:
     """What an event comes to: what it wrote, and `reached` of the modules whose target or path that is, which is false
     until the new goal is met."""
-    found = {key: value for key, value in written.items() if key[0] != "wrote"}
+    found = {key: value for key, value in writes.items() if key[0] != "wrote"}
     for module in program.modules:
         goals = [f"{module.name}.{p.name}" for p in module.ports if p.name in _GOALS and p.direction == "actuator"]
-        wrote = t.any_of([truth(written["wrote", goal]) for goal in goals if ("wrote", goal) in written])
+        wrote = t.any_of([truth(writes["wrote", goal]) for goal in goals if ("wrote", goal) in writes])
         reached = [p for p in module.ports if p.name == "reached" and p.direction == "sensor"]
         if reached and wrote is not t.FALSE:
             key = ("port", f"{module.name}.reached")
@@ -120,13 +121,13 @@ class Ready:
 
     def _cell(self, key: Key, before: Val) -> Val:
         room, wrote = self.stage.room, ("wrote", key[1])
-        if wrote not in self.run(t.integer(0)).env:
+        if key not in written(self.stage.setting.program.init):
             return before
         some, last = room.new(f"wrote {key[1]}", t.BOOL), room.new(f"last to write {key[1]}", t.INT)
 
         def writes(robot: Term) -> Term:
             run = self.run(robot)
-            return t.and_(room.within(robot), run.counts, truth(run.env[wrote]))
+            return t.and_(room.within(robot), run.counts, truth(run.env.get(wrote, t.FALSE)))
 
         with room.about("the highest pid counts", 0):
             room.robot(last)
@@ -134,7 +135,7 @@ class Ready:
             room.robot(t.subtract(room.size, t.integer(1)))
             room.fact(t.implies(some, writes(last)))
             room.for_all(lambda index: t.implies(writes(index), t.and_(some, t.at_most(index, last))))
-        return pick(some, self.run(last).env[key], before)
+        return pick(some, self.run(last).env.get(key, before), before)
 
 
 def launched(stage: Stage, launch: Launch) -> None:

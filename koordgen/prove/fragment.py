@@ -8,6 +8,7 @@ those not spoken of are left out, and the others renumbered.
 from __future__ import annotations
 
 from koordgen.ir import expr as ir
+from koordgen.ir import stmt
 from koordgen.ir.types import INT
 from koordgen.prove.encode.tree import nodes
 from koordgen.prove.moment import Setting
@@ -50,14 +51,22 @@ def _names(node: object, name: str) -> bool:
 
 
 def _reckons(node: object) -> bool:
-    """Whether an int that may name a robot, or the number of robots, is reckoned with or kept."""
-    ints = (ir.Pid, ir.NSys, ir.TempRead)
+    """Whether an int that may name a robot, or the number of robots, is reckoned with, kept, or compared with what is
+    none."""
     match node:
         case ir.Binary(_, left, right) if left.type == INT:
-            return any(isinstance(n, ints) for n in nodes((left, right)))
+            return any(map(_may_name, nodes((left, right))))
         case ir.Widen(operand):
-            return any(isinstance(n, ints) for n in nodes(operand))
-        case ir.SlotsRead() | ir.ExternCall():
+            return any(map(_may_name, nodes(operand)))
+        case ir.Compare(_, left, right) if left.type == INT:
+            return any(map(_may_name, nodes((left, right)))) and not (_may_name(left) and _may_name(right))
+        case stmt.Assign(_, value) | stmt.Let(_, _, value) if value.type == INT:
+            return any(map(_may_name, nodes(value)))
+        case ir.SlotsRead() | ir.ExternCall() | ir.Range():
             return True
         case _:
             return False
+
+
+def _may_name(node: object) -> bool:
+    return isinstance(node, (ir.Pid, ir.NSys)) or (isinstance(node, ir.TempRead) and node.type == INT)

@@ -34,7 +34,8 @@ Move:
     Motion.target = (x[pid + 1] + x[pid - 1]) / 2
     x[pid] = Motion.position
 initially: forall i in ID: Motion.position[i] in Rect(lo, hi)
-invariant Fence: forall i in ID: Motion.position[i] in Rect(hi, lo) and x[i] in Rect(lo, hi) and Motion.target[i] in Rect(lo, hi)
+invariant Fence:
+  forall i in ID: Motion.position[i] in Rect(hi, lo) and x[i] in Rect(lo, hi) and Motion.target[i] in Rect(lo, hi)
 invariant Shared: forall i in ID: x[i] in Rect(lo, hi)
 """,
         {"Fence", "Shared", "(well-defined)"},
@@ -237,13 +238,19 @@ using Motion:
     bool reached
   actuators: Point target
   assume not reached' or position' == target
-local: Point goal
+local:
+  Point goal
+  int m
+init: Motion.target = Point(3, 2, 1)
 Go:
   pre: Motion.reached
   eff: Motion.target = Point(1, 2, 3)
 Rest:
   pre: not Motion.reached
-  eff: goal = Motion.target
+  eff:
+    goal = Motion.target
+    m = 0 if goal == Motion.position else 1
+invariant Same: forall i in ID: m[i] == 0
 invariant There: forall i in ID: not Motion.reached[i] or Motion.position[i] == Motion.target[i]
 invariant Always: forall i in ID: Motion.reached[i]
 """,
@@ -353,7 +360,9 @@ using Motion:
   PathPlanner planner
   assume planner(goal) == [] or first(planner(goal)) == position
 allread: List<Point> way[N_SYS] max 8
-local: bool on
+local:
+  bool on
+  Point begun
 init: way[pid] = [Motion.position]
 Go:
   pre: not on
@@ -361,6 +370,7 @@ Go:
     List<Point> path = Motion.planner(Point(1, 2, 3))
     if len(path) > 0 and clearOf(way, path, pid):
       way[pid] = path
+      begun = Motion.position
       on = True
 End:
   pre: on and len(way[pid]) > 0
@@ -370,28 +380,32 @@ End:
 initially: forall i, j in ID: i == j or distance(Motion.position[i], Motion.position[j]) > eps
 invariant Apart: forall i, j in ID: i == j or path_distance(way[i], way[j]) > eps
 invariant Farther: forall i, j in ID: i == j or path_distance(way[i], way[j]) > eps + 1
+invariant Begun: forall i in ID: not on[i] or first(way[i]) == begun[i]
 invariant Some: forall i in ID: len(way[i]) > 0
 """,
-        {"Apart", "Some", "(well-defined)"},
+        {"Apart", "Some", "Begun", "(well-defined)"},
     ),
     "numbers": (
         """
 local:
   int a = 1
   int q
+  int r
   float f
 Turn:
   pre: True
   eff:
     a = (a + 1) % N_SYS
     q = -7 // 2 + abs(0 - 3) + min(1, 2) - max(1, 2)
+    r = (r + 5) % 3
     f = abs(f) + floor(2.5) - 2
 invariant Ring: forall i in ID: 0 <= a[i]
+invariant Rest: forall i in ID: 0 <= r[i] and r[i] < 3
 invariant Floor: forall i in ID: q[i] == 0 or q[i] == -2
 invariant Sign: forall i in ID: f[i] >= 0
 invariant Out: forall i in ID: a[i] < 1
 """,
-        {"Ring", "Floor", "Sign", "(well-defined)"},
+        {"Ring", "Rest", "Floor", "Sign", "(well-defined)"},
     ),
     "others' parts": (
         """
@@ -414,6 +428,47 @@ invariant Every: (forall i in ID: up[i]) or (exists i in ID: not up[i])
 invariant Down: exists i in ID: not up[i]
 """.replace("None_", "Itself"),
         {"Positive", "Some", "Itself", "Every"},
+    ),
+    "flipping": (
+        LEVEL.format(assume="level' == 1 - level")
+        + """
+local: int a
+Nothing:
+  pre: a > 0
+  eff: a = 0
+invariant Alike: forall i, j in ID: Dev.level[i] == Dev.level[j]
+invariant One: forall i in ID: Dev.level[i] == 1
+""",
+        {"Alike"},
+    ),
+    "neighbours": (
+        """
+allread: int x[N_SYS]
+Lower:
+  pre: pid > 0
+  eff: x[pid] = x[pid] - 1
+invariant Falling: forall i in ID: i == 0 or x[i] <= x[i - 1]
+invariant Below: forall i in ID: x[i] <= 0
+""",
+        {"Below"},
+    ),
+    "actuators": (
+        """
+using Heat:
+  sensors: bool cold
+  actuators:
+    bool on
+    int power
+Warm:
+  pre: Heat.cold and Heat.power < 3
+  eff:
+    Heat.power = Heat.power + 1
+    Heat.on = Heat.power > 1
+invariant On: forall i in ID: not Heat.on[i] or Heat.power[i] > 1
+invariant Power: forall i in ID: 0 <= Heat.power[i] and Heat.power[i] <= 3
+invariant Off: forall i in ID: not Heat.on[i]
+""",
+        {"On", "Power"},
     ),
     "contradiction": (
         LEVEL.format(assume="level' > level and level' < level")

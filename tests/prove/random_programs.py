@@ -1,4 +1,4 @@
-"""Small random programs with invariants, and all states that they reach in a few rounds, by the executable semantics."""
+"""Small random programs with invariants, and all states that they reach in a few rounds, by the semantics."""
 
 from __future__ import annotations
 

@@ -1,0 +1,35 @@
+"""What the generator's obligations come to: which invariants are proved, and whether the assumptions are consistent."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from koordgen.ir.decl import Program
+from koordgen.node import replace
+from koordgen.pipeline import check_file
+from koordgen.prove import generate
+from koordgen.prove.solve import Solver
+
+
+@cache
+def checked(text: str) -> Program:
+    with TemporaryDirectory() as folder:
+        path = Path(folder, "app.koord")
+        path.write_text(text.lstrip())
+        return check_file(str(path)).program
+
+
+def told(program: Program, solver: Solver, robots: int | None = None) -> set[str]:
+    """The names of what is proved, failing invariants dropped until none fails; "vacuous" where what is assumed cannot
+    be true."""
+    while True:
+        asked = [(o, solver.ask(o).result) for o in generate.obligations(program, robots)]
+        failing = {o.invariant for o, result in asked if o.kind != "consistency" and result != o.expected}
+        kept = tuple([p for p in program.properties if p.name not in failing])
+        if len(kept) == len(program.properties):
+            names = {o.invariant for o, _ in asked if o.kind != "consistency"} - failing
+            contradicts = any(o.kind == "consistency" and result != "sat" for o, result in asked)
+            return names | ({"vacuous"} if contradicts else set())
+        program = replace(program, properties=kept)
