@@ -10,7 +10,7 @@ from koordgen import cli, resources
 
 def afterwards(options: Namespace) -> int:
     """The harness that left the run knows how."""
-    sys.path.append(str(resources.targets().parent))
+    sys.path.insert(0, str(resources.targets().parent))
     try:
         from targets.sim.trace import BadTrace
         from targets.sim.view import commands

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import shutil
 import subprocess
+import sys
 from base64 import b64decode
 from pathlib import Path
 from typing import Any
@@ -254,3 +256,12 @@ def test_tracks_of_a_run_have_markers_maps_and_paths(run: Path) -> None:
     assert [t for t, _ in found.maps["map", -1]] == [1.5]
     assert found.paths[0][0][1].shape == (2, 3) and found.end == 10.0
     assert found.violations == [(2.0, "fault", ["bert"])]
+
+
+def test_a_users_own_targets_are_not_taken_for_ours(run: Path) -> None:
+    (run / "targets").mkdir()
+    (run / "targets" / "__init__.py").write_text("raise SystemExit('another one')\n")
+    command = [sys.executable, "-m", "koordgen", "report", "."]
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    done = subprocess.run(command, cwd=run, env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "report.html\n"), done.stderr

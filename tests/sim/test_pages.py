@@ -9,7 +9,7 @@ import pytest
 from targets.sim.trace import End, Violation
 from targets.sim.view import report
 from tests.sim.browser import CHROMIUM, Browser
-from tests.sim.canned import moving, write
+from tests.sim.canned import header, moving, write
 from tests.sim.test_export import ENDS, HEAD, STARTS, rounds
 from tests.sim.test_live import watched
 from tests.sim.test_rows import big
@@ -73,3 +73,12 @@ def test_a_run_is_seen_while_it_goes_on_and_its_end_is_told(tmp_path: Path) -> N
         said = page.wait("document.getElementById('status').textContent", lambda said: "held" in said)
         assert str(tmp_path / "out" / "report.html") in said
         assert page.complaints == []
+
+
+def test_a_run_of_one_robot_that_never_began_has_a_page(tmp_path: Path) -> None:
+    report.write(
+        tmp_path / "report.html", write(tmp_path / "trace.jsonl", header(["alice"]), [], [End(0.0, "timeout")])
+    )
+    with Browser(tmp_path / "profile") as page:
+        page.open(f"file://{tmp_path}/report.html")
+        assert "timeout" in page.text("marks") and page.complaints == []
