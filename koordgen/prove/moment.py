@@ -20,7 +20,7 @@ from koordgen.prove.encode.values import Val
 from koordgen.prove.obligation import Cell, Fact, Moment
 from koordgen.prove.term import Term
 
-UNROLLED = 4  # robots, where formulas speak of pairs of them: beyond that they are too many to speak of each
+UNROLLED, PAIRED = 20, 4  # robots, at most, that are spoken of one by one; where formulas speak of pairs of them
 
 
 class Setting:
@@ -32,7 +32,7 @@ class Setting:
     ) -> None:
         self.exact = exact
         pairs = any(_pairs(p.formula) for p in program.properties)
-        self.unrolled = robots is not None and (robots <= UNROLLED or not pairs)
+        self.unrolled = robots is not None and (robots <= (PAIRED if pairs else UNROLLED))
         self.program, self.robots, self.params = program, robots, params or {}
         self.types = declared(program)
         self.sensors = sensors(program)
