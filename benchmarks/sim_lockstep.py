@@ -19,6 +19,7 @@ import msgspec
 
 from koordgen.cli import main
 from targets.sim import scenario
+from targets.sim.bodies import BodyState
 from targets.sim.lockstep.run import Lockstep
 from targets.sim.stage import Stage
 
@@ -105,13 +106,17 @@ class _Timer:
         self._stage = stage
         self.spent = 0.0
 
-    def step(self, at: float) -> None:
+    def step(self, at: float) -> list[BodyState]:
         began = time.process_time()
-        self._stage.step(at)
+        states = self._stage.step(at)
         self.spent += time.process_time() - began
+        return states
 
 
 def _go_on(conduct: Lockstep, stage: Stage | _Timer, seconds: float) -> None:
+    def step(at: float) -> None:
+        stage.step(at)
+
     end = conduct.now() + seconds
     while conduct.now() < end - 1e-9:
-        conduct.go_on(stage.step)
+        conduct.go_on(step)

@@ -14,7 +14,7 @@ import statistics
 import sys
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -127,8 +127,8 @@ def gym_drones(folder: Path, count: int) -> Step:
     sys.path.insert(0, str(folder))
     with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        from gym_pybullet_drones.envs.CtrlAviary import CtrlAviary
-        from gym_pybullet_drones.utils.enums import DroneModel, Physics
+        from gym_pybullet_drones.envs.CtrlAviary import CtrlAviary  # type: ignore[import-not-found]
+        from gym_pybullet_drones.utils.enums import DroneModel, Physics  # type: ignore[import-not-found]
 
         world = CtrlAviary(
             DroneModel.CF2X, count, initial_xyzs=np.array(grid(count, 20.0)), physics=Physics.PYB,
@@ -169,6 +169,7 @@ def racecars(count: int) -> tuple[Callable[[], None], Step]:
     return lambda: bullet.disconnect(**own), step
 
 
+MILLIMETRE = 1e-3
 RAYS = 1080
 WAYS = [(math.cos(a), math.sin(a)) for a in (math.tau * i / RAYS for i in range(RAYS))]
 ROOM: tuple[Obstacle, ...] = (
@@ -185,8 +186,8 @@ ROOM: tuple[Obstacle, ...] = (
 @dataclass(frozen=True, slots=True)
 class Lidars:
     """A turn of 1,080 rays and 6 m of each of many cars among one another and 18 obstacles, from where they are to
-    their ranges: ours all at once, PyBullet's one after the other. How far (m) ours are from plane geometry, and
-    PyBullet's from ours where a ray meets at over 10 degrees: faces, and round things."""
+    their ranges: ours all at once, PyBullet's one after the other. How far (m) ours are from plane geometry, and which
+    share of PyBullet's is within a millimetre of ours where a ray meets at over 10 degrees: at faces, and round."""
 
     pair: Pair
     single: float  # ms, one turn alone, of ours
@@ -222,8 +223,14 @@ def lidars(count: int, turns: int) -> Lidars:
     pair = Pair(f"lidars, {RAYS} rays", ours / count, "rayTestBatch", other / count, 30.0)
     worst = [_apart(eye, one.tolist(), two) for eye, one, two in zip(eyes, world.look(eyes), theirs(), strict=True)]
     world.close()
-    geometry, faces, rounded = (max(column) for column in zip(*worst, strict=True))
-    return Lidars(pair, single, geometry, faces, rounded)
+    geometry, faces, rounded = zip(*worst, strict=True)
+    return Lidars(pair, single, max(geometry), _near(faces), _near(rounded))
+
+
+def _near(apart: Sequence[list[float]]) -> float:
+    """The share of differences within a millimetre."""
+    each = [a for found in apart for a in found]
+    return sum(a < MILLIMETRE for a in each) / len(each)
 
 
 def _cast(world: World, bullet: Any, own: dict[str, int], eye: Eye) -> list[float]:
@@ -237,9 +244,12 @@ def _cast(world: World, bullet: Any, own: dict[str, int], eye: Eye) -> list[floa
     return [share * eye.range if hit >= 0 else math.inf for hit, _, share, *_ in found]
 
 
-def _apart(eye: Eye, ours: list[float], theirs: list[float]) -> tuple[float, float, float]:
-    """The largest differences; see Lidars. Rays that meet a car are compared with PyBullet's alone."""
-    geometry = faces = rounded = 0.0
+def _apart(eye: Eye, ours: list[float], theirs: list[float]) -> tuple[float, list[float], list[float]]:
+    """How far ours are from plane geometry at most, and theirs from ours at faces and at round things; see Lidars. Rays
+    that meet a car are not compared."""
+    geometry = 0.0
+    faces: list[float] = []
+    rounded: list[float] = []
     for i, one in enumerate(ours):
         ways = [to_obstacle(eye.place, math.tau * i / eye.rays, obstacle) for obstacle in ROOM]
         nearest = min(ways)
@@ -248,10 +258,8 @@ def _apart(eye: Eye, ours: list[float], theirs: list[float]) -> tuple[float, flo
         geometry = max(geometry, abs(one - nearest))
         if max(_slope(ours, i), _slope(theirs, i)) >= 1 / math.tan(math.radians(10)):
             continue  # it grazes, or passes an edge
-        if isinstance(ROOM[ways.index(nearest)], (Block, Mesh)):
-            faces = max(faces, abs(one - theirs[i]))
-        else:
-            rounded = max(rounded, abs(one - theirs[i]))
+        flat = isinstance(ROOM[ways.index(nearest)], (Block, Mesh))
+        (faces if flat else rounded).append(abs(one - theirs[i]))
     return geometry, faces, rounded
 
 

@@ -18,7 +18,7 @@ def complete(setting: Setting) -> bool:
     """Whether a model of the instances is a model of the formulas."""
     program = setting.program
     formulas = [p.formula for p in program.properties if p.kind != "axiom"]
-    if setting.robots is not None:
+    if setting.unrolled:
         return True
     loops = [n for f in program.functions for n in nodes(f.block) if type(n).__name__ in ("For", "While")]
     if not loops and all(_one_at_a_time(formula) for formula in formulas):

@@ -6,14 +6,16 @@ from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from koordgen.ir import decl
+from koordgen.ir import expr as ir
 from koordgen.ir.types import FLOAT, POINT, POSE, MapOf, PerRobot, RecordType, Sequence, TupleOf, Type
 from koordgen.prove.obligation import Obligation
-from koordgen.prove.spell import spelled
+from koordgen.prove.spell import nodes, spelled
 from koordgen.source import Span
 
 AGENTS = (
     "agents and simulator check it at each call; where it does not hold, the event is discarded (runtime/extern.py)"
 )
+SIMULATOR = "the simulator watches it in each run (docs/sim.md)"
 UNCHECKED = ""
 
 
@@ -44,16 +46,24 @@ def _written(program: decl.Program) -> Iterator[tuple[Entry, Span]]:
     for module in program.modules:
         for assumption in module.assumptions:
             text = f"{module.name}: {spelled(assumption.formula)}"
-            yield Entry("port assumption", text, program.path, assumption.span.line, UNCHECKED), assumption.span
+            checked = _watched(assumption.formula, program)
+            yield Entry("port assumption", text, program.path, assumption.span.line, checked), assumption.span
     for property_ in program.properties:
         if property_.kind in ("initially", "axiom"):
             text = f"{property_.name}: {spelled(property_.formula)}".removeprefix(": ")
-            yield Entry(property_.kind, text, program.path, property_.span.line, UNCHECKED), property_.span
+            checked = _watched(property_.formula, program) if property_.kind == "initially" else UNCHECKED
+            yield Entry(property_.kind, text, program.path, property_.span.line, checked), property_.span
     for extern in program.externs:
         for word, formulas in (("requires", extern.requires), ("ensures", extern.ensures)):
             for formula in formulas:
                 text = f"{extern.name} {word} {spelled(formula)}"
                 yield Entry("contract", text, program.path, formula.span.line, AGENTS), formula.span
+
+
+def _watched(formula: ir.Expr, program: decl.Program) -> str:
+    """What a `spec fun` says nobody can evaluate, and so not watch."""
+    specs = {spec.name for spec in program.specs}
+    return UNCHECKED if any(isinstance(n, ir.Call) and n.name in specs for n in nodes(formula)) else SIMULATOR
 
 
 def _general(program: decl.Program) -> Iterator[Entry]:

@@ -20,6 +20,8 @@ from koordgen.prove.encode.values import Val
 from koordgen.prove.obligation import Cell, Fact, Moment
 from koordgen.prove.term import Term
 
+UNROLLED, PAIRED = 20, 4  # robots, at most, that are spoken of one by one; where formulas speak of pairs of them
+
 
 class Setting:
     """A program, how many robots it has (None: any number), the params that have values, whether distances are told by
@@ -29,6 +31,8 @@ class Setting:
         self, program: decl.Program, robots: int | None, params: Mapping[str, ir.Expr] | None, exact: bool
     ) -> None:
         self.exact = exact
+        pairs = any(_pairs(p.formula) for p in program.properties)
+        self.unrolled = robots is not None and (robots <= (PAIRED if pairs else UNROLLED))
         self.program, self.robots, self.params = program, robots, params or {}
         self.types = declared(program)
         self.sensors = sensors(program)
@@ -48,7 +52,7 @@ class Stage:
     def __init__(self, setting: Setting) -> None:
         program = setting.program
         self.setting = setting
-        self.room = Room(program, setting.robots)
+        self.room = Room(program, setting.robots, setting.unrolled)
         self.params: dict[str, Val] = {}
         self.encoder = Functions(self.room, self.params).encoder
         for param in program.params:
@@ -210,6 +214,14 @@ class _Nowhere:
 
     def of(self, key: Key, robot: Term) -> Val:
         raise AssertionError(f"{key} where only params are read")
+
+
+def _pairs(formula: ir.Expr, around: bool = False) -> bool:
+    """Whether a quantifier over robots stands within another."""
+    for node in nodes(formula):
+        if isinstance(node, ir.Quantified) and isinstance(node.domain, ir.Ids):
+            return around or _pairs(node.body, True)
+    return False
 
 
 def conjuncts(formula: ir.Expr) -> Iterator[ir.Expr]:

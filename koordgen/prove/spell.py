@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
+from typing import Any
 
 from koordgen.ir import expr as ir
 from koordgen.ir.types import MapOf, RecordType, Sequence, Type
+from koordgen.node import Node
+from koordgen.source import Span
 
 _BINDING = {"or": 1, "and": 2, "+": 5, "-": 5, "*": 6, "/": 6, "//": 6, "%": 6, "**": 8}
 _ORDER = {"<", "<="}
@@ -147,3 +150,14 @@ def number(value: Fraction | int) -> str:
         if len(text) <= MOST_DIGITS and text != "inf" and (near == exact or Fraction(text) == exact):
             return text
     return f"~{near:.6g}"
+
+
+def nodes(node: object) -> Iterator[Any]:
+    """A formula and all its parts."""
+    if isinstance(node, tuple):
+        for part in node:
+            yield from nodes(part)
+    elif isinstance(node, Node) and not isinstance(node, (Span, Type)):
+        yield node
+        for field in type(node).__match_args__:  # type: ignore[attr-defined]
+            yield from nodes(getattr(node, field))

@@ -14,7 +14,7 @@ from koordgen.ir import decl
 from koordgen.ir import expr as ir
 from koordgen.ir.types import BOOL, INT, Type, list_of
 from koordgen.node import Node, replace
-from koordgen.prove.spell import spelled
+from koordgen.prove.spell import nodes, spelled
 from koordgen.source import Span
 
 MOST = 24  # candidates that are tried
@@ -117,7 +117,7 @@ def _blocks(parts: list[ir.Expr]) -> list[ir.Expr]:
     """Conjuncts that speak of one and the same variable, of each robot alone, joined."""
     found: dict[object, ir.Expr] = {}
     for part in parts:
-        about = {_key(node) for node in _nodes(part)} - {None}
+        about = {_key(node) for node in nodes(part)} - {None}
         match part:
             case ir.Quantified("forall", name, domain, body, type_, span) if len(about) == 1:
                 key = (name, domain, *about)
@@ -132,7 +132,7 @@ def _blocks(parts: list[ir.Expr]) -> list[ir.Expr]:
 def _variants(formula: ir.Expr, program: decl.Program) -> Iterator[ir.Expr]:
     """The formula about other variables: each variable in it by each other of its type, everywhere at once."""
     subjects: dict[tuple[str, str], Type] = {}
-    for node in _nodes(formula):
+    for node in nodes(formula):
         key = _key(node)
         if key is not None:
             subjects.setdefault(key, node.type)
@@ -194,13 +194,3 @@ def _read(key: tuple[str, str], robot: ir.Expr, like: Any) -> ir.Expr:
             return ir.LocalOf(name, robot, like.type, like.span)
         case _:
             return ir.PortOf(kind.removeprefix("port "), name, robot, like.type, like.span)
-
-
-def _nodes(node: object) -> Iterator[Any]:
-    if isinstance(node, tuple):
-        for part in node:
-            yield from _nodes(part)
-    elif isinstance(node, Node) and not isinstance(node, (Span, Type)):
-        yield node
-        for field in type(node).__match_args__:  # type: ignore[attr-defined]
-            yield from _nodes(getattr(node, field))

@@ -32,24 +32,25 @@ class SimpleQuadrotors(Kind):
 
     def __init__(self) -> None:
         super().__init__()
-        self.asked = np.zeros((4, 0))  # velocity (m/s) and yaw rate (rad/s)
+        self.asked: list[tuple[float, float, float, float]] = []  # velocity (m/s) and yaw rate (rad/s)
         self.running = np.zeros(0, dtype=bool)
 
     def grow(self) -> None:
         """See Kind."""
-        self.asked = np.column_stack((self.asked, np.zeros(4)))
+        self.asked.append((0.0, 0.0, 0.0, 0.0))
         self.running = np.append(self.running, False)
 
     def push(self, air: Array | None, taken: Mask) -> None:
         """See Kind."""
         now = self.motions
-        gained = (self.asked[:3] - now.velocity) * _FLOWN
+        asked = np.array(self.asked).T
+        gained = (asked[:3] - now.velocity) * _FLOWN
         size = np.sqrt(total(gained * gained))
         gained *= MAX_ACCELERATION * STEP / np.maximum(size, MAX_ACCELERATION * STEP)
         gained *= self.running
         gained[2] -= (GRAVITY * STEP) * ~self.running
         now.velocity[:] += gained
-        now.spin[2] += (self.asked[3] - now.spin[2]) * (_TURNED * self.running)
+        now.spin[2] += (_limited(asked[3], quadrotor.MAX_YAW_RATE) - now.spin[2]) * (_TURNED * self.running)
 
     def place(self) -> tuple[Array, Array, Array]:
         """See Kind."""
@@ -75,9 +76,7 @@ class SimpleQuadrotor:
         x, y, z = velocity
         if not math.isfinite(x + y + z + yaw_rate):
             raise ValueError(f"not a velocity and a yaw rate: {velocity}, {yaw_rate}")
-        asked, k = self._all.asked, self.rigid.index
-        asked[0, k], asked[1, k], asked[2, k] = x, y, z
-        asked[3, k] = max(-quadrotor.MAX_YAW_RATE, min(quadrotor.MAX_YAW_RATE, yaw_rate))
+        self._all.asked[self.rigid.index] = x, y, z, yaw_rate
 
     def motors(self, on: bool) -> None:
         """Without motors it rests or falls."""

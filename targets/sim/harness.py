@@ -22,6 +22,7 @@ from msgspec.structs import replace
 
 from targets.sim import faults
 from targets.sim.folder import SOURCE, Foreign, RunFolder
+from targets.sim.scatter import scattered
 from targets.sim.scenario import FILE, BadScenario, Scenario, load
 from targets.sim.schedule import CONDITIONS, MOST_DELAY, PROBABILITIES, Schedule
 
@@ -48,7 +49,7 @@ def main(root: Path, argv: list[str] | None = None) -> int:
     if options.pace and not options.lockstep:
         parser.error("--pace is for --lockstep; in real time a run goes at its own")
     try:
-        scenario = replace(load(root, options.settings), gui=options.gui)
+        scenario = scattered(replace(load(root, options.settings), gui=options.gui), options.seed)
         out: Path = options.out or Path(f"run-{scenario.app}")
         _require(scenario)
         schedule, told = _schedule(scenario, options)

@@ -53,8 +53,9 @@ _GAINS = (np.array(INERTIA) * (RATE_GAIN, RATE_GAIN, YAW_RATE_GAIN))[:, None]
 _GYROSCOPIC = STEP * np.array([(INERTIA[1] - INERTIA[2]) / INERTIA[0], (INERTIA[2] - INERTIA[0]) / INERTIA[1]])[:, None]
 _LEAST = np.array([0.0, *(-t for t in MAX_TORQUE)])[:, None]
 _MOST = np.array([MAX_THRUST, *MAX_TORQUE])[:, None]
-_SINKING = np.array([-math.inf, -math.inf, -MAX_SINK])[:, None]
-_CLIMBING = np.array([math.inf, math.inf, MAX_CLIMB])[:, None]
+# Of what is asked for.
+_LOWEST = np.array([-math.inf, -math.inf, -MAX_SINK, -MAX_YAW_RATE])[:, None]
+_HIGHEST = np.array([math.inf, math.inf, MAX_CLIMB, MAX_YAW_RATE])[:, None]
 _FEET = np.array([0.0, 0.0, HEIGHT / 2])[:, None]
 
 
@@ -63,16 +64,16 @@ class Quadrotors(Kind):
 
     def __init__(self) -> None:
         super().__init__()
-        self.asked = np.zeros((3, 0))  # m/s^2
-        self.turning = np.zeros(0)  # rad/s
+        # m/s^2 and rad/s: a list, because writing one number into an array costs more than making it in each step.
+        self.asked: list[tuple[float, float, float, float]] = []
         self.running = np.zeros(0)  # 1: its motors run
         self.motors = np.zeros((4, 0))  # speeds, of the highest
         self.direct: dict[int, tuple[float, float, float, float]] = {}  # thrusts that nobody asks the attitude loop for
 
     def grow(self) -> None:
         """See Kind."""
-        self.asked = np.column_stack((self.asked, np.zeros(3)))
-        self.turning, self.running = np.append(self.turning, 0.0), np.append(self.running, 0.0)
+        self.asked.append((0.0, 0.0, 0.0, 0.0))
+        self.running = np.append(self.running, 0.0)
         self.motors = np.column_stack((self.motors, np.zeros(4)))
 
     def push(self, air: Array | None, taken: Mask) -> None:
@@ -97,13 +98,14 @@ class Quadrotors(Kind):
     def _thrusts(self, turned: Array, spin: Array) -> Array:
         """What the attitude loop wants of each motor, as a share of its most: a rate of tilting proportional to the
         error, held by a faster loop."""
-        lift = self._lift()
+        asked = np.minimum(np.maximum(np.array(self.asked).T, _LOWEST), _HIGHEST)
+        lift = _lift(asked[:3])
         along = total(turned * lift[:, None])  # in the body's frame
         wanted = np.empty_like(self.motors)
         per_size = TILT_GAIN / np.sqrt(total(lift * lift))
         np.multiply(along[1], -per_size, out=wanted[1])
         np.multiply(along[0], per_size, out=wanted[2])
-        wanted[3] = self.turning
+        wanted[3] = asked[3]
         np.multiply(along[2], MASS, out=wanted[0])
         torques = wanted[1:]
         torques -= spin
@@ -120,19 +122,19 @@ class Quadrotors(Kind):
         np.minimum(np.maximum(found, 0.0, out=found), 1.0, out=found)
         return found
 
-    def _lift(self) -> Array:
-        """The acceleration that thrust must give: what was asked for and gravity, within the limits of tilt and climb.
-        Its vertical part is positive, so it has a direction."""
-        lift: Array = np.minimum(np.maximum(self.asked, _SINKING), _CLIMBING)
-        lift[2] += GRAVITY
-        most = lift[2] * math.tan(MAX_TILT)
-        most /= np.maximum(np.hypot(lift[0], lift[1]), most)
-        lift[:2] *= most
-        return lift
-
     def place(self) -> tuple[Array, Array, Array]:
         """See Kind."""
         return self.motions.position - _FEET, self.motions.velocity, yaws(self.motions.orientation)
+
+
+def _lift(asked: Array) -> Array:
+    """The acceleration that thrust must give: what was asked for and gravity, within the limit of tilt. Its vertical
+    part is positive, so it has a direction."""
+    asked[2] += GRAVITY
+    most = asked[2] * math.tan(MAX_TILT)
+    most /= np.maximum(np.hypot(asked[0], asked[1]), most)
+    asked[:2] *= most
+    return asked
 
 
 class SimulatedQuadrotor:
@@ -155,9 +157,7 @@ class SimulatedQuadrotor:
         x, y, z = acceleration
         if not math.isfinite(x + y + z + yaw_rate):
             raise ValueError(f"not an acceleration and a yaw rate: {acceleration}, {yaw_rate}")
-        asked, k = self._all.asked, self._index
-        asked[0, k], asked[1, k], asked[2, k] = x, y, z
-        self._all.turning[k] = max(-MAX_YAW_RATE, min(MAX_YAW_RATE, yaw_rate))
+        self._all.asked[self._index] = x, y, z, yaw_rate
 
     def thrusts(self, shares: tuple[float, float, float, float]) -> None:
         """Ask each motor for a share of its most thrust, past the attitude loop: front left, rear left, rear right,

@@ -23,7 +23,7 @@ from tests.programs import build, settings_of
 
 TARGETS = [manifest.load(name) for name in manifest.available()]
 AGENTS = [t for t in TARGETS if t.kind == "agent"]
-DISTRIBUTION = {"serial": "pyserial", "fcl": "python-fcl"}
+DISTRIBUTION = {"serial": "pyserial", "fcl": "python-fcl", "PIL": "pillow"}
 by_name = pytest.mark.parametrize("target", TARGETS, ids=lambda t: t.name)
 agents_by_name = pytest.mark.parametrize("target", AGENTS, ids=lambda t: t.name)
 

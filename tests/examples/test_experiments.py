@@ -18,7 +18,7 @@ def campaign(name: str, fleet: str, seconds: int, out: Path, *words: str) -> dic
     """All runs hold; the table."""
     folder = EXAMPLES / name
     files = [str(folder / f"{name}.koord"), "--fleet", str(folder / f"{fleet}.yaml")]
-    judged = ["--lockstep", "--duration", str(seconds), "--verdict", str(folder / "verdict.py")]
+    judged = ["--lockstep", "--duration", str(seconds), "--verdict", str(folder / f"{name}_verdict.py")]
     status = cli.main(["campaign", *files, *judged, "--out", str(out), *words])
     found: dict[str, Any] = json.loads((out / "campaign.json").read_text(encoding="utf-8"))
     assert status == 0, found["reasons"]

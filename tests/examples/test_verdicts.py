@@ -18,7 +18,7 @@ Records = list[dict[str, Any]]
 
 
 def script(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(f"{name}_verdict", EXAMPLES / name / "verdict.py")
+    spec = importlib.util.spec_from_file_location(f"{name}_verdict", EXAMPLES / name / f"{name}_verdict.py")
     assert spec and spec.loader
     module = importlib.util.module_from_spec(spec)
     import sys

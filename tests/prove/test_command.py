@@ -50,8 +50,9 @@ PROVED         (well-defined)  (1 obligation, T)
 
 assumed:
   - port assumption: Motion: Motion.position' in Rect(Motion.position, Motion.target) (app.koord:7);
-    unchecked
-  - initially: forall i in ID: Motion.position[i] in Rect(lo, hi) (app.koord:20); unchecked
+    checked: the simulator watches it in each run (docs/sim.md)
+  - initially: forall i in ID: Motion.position[i] in Rect(lo, hi) (app.koord:20); checked: the
+    simulator watches it in each run (docs/sim.md)
   - arithmetic: numbers are real numbers; robots round each result to 53 bits; unchecked
 """
     )

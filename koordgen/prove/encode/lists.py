@@ -120,6 +120,7 @@ class Lists:
         """An element of what is but a term; it is in there."""
         found = self.room.function(f"{type_}.at", (xs, index), element_type(type_))
         if not isinstance(type_, PerRobot):
+            self.room.element(index, robots=False, places=not _end(index))
             self.reads.setdefault(xs, []).append((index, found))
             for item, held in self.asked.get(xs, ()):
                 self._member(xs, type_, index, found, item, held)
@@ -297,6 +298,13 @@ class Lists:
                 self.room.fact(t.or_(t.equals(other, found), differ), "equal in all robots")
         self.fleets[found] = xs
         return found
+
+
+def _end(index: Term) -> bool:
+    """Whether a place is one at a list's beginning or end."""
+    while isinstance(index, t.Op) and index.name == "+" and t.number(index.args[1]) is not None:
+        index = index.args[0]
+    return isinstance(index, t.Value) or (isinstance(index, t.Apply) and index.function.name.endswith(".len"))
 
 
 def default(type_: Type, records: dict[str, Val]) -> Val | None:

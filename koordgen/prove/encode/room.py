@@ -62,10 +62,11 @@ class Universal:
 
 
 class Room:
-    """`robots`: how many there are, None when that is any number >= 1; `size` is the term of it."""
+    """`robots`: how many there are, None when that is any number >= 1; `size` is the term of it. `unrolled`: what holds
+    of all is said of each of them, and not of terms that name them."""
 
-    def __init__(self, program: Program, robots: int | None) -> None:
-        self.program, self.robots = program, robots
+    def __init__(self, program: Program, robots: int | None, unrolled: bool) -> None:
+        self.program, self.robots = program, robots if unrolled else None
         self.size = t.constant("N_SYS", t.INT) if robots is None else t.integer(robots)
         self.facts: list[Fact] = []
         self.seen: set[Term] = set()  # the facts' terms
@@ -93,7 +94,7 @@ class Room:
         self.label, self.line = "", 0  # of what is being encoded
         if robots is None:
             self.fact(t.at_most(t.integer(1), self.size), "there is a robot", 0)
-        else:
+        if robots is not None and unrolled:
             self.indices = {t.integer(i): True for i in range(robots)}
 
     # Facts

@@ -1,7 +1,7 @@
 """Judges a simulated run of Formation: do the robots stand on a regular polygon, in their order, and has it turned?
-`python verdict.py DIR`, the folder that the run left. In plan view, from the robots' true positions in DIR/trace.jsonl
-at the mission's end: each within 0.4 m of its corner of the polygon that fits them best, which has turned by 0.3 rad at
-least. Exit status: 0 they do, 3 they do not, 1 the files cannot be used, 2 usage.
+`python formation_verdict.py DIR`, the folder that the run left. In plan view, from the robots' true positions at the
+mission's end in DIR/summary.json: each within 0.4 m of its corner of the polygon that fits them best, which has turned
+by 0.3 rad at least. Exit status: 0 they do, 3 they do not, 1 the files cannot be used, 2 usage.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def fitted(places: list[complex]) -> tuple[complex, complex]:
 
 def main(argv: list[str]) -> int:
     if len(argv) != 1 or argv[0].startswith("-"):
-        print("usage: python verdict.py DIR (the folder that a run of Formation left)", file=sys.stderr)
+        print("usage: python formation_verdict.py DIR (the folder that a run of Formation left)", file=sys.stderr)
         return 2
     try:
         names, places, flaw = read(Path(argv[0]))

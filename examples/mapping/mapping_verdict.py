@@ -1,6 +1,7 @@
-"""Judges a simulated run of Mapping: does the shared map show what is there? `python verdict.py DIR [--picture FILE]`,
-DIR is the folder that the run left, FILE gets the map at three times as a PNG. From DIR/trace.jsonl, for every version
-of the map that a robot handed in:
+"""Judges a simulated run of Mapping: does the shared map show what is there?
+
+`python mapping_verdict.py DIR [--picture FILE]`: DIR is the folder that the run left, FILE gets the map
+at three times as a PNG. From DIR/trace.jsonl, for every version of the map that a robot handed in:
 
 - a cell that is occupied in it has an obstacle within the length of its diagonal from its middle;
 - a cell that is free in it has its middle no deeper than half its side in an obstacle;
@@ -192,7 +193,10 @@ def draw(run: Run, cells: set[Cell], file: str) -> None:
 def main(argv: list[str]) -> int:
     picture = argv[2] if len(argv) == 3 and argv[1] == "--picture" else ""
     if not argv or argv[0].startswith("-") or len(argv) != (3 if picture else 1):
-        print("usage: python verdict.py DIR [--picture FILE] (the folder that a run of Mapping left)", file=sys.stderr)
+        print(
+            "usage: python mapping_verdict.py DIR [--picture FILE] (the folder that a run of Mapping left)",
+            file=sys.stderr,
+        )
         return 2
     try:
         run = read(Path(argv[0]))

@@ -1,5 +1,5 @@
-"""Judges a simulated run of Task: was every task visited exactly once? `python verdict.py DIR`, the folder that the run
-left. From DIR/trace.jsonl:
+"""Judges a simulated run of Task: was every task visited exactly once? `python task_verdict.py DIR`, the folder that
+the run left. From DIR/trace.jsonl:
 
 Each task that was in the list at the beginning must be done by exactly one robot, once; when the robot said so, its
 true position must have been within 0.3 m of the task. No two robots may ever have been closer than `min_separation` of
@@ -93,7 +93,7 @@ def judge(seen: Seen, summary: dict[str, Any]) -> list[str]:
 
 def main(argv: list[str]) -> int:
     if len(argv) != 1 or argv[0].startswith("-"):
-        print("usage: python verdict.py DIR (the folder that a run of Task left)", file=sys.stderr)
+        print("usage: python task_verdict.py DIR (the folder that a run of Task left)", file=sys.stderr)
         return 2
     try:
         seen, summary = read(Path(argv[0]))
