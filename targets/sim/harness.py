@@ -22,6 +22,7 @@ from msgspec.structs import replace
 
 from targets.sim import faults
 from targets.sim.folder import SOURCE, Foreign, RunFolder
+from targets.sim.scatter import scattered
 from targets.sim.scenario import FILE, BadScenario, Scenario, load
 from targets.sim.schedule import CONDITIONS, MOST_DELAY, PROBABILITIES, Schedule
 
@@ -44,7 +45,7 @@ def main(root: Path, argv: list[str] | None = None) -> int:
     """Run the bundle at `root`; returns the exit status. Usage errors leave by SystemExit(2)."""
     options = _parser(root).parse_args(argv)
     try:
-        scenario = replace(load(root, options.settings), gui=options.gui)
+        scenario = scattered(replace(load(root, options.settings), gui=options.gui), options.seed)
         out: Path = options.out or Path(f"run-{scenario.app}")
         _require(scenario)
         schedule, told = _schedule(scenario, options)

@@ -209,6 +209,24 @@ def test_what_is_not_known_here_is_kept_by_merging_and_passed_over_by_reading(tm
     assert [type(record).__name__ for record in trace.read(path)[1]] == ["Metrics", "Stream", "End"]
 
 
+def test_merged_records_are_in_order_although_a_round_is_told_only_when_it_is_certain(tmp_path: Path) -> None:
+    told: dict[str, list[tuple[str, float, dict[str, Any]]]] = {
+        "a": [("log", 100.5, {"message": "x"}), ("round", 100.25, {"round": 1}), ("round", 100.5, {"round": 2})],
+        "b": [("round", 102.0, {"round": 3}), ("log", 101.0, {"message": "y"}), ("round", 100.75, {"round": 2})],
+    }
+    files, path = [tmp_path / name for name in told], tmp_path / "trace.jsonl"
+    for file, records in zip(files, told.values(), strict=True):
+        rows = [{"kind": kind, "time": time, **more} for kind, time, more in records]
+        # A header is no record, nor is what is broken, nor what was cut off.
+        lines = [b'{"kind":"header"}', b"\xff", *map(msgspec.json.encode, rows), b'{"ki']
+        file.write_bytes(b"\n".join(lines))
+    trace.merge(path, header(["alice", "bert"]), 100.0, tmp_path / "none", files, [End(0.6, "completed")])
+    _, *written = (json.loads(line) for line in path.read_bytes().splitlines())
+    assert [(r["t"], r.get("pid"), r.get("round", r["kind"])) for r in written] == [
+        (0.25, 0, 1), (0.5, 0, "log"), (0.5, 0, 2), (0.6, None, "end"), (0.75, 1, 2), (1.0, 1, "log"), (2.0, 1, 3),
+    ]  # fmt: skip
+
+
 def test_a_trace_that_is_cut_off_is_told_with_its_place(canned: Path) -> None:
     whole = canned.read_bytes()
     canned.write_bytes(whole[:-20])
