@@ -156,7 +156,8 @@ class Solver:
         """As `ask`, of many. z3 is told those of one room, which share most of their facts, together, and decides them
         while the next room is made; what it does not decide so is asked alone. Raises SolverMissing."""
         self.start()
-        batch, found = Batch(self), []
+        batch = Batch(self)
+        found: list[Obligation] = []
         for room in rooms:
             found += room
             if self.name == "z3" and room and all(o.logic in LINEAR for o in room) and self._process is not None:
