@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -21,18 +20,6 @@ from targets.sim.trace import Record, Tail
 _SET_DEATH_SIGNAL = 1  # prctl: PR_SET_PDEATHSIG
 # What an agent may end with when it was told to: done, or interrupted.
 GOOD_ENDS = (0, 130, 128 + signal.SIGTERM)
-
-
-def free_ports(count: int) -> list[int]:
-    """UDP ports of the loopback that nobody holds at the moment."""
-    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
-    try:
-        for each in sockets:
-            each.bind(("127.0.0.1", 0))
-        return [int(each.getsockname()[1]) for each in sockets]
-    finally:
-        for each in sockets:
-            each.close()
 
 
 def overrides(
