@@ -180,8 +180,8 @@ def standing(obstacles: Iterable[Obstacle], height: float) -> list[Shape]:
 
 def named(scene: Scene, body: Footprint, start: Place, clearance: float) -> Iterator[Shape]:
     """What a program names, as high as anything, and other robots' ways, as wide as this car is long, but for those
-    that lead over it. Cells that touch are one shape, but for those that the start is near to: the car may leave these, not
-    the whole wall."""
+    that lead over it. Cells that touch are one shape, but for those that the start is near to: the car may leave
+    these, not the whole wall."""
     cells: dict[float, set[tuple[int, int]]] = {}
     reach = body.reach + clearance + NEXT
     for grid in scene.grids:

@@ -214,10 +214,10 @@ def _check(path: Path, root: Path, scenario: Scenario) -> None:
             raise BadScenario(f"{path}: {robot.name}'s bundle {robot.bundle} is not there", "build the bundle again")
         if not all(map(math.isfinite, (*robot.start.position, robot.start.yaw))):
             raise BadScenario(f"{path}: {robot.name}'s start is not finite")
-    _check_starts(scenario)
+    check_starts(scenario)
 
 
-def _check_starts(scenario: Scenario) -> None:
+def check_starts(scenario: Scenario) -> None:
     """Before minutes are spent on a fleet that cannot start: all stand in the geofence, in no obstacle, and no two in
     one place."""
     hint = "give it another start in the fleet file"
