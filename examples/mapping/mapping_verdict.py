@@ -107,7 +107,7 @@ def read(folder: Path) -> Run:
         shapes = [_shape(obstacle) for obstacle in records[0]["obstacles"]]
         starts = {r["pid"]: (r["position"][0], r["position"][1]) for r in reversed(records) if r["kind"] == "pose"}
         handed = [r for r in records if r["kind"] == "round" and "map" in (r.get("shared") or {})]
-        maps = sorted((Map.of(r["t"], r["shared"]["map"]) for r in handed), key=lambda m: m.t)
+        maps = [Map.of(r["t"], r["shared"]["map"]) for r in handed]
     except OSError as error:
         raise Unusable(f"{error.filename}: {error.strerror}") from None
     except (ValueError, KeyError, TypeError, IndexError) as error:

@@ -33,7 +33,9 @@ def trips(folder: Path) -> tuple[list[str], list[Trip]]:
         header, *records = [json.loads(line) for line in file]
     taken: dict[int, dict[str, Any]] = {}
     found = []
-    for record in sorted((r for r in records if r["kind"] == "round"), key=lambda r: float(r["t"])):
+    for record in records:
+        if record["kind"] != "round":
+            continue
         pid = record["pid"]
         if record.get("event") == "Assign" and record["locals"].get("on_task"):
             taken[pid] = record

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 from koordgen.ir import decl
 from koordgen.ir.expr import Expr
 from koordgen.node import replace
-from koordgen.prove.generate import obligations
+from koordgen.prove.generate import obligations, rooms
 from koordgen.prove.ledger import Entry, ledger
 from koordgen.prove.obligation import Obligation
 from koordgen.prove.smtlib import script
@@ -79,7 +79,7 @@ def prove(question: Question, solver: Solver | Both) -> list[Verdict]:
     for name in names:
         group = failed[name][0] if name in failed else groups[name]
         told = explained.get(name)
-        verdict, reason = _verdict(group, told, contradiction, doubt)
+        verdict, reason = _verdict(question.program, group, told, contradiction, doubt)
         assumed = ledger(question.program, [o.obligation for o in group])
         rests = _rests_on(name, group, program) if verdict == "PROVED" else ()
         found.append(Verdict(name, verdict, question.robots, group, reason, told, rests, assumed))
@@ -104,7 +104,7 @@ def _explained(
 def _asked(question: Question, program: decl.Program, solver: Solver | Both) -> list[Outcome]:
     """What the solver says of all obligations; of those that fail again, with distances told exactly, where that is
     something else."""
-    found = [Outcome(o, solver.ask(o)) for o in obligations(program, question.robots, question.params)]
+    found = [Outcome(*each) for each in solver.ask_all(rooms(program, question.robots, question.params))]
     if all(outcome.holds for outcome in found):
         return found
     exact = {o.name: o for o in obligations(program, question.robots, question.params, exact=True)}
@@ -151,7 +151,9 @@ def _consistency(outcomes: Sequence[Outcome], solver: Solver | Both) -> tuple[st
     return "", doubt
 
 
-def _verdict(group: tuple[Outcome, ...], told: Explanation | None, contradiction: str, doubt: str) -> tuple[Name, str]:
+def _verdict(
+    program: decl.Program, group: tuple[Outcome, ...], told: Explanation | None, contradiction: str, doubt: str
+) -> tuple[Name, str]:
     if contradiction:
         return "VACUOUS", contradiction
     if told is not None and told.run is not None:
@@ -161,8 +163,9 @@ def _verdict(group: tuple[Outcome, ...], told: Explanation | None, contradiction
     failing = [o for o in group if not o.holds]
     if failing:
         first = next((o for o in failing if o.answer.result == "unknown"), failing[0])
-        why = first.answer.reason or (told.unshown if told is not None else "")
-        return "UNKNOWN", f"{first.obligation.name}: {why}"
+        from koordgen.prove import doubt as doubts
+
+        return "UNKNOWN", doubts.doubt(program, first.obligation, first.answer, told.unshown if told else "")
     return ("UNKNOWN", doubt) if doubt or not group else ("PROVED", "")
 
 

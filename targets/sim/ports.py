@@ -5,12 +5,15 @@ from __future__ import annotations
 
 import os
 import pty
+import random
 import socket
 import tty
+from collections import deque
 from contextlib import suppress
 from typing import Protocol
 
-_given: set[int] = set()  # ports of this process that agents will bind: free now, but not to be given twice
+# Numbers that systems do not give out by themselves (Linux: from 32768 on), in blocks.
+FIRST, BLOCKS, BLOCK = 20_000, 199, 64
 
 
 class Port(Protocol):
@@ -88,15 +91,53 @@ class PseudoTerminal:
         self._master = self._slave = -1
 
 
+class Numbers:
+    """UDP ports of the loopback that are free until their agents bind them, seconds later: nobody else is given one,
+    here or by another run on this host. Who gives out a block's numbers holds its first one, as TCP."""
+
+    def __init__(self) -> None:
+        self._held: list[socket.socket] = []
+        self._free: deque[int] = deque()
+        self._blocks = random.SystemRandom().sample(range(BLOCKS), BLOCKS)
+
+    def take(self) -> int:
+        """Raises OSError when there is none."""
+        while True:
+            while not self._free:
+                self._hold()
+            number = self._free.popleft()
+            with suppress(OSError):
+                _bound(socket.SOCK_DGRAM, number).close()
+                return number
+
+    def give_back(self, number: int) -> None:
+        """It may be given to somebody else, later than all others: an agent may still be ending."""
+        self._free.append(number)
+
+    def _hold(self) -> None:
+        if not self._blocks:
+            raise OSError(f"no UDP port from {FIRST} to {FIRST + BLOCKS * BLOCK - 1} is free")
+        first = FIRST + BLOCK * self._blocks.pop()
+        with suppress(OSError):
+            self._held.append(_bound(socket.SOCK_STREAM, first))
+            self._free.extend(range(first, first + BLOCK))
+
+    def close(self) -> None:
+        for each in self._held:
+            each.close()
+
+
+NUMBERS = Numbers()
+
+
 class UdpPort:
     """A socket on loopback. `number` is the port for the agent to bind."""
 
     def __init__(self) -> None:
-        self._socket, _ = _bound()
+        self._socket = _bound(socket.SOCK_DGRAM, 0)
         self._socket.setblocking(False)
-        probe, self.number = _bound()
-        probe.close()
-        _given.add(self.number)
+        self.number = NUMBERS.take()
+        self._open = True
 
     def receive(self) -> list[bytes]:
         datagrams: list[bytes] = []
@@ -115,14 +156,16 @@ class UdpPort:
 
     def close(self) -> None:
         self._socket.close()
-        _given.discard(self.number)
+        if self._open:
+            NUMBERS.give_back(self.number)
+        self._open = False
 
 
-def _bound() -> tuple[socket.socket, int]:
-    while True:
-        candidate = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        candidate.bind(("127.0.0.1", 0))
-        number: int = candidate.getsockname()[1]
-        if number not in _given:
-            return candidate, number
-        candidate.close()
+def _bound(kind: socket.SocketKind, number: int) -> socket.socket:
+    found = socket.socket(socket.AF_INET, kind)
+    try:
+        found.bind(("127.0.0.1", number))
+    except OSError:
+        found.close()
+        raise
+    return found

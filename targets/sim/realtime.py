@@ -12,10 +12,11 @@ import msgspec
 from targets.sim.crew import Step
 from targets.sim.medium import Medium
 from targets.sim.pace import Pace
+from targets.sim.ports import NUMBERS
 from targets.sim.relay import Relay
 from targets.sim.scenario import Robot, Scenario
 from targets.sim.stage import Actor, Stage
-from targets.sim.supervise import Process, free_ports, overrides
+from targets.sim.supervise import Process, overrides
 from targets.sim.world import STEP
 
 
@@ -36,6 +37,7 @@ class RealTime:
         self._pace = Pace(time.monotonic(), STEP)
         self._medium: Medium | None = None
         self._relay: Relay | None = None
+        self._numbers: list[int] = []
 
     @property
     def agents(self) -> list[Process]:
@@ -46,8 +48,8 @@ class RealTime:
 
     def launch(self, stage: Stage) -> None:
         count = len(self._agents)
-        free = free_ports(2 * count)
-        ports, controls = free[:count], free[count:]
+        taken = self._numbers = [NUMBERS.take() for _ in range(2 * count)]
+        ports, controls = taken[:count], taken[count:]
         if self._medium is not None:
             self._relay = Relay(ports, self._seed, self._medium)
         others = self._relay.ports if self._relay else ports
@@ -104,4 +106,6 @@ class RealTime:
             agent.close()
         if self._relay is not None:
             self._relay.close()
+        while self._numbers:
+            NUMBERS.give_back(self._numbers.pop())
         self._key_file.unlink(missing_ok=True)

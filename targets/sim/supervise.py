@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -21,18 +20,6 @@ from targets.sim.trace import Record, Tail
 _SET_DEATH_SIGNAL = 1  # prctl: PR_SET_PDEATHSIG
 # What an agent may end with when it was told to: done, or interrupted.
 GOOD_ENDS = (0, 130, 128 + signal.SIGTERM)
-
-
-def free_ports(count: int) -> list[int]:
-    """UDP ports of the loopback that nobody holds at the moment."""
-    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
-    try:
-        for each in sockets:
-            each.bind(("127.0.0.1", 0))
-        return [int(each.getsockname()[1]) for each in sockets]
-    finally:
-        for each in sockets:
-            each.close()
 
 
 def overrides(
@@ -156,6 +143,8 @@ class Process(Agent):
     def _failed(self, status: int) -> str | None:
         if status == 0 or (self.told and (status in GOOD_ENDS or self.phase.phase == "launched")):
             return None
+        if self.told and status == -signal.SIGTERM and self.phase.phase == "rested":
+            return None  # it was on its way out when we told it, and Python heeded signals no longer
         if status < 0:
             return f"was killed by {signal.Signals(-status).name}"
         own = self.resting.detail if self.resting else self.last_error

@@ -10,6 +10,7 @@ from __future__ import annotations
 import heapq
 import json
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, Literal
 
@@ -215,11 +216,16 @@ class _Kind(msgspec.Struct):
     kind: str
 
 
+class _Time(msgspec.Struct):
+    time: float | None = None
+
+
 Mark = Violation | Verdict | Cause | End
 Record = Header | Pose | Phase | Init | Round | View | Log | Stream | Metrics | Violation | Verdict | Cause | End
 _KINDS = {kind.__struct_config__.tag for kind in Record.__args__}
 _decoder = msgspec.json.Decoder(Record)
 _kind_decoder = msgspec.json.Decoder(_Kind)
+_time_decoder = msgspec.json.Decoder(_Time)
 _encoder = msgspec.json.Encoder()
 
 
@@ -296,8 +302,8 @@ def merge(path: Path, header: Header, zero: float, poses: Path, agents: list[Pat
     their pids. Raises OSError."""
     streams = [
         _marked(marks),
-        _timed(poses, zero, None),
-        *(_timed(file, zero, pid) for pid, file in enumerate(agents)),
+        _posed(poses, zero),
+        *(_told(file, zero, pid) for pid, file in enumerate(agents)),
     ]
     with path.open("wb") as out:
         out.write(_encoder.encode(header) + b"\n")
@@ -310,33 +316,61 @@ def _marked(marks: list[Mark]) -> Iterator[tuple[float, bytes]]:
         yield mark.t, _encoder.encode(mark)
 
 
-def _timed(path: Path, zero: float, pid: int | None) -> Iterator[tuple[float, bytes]]:
+def _posed(path: Path, zero: float) -> Iterator[tuple[float, bytes]]:
+    """Written by the run itself, so in order; whatever is broken raises."""
+    if path.exists():
+        with path.open("rb") as file:
+            for line in file:
+                if line.endswith(b"\n"):
+                    yield _shifted(line, zero, {})
+
+
+def _told(path: Path, zero: float, pid: int) -> Iterator[tuple[float, bytes]]:
+    """An agent's records by time, those of one time as it wrote them. It writes a round when that is certain, behind
+    later records of other kinds; how far behind depends on its peers. So the file is looked through first."""
     if not path.exists():
         return
+    places: list[tuple[float, int]] = []
     with path.open("rb") as file:
+        after = 0
         for line in file:
-            if not line.endswith(b"\n") or b'"kind":"header"' in line[:40]:
-                continue
-            try:
-                decoded(line)
-            except msgspec.DecodeError:
-                if pid is None:
-                    raise
-                continue
-            record = json.loads(line)
-            t = round(record.pop("time", zero) - zero, 6)
-            own = {} if pid is None else {"pid": pid}
-            yield t, _encoder.encode({"kind": record.pop("kind"), "t": t, **own, **record})
+            place, after = after, after + len(line)
+            if line.endswith(b"\n") and b'"kind":"header"' not in line[:40]:
+                with suppress(msgspec.DecodeError):
+                    decoded(line)
+                    time = _time_decoder.decode(line).time
+                    places.append((zero if time is None else time, place))
+        for _, place in sorted(places):
+            file.seek(place)
+            yield _shifted(file.readline(), zero, {"pid": pid})
+
+
+def _shifted(line: bytes, zero: float, own: dict[str, int]) -> tuple[float, bytes]:
+    record = json.loads(line)
+    t = round(record.pop("time", zero) - zero, 6)
+    return t, _encoder.encode({"kind": record.pop("kind"), "t": t, **own, **record})
 
 
 def read(path: Path) -> tuple[Header, Iterator[Record]]:
     """A merged trace: its header, and everything else in order, but for kinds that are not known here. Raises BadTrace,
     also while being read."""
     records = _records(path)
-    header = next(records, None)
+    header = next(records, None) if _headed(path) else None
     if not isinstance(header, Header) or header.format != FORMAT:
-        raise BadTrace(f"{path}: no header of format {FORMAT}")
+        raise BadTrace(f"{path}: no header of a run's trace, of format {FORMAT}")
     return header, records
+
+
+def _headed(path: Path) -> bool:
+    """Whether the first line is the header of a merged trace: an agent's own has no seed. Raises BadTrace."""
+    try:
+        with path.open("rb") as file:
+            first = json.loads(file.readline())
+    except OSError as error:
+        raise BadTrace(f"{path}: {error.strerror or error}") from None
+    except ValueError:
+        return False
+    return isinstance(first, dict) and first.get("format") == FORMAT and "seed" in first
 
 
 def _records(path: Path) -> Iterator[Record]:

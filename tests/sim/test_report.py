@@ -80,6 +80,21 @@ def test_verdicts(tmp_path: Path, change: dict[str, Any], verdict: str) -> None:
     assert summary.summarise(*trace.read(path), outcome(**change)).verdict == verdict
 
 
+def test_a_run_that_does_not_tell_of_all_properties_is_not_plainly_held(tmp_path: Path) -> None:
+    left = trace.Verdict(10.0, "invariant", "Near", "app.koord:7", "out of model", 2.04, (), "bert had left the model")
+    known = trace.Verdict(10.0, "axiom", "Sum", "app.koord:9", "unchecked")
+    path = write(tmp_path / "trace.jsonl", header(NAMES), moving(STARTS, ENDS), [left, known, End(10.0, "completed")])
+    found = summary.summarise(*trace.read(path), outcome())
+    assert found.verdict == "held" and "invariant Near (app.koord:7), out of model since 2.04 s" in found.why
+    assert "Sum" not in found.why
+    assert summary.as_text(found).startswith("line<form>: HELD IN PART: the whole duration")
+    summary.write(found, tmp_path)
+    report.write(tmp_path / "report.html", path)
+    assert "Held in part" in (tmp_path / "report.html").read_text()
+    write(path, header(NAMES), moving(STARTS, ENDS), [known, End(10.0, "completed")])
+    assert summary.as_text(summary.summarise(*trace.read(path), outcome())).startswith("line<form>: HELD: ")
+
+
 def test_the_summary_is_the_same_as_json_and_as_text(canned: Path) -> None:
     found = summary.summarise(*trace.read(canned), outcome())
     summary.write(found, canned.parent)
@@ -207,6 +222,24 @@ def test_what_is_not_known_here_is_kept_by_merging_and_passed_over_by_reading(tm
     ]  # fmt: skip
     assert written[2]["more"] == [1]
     assert [type(record).__name__ for record in trace.read(path)[1]] == ["Metrics", "Stream", "End"]
+
+
+def test_merged_records_are_in_order_although_a_round_is_told_only_when_it_is_certain(tmp_path: Path) -> None:
+    told: dict[str, list[tuple[str, float, dict[str, Any]]]] = {
+        "a": [("log", 100.5, {"message": "x"}), ("round", 100.25, {"round": 1}), ("round", 100.5, {"round": 2})],
+        "b": [("round", 102.0, {"round": 3}), ("log", 101.0, {"message": "y"}), ("round", 100.75, {"round": 2})],
+    }
+    files, path = [tmp_path / name for name in told], tmp_path / "trace.jsonl"
+    for file, records in zip(files, told.values(), strict=True):
+        rows = [{"kind": kind, "time": time, **more} for kind, time, more in records]
+        # A header is no record, nor is what is broken, nor what was cut off.
+        lines = [b'{"kind":"header"}', b"\xff", *map(msgspec.json.encode, rows), b'{"ki']
+        file.write_bytes(b"\n".join(lines))
+    trace.merge(path, header(["alice", "bert"]), 100.0, tmp_path / "none", files, [End(0.6, "completed")])
+    _, *written = (json.loads(line) for line in path.read_bytes().splitlines())
+    assert [(r["t"], r.get("pid"), r.get("round", r["kind"])) for r in written] == [
+        (0.25, 0, 1), (0.5, 0, "log"), (0.5, 0, 2), (0.6, None, "end"), (0.75, 1, 2), (1.0, 1, "log"), (2.0, 1, 3),
+    ]  # fmt: skip
 
 
 def test_a_trace_that_is_cut_off_is_told_with_its_place(canned: Path) -> None:

@@ -76,17 +76,17 @@ def mark(axes: Any, found: Tracks, t: float) -> list[Any]:
         colour = STATES[state]
         face = colour if state == 2 else "white"
         (dot,) = axes.plot(
-            x, y, "o", markersize=11, markerfacecolor=face, markeredgecolor=colour, markeredgewidth=1.8, zorder=2.5
+            x, y, "o", markersize=14, markerfacecolor=face, markeredgecolor=colour, markeredgewidth=1.8, zorder=2.5
         )
         made.append(dot)
         if state:
             sign, ink = (TICK, "white") if state == 2 else (".", colour)
             made += axes.plot(
-                x, y, marker=sign, markersize=6, color=ink, markerfacecolor="none" if state == 2 else ink,
-                markeredgewidth=1.5, linestyle="", zorder=2.6,
+                x, y, marker=sign, markersize=9, color=ink, markerfacecolor="none" if state == 2 else ink,
+                markeredgewidth=2, linestyle="", zorder=2.6,
             )  # fmt: skip
         if z > 0.05:
-            made.append(axes.annotate(f"{z:.1f} m", (x, y), (0, -15), textcoords="offset points", fontsize=7,
+            made.append(axes.annotate(f"{z:.1f} m", (x, y), (0, -17), textcoords="offset points", fontsize=8,
                                       ha="center", color=colour))  # fmt: skip
     return made
 
