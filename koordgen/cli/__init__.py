@@ -262,6 +262,8 @@ def _planned(options: Namespace, targets: list[str]) -> tuple[dict[str, dict[str
 
 
 def _params(given: list[str]) -> dict[str, Value]:
+    if not given:
+        return {}
     from koordgen.check.params import BadParam, parse_value
 
     values = {}
