@@ -28,14 +28,17 @@ def trace(program: decl.Program, told: Explanation) -> str:
         moments, failed = told.run.moments, told.run.failed
     else:
         moments, failed = _pair(found), found.failed
-    lines = [_header(program, moments), *_steps(program, moments)]
-    told_of = {
-        "robots": [f"robot{pid}" for pid in range(len(moments[-1].state.robots))],
-        "detail": f"false: {spelled(failed.formula)}" if failed is not None else found.discarded,
-        "name": f"invariant {found.invariant}",
-        "line": f"{program.path}:{failed.formula.span.line if failed is not None else found.line}",
-    }
-    lines.append({"kind": "violation", "t": float(moments[-1].round), "what": "property", **told_of})
+    line = failed.formula.span.line if failed is not None else found.line
+    detail = f"false: {spelled(failed.formula)}" if failed is not None else found.discarded
+    return run_trace(program, moments, found.invariant, line, detail)
+
+
+def run_trace(program: decl.Program, moments: tuple[Moment, ...], name: str, line: int, detail: str) -> str:
+    """A run whose last moment violates the property of that name, at a line of the program."""
+    where = {"robots": [f"robot{pid}" for pid in range(len(moments[-1].state.robots))], "detail": detail,
+             "name": name, "line": f"{program.path}:{line}"}  # fmt: skip
+    end = {"kind": "violation", "t": float(moments[-1].round), "what": "property", **where}
+    lines = [_header(program, moments), *_steps(program, moments), end]
     return "".join(json.dumps(line) + "\n" for line in lines)
 
 

@@ -161,20 +161,20 @@ def test_a_trace_of_the_counterexample(folder: Path) -> None:
     assert main(["prove", written(COUNTER), "--trace", "trace.jsonl"]) == 3
     lines = [json.loads(line) for line in Path("trace.jsonl").read_text().splitlines()]
     assert lines[0]["kind"] == "header" and lines[0]["format"] == "koord-trace/1"
-    assert lines[-1]["kind"] == "violation" and lines[-1]["name"] == "invariant Below"
+    assert lines[-1]["kind"] == "violation" and lines[-1]["name"] == "Below"
     assert lines[-1]["line"] == "app.koord:11" and lines[-1]["detail"] == "false: n[i] < 3"
     values = [line["shared"]["n"] for line in lines if line["kind"] == "round" and line["pid"] == 0]
     assert values[-1] == 3 and values == sorted(values)
     assert main(["prove", written(COUNTER), "--trace", "no/such/folder/trace"]) == 5
 
 
-@pytest.mark.parametrize("text", [COUNTER, LINE])
+@pytest.mark.parametrize(("text", "name"), [(COUNTER, "Below"), (LINE, "Geofence")])
 def test_a_report_shows_the_trace_and_a_replay_says_why_it_does_not(
-    folder: Path, capsys: pytest.CaptureFixture[str], text: str
+    folder: Path, capsys: pytest.CaptureFixture[str], text: str, name: str
 ) -> None:
     assert main(["prove", written(text), "--trace", "trace.jsonl"]) == 3
     assert main(["report", "trace.jsonl"]) == 0
-    assert "invariant" in Path("report.html").read_text()
+    assert name in Path("report.html").read_text()
     capsys.readouterr()
     assert main(["replay", "trace.jsonl", "--program", "app.koord"]) == 1
     assert "trace.jsonl is not of a run" in capsys.readouterr().err
