@@ -27,6 +27,8 @@ def afterwards(options: Namespace) -> int:
     except BadTrace as error:
         raise cli.Failure(cli.WRONG, str(error), "a run's folder is expected, or the trace.jsonl in it") from None
     except OSError as error:
-        raise cli.Failure(cli.SURROUNDINGS, f"{error.filename or options.trace}: {error.strerror or error}") from None
+        raise cli.Failure(
+            cli.SURROUNDINGS, f"{error.filename or options.out or options.trace}: {error.strerror or error}"
+        ) from None
     print(made)
     return cli.HOLDS

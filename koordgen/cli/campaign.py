@@ -136,7 +136,8 @@ def _jobs(options: Namespace, out: Path, fixed: Sequence[str], harness: Target) 
 
     def job(run: plan.Run) -> Job:
         shown = shlex.join(_single(options, run, fixed, harness, out / store.RUNS / run.name))
-        flags = (*fixed, *_flags(run), f"--invoked-as={shown}")
+        spared = () if options.reports else ("--no-report",)
+        flags = (*fixed, *_flags(run), *spared, f"--invoked-as={shown}")
         return Job(run.number, run.varied, flags, run.settings, script, gentle=options.lockstep)
 
     return job

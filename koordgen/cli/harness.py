@@ -25,7 +25,8 @@ def harness(options: Namespace) -> int:
     passed = [f"--{key}={value}" for key in PASSED if (value := getattr(options, key)) is not None]
     passed.append(f"--out={options.out or f'run-{app}'}")
     passed.append(f"--invoked-as={shlex.join(['koordgen', *sys.argv[1:]])}")
-    passed += [f"--{flag}" for flag in ("lockstep", "gui", "quiet") if getattr(options, flag)]
+    flags = ("lockstep", "gui", "quiet", "no-report")
+    passed += [f"--{flag}" for flag in flags if getattr(options, flag.replace("-", "_"))]
     with tempfile.TemporaryDirectory(prefix="koordgen-") as folder:
         cli._write({options.command: bundle}, Path(folder))
         if scenario is not None:

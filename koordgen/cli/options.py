@@ -158,6 +158,8 @@ def _harness(command: argparse.ArgumentParser) -> None:
     live = "show the run while it goes on, on a page of 127.0.0.1, at PORT or any free one"
     command.add_argument("--live", metavar="PORT", type=int, nargs="?", const=0, help=live)
     command.add_argument("--out", metavar="DIR", help="where trace, summary, pictures and report go")
+    later = "no report and no pictures; `koordgen report` and `export` make them later"
+    command.add_argument("--no-report", action="store_true", help=later)
     command.add_argument("--quiet", action="store_true", help="no progress")
     command.add_argument("--scenario", metavar="FILE", help="what goes wrong in the run, and when (YAML)")
     for name, (metavar, help) in _NETWORK.items():
@@ -176,6 +178,8 @@ def _campaign(command: argparse.ArgumentParser) -> None:
     jobs = "runs at a time (default: as many as there are cores; one in real time)"
     command.add_argument("--jobs", metavar="N", type=_count, help=jobs)
     command.add_argument("--out", metavar="DIR", help="where runs, table and pictures go (default: campaign-<app>)")
+    reports = "of each run make its report and pictures, too: some seconds a run"
+    command.add_argument("--reports", action="store_true", help=reports)
     command.add_argument("--resume", action="store_true", help="go on with what DIR holds")
     command.add_argument("--cluster", metavar="ADDRESS", help="hand the runs to this Dask scheduler")
     command.add_argument("--quiet", action="store_true", help="no progress")

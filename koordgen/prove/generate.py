@@ -6,7 +6,7 @@ in the round by then; and so does each moment of the environment's step. docs/pr
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from koordgen.ir import decl
 from koordgen.ir import expr as ir
@@ -35,12 +35,21 @@ def obligations(
     values of `params`, the others being any. To leave an invariant out, or to add one, hand over a program without or
     with it. `exact`: distances are told by the squares of coordinates in any case, which is slower to solve, and what a
     counterexample must satisfy."""
+    return [obligation for room in rooms(program, robots, params, exact) for obligation in room]
+
+
+def rooms(
+    program: Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None, exact: bool = False
+) -> Iterator[list[Obligation]]:
+    """The same, by and by: those that share their facts together."""
     t.forget()
     setting = Setting(program, robots, params, exact)
-    found = [*consistent(setting), *base(setting)]
+    for single in consistent(setting):
+        yield [single]
+    yield base(setting)
     for event in program.events:
-        found += of_event(setting, event)
-    return found + environment(setting)
+        yield of_event(setting, event)
+    yield environment(setting)
 
 
 def base(setting: Setting) -> list[Obligation]:

@@ -169,12 +169,8 @@ def _any_of(sort: Sort) -> Term:
 
 def _functions(obligation: Obligation) -> Iterator[Function]:
     """The symbols of an obligation."""
-    seen: dict[int, int] = {}
     terms = [f.term for f in obligation.facts] + ([obligation.goal.term] if obligation.goal is not None else [])
-    for term in terms:
-        for node in Printer.parts(term, seen):
-            if isinstance(node, Apply):
-                yield node.function
+    yield from Printer(terms).functions.values()
 
 
 def _leaves(type_: Type) -> Iterator[Type]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from fractions import Fraction
 from typing import assert_never
 
@@ -61,42 +61,43 @@ class Printer:
     def __init__(self, terms: Iterable[Term]) -> None:
         self.uses: dict[int, int] = {}
         self.functions: dict[str, Function] = {}
+        self.heads: dict[str, str] = {}
         self.done: dict[int, str] = {}
         self.named = 0
         self.kept = list(terms)  # ids are of what lives
-        for term in self.kept:
-            for node in self.parts(term, self.uses):
-                if isinstance(node, Apply):
-                    self.functions.setdefault(node.function.name, node.function)
-
-    @staticmethod
-    def parts(term: Term, seen: dict[int, int]) -> Iterator[Term]:
-        """What `seen` does not hold yet, parts before wholes; `seen` counts the places where each stands."""
-        pending: list[tuple[Term, bool]] = [(term, False)]
+        uses, pending = self.uses, self.kept[::-1]
         while pending:
-            node, entered = pending.pop()
-            if entered:
-                yield node
+            node = pending.pop()
+            if id(node) in uses:
+                uses[id(node)] += 1
                 continue
-            seen[id(node)] = seen.get(id(node), 0) + 1
-            if seen[id(node)] == 1:
-                pending.append((node, True))
-                if not isinstance(node, Value):
-                    pending.extend((part, False) for part in reversed(node.args))
+            uses[id(node)] = 1
+            if isinstance(node, Value):
+                continue
+            if isinstance(node, Apply):
+                self.functions.setdefault(node.function.name, node.function)
+            pending += node.args[::-1]
 
     def print(self, term: Term) -> tuple[list[str], str]:
         """Definitions that come first, and the term."""
         definitions: list[str] = []
-        for node in self.parts(term, {}):
-            if id(node) in self.done:
+        done, pending = self.done, [term]
+        while pending:
+            node = pending[-1]
+            if id(node) in done:
+                pending.pop()
+                continue
+            missing = [] if isinstance(node, Value) else [a for a in node.args if id(a) not in done]
+            if missing:
+                pending += missing[::-1]
                 continue
             text = self.shown(node)
             if len(text) > LONG and self.uses.get(id(node), 0) > 1:
                 name = self.fresh()
                 definitions.append(f"(define-fun {name} () {symbol(node.sort.name)} {text})")
                 text = name
-            self.done[id(node)] = text
-        return definitions, self.done[id(term)]
+            done[id(node)] = text
+        return definitions, done[id(term)]
 
     def fresh(self) -> str:
         while True:
@@ -110,7 +111,7 @@ class Printer:
             case Value(value, sort):
                 return literal(value, sort.name)
             case Apply(function, args):
-                head = symbol(function.name)
+                head = self.heads.get(function.name) or self.heads.setdefault(function.name, symbol(function.name))
                 return f"({head} {self.list(args)})" if args else head
             case Op(name, args):
                 return f"({name} {self.list(args)})"
@@ -151,19 +152,26 @@ def script(obligation: Obligation, wanted: Iterable[Term] = (), named: bool = Fa
     return "\n".join(lines) + "\n", shown
 
 
-def in_parts(obligation: Obligation) -> tuple[str, list[str]]:
-    """The facts as a solver is told them, and each conjunct of the goal negated: to be refuted one by one."""
-    negated = [not_(part.term) for part in obligation.conjuncts]
-    printer = Printer([*(f.term for f in obligation.facts), *negated])
-    lines, parts = list(printer.declarations()), []
-    for number, term in enumerate([*(f.term for f in obligation.facts), *negated]):
+def together(room: Sequence[Obligation], parts: Sequence[Sequence[Term]]) -> tuple[str, list[list[str]]]:
+    """Obligations that share facts: what all of them assume, and for each of the `parts` of each, in which it is to be
+    refuted, that and what only this obligation assumes."""
+    shared = set.intersection(*({id(fact) for fact in o.facts} for o in room))
+    own = [[fact.term for fact in o.facts if id(fact) not in shared] for o in room]
+    common = [fact.term for fact in room[0].facts if id(fact) in shared]
+    printer = Printer([*common, *(term for terms in (*own, *parts) for term in terms)])
+    lines = list(printer.declarations())
+
+    def asserted(term: Term) -> str:
         definitions, text = printer.print(term)
-        lines += definitions
-        if number < len(obligation.facts):
-            lines.append(f"(assert {text})")
-        else:
-            parts.append(text)
-    return "\n".join(lines) + "\n", parts
+        lines.extend(definitions)
+        return f"(assert {text})\n"
+
+    lines += [asserted(term) for term in common]
+    goals = []
+    for terms, each in zip(own, parts, strict=True):
+        assumed = "".join(map(asserted, terms))
+        goals.append([assumed + asserted(part) for part in each])
+    return "\n".join(lines) + "\n", goals
 
 
 def document(obligation: Obligation, line: Line) -> str:

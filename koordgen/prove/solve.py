@@ -10,26 +10,23 @@ from __future__ import annotations
 import math
 import os
 import re
-import resource
-import select
-import signal
 import sys
 import time
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Sequence
 from typing import Literal, NamedTuple, Self
 
 from koordgen.diagnostics import InternalError
+from koordgen.prove.batch import Batch
 from koordgen.prove.obligation import Obligation
+from koordgen.prove.process import Ended, Process
 from koordgen.prove.sexpr import ModelValue, Unreadable, values
-from koordgen.prove.smtlib import in_parts, script
-from koordgen.prove.term import Term
+from koordgen.prove.smtlib import script, together
+from koordgen.prove.term import TRUE, Term, not_
 
 Result = Literal["sat", "unsat", "unknown"]
 LINEAR = frozenset(("QF_UFLIA", "QF_UFLIRA"))
 WARM = '(push)\n(check-sat)\n(pop)\n(echo "koordgen-0")\n'  # its first answer takes z3 10 ms more than others
 GRACE = 1.0  # seconds beyond its own limit after which a solver is killed
-CHUNK = 1 << 16
 MOST_BYTES = 1 << 24  # of an answer
 
 
@@ -77,45 +74,6 @@ def command_of(name: str, memory: int) -> list[str]:
     raise SolverMissing(f"there is no solver {name} beside {sys.executable} or on the PATH")
 
 
-class Process(NamedTuple):
-    """A program that runs beside us, and the ends of its pipes. Importing subprocess takes longer than a query."""
-
-    pid: int
-    sink: int
-    source: int
-
-    @classmethod
-    def start(cls, command: Sequence[str]) -> Process:
-        """Raises OSError where it cannot be started."""
-        theirs_in, sink = os.pipe()
-        source, theirs_out = os.pipe()
-        silent = os.open(os.devnull, os.O_WRONLY)
-        actions = [(os.POSIX_SPAWN_DUP2, end, number) for number, end in enumerate((theirs_in, theirs_out, silent))]
-        try:
-            pid = os.posix_spawnp(command[0], list(command), os.environ, file_actions=actions)
-        except OSError:
-            os.close(sink)
-            os.close(source)
-            raise
-        finally:
-            for end in (theirs_in, theirs_out, silent):
-                os.close(end)
-        os.set_blocking(sink, False)
-        os.set_blocking(source, False)
-        return cls(pid, sink, source)
-
-    def end(self) -> int:
-        """Kills it if it still runs; its exit status, negative for a signal."""
-        with suppress(ProcessLookupError):
-            os.kill(self.pid, signal.SIGKILL)
-        return self.wait()
-
-    def wait(self) -> int:
-        os.close(self.sink)
-        os.close(self.source)
-        return os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
-
-
 class Solver:
     """One solver, started when it is first needed, or before by `start`. `command` stands in for the usual one."""
 
@@ -125,7 +83,6 @@ class Solver:
         self.command = list(command) if command is not None else command_of(name, self.limits.memory)
         self.spent = 0.0
         self._process: Process | None = None
-        self._read = b""
         self._asked = 0
         self._warming = False
         self._left = ""  # what undoes the query before
@@ -142,17 +99,13 @@ class Solver:
         if self._process is not None:
             return
         try:
-            process = Process.start(self.command)
+            self._process = Process(self.command, self.limits.memory)
         except OSError as error:
             raise SolverMissing(f"{self.command[0]}: {error.strerror}") from None
-        with suppress(AttributeError, OSError):  # where a process' memory cannot be limited from outside
-            most = self.limits.memory << 20
-            resource.prlimit(process.pid, resource.RLIMIT_AS, (most, most))
-        self._process, self._read, self._left, self._timeout = process, b"", "", 0
-        if self.name == "z3":
-            with suppress(BrokenPipeError):
-                os.write(process.sink, WARM.encode())
-            self._warming = True
+        self._left, self._timeout = "", 0
+        self._process.unsent = WARM.encode() if self.name == "z3" else b""
+        self._process.exchange(0.0)
+        self._warming = self.name == "z3"
 
     def end(self) -> None:
         """Ends the process, whatever it is doing."""
@@ -184,13 +137,11 @@ class Solver:
     def _answered(self, obligation: Obligation, wanted: Sequence[Term], core: bool, limit: float) -> Answer:
         self.start()
         until = time.monotonic() + limit + GRACE
-        if self._warming:
-            self._warming = False
-            self._heard("koordgen-0", memoryview(b""), until)
-        if self._by_parts(obligation) and not wanted and not core:
+        self._warm(until)
+        if not wanted and not core and len(self.parts(obligation)) > 1:
             return self._refuted(obligation, limit, until)
         text, names = script(obligation, wanted, core)
-        said = self._said(self._room(obligation.logic, core, bool(names), limit) + text + "(check-sat)\n", until)
+        said = self._said(self.room(obligation.logic, core, bool(names), limit) + text + "(check-sat)\n", until)
         match said:
             case "unsat":
                 return Answer("unsat", 0.0, core=self._core(until) if core else ())
@@ -201,15 +152,43 @@ class Solver:
             case _:
                 raise Broken(f"{self.name} answered neither sat nor unsat: {_short(said)}{_exhausted(said)}")
 
-    def _by_parts(self, obligation: Obligation) -> bool:
-        """With robots by number there are many conjuncts: one by one they take a third of the time of all at once."""
+    def ask_all(self, rooms: Iterable[Sequence[Obligation]]) -> list[tuple[Obligation, Answer]]:
+        """As `ask`, of many. z3 is told those of one room, which share most of their facts, together, and decides them
+        while the next room is made; what it does not decide so is asked alone. Raises SolverMissing."""
+        self.start()
+        batch = Batch(self)
+        found: list[Obligation] = []
+        for room in rooms:
+            found += room
+            if self.name == "z3" and room and all(o.logic in LINEAR for o in room) and self._process is not None:
+                try:
+                    batch.add(room)
+                except Broken:
+                    self.end()
+        answers: dict[int, Answer] = {}
+        if self._process is not None and batch.sent:
+            try:
+                answers = {key: Answer(*said) for key, said in batch.answers().items() if said[0] != "unknown"}
+            except Broken:
+                self.end()
+        self.spent += sum(answer.seconds for answer in answers.values())
+        return [(o, answers[id(o)] if id(o) in answers else self.ask(o)) for o in found]
+
+    def parts(self, obligation: Obligation) -> list[Term]:
+        """What is to be refuted, one by one. With robots by number there are many conjuncts: each alone, they take z3
+        a third of the time of all at once."""
+        if obligation.goal is None:
+            return [TRUE]
         numbered = obligation.robots is not None and len(obligation.conjuncts) > 1
-        return numbered and self.name == "z3" and obligation.logic in LINEAR
+        if numbered and self.name == "z3" and obligation.logic in LINEAR:
+            return [not_(part.term) for part in obligation.conjuncts]
+        return [not_(obligation.goal.term)]
 
     def _refuted(self, obligation: Obligation, limit: float, until: float) -> Answer:
-        text, parts = in_parts(obligation)
-        asked = "".join([f"(push)\n(assert {part})\n(check-sat)\n(pop)\n" for part in parts])
-        said = self._said(self._room(obligation.logic, False, False, limit) + text + asked, until).split("\n")
+        parts = self.parts(obligation)
+        text, (goals,) = together([obligation], [parts])
+        asked = "".join([f"(push)\n{goal}(check-sat)\n(pop)\n" for goal in goals])
+        said = self._said(self.room(obligation.logic, False, False, limit) + text + asked, until).split("\n")
         if len(said) != len(parts) or not {"sat", "unsat", "unknown"}.issuperset(said):
             raise Broken(f"{self.name} answered neither sat nor unsat: {_short(' '.join(said))}{_exhausted(said[0])}")
         if "sat" in said:
@@ -220,7 +199,7 @@ class Solver:
             )
         return Answer("unsat", 0.0)
 
-    def _room(self, logic: str, core: bool, model: bool, limit: float) -> str:
+    def room(self, logic: str, core: bool, model: bool, limit: float) -> str:
         """The commands with which a query begins, so that nothing is left of the one before. Within a scope z3 solves
         what is linear, which spares 2 to 10 ms of each query; what is not it solves as its logic is best solved."""
         milliseconds = max(1, int(limit * 1000))
@@ -256,41 +235,68 @@ class Solver:
             return f"{self.name} found no answer within {limit:g} s; a longer --timeout may help"
         return f"{self.name} cannot decide it: {_short(said) or 'no reason given'}{_exhausted(said)}"
 
+    def _warm(self, until: float) -> None:
+        if self._warming:
+            self._warming = False
+            self._heard("koordgen-0", until)
+
     def _said(self, text: str, until: float) -> str:
         """What the solver says to some commands. Raises Broken."""
         self._asked += 1
         end = f"koordgen-{self._asked}"
-        return self._heard(end, memoryview(f'{text}(echo "{end}")\n'.encode()), until)
+        self.send(f'{text}(echo "{end}")\n')
+        return self._heard(end, until)
 
-    def _heard(self, end: str, unsent: memoryview, until: float) -> str:
-        """All up to a word that it was to echo, while the rest of the commands goes out."""
+    def rest(self, mark: str, seconds: float) -> tuple[list[str], list[float]]:
+        """The lines that the solver has said since it was asked last, and when it said each of the marks among them,
+        once it has come to its end. Raises Broken."""
+        assert self._process is not None
+        self._asked += 1
+        end = f"koordgen-{self._asked}"
+        self.send(f'(echo "{end}")\n')
+        limit = min(seconds, self.limits.query, self.limits.total - self.spent)
+        place = self._waited(end, time.monotonic() + limit + GRACE)
+        came = self._process.came(mark)
+        lines = [line.strip('"\r') for line in self._process.take(place).split("\n")]
+        if self._warming:
+            self._warming = False
+            lines = lines[2:] if lines[:2] == ["sat", "koordgen-0"] else []
+        return lines, came
+
+    def send(self, text: str) -> None:
+        """Lets the solver have some commands. Raises Broken."""
+        assert self._process is not None
+        try:
+            self._process.send(text)
+        except Ended:
+            raise Broken(self._obituary()) from None
+
+    def _heard(self, end: str, until: float) -> str:
+        """All up to a word that it was to echo. Raises Broken."""
+        assert self._process is not None
+        return self._process.take(self._waited(end, until))
+
+    def _waited(self, end: str, until: float) -> int:
+        """Waits for a word that it was to echo, while the rest of the commands goes out; where in what it said that
+        stands. Raises Broken."""
         process = self._process
         assert process is not None
-        source, sink = process.source, process.sink
         mark = re.compile(rb'(?:^|\n)"?%b"?\r?\n$' % end.encode())  # quoted by those that keep to the standard
-        while not (ended := mark.search(self._read, max(0, len(self._read) - len(end) - 8))):
+        while not (ended := mark.search(process.read, max(0, len(process.read) - len(end) - 8))):
             left = until - time.monotonic()
-            ready = select.select([source], [sink] if unsent else [], [], max(0.0, left))
-            if left <= 0 or not (ready[0] or ready[1]) or len(self._read) > MOST_BYTES:
+            try:
+                going = left > 0 and process.exchange(left)
+            except Ended:
+                raise Broken(self._obituary()) from None
+            if not going or len(process.read) > MOST_BYTES:
                 raise Broken(f"{self.name} did not answer in time and was killed; a longer --timeout may help")
-            if ready[1]:
-                try:
-                    unsent = unsent[os.write(sink, unsent[:CHUNK]) :]
-                except BrokenPipeError:
-                    unsent = unsent[:0]  # its last words may tell why
-            if ready[0]:
-                some = os.read(source, CHUNK)
-                if not some:
-                    raise Broken(self._obituary())
-                self._read += some
-        said, self._read = self._read[: ended.start()], b""
-        return said.decode(errors="replace").strip()
+        return ended.start()
 
     def _obituary(self) -> str:
         assert self._process is not None
         process, self._process = self._process, None
         status = process.wait()
-        words = _short(self._read.decode(errors="replace"))
+        words = _short(process.read.decode(errors="replace"))
         how = f"was killed by signal {-status}" if status < 0 else f"ended with status {status}"
         hint = _exhausted(words) or (
             f" (its memory is limited to {self.limits.memory} MB)" if status in (-9, -6, 101) else ""
@@ -335,6 +341,9 @@ class Both:
             raise InternalError(f"solvers contradict each other about {obligation.name}: {told}")
         chosen = decided[0] if decided else answers[0]
         return chosen._replace(seconds=sum(a.seconds for a in answers))
+
+    def ask_all(self, rooms: Iterable[Sequence[Obligation]]) -> list[tuple[Obligation, Answer]]:
+        return [(obligation, self.ask(obligation)) for room in rooms for obligation in room]
 
 
 def solver_of(name: str, limits: Limits) -> Solver | Both:

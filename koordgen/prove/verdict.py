@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 from koordgen.ir import decl
 from koordgen.ir.expr import Expr
 from koordgen.node import replace
-from koordgen.prove.generate import obligations
+from koordgen.prove.generate import obligations, rooms
 from koordgen.prove.ledger import Entry, ledger
 from koordgen.prove.obligation import Obligation
 from koordgen.prove.smtlib import script
@@ -104,7 +104,7 @@ def _explained(
 def _asked(question: Question, program: decl.Program, solver: Solver | Both) -> list[Outcome]:
     """What the solver says of all obligations; of those that fail again, with distances told exactly, where that is
     something else."""
-    found = [Outcome(o, solver.ask(o)) for o in obligations(program, question.robots, question.params)]
+    found = [Outcome(*each) for each in solver.ask_all(rooms(program, question.robots, question.params))]
     if all(outcome.holds for outcome in found):
         return found
     exact = {o.name: o for o in obligations(program, question.robots, question.params, exact=True)}

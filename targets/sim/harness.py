@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from targets.sim.progress import Progress
     from targets.sim.run import Run
     from targets.sim.trace import Header
+    from targets.sim.view.live import Live
     from targets.sim.watch import Watcher
 
 HELD, BAD_FILES, USAGE, VIOLATED, SURROUNDINGS, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 5, 70, 130
@@ -43,7 +44,10 @@ NEEDED = ("numpy", "pybullet", "matplotlib")
 
 def main(root: Path, argv: list[str] | None = None) -> int:
     """Run the bundle at `root`; returns the exit status. Usage errors leave by SystemExit(2)."""
-    options = _parser(root).parse_args(argv)
+    parser = _parser(root)
+    options = parser.parse_args(argv)
+    if options.pace and not options.lockstep:
+        parser.error("--pace is for --lockstep; in real time a run goes at its own")
     try:
         scenario = scattered(replace(load(root, options.settings), gui=options.gui), options.seed)
         out: Path = options.out or Path(f"run-{scenario.app}")
@@ -51,10 +55,13 @@ def main(root: Path, argv: list[str] | None = None) -> int:
         schedule, told = _schedule(scenario, options)
         if options.check:
             return _check(root, scenario)
-        with RunFolder(out) as folder:
+        from targets.sim.view import live
+
+        # The view first: what is in its way must not cost what an earlier run left.
+        with live.watched(_header(scenario, options), options.live) as view, RunFolder(out) as folder:
             if told is not None:
                 (folder / "faults.json").write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
-            return _run(root, scenario, schedule, folder, options)
+            return _run(root, scenario, schedule, folder, options, view)
     except BadScenario as error:
         return _fail(BAD_FILES, str(error), error.hint)
     except Foreign as error:
@@ -89,13 +96,15 @@ def _parser(root: Path) -> argparse.ArgumentParser:
         parser.add_argument(
             f"--{name}", type=_condition(name), metavar="X", help=f"of all links between robots, {what}"
         )
+    later = "no report and no pictures; `koordgen report` and `export` make them of the folder"
+    parser.add_argument("--no-report", action="store_true", help=later)
     parser.add_argument("--gui", action="store_true", help="show PyBullet's window")
     parser.add_argument("--check", action="store_true", help="check the bundle and its packages; run nothing")
     parser.add_argument("--invoked-as", metavar="TEXT", help="the command to name in the report, if not this one")
     live = "show the run on a page at 127.0.0.1, on PORT or any free one"
-    parser.add_argument("--live", type=int, nargs="?", const=0, metavar="PORT", help=live)
+    parser.add_argument("--live", type=_port, nargs="?", const=0, metavar="PORT", help=live)
     pace = "of a run in lockstep: at most so many times real time"
-    parser.add_argument("--pace", type=_seconds, metavar="FACTOR", help=pace)
+    parser.add_argument("--pace", type=_factor, metavar="FACTOR", help=pace)
     parser.add_argument("--quiet", action="store_true", help="no progress")
     return parser
 
@@ -116,13 +125,27 @@ def _condition(name: str) -> Callable[[str], float]:
 
 
 def _seconds(text: str) -> float:
+    return _positive(text, "time to run for; give seconds")
+
+
+def _factor(text: str) -> float:
+    return _positive(text, "pace; give times real time")
+
+
+def _positive(text: str, what: str) -> float:
     try:
         value = float(text)
     except ValueError:
         value = math.nan
     if not (math.isfinite(value) and value > 0):
-        raise argparse.ArgumentTypeError(f"{text} is no time to run for; give seconds, more than 0")
+        raise argparse.ArgumentTypeError(f"{text} is no {what}, more than 0")
     return value
+
+
+def _port(text: str) -> int:
+    if not (text.isdecimal() and int(text) <= 65535):
+        raise argparse.ArgumentTypeError(f"{text} is no port; give 1 to 65535, or none for any free one")
+    return int(text)
 
 
 def _fail(status: int, message: str, hint: str) -> int:
@@ -157,7 +180,9 @@ def _check(root: Path, scenario: Scenario) -> int:
     return HELD
 
 
-def _run(root: Path, scenario: Scenario, schedule: Schedule, folder: Path, options: argparse.Namespace) -> int:
+def _run(
+    root: Path, scenario: Scenario, schedule: Schedule, folder: Path, options: argparse.Namespace, view: Live | None
+) -> int:
     import msgspec
 
     from targets.sim import summary, trace
@@ -166,29 +191,30 @@ def _run(root: Path, scenario: Scenario, schedule: Schedule, folder: Path, optio
 
     header = _header(scenario, options)
     progress = Progress(sys.stderr, options.quiet, free=options.lockstep)
-    with live.watched(header, options.live) as view:
-        run, watcher = _made(root, scenario, schedule, folder, options, progress)
-        run.companions += [view] if view else []
-        run.companions += [live.Paced(options.pace)] if options.pace and options.lockstep else []
-        began = time.perf_counter()
-        try:
-            outcome = run.execute()
-        finally:
-            progress.finish()
-        merged, agents = folder / "trace.jsonl", [agent.trace_file for agent in run.conduct.agents]
-        header = msgspec.structs.replace(header, started=outcome.started)
-        trace.merge(merged, header, outcome.zero, run.poses_file, agents, outcome.marks)
-        run.poses_file.unlink()
-        found = summary.summarise(*trace.read(merged), outcome)
-        found.watching = round(watcher.seconds / (time.perf_counter() - began), 4)
-        found.reproduce = _reproduce(root, scenario, folder, options)
-        summary.write(found, folder)
+    run, watcher = _made(root, scenario, schedule, folder, options, progress)
+    run.companions += [view] if view else []
+    run.companions += [live.Paced(options.pace)] if options.pace and options.lockstep else []
+    began = time.perf_counter()
+    try:
+        outcome = run.execute()
+    finally:
+        progress.finish()
+    merged, agents = folder / "trace.jsonl", [agent.trace_file for agent in run.conduct.agents]
+    header = msgspec.structs.replace(header, started=outcome.started)
+    trace.merge(merged, header, outcome.zero, run.poses_file, agents, outcome.marks)
+    run.poses_file.unlink()
+    found = summary.summarise(*trace.read(merged), outcome)
+    found.watching = round(watcher.seconds / (time.perf_counter() - began), 4)
+    found.reproduce = _reproduce(root, scenario, folder, options)
+    summary.write(found, folder)
+    left = folder if options.no_report else folder / "report.html"
+    if not options.no_report:
         progress.say("drawing the report")
         _report(folder)
-        if view:
-            view.close(f"{found.verdict}: {found.why}. The report: {(folder / 'report.html').resolve()}")
+    if view:
+        view.close(f"{summary.headline(found)}: {found.why}. The report: {left.resolve()}")
     print(summary.as_text(found))
-    print(f"report: {folder / 'report.html'}")
+    print(f"report: {left}")
     return STATUS[found.verdict] if outcome.ended != "died" else VIOLATED
 
 

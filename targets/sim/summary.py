@@ -100,7 +100,7 @@ def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Su
         robot.status = outcome.statuses.get(robot.name)
         robot.waiting_for = outcome.waiting.get(robot.name)
         robot.last_lines = outcome.last_lines.get(robot.name, [])
-    verdict, why = _verdict(outcome, violations)
+    verdict, why = _verdict(outcome, violations, properties)
     closest = outcome.closest
     names = {robot.pid: robot.name for robot in header.robots}
     return Summary(
@@ -163,7 +163,7 @@ class _Tally:
             own.events[record.event] = own.events.get(record.event, 0) + 1
 
 
-def _verdict(outcome: Outcome, violations: list[Violation]) -> tuple[Verdict, str]:
+def _verdict(outcome: Outcome, violations: list[Violation], properties: list[Found]) -> tuple[Verdict, str]:
     first = f"{told(violations[0])}" if violations else ""
     if outcome.ended == "interrupted":
         return "interrupted", "interrupted by the user" + (f"; before that, {first}" if first else "")
@@ -172,23 +172,47 @@ def _verdict(outcome: Outcome, violations: list[Violation]) -> tuple[Verdict, st
         return "not started", f"round 1 never came: {waiting}"
     if violations:
         return "violated", first
-    if outcome.ended == "stopped":
-        return "held", "all robots ended by themselves, and nothing was violated"
-    return "held", "the whole duration was simulated, and nothing was violated"
+    how = "all robots ended by themselves" if outcome.ended == "stopped" else "the whole duration was simulated"
+    left = "; ".join(f"{_named(found)}, {found.outcome}{_since(found)}" for found in properties if _open(found))
+    return "held", f"{how}, and nothing was violated" + (f"; not judged to the end: {left}" if left else "")
+
+
+def _open(found: Found) -> bool:
+    """Whether the run does not tell of a property. An axiom is what a program takes for granted, nothing to judge."""
+    return found.outcome in ("out of model", "unchecked") and found.of != "axiom"
+
+
+def _since(found: Found) -> str:
+    return "" if found.since is None else f" since {seconds(found.since)} s"
+
+
+def _named(found: Found) -> str:
+    """A property, and where it stands."""
+    return f"{found.of} {found.name} ({found.line})" if found.name else f"{found.of} ({found.line})"
+
+
+def headline(summary: Summary) -> str:
+    """The verdict in a word or three: a run that held without telling of all properties says so."""
+    return "held in part" if summary.verdict == "held" and any(map(_open, summary.properties)) else summary.verdict
+
+
+def seconds(t: float) -> str:
+    """A time, for people; never -0.00."""
+    return f"{round(t, 2) + 0.0:.2f}"
 
 
 def told(violation: Violation) -> str:
     """A violation in one sentence."""
     who = " and ".join(violation.robots)
     if violation.line:
-        return f"at {violation.t:.2f} s {who}: {violation.detail} ({violation.line})"
+        return f"at {seconds(violation.t)} s {who}: {violation.detail} ({violation.line})"
     verb = " " if violation.what in ("ended", "unrest") else f": {violation.what}, "
-    return f"at {violation.t:.2f} s {who}{verb}{violation.detail}"
+    return f"at {seconds(violation.t)} s {who}{verb}{violation.detail}"
 
 
 def _brought(cause: Cause) -> str:
     """A fault in one line."""
-    told = f"at {cause.t:.2f} s {cause.what} ({', '.join(cause.robots)})"
+    told = f"at {seconds(cause.t)} s {cause.what} ({', '.join(cause.robots)})"
     return told + (f": {cause.detail}" if cause.detail else "") + (f", for {cause.lasts:g} s" if cause.lasts else "")
 
 
@@ -202,7 +226,7 @@ def write(summary: Summary, folder: Path) -> None:
 def as_text(summary: Summary) -> str:
     """The summary for people."""
     lines = [
-        f"{summary.app}: {summary.verdict.upper()}: {summary.why}",
+        f"{summary.app}: {headline(summary).upper()}: {summary.why}",
         f"seed {summary.seed}, {summary.duration:.1f} of {summary.duration_asked:g} s, program {summary.program_hash}",
         "",
         *_table(summary),
@@ -251,10 +275,8 @@ def _properties(summary: Summary) -> list[str]:
     """One line each; nothing for a program without any."""
     lines = []
     for found in summary.properties:
-        since = "" if found.since is None else f" since {found.since:.2f} s"
         detail = f": {found.detail}" if found.detail else f", moments: {found.moments}"
-        name = f"{found.of} {found.name}" if found.name else found.of
-        lines.append(f"{found.outcome.upper()}{since}: {name} ({found.line}){detail}")
+        lines.append(f"{found.outcome.upper()}{_since(found)}: {_named(found)}{detail}")
     took = [f"watching them took {summary.watching:.1%} of the time"] if lines else []
     return ["", "properties:", *(f"  {line}" for line in lines + took)] if lines else []
 

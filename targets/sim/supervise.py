@@ -143,6 +143,8 @@ class Process(Agent):
     def _failed(self, status: int) -> str | None:
         if status == 0 or (self.told and (status in GOOD_ENDS or self.phase.phase == "launched")):
             return None
+        if self.told and status == -signal.SIGTERM and self.phase.phase == "rested":
+            return None  # it was on its way out when we told it, and Python heeded signals no longer
         if status < 0:
             return f"was killed by {signal.Signals(-status).name}"
         own = self.resting.detail if self.resting else self.last_error

@@ -355,10 +355,22 @@ def read(path: Path) -> tuple[Header, Iterator[Record]]:
     """A merged trace: its header, and everything else in order, but for kinds that are not known here. Raises BadTrace,
     also while being read."""
     records = _records(path)
-    header = next(records, None)
+    header = next(records, None) if _headed(path) else None
     if not isinstance(header, Header) or header.format != FORMAT:
-        raise BadTrace(f"{path}: no header of format {FORMAT}")
+        raise BadTrace(f"{path}: no header of a run's trace, of format {FORMAT}")
     return header, records
+
+
+def _headed(path: Path) -> bool:
+    """Whether the first line is the header of a merged trace: an agent's own has no seed. Raises BadTrace."""
+    try:
+        with path.open("rb") as file:
+            first = json.loads(file.readline())
+    except OSError as error:
+        raise BadTrace(f"{path}: {error.strerror or error}") from None
+    except ValueError:
+        return False
+    return isinstance(first, dict) and first.get("format") == FORMAT and "seed" in first
 
 
 def _records(path: Path) -> Iterator[Record]:

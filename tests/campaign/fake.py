@@ -19,6 +19,7 @@ p.add_argument("--out", type=Path)
 p.add_argument("--settings", type=Path)
 p.add_argument("--invoked-as")
 p.add_argument("--lockstep", action="store_true")
+p.add_argument("--no-report", action="store_true")
 p.add_argument("--quiet", action="store_true")
 p.add_argument("--check", action="store_true")
 o = p.parse_args()
@@ -26,6 +27,8 @@ if o.check:
     sys.exit(0)
 o.out.mkdir(parents=True)  # only a folder of nothing is free
 (o.out / "began").write_text(o.invoked_as)
+if not o.no_report:
+    (o.out / "report.html").touch()
 if o.mode == "hang" or (o.mode == "once" and not Path("again").exists()):
     Path("hangs").touch()
     time.sleep(60)

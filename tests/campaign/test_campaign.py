@@ -59,6 +59,14 @@ def test_all_held(capsys: pytest.CaptureFixture[str]) -> None:
     assert shown.startswith("koordgen sim app.koord --fleet=fleet.yaml --duration=12 --lockstep --seed=3 --loss=0.")
 
 
+def test_reports_are_made_of_runs_only_when_they_are_asked_for() -> None:
+    assert campaign("--vary", "seed=1:2") == 0
+    assert not list(Path("out").rglob("report.html"))
+    assert "no-report" not in Path("out/runs/0001/began").read_text(), "who repeats one run wants to see it"
+    assert campaign("--vary", "seed=1:2", "--reports", "--out", "seen") == 0
+    assert len(list(Path("seen").rglob("report.html"))) == 2
+
+
 def test_what_is_violated_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     assert campaign("--vary", "seed=1:2,loss=0,0.3") == 3
     out = capsys.readouterr().out

@@ -203,3 +203,54 @@ def test_a_part_without_an_answer_is_no_proof(tmp_path: Path, said: str) -> None
         assert solver.ask(parted()).result == "unknown"
     with fake(tmp_path, "print('unsat\\nunsat')") as solver:
         assert solver.ask(parted()).result == "unsat"
+
+
+def many() -> list[list[Obligation]]:
+    """Rooms of a true and a false one that share a fact; of one that is satisfiable; of one in parts."""
+    true, false = true_one(), false_one()
+    shared = (*true.facts, *false.facts)
+    more = Fact("more", less(x(ROBOT), real(Fraction(1, 8))), "app.koord", 3)
+    satisfiable = replace(true, goal=None, expected="sat")
+    return [
+        [replace(true, facts=shared), replace(false, facts=shared[1:]), replace(false, facts=(*shared, more))],
+        [satisfiable],
+        [replace(parted(), facts=(more,)), parted()],
+    ]
+
+
+@pytest.mark.parametrize("name", ["z3", "cvc5", "both"])
+def test_many_are_answered_as_each_alone_is(name: str) -> None:
+    with solver_of(name, Limits()) as solver:
+        found = solver.ask_all(many())
+        assert [o for o, _ in found] == [o for room in many() for o in room], "in their order"
+        assert [answer.result for _, answer in found] == ["unsat", "sat", "unsat", "sat", "unsat", "unsat"]
+        assert [solver.ask(o).result for o, _ in found] == [answer.result for _, answer in found]
+        assert solver.ask_all([]) == []
+
+
+def test_what_is_beyond_the_batch_is_asked_alone() -> None:
+    with Solver("z3", Limits(query=0.3)) as solver:
+        found = [answer.result for _, answer in solver.ask_all([[true_one()], [hard()], [false_one()]])]
+    assert found == ["unsat", "unknown", "sat"]
+
+
+@pytest.mark.parametrize("lie", [lie for lie in LIES if lie not in ("hangs", "takes too long")])
+def test_whatever_is_no_answer_is_unknown_in_a_batch_as_well(tmp_path: Path, lie: str) -> None:
+    with fake(tmp_path, LIES[lie][0]) as solver:
+        found = solver.ask_all([[true_one(), true_one()], [true_one()]])
+    assert {answer.result for _, answer in found} == {"unknown"}
+
+
+@pytest.mark.parametrize("wrong", ["", "unsat\\nunsat", "(error)\\nunsat", "unknown", "unsat unsat", "maybe"])
+def test_an_answer_too_few_or_too_many_in_a_batch_counts_for_nothing(tmp_path: Path, wrong: str) -> None:
+    """The second question of three is answered so, those that are asked alone are not decided."""
+    asked = tmp_path / "asked"
+    answer = f"""
+    count = len(open({str(asked)!r}).read()) if os.path.exists({str(asked)!r}) else 0
+    open({str(asked)!r}, "a").write("x" * ("check-sat" in question and end == "koordgen-batch"))
+    if end == "koordgen-batch": print("{wrong}" if count == 1 else "unsat")
+    elif "check-sat" in question: print("unknown" if end != "koordgen-0" else "sat")
+    """
+    with fake(tmp_path, answer.strip("\n ")) as solver:
+        found = [answer.result for _, answer in solver.ask_all([[true_one(), true_one(), true_one()]])]
+    assert found == (["unsat", "unknown", "unsat"] if wrong == "unknown" else ["unknown"] * 3)

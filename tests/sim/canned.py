@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import msgspec
 
 from targets.sim.run import Outcome
 from targets.sim.stage import Closest
-from targets.sim.trace import FORMAT, End, Header, RobotName, Violation
+from targets.sim.trace import FORMAT, End, Header, Mark, RobotName
 
 Place = tuple[float, float, float]
 
@@ -32,7 +32,7 @@ def moving(starts: list[Place], ends: list[Place], seconds: int = 10) -> list[di
     return found
 
 
-def write(path: Path, head: Header, records: list[dict[str, Any]], marks: list[Violation | End] | None = None) -> Path:
+def write(path: Path, head: Header, records: list[dict[str, Any]], marks: Sequence[Mark] | None = None) -> Path:
     lines = [*records, *(msgspec.to_builtins(mark) for mark in marks or [End(10.0, "completed")])]
     lines.sort(key=lambda record: float(record["t"]))
     path.write_bytes(b"".join(msgspec.json.encode(line) + b"\n" for line in [msgspec.to_builtins(head), *lines]))

@@ -49,7 +49,7 @@ def no_process_left(root: Path) -> bool:
 
 
 def test_a_good_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    root, out = bundle(tmp_path / "sim", ["good", "good"]), tmp_path / "deep" / "out"
+    root, out = bundle(tmp_path / "sim", ["good", "leaving"]), tmp_path / "deep" / "out"
     assert sim(root, out, "--invoked-as", "koordgen sim 'my <app>'") == 0
     found = summary(out)
     assert (found["verdict"], found["seed"], found["violations"]) == ("held", 7, [])
@@ -90,13 +90,32 @@ def test_an_agent_that_dies_fails_the_run_but_does_not_end_it(tmp_path: Path) ->
     assert "&lt;b&gt;ouch" in page and "<b>ouch" not in page
 
 
-def test_a_fault_fails_the_run(tmp_path: Path) -> None:
+def test_a_fault_fails_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     root, out = bundle(tmp_path / "sim", ["faulty", "good"]), tmp_path / "out"
-    assert sim(root, out) == 3
+    assert sim(root, out, "--no-report") == 3
+    assert f"report: {out}\n" in capsys.readouterr().out
+    assert not (out / "report.html").exists() and not (out / "plots").exists() and records(out)
     (violation,) = summary(out)["violations"]
     assert violation["what"] == "fault" and "a.koord:3: 1 / 0" in violation["detail"]
     assert violation["t"] == pytest.approx(0.3, abs=0.3)
     assert summary(out)["robots"][0]["faults"] == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--live", "99999"], "99999 is no port"), (["--live", "x"], "x is no port"),
+        (["--lockstep", "--pace", "0"], "0 is no pace; give times real time"),
+        (["--pace", "2"], "--pace is for --lockstep"),
+        (["--duration", "-3"], "-3 is no time to run for; give seconds"),
+    ],
+)  # fmt: skip
+def test_wrong_calls_are_told_and_cost_nothing(
+    words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as left:
+        sim(tmp_path / "sim", tmp_path / "out", *words)
+    assert left.value.code == 2 and said in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 
 def test_robots_that_are_too_close_or_touch_fail_the_run(tmp_path: Path) -> None:

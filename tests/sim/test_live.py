@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 
 from targets.sim.bodies import BodyState
+from targets.sim.folder import MARKER
 from targets.sim.trace import Init, Round, Violation
 from targets.sim.view import live, serve
 from targets.sim.view.live import Live, Paced
@@ -236,9 +237,14 @@ def test_a_port_that_is_taken_is_told_before_anything_runs(tmp_path: Path) -> No
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         root = bundle(tmp_path / "sim", ["good"])
+        earlier = tmp_path / "out" / "trace.jsonl"
+        earlier.parent.mkdir()
+        earlier.touch()
+        (tmp_path / "out" / MARKER).touch()
         command = [sys.executable, str(FLEET), str(root), "--out", str(tmp_path / "out"), "--live", str(port)]
         done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 5 and f"port {port}: Address already in use" in done.stderr
+    assert done.returncode == 5 and f"port {port}: Address already in use; name another port" in done.stderr
+    assert earlier.exists(), "what an earlier run left is lost to nothing that never ran"
 
 
 def test_the_views_process_knows_nothing_of_pybullet_or_matplotlib() -> None:

@@ -80,6 +80,21 @@ def test_verdicts(tmp_path: Path, change: dict[str, Any], verdict: str) -> None:
     assert summary.summarise(*trace.read(path), outcome(**change)).verdict == verdict
 
 
+def test_a_run_that_does_not_tell_of_all_properties_is_not_plainly_held(tmp_path: Path) -> None:
+    left = trace.Verdict(10.0, "invariant", "Near", "app.koord:7", "out of model", 2.04, (), "bert had left the model")
+    known = trace.Verdict(10.0, "axiom", "Sum", "app.koord:9", "unchecked")
+    path = write(tmp_path / "trace.jsonl", header(NAMES), moving(STARTS, ENDS), [left, known, End(10.0, "completed")])
+    found = summary.summarise(*trace.read(path), outcome())
+    assert found.verdict == "held" and "invariant Near (app.koord:7), out of model since 2.04 s" in found.why
+    assert "Sum" not in found.why
+    assert summary.as_text(found).startswith("line<form>: HELD IN PART: the whole duration")
+    summary.write(found, tmp_path)
+    report.write(tmp_path / "report.html", path)
+    assert "Held in part" in (tmp_path / "report.html").read_text()
+    write(path, header(NAMES), moving(STARTS, ENDS), [known, End(10.0, "completed")])
+    assert summary.as_text(summary.summarise(*trace.read(path), outcome())).startswith("line<form>: HELD: ")
+
+
 def test_the_summary_is_the_same_as_json_and_as_text(canned: Path) -> None:
     found = summary.summarise(*trace.read(canned), outcome())
     summary.write(found, canned.parent)

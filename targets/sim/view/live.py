@@ -89,7 +89,8 @@ class Live:
         said: dict[str, Any] = json.loads(line) if line.endswith(b"\n") else {"error": "it did not begin"}
         if "port" not in said:
             self._end()
-            raise OSError(f"the live view cannot use port {asked}: {said['error']}")
+            way = "name another port, or none for any that is free"
+            raise OSError(f"the live view cannot use port {asked}: {said['error']}; {way}")
         return int(said["port"])
 
     def launched(self, run: Run) -> None:

@@ -10,7 +10,7 @@ import msgspec
 
 from targets.sim.run import Outcome
 from targets.sim.stage import Closest
-from targets.sim.summary import RobotSummary, Summary, place, summarise, told
+from targets.sim.summary import RobotSummary, Summary, headline, place, seconds, summarise, told
 from targets.sim.trace import Header, Log, Phase, Record, Round, Violation, fault_text, read
 from targets.sim.view.history import gathered
 from targets.sim.view.page import page
@@ -71,7 +71,7 @@ def html(header: Header, summary: Summary, rows: Chunk, lines: list[tuple[float,
     ]
     if summary.reproduce:
         after += ["<h2>To do it again</h2>", _pairs(summary.reproduce)]
-    return page(f"{title}: {summary.verdict}", header, rows, before, "\n".join(after))
+    return page(f"{title}: {headline(summary)}", header, rows, before, "\n".join(after))
 
 
 def _summary(trace: Path, header: Header, rows: Chunk) -> Summary:
@@ -94,7 +94,7 @@ def _verdict(summary: Summary) -> str:
     more = "".join(f"<p>{escape(told(v))}</p>" for v in summary.violations[1:20])
     return (
         f'<div class="verdict" style="border-color:{COLOURS[summary.verdict]}">'
-        f'<strong style="color:{COLOURS[summary.verdict]}">{escape(summary.verdict.capitalize())}</strong>'
+        f'<strong style="color:{COLOURS[summary.verdict]}">{escape(headline(summary).capitalize())}</strong>'
         f"<p>{escape(summary.why)}</p>{more}</div>"
     )
 
@@ -169,7 +169,8 @@ def _lines(lines: list[tuple[float, str, str, str]]) -> str:
     for t, robot, kind, text in lines:
         bad = ' class="bad"' if kind not in ("starting", "joining", "running", "resting", "rested", "warning") else ""
         rows.append(
-            f'<td class="n">{t:.2f}</td><td>{escape(robot)}</td><td{bad}>{escape(kind)}</td><td>{escape(text)}</td>'
+            f'<td class="n">{seconds(t)}</td><td>{escape(robot)}</td><td{bad}>{escape(kind)}</td>'
+            f"<td>{escape(text)}</td>"
         )
     more = '<p class="dim">Not all of it; the rest is in trace.jsonl.</p>' if len(lines) >= MOST_LINES else ""
     return '<div class="wide"><table>' + "".join(f"<tr>{row}</tr>" for row in rows) + "</table></div>" + more
