@@ -67,8 +67,10 @@ class Explainer:
             except Unshowable as error:
                 why = f"the solver's counterexample is not shown: {error}"
         invariant = next((p for p in self.program.properties if p.kind == "invariant" and p.name == name), None)
-        if shown is None or invariant is None:
-            return Explanation(shown, None, why, ())
+        if shown is None:
+            return Explanation(None, None, why, ())
+        if invariant is None:
+            return Explanation(shown, None, "", (), self.usually(name, relied))
         values = shown.before.params
         program = with_values(exact(self.program), {p: v for p, v in values.items() if self.free(p)})
         run = run_to(program, invariant_of(program, name), _values(shown), Bounds(), self.robots)

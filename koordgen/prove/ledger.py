@@ -8,6 +8,7 @@ from typing import NamedTuple
 from koordgen.ir import decl
 from koordgen.ir import expr as ir
 from koordgen.ir.types import FLOAT, POINT, POSE, MapOf, PerRobot, RecordType, Sequence, TupleOf, Type
+from koordgen.prove.encode.geometry import DISTANCES, PATHS
 from koordgen.prove.obligation import Obligation
 from koordgen.prove.spell import nodes, spelled
 from koordgen.source import Span
@@ -17,6 +18,9 @@ AGENTS = (
 )
 SIMULATOR = "the simulator watches it in each run (docs/sim.md)"
 UNCHECKED = ""
+HARMLESS = "nothing has to: it can make a proof fail, and never makes one"
+COMPARED = "koordgen's own tests compare it with what robots compute (docs/proofs.md)"
+LEMMAS = frozenset((DISTANCES, PATHS))
 
 
 class Entry(NamedTuple):
@@ -38,7 +42,13 @@ def ledger(program: decl.Program, obligations: Iterable[Obligation]) -> tuple[En
         used.update(fact.line for fact in obligation.facts)
         notes.update(dict.fromkeys(obligation.notes))
     written = [entry for entry, span in _written(program) if used.intersection(range(span.line, span.end_line + 1))]
-    return (*written, *_general(program), *(Entry("approximation", note, program.path, 0, UNCHECKED) for note in notes))
+    return (*written, *_general(program), *[_noted(note, program) for note in notes])
+
+
+def _noted(note: str, program: decl.Program) -> Entry:
+    if note in LEMMAS:
+        return Entry("lemma", note, program.path, 0, COMPARED)
+    return Entry("approximation", note, program.path, 0, HARMLESS)
 
 
 def _written(program: decl.Program) -> Iterator[tuple[Entry, Span]]:

@@ -205,7 +205,7 @@ def _event(reading: Reading) -> Counterexample:
         after = applied(before, Step(pid, event.name, outcome))
         if obligation.kind == "event" and not _all_true(obligation.invariant, program, after):
             return _told(reading, begun, before, after, pid, "")
-        why = "the invariant holds after the step, too"
+        why = "the step, when it is run, keeps the invariant"
     raise Unshowable(why)
 
 
@@ -236,7 +236,7 @@ def _told(
         if property_.name == obligation.invariant and property_.kind == "invariant":
             failed = failing(property_, reading.program, after)
     if failed is None and not discarded:
-        raise Unshowable("the invariant holds after the step, too")
+        raise Unshowable("the step, when it is run, keeps the invariant")
     seen = frozenset(cell.name for cell in obligation.cells)
     line = failed.formula.span.line if failed is not None else obligation.line
     kind, event, file = obligation.kind, obligation.event, obligation.file

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from fractions import Fraction
 from itertools import islice, product
 from typing import Any, NamedTuple
@@ -16,7 +17,7 @@ from typing import Any, NamedTuple
 from koordgen.ir import decl
 from koordgen.ir import expr as ir
 from koordgen.ir.types import BOOL, FLOAT, INT, POINT, Type
-from koordgen.node import Node
+from koordgen.node import Node, replace
 from koordgen.prove.model import Conjunct, allowed, failing, made_state, true
 from koordgen.prove.reading import Unshowable
 from koordgen.runtime.values import Point
@@ -88,6 +89,7 @@ class _Search:
             (f"{m.name}.{p.name}", p.type) for m in program.modules for p in m.ports if p.direction == "sensor"
         ]
         self.hints = hints
+        self.single = [replace(program, events=(event,)) for event in program.events]
 
     def of(self, n_sys: int) -> Run | None:
         layer: list[tuple[Moment, ...]] = []
@@ -147,16 +149,24 @@ class _Search:
     def stepped(self, run: tuple[Moment, ...], state: State) -> Iterator[tuple[Moment, ...]]:
         number = run[-1].round + 1
         for pid in range(len(state.robots)):
-            for step in choices(self.program, state, pid, None, self.world):
+            for step in self.events(state, pid):
                 if step.event is not None:
                     yield (*run, Moment(applied(state, step), step.event, pid, number))
         if len(state.robots) > 1:
-            steps: list[Step] = round_(self.program, state, world=self.world)[1]
+            steps: list[Step] = []
+            with suppress(NotExact, NoMeaning):
+                steps = round_(self.program, state, world=self.world)[1]
             moments = list(run)
             for step in steps:
                 if step.event is not None and not isinstance(step.outcome, Discarded):
                     moments.append(Moment(applied(moments[-1].state, step), step.event, step.pid, number))
             yield tuple(moments)
+
+    def events(self, state: State, pid: int) -> Iterator[Step]:
+        """What a robot may do. An event that cannot be run exactly is left out: a run without it is a run, too."""
+        for program in self.single:
+            with suppress(NotExact, NoMeaning):
+                yield from choices(program, state, pid, None, self.world)
 
     def moved(self, state: State) -> Iterator[State]:
         """The environment's step: all robots, each to a value that the assumptions allow."""

@@ -50,8 +50,9 @@ def _verdict(verdict: Verdict) -> Iterator[str]:
             yield from wrapped(suggestion(verdict))
         return
     yield from counterexample(told.counterexample)
-    if verdict.invariant != WELL_DEFINED:
-        yield from wrapped(suggestion(verdict) or "no conjunct that was tried closes the proof")
+    guarded = "guard it, or say in an invariant that it does not happen"
+    untold = guarded if verdict.invariant == WELL_DEFINED else "no conjunct that was tried closes the proof"
+    yield from wrapped(suggestion(verdict) or untold)
 
 
 def wrapped(text: str) -> list[str]:

@@ -79,7 +79,7 @@ def prove(question: Question, solver: Solver | Both) -> list[Verdict]:
     for name in names:
         group = failed[name][0] if name in failed else groups[name]
         told = explained.get(name)
-        verdict, reason = _verdict(group, told, contradiction, doubt)
+        verdict, reason = _verdict(question.program, group, told, contradiction, doubt)
         assumed = ledger(question.program, [o.obligation for o in group])
         rests = _rests_on(name, group, program) if verdict == "PROVED" else ()
         found.append(Verdict(name, verdict, question.robots, group, reason, told, rests, assumed))
@@ -151,7 +151,9 @@ def _consistency(outcomes: Sequence[Outcome], solver: Solver | Both) -> tuple[st
     return "", doubt
 
 
-def _verdict(group: tuple[Outcome, ...], told: Explanation | None, contradiction: str, doubt: str) -> tuple[Name, str]:
+def _verdict(
+    program: decl.Program, group: tuple[Outcome, ...], told: Explanation | None, contradiction: str, doubt: str
+) -> tuple[Name, str]:
     if contradiction:
         return "VACUOUS", contradiction
     if told is not None and told.run is not None:
@@ -161,8 +163,9 @@ def _verdict(group: tuple[Outcome, ...], told: Explanation | None, contradiction
     failing = [o for o in group if not o.holds]
     if failing:
         first = next((o for o in failing if o.answer.result == "unknown"), failing[0])
-        why = first.answer.reason or (told.unshown if told is not None else "")
-        return "UNKNOWN", f"{first.obligation.name}: {why}"
+        from koordgen.prove import doubt as doubts
+
+        return "UNKNOWN", doubts.doubt(program, first.obligation, first.answer, told.unshown if told else "")
     return ("UNKNOWN", doubt) if doubt or not group else ("PROVED", "")
 
 

@@ -1,16 +1,17 @@
 """What a round can have changed by the time of an event: each robot runs one event in it, at most.
 
-So what only robot j writes is as it was at the round's start, or the guard of an event that writes it held of j then.
+So what only robot j writes is as it was at the round's start, or the guard of an event that writes it held of j then;
+and of a plain event it is what that made of the round's start, where that is to be told.
 """
 
 from __future__ import annotations
 
-from koordgen.ir import decl
+from koordgen.ir import decl, stmt
 from koordgen.ir import expr as ir
 from koordgen.prove import term as t
 from koordgen.prove.encode.block import written
 from koordgen.prove.encode.state import Begun, Key, State
-from koordgen.prove.encode.stmt import Frame
+from koordgen.prove.encode.stmt import Env, Frame
 from koordgen.prove.encode.tree import nodes
 from koordgen.prove.encode.values import Val
 from koordgen.prove.moment import Stage, conjuncts, mentioned
@@ -22,12 +23,14 @@ def changes(stage: Stage, begun: Begun, now: State) -> None:
     room, program = stage.room, stage.setting.program
     writers = {event.name: written(event.effect) for event in program.events}
     own = [key for key in stage.setting.types if key[0] in ("local", "slot")]
+    followed = {e.name for e in program.events if stage.setting.exact and _followed(e, program)}
 
     def instance(robot: Term) -> Term:
         acting = room.same(robot, begun.own)
         if acting is t.TRUE:
             return t.TRUE
         held: dict[str, Term] = {}
+        wrote: dict[str, Env] = {}
         parts = []
         for key in own:
             same = stage.encoder.lists.same(now.of(key, robot), begun.of(key, robot))
@@ -36,7 +39,10 @@ def changes(stage: Stage, begun: Begun, now: State) -> None:
                 if key in writers[event.name]:
                     if event.name not in held:
                         held[event.name] = _guard(stage, begun, event, robot)
-                    ran.append(held[event.name])
+                        wrote[event.name] = _wrote(stage, begun, event, robot) if event.name in followed else {}
+                    told = wrote[event.name].get(key)
+                    as_told = t.TRUE if told is None else stage.encoder.lists.same(now.of(key, robot), told)
+                    ran.append(t.and_(held[event.name], as_told))
             parts.append(t.or_(same, *ran))
         return t.implies(t.and_(room.within(robot), t.not_(acting)), t.all_of(parts))
 
@@ -54,6 +60,22 @@ def _guard(stage: Stage, begun: Begun, event: decl.Event, robot: Term) -> Term:
             if event.lock is None or all(_own(key, part) for key in mentioned(part)):
                 parts.append(stage.encoder.term(part, frame))
     return t.all_of(parts)
+
+
+def _followed(event: decl.Event, program: decl.Program) -> bool:
+    """Whether what a robot wrote in an event is a function of what it saw at the round's start: of a transaction it is
+    not, nor what a port answers; a loop's is not known, and contracts hold but where the call is made."""
+    unknown = (ir.PortCall, ir.ExternCall, stmt.For, stmt.While)
+    called = [f.block for f in program.functions]
+    calls = any(isinstance(n, ir.ExternCall) for n in nodes(called))
+    return event.lock is None and not calls and not any(isinstance(n, unknown) for n in nodes(event.effect))
+
+
+def _wrote(stage: Stage, begun: Begun, event: decl.Event, robot: Term) -> Env:
+    frame = Frame(stage.encoder, robot, begun, begun, _no_port)
+    with stage.room.aside():
+        frame.block(event.effect)
+    return frame.writes()
 
 
 def _own(key: Key, part: ir.Expr) -> bool:

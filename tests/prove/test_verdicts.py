@@ -11,6 +11,7 @@ import pytest
 from koordgen.ir.decl import Program
 from koordgen.pipeline import check_file
 from koordgen.prove.explain import invariant_of
+from koordgen.prove.generate import obligations
 from koordgen.prove.model import failing, true, with_values
 from koordgen.prove.solve import Answer, Limits, Solver
 from koordgen.prove.verdict import Question, Verdict, prove
@@ -146,3 +147,113 @@ def test_without_knowing_that_assumptions_are_consistent_nothing_is_proved(tmp_p
     found = verdicts(tmp_path, STRONG, Lying("unknown", "consistency"))["Geofence"]
     assert found.verdict == "UNKNOWN"
     assert "contradict" in found.reason
+
+
+# An event that cannot be run exactly stands beside one that can; of what `weigh` yields nothing is known.
+ROUND = """\
+param float gap = 1.0
+
+extern fun weigh(Point p) -> float
+
+using Motion:
+  sensors:
+    Point position
+    bool reached
+  actuators: Point target
+
+local:
+  bool sent
+  bool there
+  float heavy
+  float part
+
+Send:
+  pre: not sent
+  eff:
+    Motion.target = Point(cos(gap), sin(gap), 0)
+    sent = True
+
+Arrive:
+  pre: Motion.reached
+  eff: there = True
+
+Weigh:
+  pre: True
+  eff: heavy = weigh(Motion.position)
+
+Share:
+  pre: True
+  eff: part = 1 / gap
+
+invariant Sent: forall i in ID: not there[i] or sent[i]
+invariant Light: forall i in ID: heavy[i] <= 5
+"""
+
+
+def test_a_run_is_found_past_events_that_cannot_be_run_exactly(tmp_path: Path, solver: Solver) -> None:
+    found = verdicts(tmp_path, ROUND, solver)["Sent"]
+    assert found.verdict == "FALSIFIED"
+    assert [m.event for m in found.explanation.run.moments] == ["", "init", "Arrive"]  # type: ignore[union-attr]
+
+
+def test_what_has_no_value_by_the_params_alone_is_told(tmp_path: Path, solver: Solver) -> None:
+    found = verdicts(tmp_path, ROUND, solver)["(well-defined)"]
+    assert (found.verdict, found.explanation.usual) == ("NOT INDUCTIVE", True)  # type: ignore[union-attr]
+    assert verdicts(tmp_path, f"{ROUND}initially: gap > 0\n", solver)["(well-defined)"].verdict == "PROVED"
+
+
+def test_unknown_tells_the_obligation_its_place_the_reason_and_what_may_help(tmp_path: Path, solver: Solver) -> None:
+    light = verdicts(tmp_path, ROUND, solver)["Light"]
+    assert light.verdict == "UNKNOWN"
+    assert light.reason.startswith("Light-Weigh (") and "app.koord:27): " in light.reason
+    assert "what weigh yields is known only by what is said of it" in light.reason
+    assert light.reason.endswith("Say more of it in an invariant, a contract or an axiom")
+
+
+def test_unknown_names_the_products_that_are_too_hard(tmp_path: Path) -> None:
+    with Solver("z3", Limits(query=0.3)) as hasty:
+        right = verdicts(tmp_path, CUBES, hasty)["Right"]
+    assert right.verdict == "UNKNOWN" and "found no answer within 0.3 s" in right.reason
+    assert "`a * a * a` (line 8), `b * b * b` (line 8), `c * c * c` (line 8)" in right.reason
+    assert "`a * a`" not in right.reason, "the whole product, not its parts"
+
+
+# A ring that two robots may enter by stale copies: what another one wrote meanwhile is its leg's successor.
+RING = """\
+allread: int leg[N_SYS]
+
+local: bool begun
+
+init: leg[pid] = pid
+
+Begin:
+  pre: not begun
+  eff: begun = True
+
+Next:
+  pre: begun and not (leg[pid] + 1) % 7 in leg
+  eff: leg[pid] = {following}
+
+invariant Legs: forall i in ID: 0 <= leg[i] and (not begun[i] or leg[i] < 7) and (begun[i] or leg[i] == i)
+invariant Apart: forall i, j in ID: i == j or leg[i] != leg[j]
+"""
+
+
+@pytest.mark.parametrize(("following", "apart"), [("(leg[pid] + 1) % 7", True), ("0", False)])
+def test_of_another_robot_it_is_told_what_its_plain_event_wrote(
+    tmp_path: Path, solver: Solver, following: str, apart: bool
+) -> None:
+    text = RING.format(following=following).replace("pre: not begun", "pre: not begun and pid < 7")
+    found = verdicts(tmp_path, text, solver)
+    assert found["Legs"].verdict == "PROVED"
+    assert (found["Apart"].verdict == "PROVED") == apart
+
+
+def test_the_ledger_tells_lemmas_from_approximations() -> None:
+    from koordgen.prove.ledger import COMPARED, HARMLESS, ledger
+
+    program = check_file(str(Path(__file__).parents[2] / "examples/task/task.koord")).program
+    entries = ledger(program, obligations(program))
+    kinds = {entry.kind: entry.checked for entry in entries if entry.kind in ("lemma", "approximation")}
+    assert kinds == {"lemma": COMPARED, "approximation": HARMLESS}
+    assert any(e.kind == "lemma" and e.text.startswith("path_distance: symmetric") for e in entries)

@@ -1,0 +1,75 @@
+"""What an UNKNOWN comes from, in the program's own terms, and what may help."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from koordgen.ir import decl
+from koordgen.ir import expr as ir
+from koordgen.prove.ledger import LEMMAS
+from koordgen.prove.obligation import Fact, Obligation
+from koordgen.prove.solve import Answer
+from koordgen.prove.spell import nodes, spelled
+from koordgen.prove.term import Op, Term, Value
+
+MOST = 3  # of what is named
+
+
+def doubt(program: decl.Program, obligation: Obligation, answer: Answer, unshown: str) -> str:
+    """Which obligation, why, and the next step, in sentences. `unshown`: why a counterexample that the solver claims
+    cannot be shown."""
+    where = f"{obligation.name} ({obligation.file}:{obligation.line})"
+    if answer.result == "unknown":
+        hard = list(dict.fromkeys(_products(program, obligation)))[:MOST]
+        if not hard:
+            return f"{where}: {answer.reason}"
+        many = "products or quotients" if len(hard) > 1 else "a product or quotient"
+        terms = f"{many} of unknowns: {', '.join(hard)}"
+        helps = "; values for params (--param) may help" if program.params else ""
+        return f"{where}: {answer.reason}. What is hard in it: {terms}{helps}"
+    less = [note for note in obligation.notes if note not in LEMMAS][:MOST]
+    known = f". The prover knows less than the program says: {'; '.join(less)}" if less else ""
+    return f"{where}: {unshown}{known}. Say more of it in an invariant, a contract or an axiom"
+
+
+def _products(program: decl.Program, obligation: Obligation) -> Iterator[str]:
+    """The program's expressions that make an obligation non-linear, with their lines."""
+    facts: list[Fact] = [*obligation.facts, *([obligation.goal] if obligation.goal is not None else [])]
+    seen: set[Term] = set()
+    lines = {fact.line for fact in facts if _nonlinear(fact.term, seen)}
+    if not lines:
+        return
+    events = tuple([event for event in program.events if event.name == obligation.event])
+    for part in (events, program.init, program.functions, program.properties, program.modules):
+        within: set[ir.Expr] = set()  # of those that were named
+        for node in nodes(part):
+            match node:
+                case ir.Binary("*" | "/" | "//" | "%", left, right) if not (_literal(left) or _literal(right)):
+                    if node not in within:
+                        yield f"`{spelled(node)}` (line {node.span.line})"
+                    within.update(n for n in nodes(node) if isinstance(n, ir.Binary))
+    if any(fact.label == "distance of two points" and not fact.line for fact in facts):
+        yield "distances told by the squares of coordinates"
+
+
+def _nonlinear(term: Term, seen: set[Term]) -> bool:
+    pending, found = [term], False
+    while pending:
+        part = pending.pop()
+        if part in seen or isinstance(part, Value):
+            continue
+        seen.add(part)
+        if isinstance(part, Op) and part.name in ("*", "/", "div", "mod"):
+            found = found or sum(not isinstance(a, Value) for a in part.args) > 1
+        pending.extend(part.args)
+    return found
+
+
+def _literal(node: ir.Expr) -> bool:
+    match node:
+        case ir.Const():
+            return True
+        case ir.Unary(_, operand) | ir.Widen(operand):
+            return _literal(operand)
+        case _:
+            return False
