@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import time
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -90,23 +89,6 @@ def test_an_agent_that_dies_fails_the_run_but_does_not_end_it(tmp_path: Path) ->
     assert "ValueError: <b>ouch</b>" in found["robots"][1]["last_lines"]
     page = (out / "report.html").read_text()
     assert "&lt;b&gt;ouch" in page and "<b>ouch" not in page
-
-
-def test_late_steps_are_told_of_all_the_run_and_of_the_mission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Beside it, a start takes the processor away from the world."""
-    steps, step = count(), Stage.step
-
-    def held_up(stage: Stage, at: float) -> Any:
-        time.sleep({0: 0.2, 200: 0.1}.get(next(steps), 0.0))  # before round 1, and amid the mission
-        return step(stage, at)
-
-    monkeypatch.setattr(Stage, "step", held_up)
-    root, out = bundle(tmp_path / "sim", ["good"]), tmp_path / "out"
-    assert sim(root, out) == 0
-    found = summary(out)
-    assert found["late_in_mission"] >= 20 and found["late_steps"] >= found["late_in_mission"] + 40
-    told = f"{found['late_steps']} late, {found['late_in_mission']} of them in the mission"
-    assert told in (out / "summary.txt").read_text()
 
 
 def test_a_fault_fails_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
