@@ -3,13 +3,19 @@
 Published are, for each number of robots, seconds of K's symbolic execution and of Z3. Ours are the making of all
 obligations of the invariant (`make`) and the solvers' answers (`z3`, `cvc5`), for that number of robots and, once, for
 every number; base, events, environment and consistency are all in them. The solver is one process for a row, started
-before the clock.
+before the clock. `how` tells what was made: `any` (N_SYS is a symbol), `written out` (each robot by its number) or
+`instances` (N_SYS is a number, and all else as for any: where formulas speak of pairs of more than 4 robots, or beyond
+20). `--beyond` measures the command alone: what `prove` takes beyond `check`, wall and CPU with the solver's.
 """
 
 from __future__ import annotations
 
 import argparse
+import gc
 import json
+import os
+import resource
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -21,7 +27,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from koordgen.ir.decl import Program
 from koordgen.pipeline import check_file
-from koordgen.prove.generate import obligations
+from koordgen.prove.generate import rooms
+from koordgen.prove.moment import Setting
 from koordgen.prove.solve import Limits, Solver
 from koordgen.prove.verdict import Question, prove
 
@@ -34,6 +41,7 @@ LINEFORM = {
 }  # fmt: skip
 TASK = {3: (9.90, 10.6), 4: (9.79, 11.78), 5: (9.91, 14.92), 10: (12.92, 18.34)}
 MAPPING = {3: (9.23, 14.53), 4: (9.33, 19.25), 5: (9.19, 24.30), 10: (9.31, 59.81)}
+STUDIES = {"LineForm": "lineform/geofence", "Task": "task/separation", "Mapping": "mapping/mapping"}
 WEAKER = {"E, I": (13.06, 23.03), "E, WI": (9.92, 18.26), "E, A, WI": (11.24, 32.64)}  # 15 robots, 2-D, all "Unknown"
 ASSUME = "  assume position' in Rect(position, target)\n"
 PROGRAM = """\
@@ -66,6 +74,7 @@ class Row(NamedTuple):
     table: str
     case: str
     robots: str
+    how: str
     published: tuple[float, float] | None
     verdict: str
     make: float
@@ -94,19 +103,20 @@ def program_of(text: str, folder: Path) -> Program:
 def measured(table: str, case: str, program: Program, robots: int | None, published: tuple[float, float] | None,
              second: bool) -> Row:  # fmt: skip
     began = time.perf_counter()
-    made = obligations(program, robots)
+    made = list(rooms(program, robots))
     make = time.perf_counter() - began
     times, said = {}, {}
     for name in ("z3", "cvc5") if second else ("z3",):
         with Solver(name, Limits(query=60.0, total=600.0)) as solver:
-            solver.ask(made[0])  # a process that has answered once has loaded everything
-            solver.spent = 0.0
-            answers = [solver.ask(o) for o in made]
-        times[name] = sum(a.seconds for a in answers)
-        said[name] = all(a.result == o.expected for a, o in zip(answers, made, strict=True))
+            solver.ask(made[0][0])  # a process that has answered once has loaded everything
+            began = time.perf_counter()
+            answers = solver.ask_all(made)
+            times[name] = time.perf_counter() - began
+        said[name] = all(answer.result == o.expected for o, answer in answers)
     verdict = "PROVED" if said["z3"] else "not proved"
     note = "" if len(set(said.values())) == 1 else "z3 and cvc5 differ"
-    return Row(table, case, _robots(robots), published, verdict, make, times["z3"], times.get("cvc5"), note)
+    how = "any" if robots is None else "written out" if Setting(program, robots, None, False).unrolled else "instances"
+    return Row(table, case, _robots(robots), how, published, verdict, make, times["z3"], times.get("cvc5"), note)
 
 
 def _robots(robots: int | None) -> str:
@@ -143,31 +153,50 @@ def table_2(folder: Path) -> list[Row]:
             lacking = " and ".join(told.lacking) if told else ""
             event_only = all(o.holds for o in found.outcomes if o.obligation.kind == "event")
             note = f"event alone: {'valid' if event_only else 'not valid'}; lacking: {lacking or 'an assumption'}"
-            rows.append(Row("2", case, _robots(robots), WEAKER[case], found.verdict, seconds, 0.0, None, note))
+            how = "any" if robots is None else "written out"
+            rows.append(Row("2", case, _robots(robots), how, WEAKER[case], found.verdict, seconds, 0.0, None, note))
     return rows
 
 
-def study(table: str, name: str, published: dict[int, tuple[float, float]], quick: bool) -> list[Row]:
-    program = check_file(str(ROOT / f"examples/{name}/{name}.koord")).program
-    wanted = [3] if quick else list(published)
-    robots: list[int | None] = [None, *wanted]
-    return [measured(table, name, program, n, published.get(n) if n is not None else None, not quick) for n in robots]
+def study(table: str, case: str, published: dict[int, tuple[float, float]], quick: bool) -> list[Row]:
+    program = check_file(str(ROOT / f"examples/{STUDIES[case]}.koord")).program
+    robots: list[int | None] = [None, 15] if quick else [None, *published, 15, 100]
+    return [
+        measured(table, case, program, n, published.get(n) if n is not None else None, not quick and n is None)
+        for n in robots
+    ]
 
 
-def command_line(quick: bool) -> dict[str, float]:
-    """Wall seconds that `prove` takes beyond `check` on the three case studies, the least of some runs of each."""
+def _run(command: str, path: str, environment: dict[str, str]) -> tuple[float, float]:
+    """Wall and CPU seconds of a command and of all that it started."""
+    before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    done = subprocess.run([sys.executable, "-m", "koordgen", command, path], cwd=ROOT, env=environment,
+                          capture_output=True)  # fmt: skip
+    wall, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
+    if done.returncode:
+        sys.exit(f"koordgen {command} {path}: status {done.returncode}")
+    return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def command_line(repeats: int) -> dict[str, tuple[float, float]]:
+    """Wall and CPU seconds that `prove` takes beyond `check` on the case studies: medians, runs taken in turn. Python
+    keeps its compiled modules, as it does where koordgen is installed."""
     found = {}
-    for name in ("lineform", "task", "mapping"):
-        path = str(ROOT / f"examples/{name}/{name}.koord")
-        least = {}
-        for command in ("check", "prove"):
-            runs = []
-            for _ in range(3 if quick else 9):
-                began = time.perf_counter()
-                subprocess.run([sys.executable, "-m", "koordgen", command, path], cwd=ROOT, capture_output=True)
-                runs.append(time.perf_counter() - began)
-            least[command] = min(runs)
-        found[name] = least["prove"] - least["check"]
+    with tempfile.TemporaryDirectory() as folder:
+        environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+        environment["PYTHONPYCACHEPREFIX"] = folder
+        for case, name in STUDIES.items():
+            runs: dict[str, list[tuple[float, float]]] = {"check": [], "prove": []}
+            for turn in range(repeats + 1):
+                for command, taken in runs.items():
+                    one = _run(command, f"examples/{name}.koord", environment)
+                    taken += [one] * (turn > 0)  # the first run compiles
+            wall, cpu = (
+                statistics.median(run[place] for run in runs["prove"])
+                - statistics.median(run[place] for run in runs["check"])
+                for place in (0, 1)
+            )
+            found[case] = wall, cpu
     return found
 
 
@@ -175,16 +204,33 @@ def show(row: Row) -> str:
     published = f"{row.published[0]:6.2f} {row.published[1]:6.2f}" if row.published else "     -      -"
     cvc5 = f"{1000 * row.cvc5:7.0f}" if row.cvc5 is not None else "      -"
     ours = f"{1000 * row.make:7.0f} {1000 * row.z3:7.0f} {cvc5}"
-    return f"{row.table:>5}  {row.case:<13} {row.robots:>6}  {published}  {ours}  {row.verdict:<14} {row.note}".rstrip()
+    case = f"{row.case:<13} {row.robots:>6} {row.how:<11}"
+    return f"{row.table:>5}  {case}  {published}  {ours}  {row.verdict:<14} {row.note}".rstrip()
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else "")
     parser.add_argument("--quick", action="store_true", help="few rows, under a minute")
     parser.add_argument("--json", metavar="FILE")
+    parser.add_argument("--beyond", action="store_true", help="only the command: `prove` beyond `check`")
     options = parser.parse_args()
-    print("                                published (s)        ours (ms)")
-    print("table  case          robots       K     Z3     make      z3    cvc5  verdict")
+    gc.disable()  # as the command does
+    rows = [] if options.beyond else tables(options.quick)
+    beyond = command_line(3 if options.quick else 9)
+    print("\n`prove` beyond `check`, any N (ms):   wall    CPU")
+    for case, (wall, cpu) in {**beyond, "together": _sum(beyond)}.items():
+        print(f"{case:>34}  {1000 * wall:6.0f} {1000 * cpu:6.0f}")
+    ratios = _ratios(rows)
+    for case, ratio in ratios.items():
+        print(f"{case}: z3 for 15 robots takes {ratio:.1f} times what it takes for any number")
+    if options.json:
+        found: dict[str, Any] = {"rows": [row._asdict() for row in rows], "beyond_check": beyond, "ratios": ratios}
+        Path(options.json).write_text(json.dumps(found, indent=2) + "\n")
+
+
+def tables(quick: bool) -> list[Row]:
+    print("                                            published (s)        ours (ms)")
+    print("table  case          robots               K     Z3     make      z3    cvc5  verdict")
     rows: list[Row] = []
 
     def told(more: list[Row]) -> None:
@@ -193,27 +239,28 @@ def main() -> None:
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        told(table_1(folder, options.quick))
-        if not options.quick:
+        told(table_1(folder, quick))
+        if not quick:
             strong = program_of(lineform(2, ("Motion.position", "x", "Motion.target")), folder)
             told([measured("1", "LineForm 2-D", strong, 100, None, False)])
         told(table_2(folder))
-    told(study("3", "task", TASK, options.quick))
-    told(study("4", "mapping", MAPPING, options.quick))
-    beyond = command_line(options.quick)
-    print(f"\n`prove` beyond `check`, any N: {', '.join(f'{n} {1000 * s:.0f} ms' for n, s in beyond.items())}; "
-          f"together {1000 * sum(beyond.values()):.0f} ms")  # fmt: skip
-    ratio = _ratio(rows)
-    if ratio:
-        print(f"z3 for 15 robots takes {ratio:.1f} times what it takes for any number (LineForm 2-D)")
-    if options.json:
-        found: dict[str, Any] = {"rows": [row._asdict() for row in rows], "beyond_check": beyond, "ratio": ratio}
-        Path(options.json).write_text(json.dumps(found, indent=2) + "\n")
+    told(study("3", "Task", TASK, quick))
+    told(study("4", "Mapping", MAPPING, quick))
+    return rows
 
 
-def _ratio(rows: list[Row]) -> float | None:
-    times = {row.robots: row.z3 for row in rows if row.case == "LineForm 2-D"}
-    return times["15"] / times["any"] if "15" in times and "any" in times else None
+def _sum(beyond: dict[str, tuple[float, float]]) -> tuple[float, float]:
+    return sum(wall for wall, _ in beyond.values()), sum(cpu for _, cpu in beyond.values())
+
+
+def _ratios(rows: list[Row]) -> dict[str, float]:
+    """Of the solver's time, where both were made: written out for 15 robots, and for any number."""
+    times = {(row.case, row.how, row.robots): row.z3 for row in rows if row.table != "2"}
+    return {
+        case: seconds / times[case, "any", "any"]
+        for (case, how, robots), seconds in times.items()
+        if (how, robots) == ("written out", "15")
+    }
 
 
 if __name__ == "__main__":

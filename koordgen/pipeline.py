@@ -203,10 +203,10 @@ def read_fleet(
 
 def fleet_params(path: str | None, checked: Checked, program_path: str) -> dict[str, Value]:
     """The values of params in a fleet file; none without one. Raises Rejected, ManifestError."""
-    from koordgen import manifest
-
     if path is None:
         return {}
+    from koordgen import manifest
+
     targets = {name: manifest.load(name) for name in manifest.available()}
     return read_fleet(path, targets, checked.program, program_path)[1]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from typing import TYPE_CHECKING
 
@@ -48,19 +47,15 @@ def run(options: Namespace) -> int:
 
 def proved(options: Namespace, solver: Solver | Both) -> int:
     """Checks, writes and tells what was asked for. Raises SolverMissing."""
-    from koordgen.check.params import BadParam
     from koordgen.pipeline import check_file, fleet_params
 
     checked = check_file(options.program)
     if options.format == "text":
         _tell([(checked.source, d) for d in checked.noticed], options)
-    try:
-        given = {**fleet_params(options.fleet, checked, options.program), **_params(options.param)}
-        if options.emit:
-            emit(options.emit, files(options, checked.source, checked.program, given))
-        question = fixed(checked.program, given)
-    except BadParam as error:
-        raise Failure(USAGE, str(error)) from None
+    given = {**fleet_params(options.fleet, checked, options.program), **_params(options.param)}
+    question = fixed(checked.program, given)
+    if options.emit:
+        emit(options.emit, files(options, checked.source, checked.program, question))
     found = asked(checked.program, question, numbers(options.robots), solver)
     if options.trace:
         save(options.trace, trace_of(checked.program, found))
@@ -78,10 +73,15 @@ def asked(
 
 
 def fixed(program: Program, given: Mapping[str, Value]) -> dict[str, Expr]:
-    """The params that have a value, as constants; the others may have any."""
-    from koordgen.check.params import with_params
+    """The params that have a value, as constants; the others may have any. Raises Failure."""
+    if not given:
+        return {}
+    from koordgen.check.params import BadParam, with_params
 
-    return {p.name: p.default for p in with_params(program, given).params if p.name in given}
+    try:
+        return {p.name: p.default for p in with_params(program, given).params if p.name in given}
+    except BadParam as error:
+        raise Failure(USAGE, str(error)) from None
 
 
 def numbers(text: str) -> list[int | None]:
@@ -107,6 +107,8 @@ def tell(options: Namespace, found: list[list[Verdict]]) -> None:
     from koordgen.prove.show import document, report
 
     if options.format == "json":
+        import json
+
         verdicts = [verdict for each in found for verdict in each]
         print(json.dumps(document(verdicts), indent=2), flush=True)
         return
@@ -114,12 +116,12 @@ def tell(options: Namespace, found: list[list[Verdict]]) -> None:
         sys.stdout.write(report(verdicts, options.program))
 
 
-def files(options: Namespace, source: Source, program: Program, given: Mapping[str, Value]) -> dict[str, bytes]:
+def files(options: Namespace, source: Source, program: Program, params: Mapping[str, Expr]) -> dict[str, bytes]:
     """What `--emit` writes, for all numbers of robots that were asked for."""
     from koordgen.prove.emit import folder
     from koordgen.prove.generate import obligations
 
-    made = [o for n in numbers(options.robots) for o in obligations(program, n, fixed(program, given))]
+    made = [o for n in numbers(options.robots) for o in obligations(program, n, params)]
     return folder(made, lambda _, line: source.line(line))
 
 

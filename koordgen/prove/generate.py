@@ -6,7 +6,7 @@ in the round by then; and so does each moment of the environment's step. docs/pr
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from koordgen.ir import decl
 from koordgen.ir import expr as ir
@@ -176,6 +176,7 @@ class _Output:
         self.notes = tuple(stage.room.notes)
         self.seen: set[Term] = set()
         self.real = self.nonlinear = False
+        self.look([fact.term for fact in facts])
         self.complete = complete(stage.setting) and not stage.room.partial
 
     def all(
@@ -206,8 +207,9 @@ class _Output:
             line = conjuncts[0].line if conjuncts else self.line
             goal = Fact(invariant, t.all_of([c.term for c in conjuncts]), program.path, line)
         facts = self.before(invariant) + assumed
+        self.look([fact.term for fact in (*assumed, *([goal] if goal else []))])
         return Obligation(
-            name, kind or self.kind, invariant, self.event, program.path, self.line, self.logic(facts, goal), facts,
+            name, kind or self.kind, invariant, self.event, program.path, self.line, self.logic(), facts,
             goal, "sat" if goal is None else "unsat", conjuncts, self.cells, self.complete,
             self.stage.setting.robots, self.notes,
         )  # fmt: skip
@@ -220,9 +222,9 @@ class _Output:
         later = {f"invariant {name}{AFTERWARDS}" for name in names}
         return tuple([fact for fact in self.facts if fact.label not in later])
 
-    def logic(self, facts: tuple[Fact, ...], goal: Fact | None) -> str:
-        """The logic of SMT-LIB that all terms are in."""
-        pending = [fact.term for fact in facts] + ([goal.term] if goal else [])
+    def look(self, terms: Iterable[Term]) -> None:
+        """Notes what the logic must have."""
+        pending = list(terms)
         while pending:
             term = pending.pop()
             if term in self.seen:
@@ -235,4 +237,7 @@ class _Output:
                 literals = [isinstance(a, t.Value) for a in term.args]
                 self.nonlinear = self.nonlinear or not (any(literals) if term.name == "*" else literals[1])
             pending.extend(term.args)
+
+    def logic(self) -> str:
+        """The logic of SMT-LIB that all terms of the room are in."""
         return f"QF_UF{'N' if self.nonlinear else 'L'}{'IRA' if self.real else 'IA'}"
