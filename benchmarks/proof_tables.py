@@ -150,9 +150,9 @@ def table_2(folder: Path) -> list[Row]:
                 found = next(v for v in prove(Question(program, robots), solver) if v.invariant == "Geofence")
                 seconds = time.perf_counter() - began
             told = found.explanation
-            lacking = " and ".join(told.lacking) if told else ""
+            lacking = " and ".join((*told.supposed, *told.lacking)) if told else ""
             event_only = all(o.holds for o in found.outcomes if o.obligation.kind == "event")
-            note = f"event alone: {'valid' if event_only else 'not valid'}; lacking: {lacking or 'an assumption'}"
+            note = f"event alone: {'valid' if event_only else 'not valid'}; lacking: {lacking}"
             how = "any" if robots is None else "written out"
             rows.append(Row("2", case, _robots(robots), how, WEAKER[case], found.verdict, seconds, 0.0, None, note))
     return rows
