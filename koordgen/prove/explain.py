@@ -35,7 +35,7 @@ class Explanation(NamedTuple):
     """`run` leads from an initial state to where the invariant is false; without one the counterexample is to
     induction only. `unshown` says why there is none, though the solver claims one; `lacking` are the conjuncts that
     close the proof; `usual`: with the params as the program has them it is proved without. `unassumed` are sensors of
-    which nothing is assumed; with `supposed` of them and what is lacking it is proved, where `supposed` is not empty."""
+    which nothing is assumed; with `supposed` of them and what is lacking it is proved, where there is any."""
 
     counterexample: Counterexample | None
     run: Run | None

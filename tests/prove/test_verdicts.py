@@ -45,6 +45,35 @@ def test_what_is_inductive_is_proved(tmp_path: Path, solver: Solver, robots: int
     assert all(o.answer.result == "unsat" for o in found["Geofence"].outcomes)
 
 
+LOOP = """\
+allread: int n[N_SYS]
+
+Up:
+  pre: n[pid] == 0
+  eff:
+    for i in range(N_SYS):
+      n[pid] = n[pid] + 1
+    n[pid] = n[pid] - N_SYS
+
+invariant Zero: forall i in ID: n[i] == 0
+"""
+
+
+def test_what_holds_for_three_robots_only_is_proved_for_them_written_out(tmp_path: Path, solver: Solver) -> None:
+    """The loop keeps no invariant; behind it, were it one that does, all would be well."""
+    assert verdicts(tmp_path, LOOP, solver)["Zero"].verdict != "PROVED"
+    assert verdicts(tmp_path, LOOP, solver, 3)["Zero"].verdict == "PROVED"
+    wrong = LOOP.replace("    n[pid] = n[pid] - N_SYS\n", "")
+    assert verdicts(tmp_path, wrong, solver, 3)["Zero"].verdict in ("FALSIFIED", "NOT INDUCTIVE")
+
+
+def test_with_a_number_the_assumptions_are_consistent_for_that_number(tmp_path: Path, solver: Solver) -> None:
+    crowded = f"{STRONG}initially: N_SYS < 3\n"
+    assert verdicts(tmp_path, crowded, solver)["Geofence"].verdict == "PROVED"
+    assert verdicts(tmp_path, crowded, solver, 2)["Geofence"].verdict == "PROVED"
+    assert verdicts(tmp_path, crowded, solver, 3)["Geofence"].verdict == "VACUOUS"
+
+
 def test_the_published_invariant_lacks_a_bound_on_targets_which_is_named(tmp_path: Path, solver: Solver) -> None:
     found = verdicts(tmp_path, LINE, solver)["Geofence"]
     assert found.verdict == "NOT INDUCTIVE"
