@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any, Literal
 
@@ -28,6 +29,18 @@ class Setting(Node):
     doc: str
     words: tuple[str, ...] = ()
     methods: tuple[str, ...] = ()
+
+    def misfit(self, value: Any) -> str:
+        """What is wrong with a value from elsewhere than a fleet file; "" for one that fits."""
+        if value in self.words:
+            return ""
+        wanted = (int, float) if self.type == "float" else SETTING_TYPES[self.type]
+        if not isinstance(value, wanted) or (isinstance(value, bool) and self.type != "bool"):
+            return f"it must be a {self.type}"
+        if isinstance(value, (int, float)):
+            least, most = -math.inf if self.least is None else self.least, math.inf if self.most is None else self.most
+            return "" if least <= value <= most else f"it must be {least:g} to {most:g}"
+        return f"there are: {', '.join(self.words)}" if self.words and not self.methods else ""
 
 
 Offered = dict[str, Setting | dict[str, Setting]]

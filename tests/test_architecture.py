@@ -49,6 +49,7 @@ FLOORS = {
     "doctor": BASE,
     "campaign": BASE,
     "replay": BASE | {"ir", "emit", "semantics", "runtime"},
+    "explore": BASE | {"ir", "check", "located", "emit", "semantics", "prove", "replay", "runtime"},
     "pipeline": BASE | {"syntax", "ir", "check", "emit", "manifest", "fleet", "offered", "bundle"},
     "scenario": {"node", "source", "located"},
     "cli": BASE
@@ -68,6 +69,7 @@ FLOORS = {
         "doctor",
         "campaign",
         "replay",
+        "explore",
         "emit",
     },
     "__main__": {"cli"},

@@ -36,19 +36,24 @@ class Job:
     number: int
     varied: Mapping[str, str]
     flags: tuple[str, ...]
-    settings: Mapping[str, str]
+    settings: Mapping[str, Any]
     verdict: str
     gentle: bool  # leave the computer to others
+    scenario: str = ""  # what goes wrong in the run, as JSON; "" when nothing does
 
 
 def execute(job: Job, bundle: Path, folder: Path, stopped: Callable[[], bool]) -> Result:
-    """Run it and judge it. `folder` gets what the run writes, and beside it stand its settings. Raises Stopped,
-    OSError."""
+    """Run it and judge it. `folder` gets what the run writes, and beside it stand its settings and its scenario. Raises
+    Stopped, OSError."""
     command = [sys.executable, str(bundle), *job.flags, f"--out={folder}", "--quiet"]
     own = folder.with_name(f"{folder.name}.settings.json")
     if job.settings:
-        own.write_text(json.dumps({name: typed(text) for name, text in job.settings.items()}), encoding="utf-8")
+        own.write_text(json.dumps(dict(job.settings)), encoding="utf-8")
         command.append(f"--settings={own}")
+    if job.scenario:
+        scenario = folder.with_name(f"{folder.name}.scenario.json")
+        scenario.write_text(job.scenario, encoding="utf-8")
+        command.append(f"--scenario={scenario}")
     began = time.monotonic()
     status, told = watched(_gently(command) if job.gentle else command, stopped)
     wall = round(time.monotonic() - began, 3)
@@ -56,15 +61,6 @@ def execute(job: Job, bundle: Path, folder: Path, stopped: Callable[[], bool]) -
         return Result(job.number, dict(job.varied), "failed", _why_not(status, told), wall=wall)
     result = _summarised(job, status, _summary(folder / "summary.json"), wall)
     return _judged(result, job.verdict, folder, stopped) if job.verdict else result
-
-
-def typed(text: str) -> Any:
-    """A setting's value as JSON has it: a number, true or false, else the text."""
-    try:
-        value = json.loads(text)
-    except ValueError:
-        return text
-    return value if isinstance(value, (int, float)) else text
 
 
 def watched(command: list[str], stopped: Callable[[], bool]) -> tuple[int, str]:

@@ -120,6 +120,12 @@ def _prove(options: Namespace) -> int:
     return run(options)
 
 
+def _explore(options: Namespace) -> int:
+    from koordgen.cli.explore import explore
+
+    return explore(options)
+
+
 def _explain(options: Namespace) -> int:
     from koordgen.diagnostics import CATALOGUE
 
@@ -229,9 +235,9 @@ def _afterwards(options: Namespace) -> int:
 
 
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {
-    "check": _check, "dump": _dump, "build": _build, "prove": _prove, "fmt": _fmt, "explain": _explain,
-    "estop": _estop, "basestation": _basestation, "doctor": _doctor, "key": _key, "report": _afterwards,
-    "export": _afterwards, "campaign": _campaign, "replay": _replay,
+    "check": _check, "dump": _dump, "build": _build, "prove": _prove, "explore": _explore, "fmt": _fmt,
+    "explain": _explain, "estop": _estop, "basestation": _basestation, "doctor": _doctor, "key": _key,
+    "report": _afterwards, "export": _afterwards, "campaign": _campaign, "replay": _replay,
 }  # fmt: skip
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import shlex
 import signal
@@ -11,17 +12,26 @@ import sys
 import tempfile
 from argparse import Namespace
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from koordgen import cli, manifest
 from koordgen.campaign import crew, drive, plan, store, vary
-from koordgen.campaign.task import Job, typed
+from koordgen.campaign.task import Job
+from koordgen.cli.harness import read_scenario
 from koordgen.cli.terminal import Line
 from koordgen.manifest import Target
 
 SUMS = "SHA256SUMS"
+SCENARIO = "scenario"
+OWN = {
+    "out",
+    "live",
+    "settings",
+    "invoked-as",
+}  # options of a run that a campaign says itself, or that it has no use for
 
 
 def campaign(options: Namespace) -> int:
@@ -33,6 +43,7 @@ def campaign(options: Namespace) -> int:
         if count is None:
             raise vary.BadVary("say how many runs with --runs N")
         runs = plan.runs(varied, count, harness.settings)
+        _fitting(runs, harness)
     except vary.BadVary as error:
         way = "--vary takes seed, seed=1:70, NAME=LO:HI and NAME=A,B,C, with commas between them"
         raise cli.Failure(cli.USAGE, str(error), way) from None
@@ -41,7 +52,8 @@ def campaign(options: Namespace) -> int:
     bundles, app = cli._planned(options, [harness.name])
     cli._require_packages()
     fixed = _fixed(options)
-    sums = bundles[harness.name][SUMS]
+    scenarios = _scenarios(runs, bundles[harness.name])
+    sums = bundles[harness.name][SUMS] + "".join(scenarios.values()).encode()
     verdict = _digest(Path(options.verdict).read_bytes()) if options.verdict else ""
     wanted = plan.Plan(app, _digest(sums), verdict, tuple(fixed), tuple(options.vary), count)
     out = Path(options.out or f"campaign-{app}")
@@ -49,10 +61,10 @@ def campaign(options: Namespace) -> int:
     show = (lambda _: None) if options.quiet else line.show
     with tempfile.TemporaryDirectory(prefix="koordgen-") as temporary:
         made = drive.Bundles(Path(temporary), harness.name, _builder(options, harness), runs)
-        _accepted(made.of(runs[0]), runs, fixed, harness)
+        _accepted(made.of(runs[0]), _telling(runs, vary.cells(varied)), fixed, harness)
         try:
             with closing(_crew(options)) as workers, store.claimed(out, wanted, options.resume) as kept:
-                job = _jobs(options, out, fixed, harness)
+                job = _jobs(options, out, fixed, harness, scenarios)
                 carry_out = partial(drive.carry_out, runs, kept, workers, made, job, show)
                 ended = _ended(carry_out, kept, count, line)
                 _show_table(kept, app, count, vary.cells(varied), ended is None)
@@ -109,10 +121,49 @@ def _builder(options: Namespace, harness: Target) -> drive.Build:
     return build
 
 
+def _fitting(runs: Sequence[plan.Run], harness: Target) -> None:
+    """Whether what is varied may be varied, and settings have values that the manifest allows. Raises BadVary."""
+    for name in OWN.intersection(runs[0].flags):
+        raise vary.BadVary(f"{name}: each run has its own")
+    for name, value in dict.fromkeys(item for run in runs for item in _settings(run, harness).items()):
+        if why := harness.settings[name].misfit(value):
+            raise vary.BadVary(f"{name}={value}: {why}")
+
+
+def _settings(run: plan.Run, harness: Target) -> dict[str, Any]:
+    """What a run sets of the harness: a text where that is wanted, else a number, true or false."""
+    found: dict[str, Any] = dict(run.settings)
+    for name, text in run.settings.items():
+        if harness.settings[name].type != "string":
+            with suppress(ValueError):
+                value = json.loads(text)
+                found[name] = value if isinstance(value, (int, float)) else text
+    return found
+
+
+def _scenarios(runs: Sequence[plan.Run], bundle: Mapping[str, bytes]) -> dict[str, str]:
+    """What is in the scenario files that are varied, as JSON, by path: runs elsewhere have no such files. Raises
+    Rejected, with line and column."""
+    paths = dict.fromkeys(run.flags[SCENARIO] for run in runs if SCENARIO in run.flags)
+    return {path: json.dumps(read_scenario(path, bundle)) for path in paths}
+
+
+def _telling(runs: Sequence[plan.Run], cells: Sequence[Mapping[str, str]]) -> list[plan.Run]:
+    """The runs in which each value of a list stands once, and the last one, for the ends of ranges and seeds."""
+    seen: set[tuple[str, str]] = set()
+    found = []
+    for run in runs[: len(cells)]:
+        new = {item for item in run.flags.items() if item[0] in cells[0] and item[0] != vary.SEED} - seen
+        if new or not run.number:
+            found.append(run)
+            seen |= new
+    return found if runs[-1] in found else [*found, runs[-1]]
+
+
 def _accepted(bundle: Path, runs: Sequence[plan.Run], fixed: Sequence[str], harness: Target) -> None:
-    """Whether the bundle takes what is varied: it looks at its options and runs nothing. The first run and the last."""
-    for run in dict.fromkeys((0, len(runs) - 1)):
-        flags = [*fixed, *_flags(runs[run])]
+    """Whether the bundle takes these runs: it looks at its options and runs nothing."""
+    for run in runs:
+        flags = [*fixed, *_flags(run)]
         command = [sys.executable, str(bundle), "--check", *flags]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode == cli.USAGE:
@@ -120,25 +171,30 @@ def _accepted(bundle: Path, runs: Sequence[plan.Run], fixed: Sequence[str], harn
             why = said[-1].partition("error:")[2].strip() if said else done.stderr.strip()
             known = ", ".join(sorted(harness.settings))
             way = f"--vary takes seed, param.NAME, options of `koordgen {harness.name}`, and its settings: {known}"
-            raise cli.Failure(cli.USAGE, f"run {run:04d} ({shlex.join(flags)}): {why}", way)
+            raise cli.Failure(cli.USAGE, f"run {run.name} ({shlex.join(flags)}): {why}", way)
         if done.returncode:
             lines = done.stderr.strip().splitlines() or ["it said nothing"]
-            raise cli.Failure(done.returncode, lines[0].removeprefix("error: "), "; ".join(lines[1:]).strip())
+            more = [line.strip().removeprefix("help: ") for line in lines[1:]]
+            raise cli.Failure(done.returncode, lines[0].removeprefix("error: "), "; ".join(more))
 
 
 def _flags(run: plan.Run) -> list[str]:
     return [f"--{name}={value}" for name, value in run.flags.items()]
 
 
-def _jobs(options: Namespace, out: Path, fixed: Sequence[str], harness: Target) -> Callable[[plan.Run], Job]:
+def _jobs(
+    options: Namespace, out: Path, fixed: Sequence[str], harness: Target, scenarios: Mapping[str, str]
+) -> Callable[[plan.Run], Job]:
     """What is to be run for a run."""
     script = str(Path(options.verdict).resolve()) if options.verdict else ""
 
     def job(run: plan.Run) -> Job:
         shown = shlex.join(_single(options, run, fixed, harness, out / store.RUNS / run.name))
         spared = () if options.reports else ("--no-report",)
-        flags = (*fixed, *_flags(run), *spared, f"--invoked-as={shown}")
-        return Job(run.number, run.varied, flags, run.settings, script, gentle=options.lockstep)
+        own = [flag for flag in _flags(run) if not flag.startswith(f"--{SCENARIO}=")]
+        scenario = scenarios.get(run.flags.get(SCENARIO, ""), "")
+        flags = (*fixed, *own, *spared, f"--invoked-as={shown}")
+        return Job(run.number, run.varied, flags, _settings(run, harness), script, options.lockstep, scenario)
 
     return job
 
@@ -169,7 +225,7 @@ def _ended(
 def _single(options: Namespace, run: plan.Run, fixed: Sequence[str], harness: Target, folder: Path) -> list[str]:
     """The command that repeats one run, for its report."""
     params = [f"--param={text}" for text in [*options.param, *(f"{n}={v}" for n, v in run.params.items())]]
-    settings = [f"# {name}: {typed(value)}" for name, value in run.settings.items()]
+    settings = [f"# {name}: {value}" for name, value in run.settings.items()]
     words = ["koordgen", harness.name, options.program, f"--fleet={options.fleet}", *params, *fixed, *_flags(run)]
     return [*words, f"--out={folder}", *settings]
 

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 from argparse import Namespace
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ def harness(options: Namespace) -> int:
     bundles, app = cli._planned(options, [options.command])
     cli._require_packages()
     bundle = bundles[options.command]
-    scenario = _scenario(options.scenario, bundle) if options.scenario else None
+    scenario = read_scenario(options.scenario, bundle) if options.scenario else None
     passed = [f"--{key}={value}" for key in PASSED if (value := getattr(options, key)) is not None]
     passed.append(f"--out={options.out or f'run-{app}'}")
     passed.append(f"--invoked-as={shlex.join(['koordgen', *sys.argv[1:]])}")
@@ -59,7 +60,7 @@ def _run(command: list[str], options: Namespace) -> int:
     return status
 
 
-def _scenario(path: str, bundle: dict[str, bytes]) -> Any:
+def read_scenario(path: str, bundle: Mapping[str, bytes]) -> Any:
     """The scenario file as the bundle takes it. Raises Rejected."""
     from koordgen.diagnostics import Diagnostic
     from koordgen.pipeline import Rejected, read_source

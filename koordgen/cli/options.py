@@ -81,6 +81,27 @@ def _prove(command: argparse.ArgumentParser) -> None:
     command.add_argument("--format", choices=("text", "json"), default="text", help="of what is told (default: text)")
 
 
+def _explore(command: argparse.ArgumentParser) -> None:
+    command.add_argument("program", metavar="APP.koord")
+    command.add_argument("--robots", metavar="N", type=_count, default=3, help="how many (default: 3)")
+    command.add_argument("--rounds", metavar="R", type=_count, help="go no farther (default: to the end)")
+    command.add_argument("--env", metavar="FILE", help="the values of sensors, what callable ports answer (YAML)")
+    command.add_argument("--states", metavar="K", type=_count, help="end after so many states")
+    command.add_argument("--seconds", metavar="S", type=_seconds, help="end after so long")
+    apart = "tell robots apart also where the program does not"
+    command.add_argument("--no-symmetry", dest="symmetry", action="store_false", help=apart)
+    orders = "try every order of robots, also where it makes no difference"
+    command.add_argument("--no-independence", dest="independence", action="store_false", help=orders)
+    quiet = "let robots wait for ever without `stop`"
+    command.add_argument("--no-deadlock", dest="deadlock", action="store_false", help=quiet)
+    command.add_argument("--fleet", metavar="FILE", help="a fleet file (YAML) for the values of params")
+    command.add_argument("--param", metavar="NAME=VALUE", action="append", default=[], help="a param's value")
+    command.add_argument("--functions", metavar="FILE", help="Python of the extern functions")
+    command.add_argument("--trace", metavar="FILE", help="write the run to a violation as koord-trace/1")
+    command.add_argument("--itf", metavar="FILE", help="write it in the Informal Trace Format (JSON)")
+    command.add_argument("--format", choices=("text", "json"), default="text", help="of what is told (default: text)")
+
+
 def _seconds(text: str) -> float:
     value = float(text)
     if not 0.01 <= value <= 86400.0:
@@ -231,6 +252,7 @@ _COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "dump": ("show a program as it stands after a pass", _dump),
     "build": ("write a bundle for each target, or for each robot of a fleet", _build),
     "prove": ("prove a program's invariants, or show why they do not hold", _prove),
+    "explore": ("try all that a fleet can do, and show the shortest way to what must not be", _explore),
     "fmt": ("format programs in place", _fmt),
     "explain": ("tell more of a code, with a wrong and a right example", _explain),
     "estop": ("emergency stop: bring all robots of a fleet to rest at once", _estop),

@@ -6,6 +6,7 @@ arithmetic, from a state in which the invariants hold to one in which they do no
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from fractions import Fraction
 from typing import Any, NamedTuple
@@ -276,6 +277,8 @@ def plain_value(value: Any) -> Any:
     match value:
         case bool() | int() | str():
             return value
+        case float():
+            return value if math.isfinite(value) else str(value)
         case Fraction():
             return value.numerator if value.denominator == 1 else _float(value)
         case Point(x, y, z):

@@ -8,7 +8,7 @@ from fractions import Fraction
 from typing import Any
 
 from koordgen.prove.model import Conjunct, Counterexample
-from koordgen.prove.reach import Run
+from koordgen.prove.reach import Moment, Run
 from koordgen.prove.spell import number, spelled
 from koordgen.runtime.values import Grid, Opaque, Point, Pose
 from koordgen.semantics.exact import Root
@@ -30,7 +30,7 @@ def wrapped(text: str, indent: str = "  ") -> list[str]:
 def counterexample(found: Counterexample) -> Iterator[str]:
     """The step, what it makes false, and the table of what was before and after it."""
     yield from wrapped(f"{_step(found)}:")
-    yield from _failed(found.failed, found.discarded, found.file)
+    yield from failed_lines(found.failed, found.discarded, found.file)
     yield ""
     yield from table(found)
     yield ""
@@ -45,7 +45,7 @@ def _step(found: Counterexample) -> str:
     return f"{found.event} of robot {found.pid}, from a state in which all invariants hold"
 
 
-def _failed(failed: Conjunct | None, discarded: str, file: str) -> list[str]:
+def failed_lines(failed: Conjunct | None, discarded: str, file: str) -> list[str]:
     if failed is None:
         return wrapped(f"it has no result, {discarded}", "    ")
     bound = "".join(f", {name} = {shown(value)}" for name, value in failed.names.items())
@@ -109,18 +109,23 @@ def _columns(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
 
 
 def run_lines(run: Run, found: Counterexample | None) -> Iterator[str]:
-    first = run.moments[0].state
+    yield from moment_lines(run.moments)
+    yield from failed_lines(run.failed, "", found.file if found else "")
+
+
+def moment_lines(moments: Sequence[Moment]) -> Iterator[str]:
+    """A run, step by step: what each changes."""
+    first = moments[0].state
     constants = {"N_SYS": len(first.robots), **first.params}
     yield from wrapped("  ".join(f"{name} = {shown(value)}" for name, value in constants.items()))
     rows = [("round", "step", "", "")]
-    for old, moment in zip((None, *run.moments), run.moments, strict=False):
+    for old, moment in zip((None, *moments), moments, strict=False):
         by = moment.event or "the beginning"
         step = f"{by} of robot {moment.pid}" if moment.pid is not None else by
         changes = list(_changes(old.state if old else None, moment.state))
         for i, change in enumerate(changes or ["nothing changes"]):
             rows.append((str(moment.round) if not i else "", step if not i else "", change, ""))
     yield from _columns(rows)
-    yield from _failed(run.failed, "", found.file if found else "")
 
 
 def _changes(old: State | None, new: State) -> Iterator[str]:
@@ -151,8 +156,13 @@ def data(found: Counterexample, run: Run | None) -> dict[str, Any]:
         "conjunct": spelled(found.failed.formula) if found.failed else found.discarded,
         "names": _texts(found.failed.names) if found.failed else {},
         "cells": rows,
-        "run": [_moment(m.event, m.pid, m.round, m.state) for m in run.moments] if run else None,
+        "run": moments_data(run.moments) if run else None,
     }
+
+
+def moments_data(moments: Sequence[Moment]) -> list[dict[str, Any]]:
+    """A run as JSON has it."""
+    return [_moment(m.event, m.pid, m.round, m.state) for m in moments]
 
 
 def _moment(event: str, pid: int | None, number: int, state: State) -> dict[str, Any]:

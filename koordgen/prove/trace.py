@@ -26,11 +26,16 @@ def trace(program: decl.Program, told: Explanation) -> str:
         moments, failed = told.run.moments, told.run.failed
     else:
         moments, failed = _pair(found), found.failed
-    lines = [_header(program, moments[0].state), *_steps(program, moments)]
     where = (
         {"line": failed.formula.span.line, "file": program.path} if failed is not None else {"detail": found.discarded}
     )
-    lines.append({"kind": "violation", "t": float(moments[-1].round), "what": found.invariant, **where})
+    return run_trace(program, moments, {"what": found.invariant, **where})
+
+
+def run_trace(program: decl.Program, moments: tuple[Moment, ...], violation: Mapping[str, Any]) -> str:
+    """A run whose last moment is a violation."""
+    lines = [_header(program, moments[0].state), *_steps(program, moments)]
+    lines.append({"kind": "violation", "t": float(moments[-1].round), **violation})
     return "".join(json.dumps(line) + "\n" for line in lines)
 
 

@@ -26,7 +26,7 @@ def externs(program: decl.Program, file: Path | None) -> Mapping[str, Callable[.
         return {}
     if file is None or not file.is_file():
         raise CannotCall(f"{file or functions_module(program) + '.py'}, which has the extern functions, is not there")
-    _load(functions_module(program), file)
+    load(functions_module(program), file)
     names = Names(program)
     module = sys.modules["replayed"] = ModuleType("replayed")  # where annotations of records are looked up
     vars(module)["__file__"] = "program.py"
@@ -34,7 +34,7 @@ def externs(program: decl.Program, file: Path | None) -> Mapping[str, Callable[.
     return {f.name: _called(f, vars(module), names) for f in program.externs}
 
 
-def _load(name: str, file: Path) -> None:
+def load(name: str, file: Path) -> None:
     spec = util.spec_from_file_location(name, file)
     assert spec is not None and spec.loader is not None
     module = sys.modules[name] = util.module_from_spec(spec)
@@ -52,40 +52,40 @@ def _called(function: decl.ExternFunction, scope: Mapping[str, Any], names: Name
 
     def call(*args: Value) -> Value:
         types = [parameter.type for parameter in function.parameters]
-        return _meant(
-            wrapped(*[_python(a, t, scope, names) for a, t in zip(args, types, strict=True)]), function.result
+        return meant_value(
+            wrapped(*[python_value(a, t, scope, names) for a, t in zip(args, types, strict=True)]), function.result
         )
 
     return call
 
 
-def _python(value: Any, type_: Type, scope: Mapping[str, Any], names: Names) -> Any:
+def python_value(value: Any, type_: Type, scope: Mapping[str, Any], names: Names) -> Any:
     """A value of the semantics as robots have it: records are of the program's classes."""
     match type_:
         case RecordType(name, fields):
             parts = zip(value.fields, fields, strict=True)
-            return scope[names.records[name]](*[_python(part, t, scope, names) for part, (_, t) in parts])
+            return scope[names.records[name]](*[python_value(part, t, scope, names) for part, (_, t) in parts])
         case Sequence(_, element) | PerRobot(element):
-            return tuple([_python(part, element, scope, names) for part in value])
+            return tuple([python_value(part, element, scope, names) for part in value])
         case MapOf(key, held):
-            return tuple([(_python(k, key, scope, names), _python(v, held, scope, names)) for k, v in value])
+            return tuple([(python_value(k, key, scope, names), python_value(v, held, scope, names)) for k, v in value])
         case TupleOf(items):
-            return tuple([_python(part, t, scope, names) for part, t in zip(value, items, strict=True)])
+            return tuple([python_value(part, t, scope, names) for part, t in zip(value, items, strict=True)])
         case _:
             return value
 
 
-def _meant(value: Any, type_: Type) -> Value:
+def meant_value(value: Any, type_: Type) -> Value:
     match type_:
         case RecordType(name, fields):
             parts = [getattr(value, field) for field in value.__struct_fields__]
-            return RecordValue(name, tuple([_meant(p, t) for p, (_, t) in zip(parts, fields, strict=True)]))
+            return RecordValue(name, tuple([meant_value(p, t) for p, (_, t) in zip(parts, fields, strict=True)]))
         case Sequence(_, element) | PerRobot(element):
-            return tuple([_meant(part, element) for part in value])
+            return tuple([meant_value(part, element) for part in value])
         case MapOf(key, held):
-            return tuple([(_meant(k, key), _meant(v, held)) for k, v in value])
+            return tuple([(meant_value(k, key), meant_value(v, held)) for k, v in value])
         case TupleOf(items):
-            return tuple([_meant(part, t) for part, t in zip(value, items, strict=True)])
+            return tuple([meant_value(part, t) for part, t in zip(value, items, strict=True)])
         case _:
             found: Value = value
             return found

@@ -205,6 +205,8 @@ def _run(
     run.poses_file.unlink()
     found = summary.summarise(*trace.read(merged), outcome)
     found.watching = round(watcher.seconds / (time.perf_counter() - began), 4)
+    if options.pace:
+        found.shares = {}  # of time, of which most went to waiting
     found.reproduce = _reproduce(root, scenario, folder, options)
     summary.write(found, folder)
     left = folder if options.no_report else folder / "report.html"

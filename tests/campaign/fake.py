@@ -19,6 +19,7 @@ p.add_argument("--out", type=Path)
 p.add_argument("--settings", type=Path)
 p.add_argument("--invoked-as")
 p.add_argument("--lockstep", action="store_true")
+p.add_argument("--scenario", type=Path)
 p.add_argument("--no-report", action="store_true")
 p.add_argument("--quiet", action="store_true")
 p.add_argument("--check", action="store_true")
@@ -44,6 +45,7 @@ why = "at 1.50 s alice and bert: separation, 0.2 m apart"
     "verdict": "violated" if bad else "held", "why": why if bad else "all robots ended by themselves",
     "violations": [{"t": 1.5, "what": "separation", "robots": ["alice", "bert"], "detail": ""}] if bad else [],
     "duration": 10.0 + o.seed + EXTRA, "min_separation": {"distance": 1.0 - o.loss}, "settings": settings,
+    "scenario": json.loads(o.scenario.read_text()) if o.scenario else None,
     "robots": [{"late_rounds": 2}, {"late_rounds": 1}],
 }))
 sys.exit(3 if bad else 0)

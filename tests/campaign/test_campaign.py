@@ -21,10 +21,12 @@ from koordgen.campaign import store
 from koordgen.cli import campaign as command
 from tests.campaign import fake
 
+PLANNED = {"SHA256SUMS": b"sums", "scenario.json": b'{"robots": [{"name": "bert"}]}'}
+
 
 @pytest.fixture(autouse=True)
 def faked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(cli, "_planned", lambda options, targets: ({fake.NAME: {"SHA256SUMS": b"sums"}}, "app"))
+    monkeypatch.setattr(cli, "_planned", lambda options, targets: ({fake.NAME: PLANNED}, "app"))
     monkeypatch.setattr(cli, "_require_packages", lambda: None)
     monkeypatch.setattr(command, "_builder", lambda options, harness: fake.build)
     monkeypatch.chdir(tmp_path)
@@ -90,10 +92,23 @@ def test_a_violation_goes_before_what_did_not_run() -> None:
 
 
 def test_settings_and_params_go_where_they_belong() -> None:
-    assert campaign("--vary", "seed=1:2,boot=0.5,firmware=px4,param.extra=0,100") == 0
+    assert campaign("--vary", "seed=1:2,boot=0.5,firmware=px4,version=4.6,param.extra=0,100") == 0
     written = [json.loads(Path(f"out/runs/000{k}/summary.json").read_text()) for k in range(4)]
-    assert written[0]["settings"] == {"boot": 0.5, "firmware": "px4"}
+    assert written[0]["settings"] == {"boot": 0.5, "firmware": "px4", "version": "4.6"}
     assert [w["duration"] for w in written] == [11.0, 111.0, 12.0, 112.0]
+
+
+def test_scenarios_go_with_their_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("a.yaml").write_text("network: {loss: 0.1}\n")
+    Path("b.yaml").write_text("events: [{at: 1, crash: bert}]\n")
+    words = ("--vary", "scenario=a.yaml,b.yaml", "--lockstep")
+    assert campaign(*words) == 0
+    written = [json.loads(Path(f"out/runs/000{k}/summary.json").read_text())["scenario"] for k in range(2)]
+    assert written == [{"network": {"loss": 0.1}}, {"events": [{"at": 1, "crash": "bert"}]}]
+    assert "--scenario=b.yaml" in Path("out/runs/0001/began").read_text()
+    Path("b.yaml").write_text("events: []\n")
+    assert campaign(*words, "--resume") == 5
+    assert "has changed since" in capsys.readouterr().err
 
 
 def test_a_script_judges(capsys: pytest.CaptureFixture[str]) -> None:
@@ -158,6 +173,8 @@ def test_folders_of_others_are_left_alone(capsys: pytest.CaptureFixture[str]) ->
         (["--vary", "seed"], "--runs"), (["--vary", "loss"], "neither"), (["--vary", "height=0,1"], "unrecognized"),
         (["--vary", "seed=1:2", "--runs", "5"], "too few seeds"), (["--vary", "loss=0,many"], "invalid float"),
         (["--vary", "seed=1:2", "--verdict", "none.py"], "no such file"),
+        (["--vary", "loss=0,many,0.1"], "invalid float"), (["--vary", "boot=1,soon"], "boot=soon: it must be a float"),
+        (["--vary", "position_noise=-1,1"], "position_noise=-1: it must be 0 to 1"), (["--vary", "out=a,b"], "its own"),
     ],
 )  # fmt: skip
 def test_wrong_calls_are_told_before_anything_runs(
@@ -165,6 +182,13 @@ def test_wrong_calls_are_told_before_anything_runs(
 ) -> None:
     assert campaign(*words) == 2
     assert said in capsys.readouterr().err and not Path("out").exists()
+
+
+def test_a_wrong_scenario_in_the_middle_is_told_with_its_place(capsys: pytest.CaptureFixture[str]) -> None:
+    for name, text in (("a", "{}"), ("b", "events: [{at: 1, crush: bert}]"), ("c", "{}")):
+        Path(f"{name}.yaml").write_text(text + "\n")
+    assert campaign("--vary", "scenario=a.yaml,b.yaml,c.yaml") == 1
+    assert "b.yaml:1:18: error[F002]: unknown key 'crush'" in capsys.readouterr().err and not Path("out").exists()
 
 
 def test_progress_is_for_terminals(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,11 +24,12 @@ from koordgen.runtime.values import Point
 from targets.sim import trace
 from targets.sim.scenario import Box, Marker, MarkerList, Shared, World
 from targets.sim.trace import End, Violation
-from targets.sim.view import tables
+from targets.sim.view import film, tables
 from targets.sim.view.colours import STATES
 from targets.sim.view.history import gathered
 from targets.sim.view.schemas import SCHEMAS
 from targets.sim.view.tracks import cells, tracks
+from tests.disk import small_disk
 from tests.sim.canned import header, moving, write
 
 STARTS = [(-4.0, -1.0, 0.0), (-1.0, 2.0, 0.0)]
@@ -204,9 +205,10 @@ def test_a_gif_shows_the_run_as_it_went(run: Path) -> None:
 
 
 @pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="ffmpeg is not installed")
-def test_a_film_is_one(run: Path) -> None:
-    assert main(["export", str(run), "--to", "mp4"]) == 0
-    asked = ["-show_entries", "stream=width,duration", "-of", "json", str(run / "trace.mp4")]
+def test_a_film_is_one(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(film, "MP4", (4, *film.MP4[1:]))  # fewer pictures a second: the test is quicker
+    assert main(["export", str(run), "--to", "mp4", "-o", str(run / "talk.film")]) == 0
+    asked = ["-show_entries", "stream=width,duration", "-of", "json", str(run / "talk.film")]
     probe = ["ffprobe", "-loglevel", "error", *asked]
     stream = json.loads(subprocess.run(probe, capture_output=True, check=True).stdout)["streams"][0]
     assert stream["width"] == 880 and float(stream["duration"]) == pytest.approx(12.0, abs=0.5)
@@ -241,6 +243,21 @@ def test_a_place_that_cannot_be_written_is_told(run: Path, capsys: pytest.Captur
         assert main(["export", str(run), "--to", to, "-o", str(run / "no" / "where")]) == 5
         assert str(run / "no" / "where") in capsys.readouterr().err
     assert main(["report", str(run), "-o", str(run / "no" / "where")]) == 5
+
+
+def test_what_stood_there_survives_a_disk_that_gets_full(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with small_disk(tmp_path / "small", "200k") as small:
+        for name in ("own.html", "own.mcap"):
+            (small / name).write_text("of an earlier run")
+        (small / "filler").write_bytes(b"x" * 180_000)
+        for words in (["report"], ["export", "--to", "mcap"], ["export", "--to", "csv"]):
+            path = small / f"own.{'html' if words == ['report'] else words[-1]}"
+            assert main([words[0], str(run), *words[1:], "-o", str(path)]) == 5
+            assert f"error: {path}: No space left on device" in capsys.readouterr().err
+        assert sorted(p.name for p in small.iterdir()) == ["filler", "own.html", "own.mcap"]
+        assert (small / "own.html").read_text() == (small / "own.mcap").read_text() == "of an earlier run"
 
 
 def test_the_report_of_a_folder_and_of_a_trace(run: Path, capsys: pytest.CaptureFixture[str]) -> None:

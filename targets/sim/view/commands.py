@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from targets.sim.trace import Header, Record
 
 TRACE = "trace.jsonl"
 FORMATS = ("mcap", "csv", "png", "gif", "mp4")
@@ -23,7 +30,8 @@ def report(given: str, out: str | None) -> Path:
 
     trace = _found(given)
     path = Path(out) if out else trace.parent / "report.html"
-    report.write(path, trace)
+    with whole(path) as made:
+        report.write(made, trace)
     return path
 
 
@@ -35,6 +43,12 @@ def export(given: str, to: str, out: str | None) -> Path:
     trace = _found(given)
     path = Path(out) if out else trace.with_name({"csv": "csv", "png": "plots"}.get(to, f"{trace.stem}.{to}"))
     header, records = read(trace)
+    with whole(path) as made:
+        _write(to, made, header, records)
+    return path
+
+
+def _write(to: str, path: Path, header: Header, records: Iterator[Record]) -> None:
     match to:
         case "csv":
             from targets.sim.view import tables
@@ -55,8 +69,33 @@ def export(given: str, to: str, out: str | None) -> Path:
             if to == "png":
                 plots.draw(found, path)
             else:
-                film.write(path, found)
-    return path
+                film.write(path, found, to == "mp4")
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """Where to write what is to stand at `path`, a file or a folder of files: beside it, and moved there when all of it
+    is written, so that there is never half of it and what stood there is lost to nothing that failed. What is no file
+    (`/dev/stdout`) is written as it is. Raises OSError, which names `path`."""
+    if path.exists() and not path.is_file() and not path.is_dir():
+        yield path
+        return
+    try:
+        target = path.resolve()
+        with tempfile.TemporaryDirectory(prefix=".koordgen-", dir=target.parent) as beside:
+            made = Path(beside) / target.name
+            yield made
+            _moved(made, target)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from None
+
+
+def _moved(made: Path, target: Path) -> None:
+    if made.is_dir() and target.is_dir():
+        for each in made.iterdir():
+            each.replace(target / each.name)
+    else:
+        made.replace(target)
 
 
 def _found(given: str) -> Path:

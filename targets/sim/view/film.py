@@ -29,10 +29,9 @@ SPEEDS = (1, 2, 3, 4, 5, 8, 10, 15, 20, 30, 60, 120, 300, 600)
 ARROW = np.array([[1.0, 0.0], [-0.8, 0.65], [-0.45, 0.0], [-0.8, -0.65]])
 
 
-def write(path: Path, found: Tracks) -> None:
-    """Write a film; its name's ending says which. Long runs go by faster, as the film itself says. Raises CannotMake,
-    OSError."""
-    moving = path.suffix == ".mp4"
+def write(path: Path, found: Tracks, moving: bool) -> None:
+    """Write a film: MP4 if it is `moving`, else a GIF. Long runs go by faster, as the film itself says. Raises
+    CannotMake, OSError."""
     if moving and shutil.which("ffmpeg") is None:
         hint = "install it (Debian: apt install ffmpeg), or --to gif"
         raise CannotMake("MP4 needs ffmpeg, which is not installed", hint)
@@ -84,7 +83,7 @@ def _as_mp4(path: Path, frames: Iterator[Frame], rate: int) -> None:
         if encoder.wait() != 0:
             said.seek(0)
             words = said.read().decode("utf-8", "replace").strip().splitlines()
-            raise CannotMake(f"ffmpeg could not write {path}: {words[-1] if words else 'it did not say why'}", "")
+            raise CannotMake(f"ffmpeg could not write the film: {words[-1] if words else 'it did not say why'}", "")
 
 
 def _span(found: Tracks) -> tuple[float, float]:

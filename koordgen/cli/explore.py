@@ -1,0 +1,93 @@
+"""`koordgen explore`: what is asked, what is printed, and the exit status."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from argparse import Namespace
+from pathlib import Path
+
+from koordgen.check.params import BadParam, with_params
+from koordgen.cli import HOLDS, INCONCLUSIVE, INTERRUPTED, USAGE, VIOLATED, WRONG, Failure, _params, _tell
+from koordgen.cli.prove import save
+from koordgen.cli.terminal import Line
+from koordgen.diagnostics import Diagnostic
+from koordgen.emit.program import functions_module
+from koordgen.explore.environment import Environment, Lacking, Surroundings, answering, environment
+from koordgen.explore.machine import Machine
+from koordgen.explore.search import Bounds, Progress, Result, Search
+from koordgen.explore.show import document, itf, report, told, trace
+from koordgen.ir.decl import Program
+from koordgen.pipeline import Rejected, check_file, fleet_params, read_source
+from koordgen.replay.functions import CannotCall
+from koordgen.source import Source, Span
+
+
+def explore(options: Namespace) -> int:
+    """The whole command."""
+    checked = check_file(options.program)
+    if options.format == "text":
+        _tell([(checked.source, d) for d in checked.noticed], options)
+    try:
+        given = {**fleet_params(options.fleet, checked, options.program), **_params(options.param)}
+        program = with_params(checked.program, given)
+    except BadParam as error:
+        raise Failure(USAGE, str(error)) from None
+    result = _searched(options, program)
+    if result.violation is not None:
+        if options.trace:
+            save(options.trace, trace(result.violation, program))
+        if options.itf:
+            save(options.itf, itf(result.violation, program))
+    if options.format == "json":
+        print(json.dumps(document(result, program, options.robots), indent=2), flush=True)
+    else:
+        sys.stdout.write(report(result, program, options.program, options.robots))
+    return _status(result)
+
+
+def _searched(options: Namespace, program: Program) -> Result:
+    line = Line(sys.stderr)
+
+    def show(progress: Progress) -> None:
+        line.show(f"depth {progress.depth}: {told(progress)}")
+
+    functions = options.functions or Path(options.program).with_name(f"{functions_module(program)}.py")
+    bounds = Bounds(options.rounds, options.states, options.seconds)
+    try:
+        around = _environment(options, program)
+        machine = Machine(program, options.robots, answering(around), Path(functions))
+        search = Search(
+            machine, Surroundings(machine, around), bounds, time.monotonic, show,
+            symmetry=options.symmetry, independence=options.independence, deadlock=options.deadlock,
+        )  # fmt: skip
+        return search.run()
+    except Lacking as error:
+        raise Failure(USAGE, str(error), "docs/explore.md tells how such a file is written") from None
+    except CannotCall as error:
+        raise Failure(WRONG, str(error), "name it with --functions") from None
+    finally:
+        line.end()
+
+
+def _environment(options: Namespace, program: Program) -> Environment:
+    source = read_source(options.env) if options.env else None
+    found: list[tuple[Source, Diagnostic]] = []
+
+    def note(code: str, message: str, span: Span, help: str) -> None:
+        assert source is not None
+        found.append((source, Diagnostic(code, "error", message, span, help=help)))
+
+    around = environment(program, source, note)
+    if around is None:
+        raise Rejected(found)
+    return around
+
+
+def _status(result: Result) -> int:
+    if result.violation is not None:
+        return VIOLATED
+    if result.stopped == "interrupted":
+        return INTERRUPTED
+    return INCONCLUSIVE if result.stopped else HOLDS

@@ -1,0 +1,246 @@
+"""A program's events as compiled Python over packed fleets: the very code that robots run, remembered by what it reads.
+
+A packed fleet of N robots is a flat tuple of 2 N + 1 small ints: each robot's own (locals, ports, whether it stopped),
+then each robot's slots of the allread variables, then the allwrite variables. Equal ints stand for equal values, floats
+by all their bits; what no event can read, the number of the round, is left out.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from itertools import count
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Generic, NamedTuple, TypeVar
+
+from koordgen.emit.names import Names
+from koordgen.emit.program import functions_module, program_text
+from koordgen.emit.types import with_floats
+from koordgen.ir import decl
+from koordgen.replay.functions import CannotCall, load, meant_value, python_value
+from koordgen.runtime import program as rt
+from koordgen.semantics.exec import declared
+from koordgen.semantics.state import Robot, State, Store
+from koordgen.semantics.step import initial
+
+T = TypeVar("T")
+Packed = tuple[int, ...]
+Answer = Callable[[int, Mapping[str, Any], str, tuple[Any, ...]], Any]  # pid, its sensors, "Module.port", arguments
+_numbers = count()
+
+
+class Own(NamedTuple):
+    """What is one robot's alone; ports by "Module.port"."""
+
+    locals: Mapping[str, Any]
+    sensors: Mapping[str, Any]
+    actuators: Mapping[str, Any]
+    stopped: bool
+
+
+class Choice(NamedTuple):
+    """An event that a robot may run: its index, the robot's own and slots afterwards, what it writes to cells."""
+
+    event: int
+    own: int
+    slots: int
+    cells: int
+
+
+class Discard(NamedTuple):
+    """An event (-1: init) that has no result. It read the store `seen`, two parts of a packed fleet."""
+
+    pid: int
+    event: int
+    own: int
+    seen: Packed
+    line: int
+    reason: str
+
+
+class Interned(Generic[T]):
+    """Values by number, equal keys having one number."""
+
+    def __init__(self) -> None:
+        self.values: list[T] = []
+        self._numbers: dict[Hashable, int] = {}
+
+    def number(self, key: Hashable, value: T) -> int:
+        found = self._numbers.setdefault(key, len(self.values))
+        if found == len(self.values):
+            self.values.append(value)
+        return found
+
+
+class Machine:
+    """One program for a fleet of `n_sys`. Runs the user's file of extern functions, if the program has some. Raises
+    CannotCall. `discards` are all that were met, `enabled` the indices of the events that had a result."""
+
+    def __init__(self, program: decl.Program, n_sys: int, answer: Answer, functions: Path | None = None) -> None:
+        self.program, self.n_sys, self.answer = program, n_sys, answer
+        self.names = Names(program)
+        self.scope = _compiled(program, functions)
+        self.code: rt.Program = self.scope["PROGRAM"]
+        ports = [(f"{m.name}.{p.name}", p) for m in program.modules for p in m.ports]
+        self.types = declared(program)
+        self.sensors = tuple(name for name, port in ports if port.direction == "sensor")
+        self.actuators = tuple(name for name, port in ports if port.direction == "actuator")
+        self.allread = tuple(v.name for v in program.shared if v.kind == "allread")
+        self.allwrite = tuple(v.name for v in program.shared if v.kind == "allwrite")
+        self.owns: Interned[Own] = Interned()
+        self.slots: Interned[tuple[Any, ...]] = Interned()
+        self.cells: Interned[tuple[Any, ...]] = Interned()
+        self.writes: Interned[Mapping[str, Any]] = Interned()
+        self.nothing = self.writes.number((), {})
+        self._written: dict[tuple[int, int], int] = {}
+        self.params = initial(program, 1).params
+        self.discards: list[Discard] = []
+        self.enabled: set[int] = set()
+
+    def choices(self, events: Sequence[int], pid: int, own: int, seen: Packed) -> tuple[Choice, ...]:
+        """What a robot may do of these events where it sees a store: all whose guards hold, but those discarded."""
+        robot = self.owns.values[own]
+        if robot.stopped:
+            return ()
+        frame = self.frame(pid, robot, seen)
+        looking = self.code.begin(frame)
+        found = []
+        for index in events:
+            event = self.code.events[index]
+            try:
+                if not event.guard(looking):
+                    continue
+                done = rt.run(self.code, event.effect, self.code.begin(frame), event.line)
+            except Exception:  # of a guard: the same again, told as of an effect
+                done = rt.run(self.code, event.guard, self.code.begin(frame), event.line)  # type: ignore[arg-type]
+            if isinstance(done, rt.Fault):
+                self.discards.append(Discard(pid, index, own, seen, done.line, done.reason))
+            elif isinstance(done, rt.Effects):
+                self.enabled.add(index)
+                found.append(self._choice(index, pid, robot, seen, done))
+        return tuple(found)
+
+    def begun(self, fleet: Packed) -> Packed:
+        """A fleet after every robot's init, each on the store before it."""
+        after = fleet
+        for pid in range(self.n_sys) if self.code.init is not None else ():
+            robot, seen = self.owns.values[fleet[pid]], fleet[self.n_sys :]
+            done = rt.run(self.code, self.code.init, self.code.begin(self.frame(pid, robot, seen)))  # type: ignore[arg-type]
+            if isinstance(done, rt.Fault):
+                self.discards.append(Discard(pid, -1, fleet[pid], seen, done.line, done.reason))
+            else:
+                after = self.applied(after, pid, self._choice(-1, pid, robot, seen, done))
+        return after
+
+    def applied(self, fleet: Packed, pid: int, choice: Choice) -> Packed:
+        """A fleet after one robot's event, all of its writes together."""
+        made = list(fleet)
+        made[pid], made[self.n_sys + pid] = choice.own, choice.slots
+        if choice.cells != self.nothing:
+            made[-1] = self._cells(fleet[-1], choice.cells)
+        return tuple(made)
+
+    def frame(self, pid: int, robot: Own, seen: Packed) -> rt.Frame:
+        """What a robot knows at an event."""
+        columns = zip(*[self.slots.values[number] for number in seen[:-1]], strict=True)
+        shared = dict(zip(self.allread, columns, strict=True)) if self.allread else {}
+        shared |= dict(zip(self.allwrite, self.cells.values[seen[-1]], strict=True))
+
+        def call(port: str, args: tuple[Any, ...]) -> Any:
+            return self.answer(pid, robot.sensors, port, args)
+
+        return rt.Frame(pid, self.n_sys, robot.locals, shared, robot.sensors, robot.actuators, call)
+
+    def own(self, robot: Own) -> int:
+        key = [self._key(v.name, robot.locals[v.name]) for v in self.program.locals]
+        key += [self._key(name, robot.sensors[name]) for name in self.sensors]
+        key += [self._key(name, robot.actuators[name]) for name in self.actuators]
+        return self.owns.number((*key, robot.stopped), robot)
+
+    def packed(self, state: State) -> Packed:
+        """A state of the semantics."""
+        robots = [self.own(self._own(robot)) for robot in state.robots]
+        slots = [
+            self._slots(tuple([self._taken(name, state.store.slots[name][pid]) for name in self.allread]))
+            for pid in range(self.n_sys)
+        ]
+        cells = tuple([self._taken(name, state.store.cells[name]) for name in self.allwrite])
+        return (*robots, *slots, self._cell_number(cells))
+
+    def state(self, fleet: Packed, number: int = 1) -> State:
+        """A packed fleet as the semantics has it, before round `number`."""
+        robots = []
+        for own in fleet[: self.n_sys]:
+            held = self.owns.values[own]
+            ports = self._meant({**held.sensors, **held.actuators})
+            robots.append(Robot(self._meant(held.locals), ports, held.stopped))
+        columns = zip(*[self.slots.values[n] for n in fleet[self.n_sys : -1]], strict=True)
+        slots = {
+            name: tuple([meant_value(value, self.types[name]) for value in column])
+            for name, column in zip(self.allread, columns, strict=False)
+        }
+        cells = dict(zip(self.allwrite, self.cells.values[fleet[-1]], strict=True))
+        return State(self.params, tuple(robots), Store(slots, self._meant(cells)), number)
+
+    def _choice(self, index: int, pid: int, robot: Own, seen: Packed, done: rt.Effects) -> Choice:
+        sent = {name.rpartition(".")[0] for name in done.actuators if name.endswith((".target", ".path"))}
+        cleared = {f"{m}.reached": False for m in sent if f"{m}.reached" in robot.sensors}
+        sensors = {**robot.sensors, **cleared} if cleared else robot.sensors
+        actuators = {**robot.actuators, **done.actuators} if done.actuators else robot.actuators
+        own = self.own(Own(done.locals, sensors, actuators, done.stopped))
+        slots = seen[pid]
+        if any(name in done.shared for name in self.allread):
+            held = zip(self.allread, self.slots.values[slots], strict=True)
+            slots = self._slots(tuple([done.shared.get(name, value) for name, value in held]))
+        cells = {name: done.shared[name] for name in self.allwrite if name in done.shared}
+        key = tuple([(name, self._key(name, value)) for name, value in cells.items()])
+        return Choice(index, own, slots, self.writes.number(key, cells))
+
+    def _cells(self, before: int, writes: int) -> int:
+        found = self._written.get((before, writes))
+        if found is None:
+            new = self.writes.values[writes]
+            held = zip(self.allwrite, self.cells.values[before], strict=True)
+            found = self._cell_number(tuple([new.get(name, value) for name, value in held]))
+            self._written[before, writes] = found
+        return found
+
+    def _cell_number(self, values: tuple[Any, ...]) -> int:
+        return self.cells.number(tuple(map(self._key, self.allwrite, values)), values)
+
+    def _slots(self, values: tuple[Any, ...]) -> int:
+        return self.slots.number(tuple(map(self._key, self.allread, values)), values)
+
+    def _key(self, name: str, value: Any) -> Hashable:
+        """0.0 and -0.0 are equal, and no program need treat them alike."""
+        key: Hashable = repr(value) if with_floats(self.types[name]) else value
+        return key
+
+    def _own(self, robot: Robot) -> Own:
+        ports = {name: self._taken(name, value) for name, value in robot.ports.items()}
+        locals_ = {name: self._taken(name, value) for name, value in robot.locals.items()}
+        sensors = {name: ports[name] for name in self.sensors}
+        return Own(locals_, sensors, {name: ports[name] for name in self.actuators}, robot.stopped)
+
+    def _taken(self, name: str, value: Any) -> Any:
+        return python_value(value, self.types[name], self.scope, self.names)
+
+    def _meant(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: meant_value(value, self.types[name]) for name, value in values.items()}
+
+
+def _compiled(program: decl.Program, functions: Path | None) -> dict[str, Any]:
+    if program.externs:
+        if functions is None or not functions.is_file():
+            missing = functions or f"{functions_module(program)}.py"
+            raise CannotCall(f"{missing}, which has the extern functions, is not there")
+        load(functions_module(program), functions)
+    name = f"explored{next(_numbers)}"
+    module = sys.modules[name] = ModuleType(name)  # where annotations of records are looked up
+    scope: dict[str, Any] = vars(module)
+    scope["__file__"] = "program.py"
+    exec(compile(program_text(program), "program.py", "exec"), scope)
+    if program.externs:
+        scope["LIBRARY"].load()
+    return scope

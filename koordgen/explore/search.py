@@ -1,0 +1,268 @@
+"""Breadth first over all that a fleet can come to, round by round: a violation found is one of fewest rounds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+from koordgen.diagnostics import InternalError
+from koordgen.explore.environment import Surroundings
+from koordgen.explore.invariants import Invariants
+from koordgen.explore.machine import Discard, Machine, Packed
+from koordgen.explore.rounds import Came, Node, Rounds, steps
+from koordgen.explore.symmetry import distinguishes, sorted_robots
+from koordgen.ir import decl
+from koordgen.prove.model import Conjunct, failing
+from koordgen.prove.reach import Moment
+from koordgen.semantics.eval import Discarded
+from koordgen.semantics.property import holds_property
+from koordgen.semantics.step import initial
+
+WELL_DEFINED, DEADLOCK = "(well-defined)", "(deadlock)"
+SHOWN = 0.25  # seconds from one view of the progress to the next
+
+
+class Bounds(NamedTuple):
+    """How far to go; None: to the end."""
+
+    rounds: int | None = None
+    states: int | None = None
+    seconds: float | None = None
+
+
+class Progress(NamedTuple):
+    """How far it has come: rounds that are explored whole, different states at rounds' ends, those of them whose rounds
+    are still to be explored, program steps taken, seconds."""
+
+    depth: int
+    states: int
+    waiting: int
+    steps: int
+    seconds: float
+
+
+class Violation(NamedTuple):
+    """`name`: of the invariant, WELL_DEFINED or DEADLOCK. `failed` is what is false at the last moment; where nothing
+    is, `reason` says what is wrong."""
+
+    name: str
+    line: int
+    moments: tuple[Moment, ...]
+    failed: Conjunct | None
+    reason: str
+
+
+class Result(NamedTuple):
+    """`stopped` says what ended it before all was explored, empty where all was; `unseen` are the events that no robot
+    ever had enabled, `unchecked` the invariants that cannot be evaluated, `apart` why no robots are taken as alike."""
+
+    violation: Violation | None
+    progress: Progress
+    stopped: str
+    unseen: tuple[decl.Event, ...]
+    unchecked: tuple[str, ...]
+    apart: str
+
+
+class Search:
+    """One exploration. `clock` yields seconds, `show` is told of the progress now and then. `run` raises Lacking."""
+
+    def __init__(
+        self, machine: Machine, around: Surroundings, bounds: Bounds, clock: Callable[[], float],
+        show: Callable[[Progress], None], symmetry: bool = True, independence: bool = True, deadlock: bool = True,
+    ) -> None:  # fmt: skip
+        self.machine, self.around, self.bounds, self.clock, self.show = machine, around, bounds, clock, show
+        self.rounds = Rounds(machine, independence)
+        self.invariants = Invariants(machine)
+        self.apart = distinguishes(machine.program) if symmetry else "it is switched off"
+        self.independence, self.deadlock = independence, deadlock
+        self.known: dict[Packed, Packed | None] = {}  # states at rounds' ends, each with one that leads to it
+        self.within: set[Packed] = set()  # states before the environment's step that were looked at
+        self.begin: dict[Packed, Packed] = {}  # those after init, with those before
+        self.lively: set[Packed] = set()  # where no event is enabled, but some will be
+        self.stuck = 0
+        self.steps = self.depth = 0
+        self.waiting = 0
+
+    def run(self) -> Result:
+        """All of it."""
+        self.started = self.shown = self.clock()
+        violation, stopped = None, ""
+        try:
+            violation, stopped = self._explored()
+        except KeyboardInterrupt:
+            stopped = "interrupted"
+        if not violation and not stopped and self.stuck:
+            stopped = f"the assumptions leave sensors no value in {self.stuck} states"
+        unseen = [e for i, e in enumerate(self.machine.program.events) if i not in self.machine.enabled]
+        return Result(violation, self.progress(), stopped, tuple(unseen), self.invariants.unchecked, self.apart)
+
+    def progress(self) -> Progress:
+        return Progress(self.depth, len(self.known), self.waiting, self.steps, self.clock() - self.started)
+
+    def _explored(self) -> tuple[Violation | None, str]:
+        layer: list[Packed] = []
+        for before, after in self._starts():
+            alike = self.alike(after)
+            if self.machine.discards:
+                return self._discarded(
+                    self.machine.discards[0], [Moment(self.machine.state(before, 0), "", None, 0)]
+                ), ""
+            if alike not in self.begin:
+                self.begin[alike], self.known[alike] = before, None
+                layer.append(alike)
+                if self.invariants.broken(after):
+                    return self._broken(self._run_to(alike)), ""
+            if over := self._over():
+                return None, over
+        if not layer:
+            return None, "no state satisfies `initially`"
+        while layer:
+            if self.depth == self.bounds.rounds:
+                return None, f"the bound of {self.depth} rounds"
+            following: list[Packed] = []
+            for number, fleet in enumerate(layer):
+                self.waiting = len(layer) - number + len(following)
+                if over := self._over():
+                    return None, over
+                if violation := self._round(fleet, following):
+                    return violation, ""
+            layer = following
+            self.depth += 1
+        self.waiting = 0
+        return None, ""
+
+    def _round(self, fleet: Packed, following: list[Packed]) -> Violation | None:
+        """One round from one state; new ones go into `following`."""
+        found = self.rounds.ends(fleet)
+        self.steps += len(found) - 1
+        if self.machine.discards:
+            return self._discarded_in(fleet)
+        if self.deadlock and len(found) == 1 and self._dead(fleet):
+            return Violation(DEADLOCK, 0, tuple(self._run_to(fleet)), None, "no event is ever enabled again")
+        for node in found:
+            end = self.alike(node[1])
+            if end in self.within:
+                continue
+            self.within.add(end)
+            if self.machine.sensors and self.invariants.broken(end):
+                return self._broken(self._within(self._run_to(fleet), end))
+            moves = 0
+            for moved in self.around.moved(end):
+                moves += 1
+                alike = self.alike(moved)
+                if alike not in self.known:
+                    self.known[alike] = fleet
+                    following.append(alike)
+                    if self.invariants.broken(alike):
+                        return self._broken(self._run_to(alike))
+            self.stuck += not moves
+        return None
+
+    def alike(self, fleet: Packed) -> Packed:
+        """The one that stands for a fleet."""
+        return fleet if self.apart else sorted_robots(fleet)
+
+    def _starts(self) -> Iterator[tuple[Packed, Packed]]:
+        """Fleets before init and after it."""
+        program, machine = self.machine.program, self.machine
+        rules = [p for p in program.properties if p.kind == "initially"]
+        for sensors in self.around.starts():
+            state = initial(program, machine.n_sys, sensors)
+            try:
+                allowed = all(holds_property(rule, program, state) for rule in rules)
+            except Discarded:
+                allowed = False
+            if allowed:
+                before = machine.packed(state)
+                yield before, machine.begun(before)
+
+    def _over(self) -> str:
+        """What ends the search here."""
+        now = self.clock()
+        if now > self.shown + SHOWN:
+            self.shown = now
+            self.show(self.progress())
+        if self.bounds.seconds is not None and now - self.started > self.bounds.seconds:
+            return f"the bound of {self.bounds.seconds:g} s"
+        if self.bounds.states is not None and len(self.known) > self.bounds.states:
+            return f"the bound of {self.bounds.states} states"
+        return ""
+
+    def _dead(self, fleet: Packed) -> bool:
+        """Whether nothing will ever be enabled, however the environment goes on, though some robot has not stopped."""
+        owns = self.machine.owns.values
+        if all(owns[own].stopped for own in fleet[: self.machine.n_sys]):
+            return False
+        seen, pending = {fleet}, [fleet]
+        for state in pending:  # grows meanwhile
+            if state in self.lively or len(self.rounds.ends(state)) > 1 or self.machine.discards:
+                self.machine.discards.clear()  # they are met again where that state's round is explored
+                self.lively.add(fleet)
+                return False
+            new = [m for m in map(self.alike, self.around.moved(state)) if m not in seen]
+            seen.update(new)
+            pending += dict.fromkeys(new)
+        return True
+
+    def _run_to(self, fleet: Packed) -> list[Moment]:
+        """How a state at a round's end came about, by the robots that really took the steps."""
+        chain = [fleet]
+        while (parent := self.known[chain[-1]]) is not None:
+            chain.append(parent)
+        before = self.begin[chain[-1]]
+        at = self.machine.begun(before)
+        moments = [Moment(self.machine.state(before, 0), "", None, 0), Moment(self.machine.state(at), "init", None, 0)]
+        for number, target in enumerate(reversed(chain[:-1]), 1):
+            at = self._step_to(moments, at, target, number)
+        return moments
+
+    def _step_to(self, moments: list[Moment], at: Packed, target: Packed, number: int) -> Packed:
+        """One round's moments, to a fleet that `target` stands for; yields that fleet."""
+        found = self.rounds.ends(at)
+        for node in sorted(found, key=lambda node: node[0].bit_count()):
+            for moved in self.around.moved(node[1]):
+                if self.alike(moved) == target:
+                    moments += self._taken(found, node, number)
+                    if self.machine.sensors:
+                        moments.append(Moment(self.machine.state(moved, number + 1), "(environment)", None, number))
+                    return moved
+        raise InternalError("a state that was explored has no parent that leads to it")
+
+    def _within(self, moments: list[Moment], end: Packed) -> list[Moment]:
+        """A run that goes on to a fleet within the round, which `end` stands for."""
+        number = moments[-1].round + 1
+        found = self.rounds.ends(self.machine.packed(moments[-1].state))
+        node = min((n for n in found if self.alike(n[1]) == end), key=lambda node: node[0].bit_count())
+        return [*moments, *self._taken(found, node, number)]
+
+    def _taken(self, found: dict[Node, Came | None], node: Node, number: int) -> Iterator[Moment]:
+        for pid, event, fleet in steps(found, node):
+            yield Moment(self.machine.state(fleet, number), self.machine.program.events[event].name, pid, number)
+
+    def _broken(self, moments: list[Moment]) -> Violation:
+        """The invariant that is false at the last moment, by the executable semantics."""
+        program, state = self.machine.program, moments[-1].state
+        for property_ in self.invariants.properties:
+            if failed := failing(property_, program, state):
+                return Violation(property_.name, property_.span.line, tuple(moments), failed, "")
+        raise InternalError("an invariant is false as compiled, and true by the executable semantics")
+
+    def _discarded_in(self, fleet: Packed) -> Violation:
+        """An event without a result, in a round from `fleet`: looked for once more, by the robots that really took the
+        steps before it."""
+        moments = self._run_to(fleet)
+        at = self.machine.packed(moments[-1].state)
+        self.machine.discards.clear()
+        found = Rounds(self.machine, self.independence).ends(at)
+        discard, n_sys = self.machine.discards[0], self.machine.n_sys
+        if self.machine.program.events[discard.event].lock is not None:  # it read what others wrote in this round
+            there = [n for n in found if n[1][discard.pid] == discard.own and n[1][n_sys:] == discard.seen]
+            node = min(there, key=lambda node: node[0].bit_count())
+            moments += self._taken(found, node, moments[-1].round + 1)
+        return self._discarded(discard, moments)
+
+    def _discarded(self, found: Discard, moments: list[Moment]) -> Violation:
+        event = self.machine.program.events[found.event].name if found.event >= 0 else "init"
+        reason = f"{event} of robot {found.pid} has no result: {found.reason}"
+        return Violation(WELL_DEFINED, found.line, tuple(moments), None, reason)

@@ -1,0 +1,134 @@
+"""Exploration against the executable semantics, state by state, and its reductions against the plain search."""
+
+from __future__ import annotations
+
+from itertools import islice
+from pathlib import Path
+
+import pytest
+
+from koordgen.explore.symmetry import distinguishes, sorted_robots
+from koordgen.ir.decl import Program
+from koordgen.pipeline import check_file
+from tests.explore.reference import LEVEL, NOTHING, after_explored, after_round, explored, key, reached, unjudged
+from tests.prove.random_programs import program as random_text
+from tests.semantics.programs import compiled
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+FINITE = ("election/election", "atomicsum/atomicsum", "atomicsum/mutex")
+SYMMETRIC = (2, 36, 85, 123, 133, 144, 160, 161)  # of the random programs, those that treat all robots alike
+
+ALIKE = """
+allread: bool ready[N_SYS]
+  int n[N_SYS]
+allwrite: int total
+  int last
+local: bool told
+
+Ready:
+  pre: not ready[pid]
+  eff: ready[pid] = True
+Add:
+  pre: ready[pid] and n[pid] < 2
+  eff: atomic:
+    n[pid] = n[pid] + 1
+    total += n[pid]
+Tell:
+  pre: not False in ready and not told
+  eff:
+    told = True
+    last = sum(n)
+Stop:
+  pre: told and n.count(2) == N_SYS
+  eff: stop
+
+invariant Sum: forall i, j in ID: i == j or n[i] + n[j] <= 4
+invariant Last: last <= total
+"""
+
+
+@pytest.fixture(scope="module", params=FINITE)
+def example(request: pytest.FixtureRequest) -> Program:
+    return check_file(str(EXAMPLES / f"{request.param}.koord")).program
+
+
+@pytest.mark.parametrize("n_sys", [1, 2, 3])
+def test_examples_reach_what_the_semantics_reaches(example: Program, n_sys: int) -> None:
+    made, result = explored(example, n_sys)
+    assert result.violation is None and not result.stopped
+    assert {key(made.machine.state(fleet)) for fleet in made.known} == reached(example, n_sys, 6)
+
+
+def test_examples_do_in_a_round_what_the_semantics_does(example: Program) -> None:
+    for independence in (True, False):
+        made, _ = explored(example, 3, independence=independence)
+        for fleet in islice(made.known, 0, None, 5):
+            assert after_explored(made, fleet) == after_round(example, made.machine.state(fleet))
+
+
+def compare_random(seed: int, n_sys: int, number: int, states: int) -> None:
+    program = unjudged(compiled(random_text(seed)))
+    made, _ = explored(program, n_sys, LEVEL, number, symmetry=False, deadlock=False)
+    plain, _ = explored(program, n_sys, LEVEL, number, symmetry=False, independence=False, deadlock=False)
+    fleets = list(made.known)
+    assert {key(made.machine.state(f)) for f in fleets} == {key(plain.machine.state(f)) for f in plain.known}
+    for fleet in fleets[:: max(1, len(fleets) // states)][:states]:
+        assert after_explored(made, fleet) == after_round(program, made.machine.state(fleet))
+    if n_sys < 3:
+        assert {key(made.machine.state(f)) for f in fleets} == reached(program, n_sys, number)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_random_programs_do_what_the_semantics_does(seed: int) -> None:
+    compare_random(seed, 2, 2, 10)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(300))
+def test_many_random_programs_do_what_the_semantics_does(seed: int) -> None:
+    compare_random(seed, 2, 3, 10)
+    compare_random(seed, 3, 1, 10)
+
+
+def compare_alike(program: Program, n_sys: int, around: object, number: int | None) -> int:
+    """With symmetry one state stands for all of its permutations, and the verdict is the same. Yields the states."""
+    bare = unjudged(program)
+    assert not distinguishes(program)
+    alike, _ = explored(bare, n_sys, around, number, deadlock=False)  # type: ignore[arg-type]
+    plain, _ = explored(bare, n_sys, around, number, symmetry=False, deadlock=False)  # type: ignore[arg-type]
+    stand_for = {key(alike.machine.state(fleet)) for fleet in alike.known}
+    every = {alike.machine.packed(plain.machine.state(fleet)) for fleet in plain.known}
+    assert stand_for == {key(alike.machine.state(sorted_robots(fleet))) for fleet in every}
+    results = [explored(program, n_sys, around, number, symmetry=s)[1] for s in (True, False)]  # type: ignore[arg-type]
+    names = [r.violation and (r.violation.name, r.violation.moments[-1].round) for r in results]
+    assert names[0] == names[1]
+    return len(plain.known) - len(alike.known)
+
+
+@pytest.mark.parametrize("n_sys", [2, 3])
+def test_robots_that_are_alike_are_not_told_apart(n_sys: int) -> None:
+    assert compare_alike(compiled(ALIKE), n_sys, NOTHING, None) > 0
+
+
+@pytest.mark.parametrize("seed", SYMMETRIC)
+def test_random_programs_that_treat_all_alike(seed: int) -> None:
+    compare_alike(compiled(random_text(seed)), 2, LEVEL, 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", SYMMETRIC)
+def test_random_programs_of_three_that_treat_all_alike(seed: int) -> None:
+    compare_alike(compiled(random_text(seed)), 3, LEVEL, 2)
+
+
+@pytest.mark.parametrize("old, new", [
+    ("n[pid] < 2", "n[0] < 2"),
+    ("last = sum(n)", "last = pid"),
+    ("n[pid] = n[pid] + 1", "n[pid] = n[pid] + 1 + pid"),
+    ("    last = sum(n)", "    for i in ID:\n      last = i"),
+    ("n[i] + n[j] <= 4", "i < j or n[i] <= 4"),
+    ("n.count(2) == N_SYS", "n[N_SYS - 1] == 2"),
+])  # fmt: skip
+def test_whatever_tells_robots_apart_is_seen(old: str, new: str) -> None:
+    assert not distinguishes(compiled(ALIKE))
+    assert distinguishes(compiled(ALIKE.replace(old, new)))
