@@ -35,6 +35,8 @@ bench: $(STAMP)
 	$(PY) benchmarks/car_mpc.py
 	$(PY) benchmarks/car_tracking.py
 	$(PY) benchmarks/car_planning.py
+	$(PY) benchmarks/sim.py
+	$(PY) benchmarks/proof_tables.py
 
 # Parser tables and compiled templates are checked in, because building them at each start costs more than all else.
 generated: $(STAMP)

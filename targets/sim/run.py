@@ -39,6 +39,7 @@ class Outcome:
     real_time_factor: float
     late_steps: int
     steps: int
+    late_in_mission: int = 0  # of the late steps: at a start and an end processes need more than in between
     waiting: dict[str, str] = field(default_factory=dict)  # robot -> what it waited for, when there was no start
     last_lines: dict[str, list[str]] = field(default_factory=dict)  # of those that failed
     statuses: dict[str, int | None] = field(default_factory=dict)
@@ -64,6 +65,7 @@ class Run:
         self._interrupts = 0
         self._finished = ""  # why the mission was ended by a companion
         self._steps = 0
+        self._late = 0  # steps of the world, during the mission
         self._marks: list[Mark] = []  # with times of the run's clock
         self._next_look = 0.0
         self._left: set[str] = set()  # robots that came to rest unasked
@@ -115,7 +117,9 @@ class Run:
         waiting = {agent.robot.name: agent.waiting_for() for agent in agents} if ended else {}
         if not ended:
             self._progress.say(f"round 1 began {zero - launched:.1f} s after the launch")
+            before = self.conduct.late
             ended = self._until(lambda now: self._during_mission(now, zero))
+            self._late = self.conduct.late - before
         end = self.conduct.now()
         self._rest(ended)
         now = self.conduct.now()
@@ -245,6 +249,7 @@ class Run:
             closest=closest,
             real_time_factor=round(self.conduct.factor, 4),
             late_steps=self.conduct.late,
+            late_in_mission=self._late,
             steps=self.conduct.steps,
             waiting=waiting,
             last_lines={a.robot.name: a.last_lines(5) for a in self.conduct.agents if a.robot.name in self._failed},

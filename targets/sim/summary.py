@@ -65,6 +65,7 @@ class Summary(msgspec.Struct):
     real_time_factor: float
     late_steps: int
     steps: int
+    late_in_mission: int = 0  # of the late steps
     watching: float = 0.0  # share of the run's time that watching its properties took
     shares: dict[str, float] = {}  # of the processor's time, by part; empty in real time
     reproduce: dict[str, str] = {}  # what one needs to do it again
@@ -124,6 +125,7 @@ def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Su
         collisions=sum(v.what == "collision" for v in violations),
         real_time_factor=outcome.real_time_factor,
         late_steps=outcome.late_steps,
+        late_in_mission=outcome.late_in_mission,
         steps=outcome.steps,
         shares=outcome.shares,
     )
@@ -242,9 +244,8 @@ def as_text(summary: Summary) -> str:
             " (in space, between reference points, at 240 Hz)"
         )
     lines.append(f"collisions: {summary.collisions}")
-    lines.append(
-        f"world: {summary.steps} steps, {summary.late_steps} late, real-time factor {summary.real_time_factor:.3f}"
-    )
+    late = f"{summary.late_steps} late, {summary.late_in_mission} of them in the mission"
+    lines.append(f"world: {summary.steps} steps, {late}, real-time factor {summary.real_time_factor:.3f}")
     if summary.shares:
         parts = (f"{part} {share:.0%}" for part, share in summary.shares.items())
         lines.append(f"the processor's time: {', '.join(parts)}")

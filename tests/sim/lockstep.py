@@ -24,7 +24,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 def built(folder: Path, app: str, fleet: str | None = None) -> Path:
-    """The sim bundle of an example; `fleet` is YAML instead of the example's own."""
+    """The sim bundle of an example, whose autopilots boot at once; `fleet` is YAML instead of the example's own."""
     source = EXAMPLES / app / f"{app}.koord"
     file = EXAMPLES / app / "fleet.yaml"
     if fleet is not None:
@@ -32,12 +32,17 @@ def built(folder: Path, app: str, fleet: str | None = None) -> Path:
         file.write_text(fleet)
     arguments = ["build", str(source), "--fleet", str(file), "--target", "sim", "-o", str(folder / "build")]
     assert main(arguments) == 0
-    return folder / "build" / app / "sim"
+    bundle = folder / "build" / app / "sim"
+    scenario = json.loads((bundle / "scenario.json").read_text())
+    scenario["harness"]["boot"] = 0.5
+    (bundle / "scenario.json").write_text(json.dumps(scenario))
+    return bundle
 
 
 def ran(bundle: Path, out: Path, seconds: float, *more: str, hashing: str = "0") -> int:
-    """Run a bundle in lockstep in a process of its own, with a PYTHONHASHSEED; its exit status."""
+    """Run a bundle in lockstep in a process of its own, with a PYTHONHASHSEED; its exit status. It draws no report."""
     command = [sys.executable, str(bundle), "--lockstep", "--duration", f"{seconds:g}", "--out", str(out), "--quiet"]
+    command += ["--no-report"]
     environment = {"PYTHONHASHSEED": hashing, "OMP_NUM_THREADS": "1", "PATH": "/usr/bin:/bin", "HOME": str(out.parent)}
     done = subprocess.run([*command, *more], env=environment, capture_output=True, text=True, timeout=600)
     assert done.returncode in (0, 3), done.stdout + done.stderr

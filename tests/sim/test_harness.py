@@ -31,7 +31,8 @@ def device() -> None:
     enlist()
 
 
-def sim(root: Path, out: Path, *more: str) -> int:
+def sim(root: Path, out: Path, *more: str, report: bool = False) -> int:
+    more = more if report else ("--no-report", *more)
     return harness.main(root, ["--duration", "1", "--seed", "7", "--out", str(out), "--quiet", *more])
 
 
@@ -50,7 +51,7 @@ def no_process_left(root: Path) -> bool:
 
 def test_a_good_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     root, out = bundle(tmp_path / "sim", ["good", "leaving"]), tmp_path / "deep" / "out"
-    assert sim(root, out, "--invoked-as", "koordgen sim 'my <app>'") == 0
+    assert sim(root, out, "--invoked-as", "koordgen sim 'my <app>'", report=True) == 0
     found = summary(out)
     assert (found["verdict"], found["seed"], found["violations"]) == ("held", 7, [])
     assert found["robots"][0]["events"]["Move"] in range(6, 13)
@@ -77,7 +78,7 @@ def test_a_good_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_an_agent_that_dies_fails_the_run_but_does_not_end_it(tmp_path: Path) -> None:
     root, out = bundle(tmp_path / "sim", ["good", "dying"]), tmp_path / "out"
-    assert sim(root, out) == 3
+    assert sim(root, out, report=True) == 3
     found = summary(out)
     (violation,) = found["violations"]
     assert violation["what"] == "ended" and violation["robots"] == ["r1"]
@@ -92,7 +93,7 @@ def test_an_agent_that_dies_fails_the_run_but_does_not_end_it(tmp_path: Path) ->
 
 def test_a_fault_fails_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     root, out = bundle(tmp_path / "sim", ["faulty", "good"]), tmp_path / "out"
-    assert sim(root, out, "--no-report") == 3
+    assert sim(root, out) == 3
     assert f"report: {out}\n" in capsys.readouterr().out
     assert not (out / "report.html").exists() and not (out / "plots").exists() and records(out)
     (violation,) = summary(out)["violations"]

@@ -12,7 +12,7 @@ import pytest
 
 from tests.sim.lockstep import built, digest, ran, summary
 
-SECONDS = 4.0
+SECONDS = 2.5
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def repeated(bundle: Path, folder: Path, times: int) -> set[str]:
 
 
 def test_the_same_seed_gives_the_same_trace_byte_for_byte(lineform: Path, tmp_path: Path) -> None:
-    found = repeated(lineform, tmp_path, 3)
+    found = repeated(lineform, tmp_path, 2)
     assert len(found) == 1
     assert ran(lineform, tmp_path / "other", SECONDS, "--seed=6") == 0
     assert digest(tmp_path / "other") not in found

@@ -17,7 +17,6 @@ from matplotlib import pyplot as plt
 from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Sphere
 from koordgen.runtime.values import Point
 from targets.sim import summary, trace
-from targets.sim.pace import BURST, MOST_BEHIND, Pace
 from targets.sim.trace import End, Violation
 from targets.sim.view import plots, report
 from targets.sim.view.history import gathered
@@ -258,18 +257,3 @@ def test_following_an_agents_file_waits_for_whole_lines_and_passes_over_the_rest
     with path.open("ab") as file:
         file.write(b'me":5.0,"phase":"starting"}\n')
     assert tail.read() == [trace.Phase("starting", time=5.0)]
-
-
-def test_the_pace_keeps_absolute_ticks() -> None:
-    pace = Pace(100.0, 0.25)
-    assert pace.due(99.9) == 0
-    assert [pace.due(now) for now in (100.0, 100.1, 100.24, 100.25, 100.5, 100.9)] == [1, 0, 0, 1, 1, 1]
-    assert (pace.done, pace.late, pace.slip) == (4, 0, 0.0)
-
-
-def test_the_pace_catches_up_what_is_little_and_slips_what_is_much() -> None:
-    pace = Pace(0.0, 1 / 128)
-    assert pace.due(10 / 128) == 11 and pace.late == 9
-    assert pace.due(10.0) == BURST
-    assert pace.slip == pytest.approx(10.0 - 11 / 128 - MOST_BEHIND)
-    assert pace.factor(10.0) < 0.1

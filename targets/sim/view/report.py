@@ -112,7 +112,8 @@ def _facts(summary: Summary) -> str:
     facts["collisions"] = str(summary.collisions)
     if summary.steps:
         facts["world"] = (
-            f"real-time factor {summary.real_time_factor:.3f}; {summary.late_steps} of {summary.steps} steps late"
+            f"real-time factor {summary.real_time_factor:.3f}; {summary.late_steps} of {summary.steps} steps late, "
+            f"{summary.late_in_mission} of them in the mission"
         )
     return _pairs(facts)
 
