@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import shlex
 import signal
@@ -145,7 +146,7 @@ def _scenarios(runs: Sequence[plan.Run], bundle: Mapping[str, bytes]) -> dict[st
     """What is in the scenario files that are varied, as JSON, by path: runs elsewhere have no such files. Raises
     Rejected, with line and column."""
     paths = dict.fromkeys(run.flags[SCENARIO] for run in runs if SCENARIO in run.flags)
-    return {path: json.dumps(read_scenario(path, bundle)) for path in paths}
+    return {path: json.dumps(read_scenario(path, bundle, math.inf)) for path in paths}
 
 
 def _telling(runs: Sequence[plan.Run], cells: Sequence[Mapping[str, str]]) -> list[plan.Run]:

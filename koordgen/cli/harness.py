@@ -22,7 +22,7 @@ def harness(options: Namespace) -> int:
     bundles, app = cli._planned(options, [options.command])
     cli._require_packages()
     bundle = bundles[options.command]
-    scenario = read_scenario(options.scenario, bundle) if options.scenario else None
+    scenario = read_scenario(options.scenario, bundle, options.duration) if options.scenario else None
     passed = [f"--{key}={value}" for key in PASSED if (value := getattr(options, key)) is not None]
     passed.append(f"--out={options.out or f'run-{app}'}")
     passed.append(f"--invoked-as={shlex.join(['koordgen', *sys.argv[1:]])}")
@@ -60,8 +60,8 @@ def _run(command: list[str], options: Namespace) -> int:
     return status
 
 
-def read_scenario(path: str, bundle: Mapping[str, bytes]) -> Any:
-    """The scenario file as the bundle takes it. Raises Rejected."""
+def read_scenario(path: str, bundle: Mapping[str, bytes], duration: float | None) -> Any:
+    """The scenario file as the bundle takes it, for a run of so many seconds or of the usual. Raises Rejected."""
     from koordgen.diagnostics import Diagnostic
     from koordgen.pipeline import Rejected, read_source
     from koordgen.resources import targets
@@ -69,6 +69,7 @@ def read_scenario(path: str, bundle: Mapping[str, bytes]) -> Any:
     from koordgen.source import Source, Span
 
     sys.path.append(str(targets().parent))
+    from targets.sim.schedule import DURATION
     from targets.sim.schedule import read as check
 
     robots = [robot["name"] for robot in json.loads(bundle["scenario.json"])["robots"]]
@@ -78,7 +79,7 @@ def read_scenario(path: str, bundle: Mapping[str, bytes]) -> Any:
     def report(code: str, message: str, span: Span, help: str) -> None:
         found.append((source, Diagnostic(code, "error", message, span, help=help)))
 
-    data = read(source, lambda plain: check(plain, robots)[1], report)
+    data = read(source, lambda plain: check(plain, robots, duration or DURATION)[1], report)
     if found:
         raise Rejected(found)
     return data

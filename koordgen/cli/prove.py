@@ -13,8 +13,8 @@ from koordgen.cli import (
     VIOLATED,
     Failure,
     _params,
+    _say,
     _tell,
-    _write,
 )
 
 if TYPE_CHECKING:
@@ -54,12 +54,16 @@ def proved(options: Namespace, solver: Solver | Both) -> int:
         _tell([(checked.source, d) for d in checked.noticed], options)
     given = {**fleet_params(options.fleet, checked, options.program), **_params(options.param)}
     question = fixed(checked.program, given)
-    if options.emit:
-        emit(options.emit, files(options, checked.source, checked.program, question))
     found = asked(checked.program, question, numbers(options.robots), solver)
-    if options.trace:
-        save(options.trace, trace_of(checked.program, found))
     tell(options, found)
+    if options.emit is not None:
+        emit(options.emit, files(checked.source, checked.program, question, numbers(options.robots), found))
+    if options.trace is not None:
+        made = trace_of(checked.program, found)
+        if made:
+            save(options.trace, made)
+        else:
+            _say(f"note: there is no counterexample, and so no trace: {options.trace} was not written")
     return status(found)
 
 
@@ -116,12 +120,17 @@ def tell(options: Namespace, found: list[list[Verdict]]) -> None:
         sys.stdout.write(report(verdicts, options.program))
 
 
-def files(options: Namespace, source: Source, program: Program, params: Mapping[str, Expr]) -> dict[str, bytes]:
-    """What `--emit` writes, for all numbers of robots that were asked for."""
+def files(
+    source: Source, program: Program, params: Mapping[str, Expr], robots: list[int | None], found: list[list[Verdict]]
+) -> dict[str, bytes]:
+    """What `--emit` writes, for all numbers of robots that were asked for: each obligation as it was asked last."""
     from koordgen.prove.emit import folder
     from koordgen.prove.generate import obligations
 
-    made = [o for n in numbers(options.robots) for o in obligations(program, n, params)]
+    made = []
+    for number, verdicts in zip(robots, found, strict=True):
+        asked = {o.obligation.name: o.obligation for verdict in verdicts for o in verdict.outcomes}
+        made += [asked.get(o.name, o) for o in obligations(program, number, params)]
     return folder(made, lambda _, line: source.line(line))
 
 
@@ -137,10 +146,13 @@ def emit(folder: str, files: dict[str, bytes]) -> None:
     """Writes the folder, whole or not at all; what is not koordgen's stays."""
     from pathlib import Path
 
-    from koordgen.bundle.write import SUMS, sums
+    from koordgen.bundle.write import SUMS, CannotWrite, sums, write
 
     place = Path(folder).absolute()
-    _write({place.name: {**files, SUMS: sums(files)}}, place.parent)
+    try:
+        write({place.name: {**files, SUMS: sums(files)}}, place.parent)
+    except CannotWrite as error:
+        raise Failure(SURROUNDINGS, str(error), "choose another folder with --emit, or make room") from None
 
 
 def save(path: str, text: str) -> None:

@@ -81,6 +81,9 @@ def _program(options: Namespace, trace: Trace) -> tuple[Program, Path | None]:
         raise Failure(USAGE, str(error)) from None
     verify(program)
     functions = functions_file(program, place.parent, options.functions)
+    if not trace.program_hash:
+        shown = "counterexamples were run when they were found; `koordgen report` shows them"
+        raise Failure(WRONG, f"{trace.path} is not of a run", shown)
     its = program_hash(program, functions.read_bytes() if functions and functions.is_file() else b"")
     if its != trace.program_hash:
         raise Failure(

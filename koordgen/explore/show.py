@@ -105,8 +105,8 @@ def _data(found: Violation) -> dict[str, Any]:
 def trace(found: Violation, program: decl.Program) -> str:
     """The run as koord-trace/1."""
     line = found.failed.formula.span.line if found.failed else found.line
-    detail = {} if found.failed else {"detail": found.reason}
-    return run_trace(program, found.moments, {"what": found.name, "line": line, "file": program.path, **detail})
+    detail = f"false: {spelled(found.failed.formula)}" if found.failed else found.reason
+    return run_trace(program, found.moments, found.name, line, detail)
 
 
 def itf(found: Violation, program: decl.Program) -> str:

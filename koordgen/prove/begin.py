@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from koordgen.ir import decl
+from koordgen.ir import decl, stmt
 from koordgen.ir import expr as ir
 from koordgen.ir.types import POINT
 from koordgen.prove import term as t
@@ -11,6 +11,7 @@ from koordgen.prove.encode.lists import default
 from koordgen.prove.encode.scope import OfFleet
 from koordgen.prove.encode.state import Free, Key, State
 from koordgen.prove.encode.stmt import Cut, Env, Frame
+from koordgen.prove.encode.tree import nodes
 from koordgen.prove.encode.values import Val, pick, truth
 from koordgen.prove.moment import Stage, temps_of
 from koordgen.prove.term import Term
@@ -133,9 +134,18 @@ class Ready:
             room.robot(last)
             room.robot(t.integer(0))
             room.robot(t.subtract(room.size, t.integer(1)))
+            for number in _named(self.stage.setting.program.init):
+                room.robot(t.integer(number))
             room.fact(t.implies(some, writes(last)))
             room.for_all(lambda index: t.implies(writes(index), t.and_(some, t.at_most(index, last))))
         return pick(some, self.run(last).env.get(key, before), before)
+
+
+def _named(block: stmt.Block) -> set[int]:
+    """The numbers with which a block compares `pid`."""
+    pairs = [(n.left, n.right) for n in nodes(block) if isinstance(n, ir.Compare)]
+    pairs += [(right, left) for left, right in pairs]
+    return {b.value for a, b in pairs if isinstance(a, ir.Pid) and isinstance(b, ir.Const) and isinstance(b.value, int)}
 
 
 def launched(stage: Stage, launch: Launch) -> None:

@@ -16,7 +16,7 @@ from targets.sim.bodies import BodyState
 from targets.sim.crew import Agent
 from targets.sim.medium import medium, parted
 from targets.sim.scenario import BadScenario, Robot
-from targets.sim.schedule import CONDITIONS, Event, Mistake, Schedule, read
+from targets.sim.schedule import CONDITIONS, LONGER, Event, Mistake, Schedule, read, too_late
 from targets.sim.station import fed
 from targets.sim.trace import Cause, Record
 from targets.sim.upset import WELL
@@ -70,12 +70,10 @@ def with_network(schedule: Schedule, given: Mapping[str, float | None]) -> Sched
 
 
 def check_times(schedule: Schedule, duration: float) -> None:
-    """A fault that never comes would pass for one that was survived. Raises BadScenario."""
+    """Whether the run has all of them. Raises BadScenario."""
     late = [event for event in schedule.events if event.at >= duration]
     if late:
-        first = late[0]
-        message = f"the {first.kind} at {first.at:g} s would come after the run's end, at {duration:g} s"
-        raise BadScenario(message, "ask for a longer --duration, or leave it out")
+        raise BadScenario(too_late(late[0], duration), LONGER)
 
 
 def check_external(schedule: Schedule, robots: Sequence[Robot]) -> None:

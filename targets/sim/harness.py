@@ -24,7 +24,7 @@ from targets.sim import faults
 from targets.sim.folder import SOURCE, Foreign, RunFolder
 from targets.sim.scatter import scattered
 from targets.sim.scenario import FILE, BadScenario, Scenario, load
-from targets.sim.schedule import CONDITIONS, MOST_DELAY, PROBABILITIES, Schedule
+from targets.sim.schedule import CONDITIONS, DURATION, MOST_DELAY, PROBABILITIES, Schedule
 
 if TYPE_CHECKING:
     from targets.sim.progress import Progress
@@ -85,7 +85,7 @@ def main(root: Path, argv: list[str] | None = None) -> int:
 
 def _parser(root: Path) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=f"python3 {root.name}", description="Run the whole fleet on this host.")
-    parser.add_argument("--duration", type=_seconds, default=30.0, metavar="S", help="mission time, default 30 s")
+    parser.add_argument("--duration", type=_seconds, default=DURATION, metavar="S", help="mission time, default 30 s")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all randomness in the world, default 0")
     parser.add_argument("--lockstep", action="store_true", help="all in one process, repeatable, as fast as it goes")
     parser.add_argument("--out", type=Path, metavar="DIR", help="what the run leaves, default run-<app>")

@@ -29,6 +29,8 @@ PROBABILITIES = ("loss", "duplication", "reordering")
 CONDITIONS = ("loss", "delay", "jitter", "duplication", "reordering")
 MOST_SECONDS = 86_400.0
 MOST_DELAY = 10.0  # seconds of delay and of jitter
+DURATION = 30.0  # seconds of a run, unless it is asked for another
+LONGER = "ask for a longer --duration, or leave it out"
 
 
 class Mistake(msgspec.Struct, frozen=True):
@@ -89,9 +91,9 @@ class Schedule(msgspec.Struct, frozen=True):
         return self.network is not None or bool(self.links) or any(e.kind == "partition" for e in self.events)
 
 
-def read(data: Any, robots: Sequence[str]) -> tuple[Schedule, list[Mistake]]:
-    """The schedule that plain data (as of JSON) is, for a fleet of these names; what it says wrong is left out of it,
-    and told."""
+def read(data: Any, robots: Sequence[str], duration: float = math.inf) -> tuple[Schedule, list[Mistake]]:
+    """The schedule that plain data (as of JSON) is, for a fleet of these names and a run of so many seconds; what it
+    says wrong is left out of it, and told."""
     form = _Form(robots)
     top = form.table(data, (), "the scenario", (), ("network", "links", "events"))
     network = Conditions(**form.conditions(top["network"], ("network",), "network")) if "network" in top else None
@@ -102,8 +104,16 @@ def read(data: Any, robots: Sequence[str]) -> tuple[Schedule, list[Mistake]]:
     events = [form.event(entry, ("events", i)) for i, entry in enumerate(entries)]
     form.once(links)
     form.clashes(events)
+    for i, event in enumerate(events):
+        if event is not None and event.at >= duration:
+            form.tell("F005", ("events", i, "at"), too_late(event, duration), LONGER)
     known = sorted((e for e in events if e is not None), key=lambda e: e.at)
     return Schedule(network, tuple(link for link in links if link is not None), tuple(known)), form.mistakes
+
+
+def too_late(event: Event, duration: float) -> str:
+    """Why a run of so many seconds cannot have an event: one that never comes would pass for one that was survived."""
+    return f"the {event.kind} at {event.at:g} s would come after the run's end, at {duration:g} s"
 
 
 class _Form:

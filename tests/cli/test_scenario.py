@@ -23,7 +23,7 @@ def told(text: str) -> tuple[Any, list[tuple[str, int, int, str]]]:
     def report(code: str, message: str, span: Span, help: str) -> None:
         found.append((code, span.line, span.column, f"{message} | {help}"))
 
-    return read(Source("s.yaml", text), lambda plain: check(plain, ROBOTS)[1], report), found
+    return read(Source("s.yaml", text), lambda plain: check(plain, ROBOTS, 30.0)[1], report), found
 
 
 def test_a_right_one_is_plain_values() -> None:
@@ -45,6 +45,13 @@ def test_a_right_one_is_plain_values() -> None:
         ("events:\n  - {at: 1, for: 1, restart: ann}", "F005", 2, 13, "a restart takes no time"),
         ("events:\n  - {at: 1, freeze: ann}", "F003", 2, 5, "lacks 'for'"),
         ("events:\n  - at: 1\n    partition: [[ann], [ann]]\n    for: 1", "F006", 3, 25, "in two groups"),
+        (
+            "events:\n  - {at: 30, crash: ann}",
+            "F005",
+            2,
+            10,
+            "the run's end, at 30 s | ask for a longer",
+        ),
         ("events: {}", "F004", 1, 9, "events must be a list"),
         ("links: [{from: ann}]", "F003", 1, 9, "link 0 lacks 'to'"),
         ("network: {loss: 0.1, loss: 0.2}", "F006", 1, 22, "'loss' stands twice"),

@@ -44,7 +44,7 @@ def test_a_violation_is_3_with_its_files(app: str, tmp_path: Path, capsys: pytes
     assert main(["explore", app, "--robots", "2", "--trace", str(trace), "--itf", str(itf), "--format", "json"]) == 3
     told = json.loads(capsys.readouterr().out)
     assert (told["violation"]["what"], told["violation"]["rounds"]) == ("Counted", 1)
-    assert json.loads(trace.read_text().splitlines()[-1])["what"] == "Counted" and json.loads(itf.read_text())["states"]
+    assert json.loads(trace.read_text().splitlines()[-1])["name"] == "Counted" and json.loads(itf.read_text())["states"]
 
 
 def test_deadlock_may_be_allowed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

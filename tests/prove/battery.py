@@ -184,6 +184,42 @@ invariant Kept: forall i in ID: x[i] == 3
 """,
         {"Last", "First", "Taken"},
     ),
+    "init of others": (
+        """
+using Dev:
+  sensors: int level
+  assume level' == level
+allwrite:
+  int last = -1
+  int second = -1
+  int never = -1
+  int seen = 5
+local: int a
+init:
+  if pid > 0:
+    last = pid
+    seen = Dev.level
+  if pid == 1:
+    second = pid
+  if pid < 0 or pid >= N_SYS:
+    never = pid
+Nothing:
+  pre: a == 9
+  eff: a = 8
+initially: forall i in ID: Dev.level[i] >= 2
+invariant Last: last == N_SYS - 1 or N_SYS == 1 and last == -1
+invariant Second: second == 1 or N_SYS == 1 and second == -1
+invariant Never: never == -1
+invariant Seen: seen >= 2
+invariant Five: N_SYS > 1 or seen == 5
+invariant Some: last > 0
+invariant First: last == 1 or N_SYS == 1
+invariant All: second == 1
+invariant Nobody: second == -1
+invariant Kept: seen == 5
+""",
+        {"Last", "Second", "Never", "Seen", "Five"},
+    ),
     "searching": (
         """
 allread: bool busy[N_SYS]

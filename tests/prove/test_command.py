@@ -161,10 +161,40 @@ def test_a_trace_of_the_counterexample(folder: Path) -> None:
     assert main(["prove", written(COUNTER), "--trace", "trace.jsonl"]) == 3
     lines = [json.loads(line) for line in Path("trace.jsonl").read_text().splitlines()]
     assert lines[0]["kind"] == "header" and lines[0]["format"] == "koord-trace/1"
-    assert lines[-1]["kind"] == "violation" and lines[-1]["what"] == "Below"
+    assert lines[-1]["kind"] == "violation" and lines[-1]["name"] == "Below"
+    assert lines[-1]["line"] == "app.koord:11" and lines[-1]["detail"] == "false: n[i] < 3"
     values = [line["shared"]["n"] for line in lines if line["kind"] == "round" and line["pid"] == 0]
     assert values[-1] == 3 and values == sorted(values)
     assert main(["prove", written(COUNTER), "--trace", "no/such/folder/trace"]) == 5
+
+
+@pytest.mark.parametrize(("text", "name"), [(COUNTER, "Below"), (LINE, "Geofence")])
+def test_a_report_shows_the_trace_and_a_replay_says_why_it_does_not(
+    folder: Path, capsys: pytest.CaptureFixture[str], text: str, name: str
+) -> None:
+    assert main(["prove", written(text), "--trace", "trace.jsonl"]) == 3
+    assert main(["report", "trace.jsonl"]) == 0
+    assert name in Path("report.html").read_text()
+    capsys.readouterr()
+    assert main(["replay", "trace.jsonl", "--program", "app.koord"]) == 1
+    assert "trace.jsonl is not of a run" in capsys.readouterr().err
+
+
+def test_without_a_counterexample_no_trace_is_written(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["prove", written(STRONG), "--trace", "trace.jsonl"]) == 0
+    assert not Path("trace.jsonl").exists()
+    assert "no counterexample" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("place", ["", "app.koord", "/dev/full"])
+def test_what_cannot_be_written_takes_no_verdict_away(
+    folder: Path, capsys: pytest.CaptureFixture[str], place: str
+) -> None:
+    assert main(["prove", written(STRONG), f"--emit={place}"]) == 5
+    told = capsys.readouterr()
+    assert "PROVED         Geofence" in told.out and "--emit" in told.err and "-o" not in told.err.split()
+    assert main(["prove", written(COUNTER), "--trace=/dev/full"]) == 5
+    assert "No space left" in capsys.readouterr().err
 
 
 def emitted(folder: Path, text: str) -> list[Path]:
@@ -201,6 +231,18 @@ def test_every_file_gets_the_answer_that_it_expects(folder: Path, name: str) -> 
         asked = f'{path.read_text().replace("(exit)", "")}(echo "end")\n'
         command = command_of(name, 1024)
         said = subprocess.run(command, input=f"(reset)\n{asked}", capture_output=True, text=True, timeout=30).stdout
+        wanted = "sat" if path.stem.startswith("consistency") else "unsat"
+        assert said.replace('"', "").split() == [wanted, "end"], path.name
+
+
+@pytest.mark.parametrize("name", ["z3", "cvc5"])
+def test_what_was_proved_in_a_second_try_is_written_as_it_was_proved(folder: Path, name: str) -> None:
+    files = emitted(folder, (ROOT / "examples/patrol/patrol.koord").read_text())
+    with solver_of(name, Limits()) as solver:
+        process = solver.command  # type: ignore[union-attr]
+    for path in files:
+        asked = f'{path.read_text().replace("(exit)", "")}(echo "end")\n'
+        said = subprocess.run(process, input=f"(reset)\n{asked}", capture_output=True, text=True, timeout=30).stdout
         wanted = "sat" if path.stem.startswith("consistency") else "unsat"
         assert said.replace('"', "").split() == [wanted, "end"], path.name
 

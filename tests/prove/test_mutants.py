@@ -111,6 +111,14 @@ def one_robot_fewer(real: Any) -> Any:
     return lambda self, index: t.and_(t.at_most(t.integer(0), index), t.less(t.add(index, t.integer(1)), self.size))
 
 
+def written_by_first(real: Any) -> Any:
+    def cell(self: Any, key: Any, before: Any) -> Any:
+        run = self.run(t.integer(0))
+        return values.pick(run.counts, run.env.get(key, before), before)
+
+    return cell
+
+
 def nothing_demanded(real: Any) -> Any:
     return lambda self, formula, label, line: None
 
@@ -151,6 +159,7 @@ MUTANTS: dict[str, Mutant] = {
         k: v for k, v in writes.items() if k[0] != "wrote"}),
     "init is not run": (begin.Ready, "of", lambda real: lambda self, key, robot: self.launch.of(key, robot)),
     "the lowest pid writes": (begin, "written", constant({})),
+    "robot 0 alone writes in init": (begin.Ready, "_cell", written_by_first),
     "nothing holds initially": (generate, "launched", without_calls),
     "bools begin with true": (begin, "default", lambda real: lambda type_, records: t.TRUE),
     "a list does not grow": (lists, "_STEPS", lambda real: {**real, "appended": 0}),
