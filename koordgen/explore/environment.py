@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -146,6 +146,7 @@ class Surroundings:
     def __init__(self, machine: Machine, environment: Environment) -> None:
         self.machine, self.domains = machine, environment.domains
         self._moves: dict[tuple[int, int], tuple[int, ...]] = {}
+        self._news: dict[Hashable, list[dict[str, Value]]] = {}
         commanded = {name.rpartition(".")[0] for name in machine.actuators if name.endswith((".target", ".path"))}
         self._reached = {f"{module}.reached" for module in commanded}  # where nothing was commanded yet all is reached
 
@@ -172,10 +173,13 @@ class Surroundings:
         found = self._moves.get((pid, own))
         if found is None:
             robot = self.machine.owns.values[own]
-            pools = [self._nearby(name, robot) for name in self.machine.sensors]
-            news = [dict(zip(self.machine.sensors, values, strict=True)) for values in product(*pools)]
-            allowed = [robot._replace(sensors=new) for new in news if self._allowed(pid, robot, new)]
-            found = self._moves[pid, own] = tuple([self.machine.own(robot) for robot in allowed])
+            key = (pid, self.machine.ports_key(robot))  # no assumption reads anything else
+            if key not in self._news:
+                pools = [self._nearby(name, robot) for name in self.machine.sensors]
+                news = [dict(zip(self.machine.sensors, values, strict=True)) for values in product(*pools)]
+                self._news[key] = [new for new in news if self._allowed(pid, robot, new)]
+            moved = [self.machine.own(robot._replace(sensors=new)) for new in self._news[key]]
+            found = self._moves[pid, own] = tuple(moved)
         return found
 
     def _nearby(self, name: str, robot: Own) -> list[Value]:

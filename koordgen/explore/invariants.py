@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from koordgen.emit import expr, library
-from koordgen.explore.machine import Machine, Packed
+from koordgen.explore.machine import Interned, Machine, Packed
 from koordgen.ir import decl
 from koordgen.ir import expr as ir
 from koordgen.node import nodes
@@ -20,6 +20,52 @@ class _Fleet:
         self.n_sys = n_sys
 
 
+class _View:
+    """What one formula reads of fleets, as numbers: equal ones, the same truth."""
+
+    def __init__(self, formula: ir.Expr, machine: Machine) -> None:
+        names = _reads(formula)
+        self._machine = machine
+        self._own = [v.name for v in machine.program.locals if v.name in names]
+        self._ports = [name for name in (*machine.sensors, *machine.actuators) if name in names]
+        self._slots = [i for i, name in enumerate(machine.allread) if name in names]
+        self._cells = [i for i, name in enumerate(machine.allwrite) if name in names]
+        self._parts: Interned[None] = Interned()
+        self._of: tuple[dict[int, int], dict[int, int], dict[int, int]] = ({}, {}, {})
+        self.known: dict[Packed, bool] = {}
+
+    def of(self, fleet: Packed) -> Packed:
+        """Of each number of a fleet what the formula reads of it."""
+        n_sys = self._machine.n_sys
+        owns, slots, cells = self._of
+        try:
+            return (
+                *[owns[number] for number in fleet[:n_sys]],
+                *[slots[number] for number in fleet[n_sys:-1]],
+                cells[fleet[-1]],
+            )
+        except KeyError:
+            self._learn(fleet)
+            return self.of(fleet)
+
+    def _learn(self, fleet: Packed) -> None:
+        machine, n_sys = self._machine, self._machine.n_sys
+        owns, slots, cells = self._of
+        for number in fleet[:n_sys]:
+            robot = machine.owns.values[number]
+            ports = {**robot.sensors, **robot.actuators}
+            held = [(name, robot.locals[name]) for name in self._own] + [(name, ports[name]) for name in self._ports]
+            owns[number] = self._part(held)
+        for number in fleet[n_sys:-1]:
+            values = machine.slots.values[number]
+            slots[number] = self._part([(machine.allread[i], values[i]) for i in self._slots])
+        written = machine.cells.values[fleet[-1]]
+        cells[fleet[-1]] = self._part([(machine.allwrite[i], written[i]) for i in self._cells])
+
+    def _part(self, held: list[tuple[str, Any]]) -> int:
+        return self._parts.number(tuple([self._machine.key(name, value) for name, value in held]), None)
+
+
 class Invariants:
     """All that can be evaluated; `unchecked` are the names of those that ask a `spec fun`."""
 
@@ -31,6 +77,7 @@ class Invariants:
             if property_.kind == "invariant":
                 meant[not _calls(property_.formula, specs)].append(property_)
         self.properties, self.unchecked = tuple(meant[True]), tuple([p.name for p in meant[False]])
+        self._views = [_View(property_.formula, machine) for property_ in self.properties]
         self._holds = [self._compiled(property_) for property_ in self.properties]
         self._fleet = _Fleet(machine.n_sys)
         names, program = machine.names, machine.program
@@ -48,15 +95,24 @@ class Invariants:
 
     def broken(self, fleet: Packed) -> decl.Property | None:
         """The first that does not hold; one that has no value (an index that names no robot) does not."""
-        self._take(fleet)
-        for property_, holds in zip(self.properties, self._holds, strict=True):
-            try:
-                if holds(self._fleet):
-                    continue
-            except Exception:  # whatever functions of the user's raise
+        taken = False
+        for property_, view, holds in zip(self.properties, self._views, self._holds, strict=True):
+            seen = view.of(fleet)
+            held = view.known.get(seen)
+            if held is None:
+                if not taken:
+                    self._take(fleet)
+                    taken = True
+                held = view.known[seen] = self._true(holds)
+            if not held:
                 return property_
-            return property_
         return None
+
+    def _true(self, holds: Callable[[_Fleet], bool]) -> bool:
+        try:
+            return holds(self._fleet)
+        except Exception:  # whatever functions of the user's raise
+            return False
 
     def _take(self, fleet: Packed) -> None:
         machine = self.machine
@@ -84,3 +140,17 @@ class Invariants:
 
 def _calls(formula: ir.Expr, specs: set[str]) -> bool:
     return any(isinstance(node, ir.Call) and node.name in specs for node in nodes(formula))
+
+
+def _reads(formula: ir.Expr) -> set[str]:
+    """The names of the locals, shared variables and ports that a formula reads."""
+    found = set()
+    for node in nodes(formula):
+        match node:
+            case ir.LocalOf(name) | ir.SlotRead(name) | ir.SlotsRead(name) | ir.SharedRead(name):
+                found.add(name)
+            case ir.PortOf(module, port):
+                found.add(f"{module}.{port}")
+            case _:
+                pass
+    return found

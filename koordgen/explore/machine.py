@@ -153,10 +153,14 @@ class Machine:
         return rt.Frame(pid, self.n_sys, robot.locals, shared, robot.sensors, robot.actuators, call)
 
     def own(self, robot: Own) -> int:
-        key = [self._key(v.name, robot.locals[v.name]) for v in self.program.locals]
-        key += [self._key(name, robot.sensors[name]) for name in self.sensors]
-        key += [self._key(name, robot.actuators[name]) for name in self.actuators]
-        return self.owns.number((*key, robot.stopped), robot)
+        """The number of what one robot has to itself."""
+        own = tuple([self.key(v.name, robot.locals[v.name]) for v in self.program.locals])
+        return self.owns.number((own, self.ports_key(robot), robot.stopped), robot)
+
+    def ports_key(self, robot: Own) -> Hashable:
+        """What tells a robot's ports apart."""
+        sensors = [self.key(name, robot.sensors[name]) for name in self.sensors]
+        return (*sensors, *[self.key(name, robot.actuators[name]) for name in self.actuators])
 
     def packed(self, state: State) -> Packed:
         """A state of the semantics."""
@@ -194,7 +198,7 @@ class Machine:
             held = zip(self.allread, self.slots.values[slots], strict=True)
             slots = self._slots(tuple([done.shared.get(name, value) for name, value in held]))
         cells = {name: done.shared[name] for name in self.allwrite if name in done.shared}
-        key = tuple([(name, self._key(name, value)) for name, value in cells.items()])
+        key = tuple([(name, self.key(name, value)) for name, value in cells.items()])
         return Choice(index, own, slots, self.writes.number(key, cells))
 
     def _cells(self, before: int, writes: int) -> int:
@@ -207,12 +211,12 @@ class Machine:
         return found
 
     def _cell_number(self, values: tuple[Any, ...]) -> int:
-        return self.cells.number(tuple(map(self._key, self.allwrite, values)), values)
+        return self.cells.number(tuple(map(self.key, self.allwrite, values)), values)
 
     def _slots(self, values: tuple[Any, ...]) -> int:
-        return self.slots.number(tuple(map(self._key, self.allread, values)), values)
+        return self.slots.number(tuple(map(self.key, self.allread, values)), values)
 
-    def _key(self, name: str, value: Any) -> Hashable:
+    def key(self, name: str, value: Any) -> Hashable:
         """0.0 and -0.0 are equal, and no program need treat them alike."""
         key: Hashable = repr(value) if with_floats(self.types[name]) else value
         return key

@@ -17,6 +17,7 @@ from koordgen.prove.reading import Reader, Unshowable, flat
 from koordgen.prove.solve import Answer, Both, Solver
 from koordgen.prove.strengthen import closing
 from koordgen.prove.term import REAL, Term, equals, to_int, to_real
+from koordgen.prove.unassumed import supposing, unassumed
 from koordgen.semantics.exact import exact
 from koordgen.semantics.step import initial
 from koordgen.semantics.values import Value as KoordValue
@@ -33,13 +34,16 @@ SECONDS = 1.0  # of computing, for a strengthening
 class Explanation(NamedTuple):
     """`run` leads from an initial state to where the invariant is false; without one the counterexample is to
     induction only. `unshown` says why there is none, though the solver claims one; `lacking` are the conjuncts that
-    close the proof; `usual`: with the params as the program has them it is proved without."""
+    close the proof; `usual`: with the params as the program has them it is proved without. `unassumed` are sensors of
+    which nothing is assumed; with `supposed` of them and what is lacking it is proved, where there is any."""
 
     counterexample: Counterexample | None
     run: Run | None
     unshown: str
     lacking: tuple[str, ...]
     usual: bool = False
+    unassumed: tuple[str, ...] = ()
+    supposed: tuple[str, ...] = ()
 
 
 class Explainer:
@@ -74,9 +78,15 @@ class Explainer:
         values = shown.before.params
         program = with_values(exact(self.program), {p: v for p, v in values.items() if self.free(p)})
         run = run_to(program, invariant_of(program, name), _values(shown), Bounds(), self.robots)
+        sensors = unassumed(self.program, invariant) if any(o.kind == "environment" for o in failing) else []
+        if sensors:
+            more, supposed = supposing(self.proved, sensors)
+            lacking = self.lacking(more, invariant) if supposed else None
+            names = tuple([f"{module.name}.{port.name}" for module, port in sensors])
+            return Explanation(shown, run, "", lacking or (), False, names, () if lacking is None else supposed)
         usual = self.usually(name, relied)
-        lacking = () if run is not None or usual else self.lacking(invariant)
-        return Explanation(shown, run, "", lacking, usual)
+        lacking = None if run is not None or usual else self.lacking(self.proved, invariant)
+        return Explanation(shown, run, "", lacking or (), usual)
 
     def usually(self, name: str, relied: decl.Program) -> bool:
         """Whether the invariant is kept with the params that the program has."""
@@ -129,10 +139,11 @@ class Explainer:
             self.made[key] = obligations(program, robots, self.params, exact=True)
         return self.made[key]
 
-    def lacking(self, invariant: decl.Property) -> tuple[str, ...]:
+    def lacking(self, proved: decl.Program, invariant: decl.Property) -> tuple[str, ...] | None:
+        """What closes the proof of an invariant, beside what is proved; None where nothing was found."""
         until = time.process_time() + SECONDS
         solving = 0.0
-        base = replace(self.proved, properties=(*self.proved.properties, invariant))
+        base = replace(proved, properties=(*proved.properties, invariant))
 
         def proves(program: decl.Program, names: frozenset[str]) -> frozenset[str]:
             nonlocal solving
@@ -147,7 +158,9 @@ class Explainer:
                         bad.add(obligation.invariant)
             return names - bad
 
-        return closing(base, invariant.name, proves)
+        if proved is not self.proved and proves(base, frozenset({invariant.name})):
+            return ()
+        return closing(base, invariant.name, proves) or None
 
 
 def _usual(obligation: Obligation, program: decl.Program) -> Iterator[Term]:

@@ -52,6 +52,14 @@ def rooms(
     yield environment(setting)
 
 
+def assumptions(
+    program: Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None
+) -> list[Obligation]:
+    """Those of the obligations that ask whether what is assumed can be true."""
+    t.forget()
+    return consistent(Setting(program, robots, params, False))
+
+
 def base(setting: Setting) -> list[Obligation]:
     stage, program = Stage(setting), setting.program
     ready = Ready(stage)
@@ -149,7 +157,7 @@ def consistent(setting: Setting) -> list[Obligation]:
             stage.holds(setting.invariants, now)
             stage.ports(now, after)
             cells = stage.cells([("before", now), ("after", after)])
-        facts = stage.close()
+        facts = stage.close(thorough=True)
         out = _Output(stage, "consistency", "", 1, facts, cells)
         found.append(out.one(f"consistency-{name}", "", None, (), ()))
     return found

@@ -181,9 +181,10 @@ class Stage:
                 scope.temps = {a.name: v for a, v in places if isinstance(a, ir.TempRead)}
                 self.room.fact(self.encoder.defined(axiom.formula, scope))
 
-    def close(self) -> tuple[Fact, ...]:
-        """All facts, once nothing more is asked."""
-        for _ in range(3):
+    def close(self, thorough: bool = False) -> tuple[Fact, ...]:
+        """All facts, once nothing more is asked. What is told of distances brings forth others: of those it is told
+        once, or twice where it is to be `thorough`, or all else has failed."""
+        for _ in range(3 if thorough or self.setting.exact else 2):
             many = len(self.room.facts)
             self.room.instantiate()
             self.axioms()

@@ -70,10 +70,17 @@ def suggestion(verdict: Verdict) -> str:
             f"with the params as the program has them {verdict.invariant} is PROVED: say in `initially` what they must "
             "satisfy, or fix them by --param"
         )
-    if told is None or not told.lacking:
+    if told is None:
         return ""
     added = " and ".join(f"`{conjunct}`" for conjunct in told.lacking)
-    return f"add {added} to {verdict.invariant}: then it is PROVED"
+    if told.unassumed:
+        said = f"nothing is assumed of what {' and '.join(told.unassumed)} is after a step: it may be anything"
+        if not told.supposed:
+            return f"{said}; say what holds by an `assume` of the module"
+        supposed = " and ".join(f"`{assumption}`" for assumption in told.supposed)
+        more = f", and {added} in {verdict.invariant}" if added else ""
+        return f"{said}; with {supposed}{more} it is PROVED"
+    return f"add {added} to {verdict.invariant}: then it is PROVED" if added else ""
 
 
 def _ledger(verdicts: Iterable[Verdict]) -> Iterator[str]:

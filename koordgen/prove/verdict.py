@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 from koordgen.ir import decl
 from koordgen.ir.expr import Expr
 from koordgen.node import replace
-from koordgen.prove.generate import obligations, rooms
+from koordgen.prove.generate import assumptions, obligations, rooms
 from koordgen.prove.ledger import Entry, ledger
 from koordgen.prove.obligation import Obligation
 from koordgen.prove.smtlib import script
@@ -61,7 +61,7 @@ def prove(question: Question, solver: Solver | Both) -> list[Verdict]:
     """A verdict for each invariant of the program, in its order, well-definedness first. Raises SolverMissing."""
     solver.start()
     program = question.program
-    outcomes = _asked(question, program, solver)
+    outcomes = _as_for_any(question, program, solver) or _asked(question, program, solver)
     names = _names(program, outcomes)
     groups = _groups(outcomes)
     failed: dict[str, tuple[tuple[Outcome, ...], decl.Program]] = {}
@@ -109,6 +109,20 @@ def _asked(question: Question, program: decl.Program, solver: Solver | Both) -> 
         return found
     exact = {o.name: o for o in obligations(program, question.robots, question.params, exact=True)}
     return [outcome if outcome.holds else _again(outcome, exact, solver) for outcome in found]
+
+
+def _as_for_any(question: Question, program: decl.Program, solver: Solver | Both) -> list[Outcome]:
+    """With a number of robots: what holds for every number holds for this one, and is decided faster; but that the
+    assumptions are consistent must be seen for this number. Nothing, where something does not hold for every number."""
+    if question.robots is None:
+        return []
+    general = [Outcome(*each) for each in solver.ask_all(rooms(program, None, question.params))]
+    # SOUND: all of them or none: what holds behind a loop rests on what its runs keep, of which nothing is asked where
+    # it is written out.
+    if not all(outcome.holds for outcome in general):
+        return []
+    numbered = solver.ask_all([[o] for o in assumptions(program, question.robots, question.params)])
+    return [*(Outcome(*each) for each in numbered), *(o for o in general if o.obligation.kind != "consistency")]
 
 
 def _again(outcome: Outcome, exact: Mapping[str, Obligation], solver: Solver | Both) -> Outcome:

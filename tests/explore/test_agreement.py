@@ -10,7 +10,18 @@ import pytest
 from koordgen.explore.symmetry import distinguishes, sorted_robots
 from koordgen.ir.decl import Program
 from koordgen.pipeline import check_file
-from tests.explore.reference import LEVEL, NOTHING, after_explored, after_round, explored, key, reached, unjudged
+from koordgen.prove.model import true
+from tests.explore.reference import (
+    LEVEL,
+    NOTHING,
+    after_explored,
+    after_round,
+    explored,
+    key,
+    reached,
+    search,
+    unjudged,
+)
 from tests.prove.random_programs import program as random_text
 from tests.semantics.programs import compiled
 
@@ -81,6 +92,18 @@ def compare_random(seed: int, n_sys: int, number: int, states: int) -> None:
 @pytest.mark.parametrize("seed", range(30))
 def test_random_programs_do_what_the_semantics_does(seed: int) -> None:
     compare_random(seed, 2, 2, 10)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_compiled_invariants_say_what_the_semantics_says(seed: int) -> None:
+    program = compiled(random_text(seed))
+    made, _ = explored(unjudged(program), 2, LEVEL, 2, symmetry=False, deadlock=False)
+    judge, wanted = search(program, 2, LEVEL), [p for p in program.properties if p.kind == "invariant"]
+    for fleet in made.known:
+        state = made.machine.state(fleet)
+        assert judge.invariants.broken(judge.machine.packed(state)) == next(
+            (p for p in wanted if not true(p, program, state)), None
+        )
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ from koordgen.pipeline import check_file
 from koordgen.prove.explain import invariant_of
 from koordgen.prove.generate import obligations
 from koordgen.prove.model import failing, true, with_values
+from koordgen.prove.show import suggestion
 from koordgen.prove.solve import Answer, Limits, Solver
 from koordgen.prove.verdict import Question, Verdict, prove
 from koordgen.semantics.exact import exact
@@ -44,6 +45,35 @@ def test_what_is_inductive_is_proved(tmp_path: Path, solver: Solver, robots: int
     assert all(o.answer.result == "unsat" for o in found["Geofence"].outcomes)
 
 
+LOOP = """\
+allread: int n[N_SYS]
+
+Up:
+  pre: n[pid] == 0
+  eff:
+    for i in range(N_SYS):
+      n[pid] = n[pid] + 1
+    n[pid] = n[pid] - N_SYS
+
+invariant Zero: forall i in ID: n[i] == 0
+"""
+
+
+def test_what_holds_for_three_robots_only_is_proved_for_them_written_out(tmp_path: Path, solver: Solver) -> None:
+    """The loop keeps no invariant; behind it, were it one that does, all would be well."""
+    assert verdicts(tmp_path, LOOP, solver)["Zero"].verdict != "PROVED"
+    assert verdicts(tmp_path, LOOP, solver, 3)["Zero"].verdict == "PROVED"
+    wrong = LOOP.replace("    n[pid] = n[pid] - N_SYS\n", "")
+    assert verdicts(tmp_path, wrong, solver, 3)["Zero"].verdict in ("FALSIFIED", "NOT INDUCTIVE")
+
+
+def test_with_a_number_the_assumptions_are_consistent_for_that_number(tmp_path: Path, solver: Solver) -> None:
+    crowded = f"{STRONG}initially: N_SYS < 3\n"
+    assert verdicts(tmp_path, crowded, solver)["Geofence"].verdict == "PROVED"
+    assert verdicts(tmp_path, crowded, solver, 2)["Geofence"].verdict == "PROVED"
+    assert verdicts(tmp_path, crowded, solver, 3)["Geofence"].verdict == "VACUOUS"
+
+
 def test_the_published_invariant_lacks_a_bound_on_targets_which_is_named(tmp_path: Path, solver: Solver) -> None:
     found = verdicts(tmp_path, LINE, solver)["Geofence"]
     assert found.verdict == "NOT INDUCTIVE"
@@ -66,6 +96,28 @@ def test_with_what_was_named_it_is_proved(tmp_path: Path, solver: Solver) -> Non
     assert told is not None
     stronger = f"{LINE}invariant More: {told.lacking[0]}\n"
     assert {v.verdict for v in verdicts(tmp_path, stronger, solver).values()} == {"PROVED"}
+
+
+def test_a_sensor_of_which_nothing_is_assumed_is_named_with_what_could_be(tmp_path: Path, solver: Solver) -> None:
+    assume = "assume position' in Rect(position, target)"
+    bare = LINE.replace(f"  {assume}\n", "")
+    found = verdicts(tmp_path, bare, solver)["Geofence"]
+    assert found.verdict == "FALSIFIED"
+    told = found.explanation
+    assert told is not None and told.unassumed == ("Motion.position",)
+    assert told.supposed == (f"using Motion: {assume}",)
+    assert told.lacking == ("forall i in ID: Motion.target[i] in Rect(lo, hi)",)
+    assert "nothing is assumed of what Motion.position is after a step" in suggestion(found)
+    with_targets = verdicts(tmp_path, STRONG.replace(f"  {assume}\n", ""), solver)["Geofence"].explanation
+    assert with_targets is not None
+    assert (with_targets.supposed, with_targets.lacking) == ((f"using Motion: {assume}",), ())
+
+
+def test_where_no_assumption_helps_none_is_proposed(tmp_path: Path, solver: Solver) -> None:
+    bare = LINE.replace("  assume position' in Rect(position, target)\n", "")
+    wrong = bare.replace("x[i] in Rect(lo, hi)\n", "x[i].x < Motion.target[i].x and Motion.position[i].x < 5\n")
+    told = verdicts(tmp_path, wrong, solver)["Geofence"].explanation
+    assert told is not None and (told.supposed, told.lacking) == ((), ())
 
 
 def test_a_false_invariant_comes_with_a_run_and_does_not_spoil_the_others(tmp_path: Path, solver: Solver) -> None:

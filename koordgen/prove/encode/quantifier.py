@@ -98,6 +98,8 @@ def domain(e: Encoder, node: ir.Expr, scope: Scope) -> Domain:
 def _range(e: Encoder, node: ir.Range, scope: Scope) -> Domain:
     start, stop = e.term(node.start, scope), e.term(node.stop, scope)
     low, high = t.number(start), t.number(stop)
+    if stop is e.room.size and e.room.robots is None:
+        high = None  # robots are not gone through one by one
     if low is not None and high is not None and len(range(int(low), int(high), node.step)) <= _EXPANDED:
         return Domain(_never, _int, [t.integer(i) for i in range(int(low), int(high), node.step)], False, False)
     first, last = (start, stop) if node.step > 0 else (t.add(stop, _ONE), t.add(start, _ONE))
