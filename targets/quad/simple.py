@@ -31,6 +31,7 @@ TURNING_GAIN, MAX_TURNING = 2.0, 1.5  # 1/s, rad/s
 SINKING = 0.5  # m/s, landing
 ARRIVED = 0.05  # m below the flight height at which the climb is over
 LANDED, SETTLING = 0.05, 0.5  # m, s: so low for so long it is on the ground
+GONE = 10.0  # s without a word of the body after which a landing quad waits no longer: its simulator has ended
 
 
 class Seen(Protocol):
@@ -112,6 +113,7 @@ class SimpleQuad(Quad):
         )  # fmt: skip
         self._phase = Phase.GROUNDED
         self._started = False
+        self._landing = 0.0  # when it began to land
         self._low: float | None = None  # since when it is as low as the ground, landing
 
     def diagnose(self) -> list[Finding]:
@@ -140,6 +142,8 @@ class SimpleQuad(Quad):
             self._flyer.fly((0.0, 0.0, 0.0), 0.0)
         elif self._telemetry.position is not None:
             self._move(self._telemetry.position, now)
+        if self._phase is Phase.LANDING and now - max(self._landing, self._telemetry.time or 0.0) > GONE:
+            raise Unready(f"nothing has been heard of the simulated body for {GONE:g} s", "did its simulator end?")
 
     def _see(self, now: float) -> None:
         seen, known = self._flyer.state(), self._telemetry
@@ -187,7 +191,7 @@ class SimpleQuad(Quad):
     def rest(self, now: float) -> None:
         """See Platform: lands."""
         if self._phase in (Phase.CLIMBING, Phase.FLYING):
-            self._phase = Phase.LANDING
+            self._phase, self._landing = Phase.LANDING, now
             self._motion.coast(now)
         elif self._phase is Phase.GROUNDED:
             self._phase = Phase.RESTED

@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from koordgen.runtime.platform import Platform
+from koordgen.runtime.platform import Platform, Unready
 from koordgen.runtime.settings import Box, Origin, Peer, Settings
 from koordgen.runtime.values import Point
 from targets.car.simple import SimpleCar as CarPlatform
@@ -170,6 +170,16 @@ def test_a_quad_lands_to_rest(quad: Rig) -> None:
     assert not quad.rested()
     quad.run(4.0)
     assert quad.rested() and quad.world.grounded(quad.body.rigid)
+
+
+def test_a_landing_quad_whose_simulator_has_ended_is_not_waited_for(quad: Rig) -> None:
+    up(quad)
+    quad.upset.positioning = Positioning(dropout=1.0)  # not a word any more
+    quad.run(30.0)
+    quad.platform.rest(quad.world.time)
+    quad.run(8.0)
+    with pytest.raises(Unready, match="simulated body"):
+        quad.run(4.0)
 
 
 def test_a_quad_whose_agent_falls_silent_stops_and_then_lands(quad: Rig) -> None:
