@@ -158,7 +158,7 @@ def test_a_violation_is_a_trace_and_an_itf_document() -> None:
     found = explored(program, 2)[1].violation
     assert found is not None
     lines = [json.loads(line) for line in trace(found, program).splitlines()]
-    assert lines[0]["kind"] == "header" and lines[-1]["what"] == "Counted" and lines[-1]["t"] == 1.0
+    assert lines[0]["kind"] == "header" and (lines[-1]["name"], lines[-1]["t"]) == ("Counted", 1.0)
     assert [r["event"] for r in lines if r["kind"] == "round" and r["pid"] == 0] == [None, "init", "Add", None]
     document = json.loads(itf(found, program))
     assert document["#meta"]["format"] == "ITF" and set(document["vars"]) <= set(document["states"][0])
