@@ -64,6 +64,10 @@ class Result(NamedTuple):
     apart: str
 
 
+class _Over(Exception):
+    """A bound is reached; the message says which."""
+
+
 class Search:
     """One exploration. `clock` yields seconds, `show` is told of the progress now and then. `run` raises Lacking."""
 
@@ -90,6 +94,8 @@ class Search:
         violation, stopped = None, ""
         try:
             violation, stopped = self._explored()
+        except _Over as over:
+            stopped = str(over)
         except KeyboardInterrupt:
             stopped = "interrupted"
         if not violation and not stopped and self.stuck:
@@ -113,8 +119,7 @@ class Search:
                 layer.append(alike)
                 if self.invariants.broken(after):
                     return self._broken(self._run_to(alike)), ""
-            if over := self._over():
-                return None, over
+            self._look()
         if not layer:
             return None, "no state satisfies `initially`"
         while layer:
@@ -123,8 +128,7 @@ class Search:
             following: list[Packed] = []
             for number, fleet in enumerate(layer):
                 self.waiting = len(layer) - number + len(following)
-                if over := self._over():
-                    return None, over
+                self._look()
                 if violation := self._round(fleet, following):
                     return violation, ""
             layer = following
@@ -157,6 +161,7 @@ class Search:
                     if self.invariants.broken(alike):
                         return self._broken(self._run_to(alike))
             self.stuck += not moves
+            self._look()
         return None
 
     def alike(self, fleet: Packed) -> Packed:
@@ -177,17 +182,16 @@ class Search:
                 before = machine.packed(state)
                 yield before, machine.begun(before)
 
-    def _over(self) -> str:
-        """What ends the search here."""
+    def _look(self) -> None:
+        """Shows the progress. Raises _Over where a bound ends the search."""
         now = self.clock()
         if now > self.shown + SHOWN:
             self.shown = now
             self.show(self.progress())
         if self.bounds.seconds is not None and now - self.started > self.bounds.seconds:
-            return f"the bound of {self.bounds.seconds:g} s"
+            raise _Over(f"the bound of {self.bounds.seconds:g} s")
         if self.bounds.states is not None and len(self.known) > self.bounds.states:
-            return f"the bound of {self.bounds.states} states"
-        return ""
+            raise _Over(f"the bound of {self.bounds.states} states")
 
     def _dead(self, fleet: Packed) -> bool:
         """Whether nothing will ever be enabled, however the environment goes on, though some robot has not stopped."""

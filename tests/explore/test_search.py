@@ -127,7 +127,7 @@ def test_what_initially_excludes_all_is_no_proof() -> None:
 @pytest.mark.parametrize("bounds, stopped, depth", [
     (Bounds(rounds=2), "the bound of 2 rounds", 2),
     (Bounds(states=5), "the bound of 5 states", 1),
-    (Bounds(seconds=0.004), "the bound of 0.004 s", 1),
+    (Bounds(seconds=0.01), "the bound of 0.01 s", 1),
 ])  # fmt: skip
 def test_a_bound_is_told(bounds: Bounds, stopped: str, depth: int) -> None:
     program = compiled(COUNT)
@@ -223,3 +223,12 @@ def test_ports_without_values_are_named(text: str | None, lacking: str) -> None:
 def test_mistakes_in_an_environment_are_told_at_their_place(text: str, code: str, line: int) -> None:
     around, found = read(compiled(MOTION), text)
     assert around is None and [(f[0], f[2].line) for f in found] == [(code, line)]
+
+
+def test_a_bound_holds_within_a_round_of_many_ends() -> None:
+    values = tuple(range(20))
+    text = "using Dev:\n  sensors: int level\nlocal: int n\nUp:\n  pre: n < 9\n  eff: n += Dev.level\n"
+    program = compiled(text + "initially: forall i in ID: Dev.level[i] == 5\n")  # one state, then 1,600 in one round
+    around = Environment({"Dev.level": Domain(values)}, {})
+    result = explored(program, 2, around, bounds=Bounds(states=450), symmetry=False)[1]
+    assert result.stopped == "the bound of 450 states" and result.progress.states <= 450 + 20 * 20
