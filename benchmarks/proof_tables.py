@@ -4,10 +4,10 @@ Published are, for each number of robots, seconds of K's symbolic execution and 
 obligations of the invariant (`make`) and the solvers' answers (`z3`, `cvc5`), for that number of robots and, once, for
 every number; base, events, environment and consistency are all in them. They are seconds of CPU, so that what else a
 machine does counts for little, without a solver's start. `how` tells what was made: `any` (N_SYS is a symbol),
-`written out` (each robot by its number) or `instances` (N_SYS is a number, and all else as for any: where formulas speak
-of pairs of more than 4 robots, or beyond 20). In Table 2 `make` is all that the command does but asking, and 15 robots
-are first tried as any number is. `--beyond` measures the command alone: what `prove` takes beyond `check`, wall and CPU
-with the solver's.
+`written out` (each robot by its number) or `instances` (N_SYS is a number, and all else as for any: where formulas
+speak of pairs of more than 4 robots, or beyond 20). In Table 2 `make` is all that the command does but asking, and 15
+robots are first tried as any number is. `--beyond` measures the command alone: what `prove` takes beyond `check`, wall
+and CPU with the solver's.
 """
 
 from __future__ import annotations

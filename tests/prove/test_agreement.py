@@ -12,7 +12,7 @@ from koordgen.ir.decl import Program
 from koordgen.node import replace
 from koordgen.pipeline import check_file
 from koordgen.prove.explain import invariant_of
-from koordgen.prove.generate import obligations
+from koordgen.prove.generate import obligations, rooms
 from koordgen.prove.model import allowed, failing, made_state
 from koordgen.prove.reach import Run
 from koordgen.prove.solve import Both, Limits, Solver
@@ -107,6 +107,17 @@ def runs(tmp_path: Path, seeds: Iterable[int]) -> int:
                     made_again(app, verdict.explanation.run, verdict.invariant)
                     many += 1
     return many
+
+
+def test_together_obligations_are_answered_as_each_alone_is(tmp_path: Path) -> None:
+    """Shared facts change no answer: neither those of the same room nor what was asked before."""
+    with Solver("z3", Limits(query=2.0, total=1000.0)) as solver:
+        for seed in range(3):
+            for robots in (None, 3):
+                made = list(rooms(checked(tmp_path, program(seed)), robots))
+                found = solver.ask_all(made)
+                assert [o for o, _ in found] == [o for room in made for o in room]
+                assert all(solver.ask(o).result == answer.result for o, answer in found)
 
 
 def test_a_falsified_invariant_comes_with_a_run_of_the_semantics(tmp_path: Path) -> None:
