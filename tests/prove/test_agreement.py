@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -73,7 +74,7 @@ def made_again(app: Program, run: Run, name: str) -> None:
     """Each moment of a run follows from those before it by the semantics; the last one makes the invariant false."""
     app, moments = exact(app), run.moments
     first = moments[0].state
-    levels = [dict(robot.ports) for robot in first.robots]
+    levels: list[dict[str, Any]] = [dict(robot.ports) for robot in first.robots]
     assert first == made_state(initial(app, len(levels), levels))
     assert all(0 <= level["Dev.level"] <= 2 for level in levels), "what holds initially"
     assert moments[1].state == run_init(app, first)[0]
@@ -87,8 +88,8 @@ def made_again(app: Program, run: Run, name: str) -> None:
             assert before.state.store == after.state.store
             begun, acted = after.state, set()
             continue
+        assert after.pid is not None and after.pid not in acted, "one event a round"
         pid = after.pid
-        assert pid is not None and pid not in acted, "one event a round"
         acted.add(pid)
         steps = [c for c in choices(app, before.state, pid, begun.store) if c.event == after.event]
         assert after.state in [applied(before.state, step) for step in steps]
