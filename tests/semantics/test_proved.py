@@ -106,6 +106,8 @@ def test_no_state_defeats_what_was_proved(name: str, program: decl.Program) -> N
                 except Discarded:
                     pass
         for property_ in program.properties:
+            if property_.kind == "axiom":  # of all values of its free names: nothing that is executed
+                continue
             with contextlib.suppress(Discarded, NoMeaning):
                 holds_property(property_, program, state, outside_)
 

@@ -47,7 +47,8 @@ def test_drivers_functions_scans_and_planners_run_in_it_and_repeat(tmp_path: Pat
     for k in range(2):
         assert ran(bundle, tmp_path / str(k), SECONDS, hashing=str(k)) == 0
     assert digest(tmp_path / "0") == digest(tmp_path / "1")
-    times = [record["t"] for record in map(json.loads, (tmp_path / "0" / "trace.jsonl").open()) if "t" in record]
+    lines = (tmp_path / "0" / "trace.jsonl").read_text().splitlines()
+    times = [record["t"] for record in map(json.loads, lines) if "t" in record]
     assert times == sorted(times)
     found = summary(tmp_path / "0")
     assert found["verdict"] == "held"
