@@ -216,7 +216,7 @@ def _run(
     if view:
         view.close(f"{summary.headline(found)}: {found.why}. The report: {left.resolve()}")
     print(summary.as_text(found))
-    print(f"report: {left}")
+    print(f"{'run' if options.no_report else 'report'}: {left}")
     return STATUS[found.verdict] if outcome.ended != "died" else VIOLATED
 
 

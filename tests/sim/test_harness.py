@@ -94,7 +94,7 @@ def test_an_agent_that_dies_fails_the_run_but_does_not_end_it(tmp_path: Path) ->
 def test_a_fault_fails_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     root, out = bundle(tmp_path / "sim", ["faulty", "good"]), tmp_path / "out"
     assert sim(root, out) == 3
-    assert f"report: {out}\n" in capsys.readouterr().out
+    assert f"run: {out}\n" in capsys.readouterr().out
     assert not (out / "report.html").exists() and not (out / "plots").exists() and records(out)
     (violation,) = summary(out)["violations"]
     assert violation["what"] == "fault" and "a.koord:3: 1 / 0" in violation["detail"]
