@@ -140,12 +140,12 @@ class Navigator:
         self._last = Command(0.0, self._last.steering)
 
     def watch(self, state: State, standing: bool, now: float) -> None:
-        """Judge whether the target is reached: the car stands within the radius, and has for the dwell time."""
-        if self._target is None:
+        """Judge whether the target is reached: the car stands within the radius, and has for the dwell time; from then
+        on it is, until a new target comes, whatever noise says of a car that stands near the radius."""
+        if self._target is None or self.reached:
             return
         near = math.dist((state.x, state.y), self._target) <= self._settings.reached_radius
         if not (near and standing):
-            self.reached = False
             self._near_since = None
             return
         if self._near_since is None:

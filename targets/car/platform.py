@@ -271,7 +271,7 @@ class Car:
             "pose": Pose(position, state.yaw),
             "velocity": Point(speed * math.cos(state.yaw), speed * math.sin(state.yaw), 0.0),
             "reached": self._navigator is None
-            or (self._navigator.reached and self._route.last and not self._avoidance.refusal),
+            or (self._navigator.reached and self._route.last and not self._avoidance.refusal and self._fresh(now)),
         }
         values: dict[str, Any] = {f"{module}.{port}": value for module in MODULES for port, value in ports.items()}
         values["MotionWithScan.pscan"] = self._lidar.scans.recent(now)

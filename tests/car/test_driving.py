@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+from dataclasses import replace
 
 import msgspec
 import pytest
@@ -53,6 +54,17 @@ def test_reached_takes_the_dwell_time_and_a_new_target_clears_it() -> None:
     assert world.value("reached") is True, "it stands within the radius of the new target"
     world.go(1.02, 0.0)
     assert world.value("reached") is True, "the same target is no new one"
+
+
+def test_what_was_reached_stays_so_until_a_new_target_comes() -> None:
+    world = World().begin()
+    world.go(1.0, 0.0)
+    world.run(6.0)
+    assert world.value("reached") is True
+    world.body.truth = replace(world.body.truth, y=world.body.truth.y + 0.12)
+    world.run(3.0, lambda: None if world.value("reached") else pytest.fail("no longer reached"))
+    world.go(3.0, 0.0)
+    assert world.value("reached") is False
 
 
 def test_velocity_and_position_are_true_while_it_drives() -> None:
