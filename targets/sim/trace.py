@@ -52,7 +52,7 @@ class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
 
 
 class Pose(msgspec.Struct, frozen=True, tag_field="kind", tag="pose"):
-    """The truth about a robot, 20 times a second; yaw in radians."""
+    """The truth about a robot, `pose_rate` times a second; yaw in radians."""
 
     pid: int
     position: Vector
