@@ -20,8 +20,8 @@ class Moment(NamedTuple):
     end: bool
 
     def seconds(self, delta: float) -> float:
-        """Of fleet time since round 1 began."""
-        return (self.round - 1 + self.end) * delta
+        """Of fleet time since round 1 began; `init` counts as then."""
+        return max(0.0, (self.round - 1 + self.end) * delta)
 
 
 class Row(NamedTuple):

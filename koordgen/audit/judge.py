@@ -116,14 +116,15 @@ class Judge:
                 self._note(finding, whose, moment, partial(self._broken, assumption, whose, moment))
 
     def _missing(self, came: _Asked, moment: Moment) -> str:
-        """What is not known, and whose trace would tell."""
-        name = came.why.partition("[")[0].rstrip("'")
-        sampled = name in self._whole.sensors
+        """What is not known, and whose trace would tell: of an assumption an unprimed sensor by the round's start."""
+        read = came.why.partition("[")[0]
+        name = read.rstrip("'")
+        later = moment.end and name in self._whole.sensors and (read != name or "[" in came.why)
         if came.robot < 0:
             silent = [s.silent(moment.round) for s in self._mission.stories if s.may_act(moment.round)]
             return f"{name}: {'; '.join(silent) or 'no trace says it'}"
         story = self._mission.stories[came.robot]
-        return f"{name} of {story.name}: {story.silent(moment.round + (moment.end and sampled))}"
+        return f"{name} of {story.name}: {story.silent(moment.round + later)}"
 
     def _violation(self, property_: Property, came: _Asked, moment: Moment, where: str) -> Violation:
         trail: Trail = []

@@ -177,27 +177,24 @@ def _groups(record: Mapping[str, Any], *names: str) -> bool:
 
 
 def _init(record: Mapping[str, Any]) -> bool:
-    return _timed(record) and _groups(record, "sensors", "locals", "shared", "actuators") and _calls(record)
+    restored, fault = record.get("restored"), record.get("fault")
+    return (
+        _timed(record)
+        and _groups(record, "sensors", "locals", "shared", "actuators", "copy")
+        and _calls(record)
+        and all(record.get(name) is None or isinstance(record[name], str) for name in ("event", "skipped"))
+        and (fault is None or (isinstance(fault, dict) and isinstance(fault.get("reason"), str)))
+        and (restored is None or _life(restored))
+    )
+
+
+def _life(restored: Any) -> bool:
+    return isinstance(restored, dict) and _int(restored.get("round"), -1) and _groups(restored, "locals", "actuators")
 
 
 def _round(record: Mapping[str, Any]) -> bool:
-    restored, fault = record.get("restored"), record.get("fault")
-    return (
-        _init(record)
-        and _int(record.get("round"), 1)
-        and _groups(record, "copy")
-        and all(record.get(name) is None or isinstance(record[name], str) for name in ("event", "skipped"))
-        and all(_number(record.get(name, 0.0)) for name in ("late", "clock_bound"))
-        and (fault is None or (isinstance(fault, dict) and isinstance(fault.get("reason"), str)))
-        and (
-            restored is None
-            or (
-                isinstance(restored, dict)
-                and _int(restored.get("round"), -1)
-                and _groups(restored, "locals", "actuators")
-            )
-        )
-    )
+    numbers = all(_number(record.get(name, 0.0)) for name in ("late", "clock_bound"))
+    return _init(record) and _int(record.get("round"), 1) and numbers
 
 
 def _calls(record: Mapping[str, Any]) -> bool:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from koordgen.audit.blame import Blame
-from koordgen.audit.finding import Finding, Violation
+from koordgen.audit.finding import BEGIN, Finding, Violation
 from koordgen.audit.story import Mission
 from koordgen.prove.show import wrapped
 
@@ -97,7 +97,13 @@ def when(violation: Violation, mission: Mission) -> str:
     seconds = violation.moment.seconds(mission.delta)
     round_ = violation.moment.round
     if round_ == 0:
-        return "before round 1" if not violation.moment.end else "as round 1 begins"
+        return (
+            "as round 1 begins"
+            if violation.moment.end
+            else violation.where
+            if violation.where == BEGIN
+            else "after init"
+        )
     fleet = f", {mission.start + seconds:.2f} s of fleet time" if mission.start is not None else ""
     return f"{seconds:.2f} s, round {round_} {violation.where}{fleet}"
 
