@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from koordgen.audit.finding import Finding
 from koordgen.ir import decl
 from koordgen.prove.generate import obligations
-from koordgen.prove.ledger import Entry, ledger
+from koordgen.prove.ledger import Entry, Ledger
 
 _KINDS = {"port assumption": "assume", "initially": "initially", "contract": "contract"}
 
@@ -32,13 +32,13 @@ def blames(program: decl.Program, findings: Sequence[Finding]) -> list[Blame]:
         return []
     shown = obligations(program, params={p.name: p.default for p in program.params})
     spans = {p.name: range(p.span.line, p.span.end_line + 1) for p in program.properties if p.kind == "invariant"}
-    found = []
+    found, ledger = [], Ledger(program)
     for invariant in violated:
         names = [invariant.name]
         for name in names:  # and the invariants that its obligations use, and theirs
             lines = {fact.line for o in shown if o.invariant == name for fact in o.facts}
             names += [other for other, span in spans.items() if other not in names and lines.intersection(span)]
-        rests = ledger(program, [o for o in shown if o.invariant in names])
+        rests = ledger.of([o for o in shown if o.invariant in names])
         found.append(_blame(invariant, rests, findings))
     return found
 
