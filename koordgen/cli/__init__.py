@@ -222,6 +222,12 @@ def _campaign(options: Namespace) -> int:
     return campaign(options)
 
 
+def _validate(options: Namespace) -> int:
+    from koordgen.cli.validate import validate
+
+    return validate(options)
+
+
 def _replay(options: Namespace) -> int:
     from koordgen.cli.replay import replay
 
@@ -238,6 +244,7 @@ _COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "check": _check, "dump": _dump, "build": _build, "prove": _prove, "explore": _explore, "fmt": _fmt,
     "explain": _explain, "estop": _estop, "basestation": _basestation, "doctor": _doctor, "key": _key,
     "report": _afterwards, "export": _afterwards, "campaign": _campaign, "replay": _replay,
+    "validate": _validate,
 }  # fmt: skip
 
 
