@@ -44,13 +44,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: Namespace) -> int:
-    from koordgen.pipeline import Rejected
-
     try:
         return _COMMANDS.get(options.command, _harness)(options)
-    except Rejected as rejected:
-        _show(rejected, options)
-        return WRONG
     except Failure as failure:
         _say(f"error: {failure}" + (f"\n  help: {failure.help}" if failure.help else ""))
         return failure.status
@@ -61,7 +56,12 @@ def _run(options: Namespace) -> int:
         sys.stderr.close()
         return SURROUNDINGS
     except Exception as error:
-        return _internal(error)
+        from koordgen.pipeline import Rejected
+
+        if not isinstance(error, Rejected):
+            return _internal(error)
+        _show(error, options)
+        return WRONG
 
 
 def _check(options: Namespace) -> int:

@@ -41,7 +41,8 @@ def validate(options: Namespace) -> int:
         raise cli.Failure(cli.INCONCLUSIVE, f"{options.program} assumes nothing of its ports", way)
     count = options.samples or Bound(options.epsilon, options.gamma).needed
     harness = next(t for t in map(manifest.load, manifest.available()) if t.kind == "harness")
-    aside = Namespace(**{**vars(options), "format": "text", "lockstep": True})  # one document on standard output
+    options.harness, options.lockstep = harness.name, True
+    aside = Namespace(**{**vars(options), "format": "text"})  # one document on standard output
     bundles, app = cli._planned(aside, [harness.name])
     cli._require_packages()
     out = Path(options.out or f"validate-{app}")
@@ -115,7 +116,7 @@ def _command(options: Namespace, seed: int, out: Path) -> str:
     """What repeats a sample, with its report."""
     given = [f"--param={text}" for text in options.param]
     given += [f"--functions={options.functions}"] if options.functions else []
-    words = ["koordgen", "sim", options.program, f"--fleet={options.fleet}", *given]
+    words = ["koordgen", options.harness, options.program, f"--fleet={options.fleet}", *given]
     return shlex.join([*words, f"--duration={options.seconds:g}", "--lockstep", f"--seed={seed}", f"--out={out}"])
 
 

@@ -10,7 +10,7 @@ from koordgen.prove.ledger import LEMMAS
 from koordgen.prove.obligation import Fact, Obligation
 from koordgen.prove.solve import Answer
 from koordgen.prove.spell import nodes, spelled
-from koordgen.prove.term import Op, Term, Value
+from koordgen.prove.term import NONLINEAR
 
 MOST = 3  # of what is named
 
@@ -35,9 +35,7 @@ def doubt(program: decl.Program, obligation: Obligation, answer: Answer, unshown
 def _products(program: decl.Program, obligation: Obligation) -> Iterator[str]:
     """The program's expressions that make an obligation non-linear, with their lines."""
     facts: list[Fact] = [*obligation.facts, *([obligation.goal] if obligation.goal is not None else [])]
-    seen: set[Term] = set()
-    lines = {fact.line for fact in facts if _nonlinear(fact.term, seen)}
-    if not lines:
+    if not any(fact.term.traits & NONLINEAR for fact in facts):
         return
     events = tuple([event for event in program.events if event.name == obligation.event])
     for part in (events, program.init, program.functions, program.properties, program.modules):
@@ -50,19 +48,6 @@ def _products(program: decl.Program, obligation: Obligation) -> Iterator[str]:
                     within.update(n for n in nodes(node) if isinstance(n, ir.Binary))
     if any(fact.label == "distance of two points" and not fact.line for fact in facts):
         yield "distances told by the squares of coordinates"
-
-
-def _nonlinear(term: Term, seen: set[Term]) -> bool:
-    pending, found = [term], False
-    while pending:
-        part = pending.pop()
-        if part in seen or isinstance(part, Value):
-            continue
-        seen.add(part)
-        if isinstance(part, Op) and part.name in ("*", "/", "div", "mod"):
-            found = found or sum(not isinstance(a, Value) for a in part.args) > 1
-        pending.extend(part.args)
-    return found
 
 
 def _literal(node: ir.Expr) -> bool:

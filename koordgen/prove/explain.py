@@ -136,7 +136,7 @@ class Explainer:
     def of(self, program: decl.Program, robots: int) -> list[Obligation]:
         key = (program, robots)
         if key not in self.made:
-            self.made[key] = obligations(program, robots, self.params, exact=True)
+            self.made[key] = obligations(program, robots, self.params, told="most")
         return self.made[key]
 
     def lacking(self, proved: decl.Program, invariant: decl.Property) -> tuple[str, ...] | None:

@@ -107,6 +107,11 @@ class Solver:
         self._process.exchange(0.0)
         self._warming = self.name == "z3"
 
+    def stop(self) -> None:
+        """Nothing more will be asked; `end` waits for it to have ended."""
+        if self._process is not None:
+            self._process.kill()
+
     def end(self) -> None:
         """Ends the process, whatever it is doing."""
         process, self._process = self._process, None
@@ -329,6 +334,10 @@ class Both:
     def start(self) -> None:
         for solver in self.solvers:
             solver.start()
+
+    def stop(self) -> None:
+        for solver in self.solvers:
+            solver.stop()
 
     def ask(
         self, obligation: Obligation, wanted: Sequence[Term] = (), core: bool = False, most: float = math.inf

@@ -302,10 +302,10 @@ def test_of_another_robot_it_is_told_what_its_plain_event_wrote(
 
 
 def test_the_ledger_tells_lemmas_from_approximations() -> None:
-    from koordgen.prove.ledger import COMPARED, HARMLESS, ledger
+    from koordgen.prove.ledger import COMPARED, HARMLESS, Ledger
 
     program = check_file(str(Path(__file__).parents[2] / "examples/task/task.koord")).program
-    entries = ledger(program, obligations(program))
+    entries = Ledger(program).of(obligations(program))
     kinds = {entry.kind: entry.checked for entry in entries if entry.kind in ("lemma", "approximation")}
     assert kinds == {"lemma": COMPARED, "approximation": HARMLESS}
     assert any(e.kind == "lemma" and e.text.startswith("path_distance: symmetric") for e in entries)
