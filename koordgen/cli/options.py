@@ -249,6 +249,19 @@ def _replay(command: argparse.ArgumentParser) -> None:
     _of_a_build(command)
 
 
+def _audit(command: argparse.ArgumentParser) -> None:
+    traces = "robots' own traces, folders of them, a run's folder or its merged trace.jsonl"
+    command.add_argument("traces", metavar="TRACE", nargs="+", help=traces)
+    command.add_argument("--program", metavar="APP.koord", help="the program (default: that in the run's folder)")
+    proof = "ask the prover about each invariant that was violated"
+    command.add_argument("--prove", action="store_true", help=proof)
+    command.add_argument("--plot", metavar="FILE", help="draw the properties over time (png, svg or pdf)")
+    command.add_argument("--fleet", metavar="FILE", help="a fleet file (YAML) for the values of params")
+    command.add_argument("--param", metavar="NAME=VALUE", action="append", default=[], help="a param's value")
+    command.add_argument("--functions", metavar="FILE", help="Python of the extern functions")
+    command.add_argument("--format", choices=("text", "json"), default="text", help="of what is told (default: text)")
+
+
 def _count(text: str) -> int:
     value = int(text)
     if value < 1:
@@ -296,6 +309,7 @@ _COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "doctor": ("look whether a robot is ready for a mission, on its own computer; nothing moves", _doctor),
     "key": ("make a fleet's key", _key),
     "replay": ("run a trace's program again on what its robots saw, and compare what they did", _replay),
+    "audit": ("judge a program's properties by the traces of a whole fleet", _audit),
     "campaign": ("run a fleet many times, and tell what came of it", _campaign),
     "validate": ("hold what a program assumes of its ports to simulated platforms, many times", _validate),
     "report": ("make the page that shows a run: moving pictures, rounds, shared variables, network", _report),
