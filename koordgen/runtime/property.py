@@ -222,6 +222,10 @@ class Assumption:
         """Whether it holds of each combination of goals that was asked for; where none was, it does."""
         return all(self.holds(known, **goals) for goals in _asked_for(self.goals, known.asked, {}))
 
+    def asked(self, known: Known) -> bool:
+        """Whether there is anything that it says something of."""
+        return any(True for _ in _asked_for(self.goals, known.asked, {}))
+
 
 def _asked_for(patterns: tuple[Asking, ...], asked: Calls, known: dict[str, Any]) -> Iterator[dict[str, Any]]:
     if not patterns:
