@@ -222,10 +222,22 @@ def _campaign(options: Namespace) -> int:
     return campaign(options)
 
 
+def _validate(options: Namespace) -> int:
+    from koordgen.cli.validate import validate
+
+    return validate(options)
+
+
 def _replay(options: Namespace) -> int:
     from koordgen.cli.replay import replay
 
     return replay(options)
+
+
+def _audit(options: Namespace) -> int:
+    from koordgen.cli.audit import audit
+
+    return audit(options)
 
 
 def _afterwards(options: Namespace) -> int:
@@ -238,6 +250,7 @@ _COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "check": _check, "dump": _dump, "build": _build, "prove": _prove, "explore": _explore, "fmt": _fmt,
     "explain": _explain, "estop": _estop, "basestation": _basestation, "doctor": _doctor, "key": _key,
     "report": _afterwards, "export": _afterwards, "campaign": _campaign, "replay": _replay,
+    "validate": _validate, "audit": _audit,
 }  # fmt: skip
 
 

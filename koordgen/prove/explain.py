@@ -165,7 +165,7 @@ class Explainer:
 
 def _usual(obligation: Obligation, program: decl.Program) -> Iterator[Term]:
     """That the params have the values that the program gives them."""
-    values = initial(program, 1).params
+    values = initial(replace(program, shared=(), locals=(), modules=()), 1).params  # first values may not be exact
     for cell in obligation.cells:
         parts = flat(values.get(cell.name))
         if cell.robot is None and len(parts) == len(cell.terms):
