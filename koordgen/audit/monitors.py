@@ -72,8 +72,12 @@ def _unsaid(
     ]
     if any(record.get("outcome") in _BAD for _, record in here):
         return
-    words = ", ".join(f"{mission.stories[pid].name}: {record.get('outcome')}" for pid, record in here)
-    yield (
-        f"no monitor said that {finding.title} (line {finding.line}) is violated, in rounds {bad.since} to {bad.until}"
-        f" ({words})"
-    )
+    rounds = f"rounds {bad.since} to {bad.until}"
+    for pid, record in here:
+        if record.get("outcome") == "held":
+            yield (
+                f"{mission.stories[pid].name} said that {finding.title} (line {finding.line}) held in {rounds}; "
+                "on the whole it was violated"
+            )
+            return
+    yield f"no monitor could tell that {finding.title} (line {finding.line}) was violated in {rounds}"

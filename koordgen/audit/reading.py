@@ -43,6 +43,7 @@ class Log:
     n_sys: int
     names: dict[int, str]
     own: bool
+    step: bool = False  # the run followed a counterexample of one step, whose beginning is any state
     lines: list[Line] = field(default_factory=list)
     flaws: list[Flaw] = field(default_factory=list)
 
@@ -97,6 +98,8 @@ def opened(path: Path) -> Log:
 
 
 def _log(path: Path, header: Mapping[str, Any]) -> Log:
+    if "counterexample" in header or not header["program_hash"]:
+        raise BadTrace(f"{path}: a counterexample, which no robot ran: `koordgen report` shows it")
     app, program_hash, delta = str(header["app"]), str(header["program_hash"]), float(header["delta"])
     if not 0.0 < delta < 1e6:
         raise ValueError(f"delta {delta}")
@@ -107,7 +110,7 @@ def _log(path: Path, header: Mapping[str, Any]) -> Log:
         n_sys = len(names)
     if not 1 <= n_sys <= MOST_ROBOTS or not all(0 <= pid < n_sys for pid in names):
         raise ValueError(f"pids {sorted(names)} of {n_sys} robots")
-    return Log(path, app, program_hash, delta, n_sys, names, own)
+    return Log(path, app, program_hash, delta, n_sys, names, own, header.get("followed") == "step")
 
 
 def _lines(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
