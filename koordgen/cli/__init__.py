@@ -222,6 +222,12 @@ def _campaign(options: Namespace) -> int:
     return campaign(options)
 
 
+def _validate(options: Namespace) -> int:
+    from koordgen.cli.validate import validate
+
+    return validate(options)
+
+
 def _replay(options: Namespace) -> int:
     from koordgen.cli.replay import replay
 
@@ -244,7 +250,7 @@ _COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "check": _check, "dump": _dump, "build": _build, "prove": _prove, "explore": _explore, "fmt": _fmt,
     "explain": _explain, "estop": _estop, "basestation": _basestation, "doctor": _doctor, "key": _key,
     "report": _afterwards, "export": _afterwards, "campaign": _campaign, "replay": _replay,
-    "audit": _audit,
+    "validate": _validate, "audit": _audit,
 }  # fmt: skip
 
 

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from targets.sim.trace import Header
     from targets.sim.view.live import Live
     from targets.sim.watch import Watcher
+    from targets.sim.windows import Windows
 
 HELD, BAD_FILES, USAGE, VIOLATED, SURROUNDINGS, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 5, 70, 130
 STATUS = {"held": HELD, "violated": VIOLATED, "interrupted": INTERRUPTED, "not started": SURROUNDINGS}
@@ -105,6 +106,7 @@ def _parser(root: Path, argv: list[str]) -> argparse.ArgumentParser:
         )
     later = "no report and no pictures; `koordgen report` and `export` make them of the folder"
     parser.add_argument("--no-report", action="store_true", help=later)
+    parser.add_argument("--windows", action="store_true", help="tell of every window of every robot, in windows.jsonl")
     parser.add_argument("--gui", action="store_true", help="show PyBullet's window")
     parser.add_argument("--check", action="store_true", help="check the bundle and its packages; run nothing")
     parser.add_argument("--invoked-as", metavar="TEXT", help="the command to name in the report, if not this one")
@@ -198,7 +200,7 @@ def _run(
 
     header = _header(scenario, options)
     progress = Progress(sys.stderr, options.quiet, free=options.lockstep)
-    run, watcher = _made(root, scenario, schedule, folder, options, progress)
+    run, watcher, windows = _made(root, scenario, schedule, folder, options, progress)
     run.companions += [view] if view else []
     run.companions += [live.Paced(options.pace)] if options.pace and options.lockstep else []
     began = time.perf_counter()
@@ -212,6 +214,8 @@ def _run(
     run.poses_file.unlink()
     found = summary.summarise(*trace.read(merged), outcome)
     found.watching = round(watcher.seconds / (time.perf_counter() - began), 4)
+    if windows is not None:
+        windows.write(folder, outcome.ended)
     if options.pace:
         found.shares = {}  # of time, of which most went to waiting
     found.reproduce = _reproduce(root, scenario, folder, options)
@@ -229,23 +233,26 @@ def _run(
 
 def _made(
     root: Path, scenario: Scenario, schedule: Schedule, folder: Path, options: argparse.Namespace, progress: Progress
-) -> tuple[Run, Watcher]:
+) -> tuple[Run, Watcher, Windows | None]:
     """The run with all that goes along with it, ready to be executed."""
     from targets.sim import watch
     from targets.sim.idle import IDLE_TIMEOUT, Idle
     from targets.sim.lockstep.run import Lockstep
     from targets.sim.realtime import RealTime
     from targets.sim.run import Run
+    from targets.sim.windows import Windows
 
     robots = tuple(robot.name for robot in scenario.robots)
-    watcher = watch.Watcher(watch.load(root), robots, scenario.delta)
+    properties = watch.load(root)
+    windows = Windows(properties, scenario, options.seed) if options.windows else None
+    watcher = watch.Watcher(properties, robots, scenario.delta, windows)
     shutil.copytree(root / SOURCE, folder / SOURCE)
     conduct = Lockstep if options.lockstep else RealTime
     run = Run(scenario, conduct(scenario, root, folder, options.seed), folder, options.duration, progress)
     run.companions += [watcher, Idle(robots, scenario.number("idle_timeout", IDLE_TIMEOUT))]
     if schedule != Schedule():
         run.companions.append(faults.Faults(schedule))
-    return run, watcher
+    return run, watcher, windows
 
 
 def _header(scenario: Scenario, options: argparse.Namespace) -> Header:
