@@ -28,6 +28,9 @@ class _Asked:
     robot: int = -1
 
 
+_UNTOLD = _Asked("unknown", "a call of a port")
+
+
 def asked(holds: Callable[[Known], bool], known: Known) -> _Asked:
     """As `judged`, with whose value is not known."""
     robot = -1
@@ -109,13 +112,14 @@ class Judge:
             if not self._assumptions:
                 return
             step = self._step
-            step.pid, step.asked = pid, self._whole.calls(pid)
+            calls = self._whole.calls(pid)
+            step.pid, step.asked = pid, calls or ()
             ports = [name for name in step.one if not name.endswith("'")]
             step.put({name: self._before[name][pid] for name in ports})
             step.put({f"{name}'": self._before[name][pid] for name in ports if name in actuators})
             step.put({f"{name}'": self._whole.values[name][pid] for name in ports if name not in actuators})
             for assumption, finding in self._assumptions:
-                came = asked(assumption.holds_of_calls, step)
+                came = _UNTOLD if calls is None else asked(assumption.holds_of_calls, step)
                 whose = replace(came, robot=pid)
                 self._note(finding, whose, moment, partial(self._broken, assumption, whose, moment))
 

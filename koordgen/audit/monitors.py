@@ -39,7 +39,7 @@ def _of(record: Mapping[str, Any]) -> str:
 
 def _line(record: Mapping[str, Any]) -> int:
     text = str(record.get("line", "")).rpartition(":")[2]
-    return int(text) if text.isdecimal() else -1
+    return int(text) if text.isdecimal() and len(text) < 10 else -1
 
 
 def _alone(finding: Finding, story: Story, spans: list[tuple[int, int, Mapping[str, Any]]]) -> Iterator[str]:

@@ -10,10 +10,11 @@ from typing import Any, NamedTuple
 
 from koordgen.audit.reading import LOST, Log
 from koordgen.replay.trace import BadTrace, Line
+from koordgen.runtime.trace import LEFT
 
 FOREVER = 1 << 60
 # As an agent says it when its rounds begin.
-_MISSION = re.compile(r"mission ([0-9a-f]+), round 1 at (-?[0-9.]+) s of fleet time")
+_MISSION = re.compile(r"mission ([0-9a-f]{1,64}), round 1 at (-?\d{1,15}(?:\.\d{1,9})?) s of fleet time")
 
 
 class Gap(NamedTuple):
@@ -237,9 +238,13 @@ class _Teller:
                     self.doubt = self.doubt or f"{life.log.path}:{line.number} cannot be read"
                 case _:
                     pass
+        left = min([each.record["round"] for each in life.lines if each.record.get("skipped") == LEFT], default=FOREVER)
         if self.resting:
             since = max([r for time, r in times if time <= rested], default=self.previous)
-            story.out[-1] = story.out[-1]._replace(since=since + 1)
+            story.out[-1] = story.out[-1]._replace(since=min(since + 1, left))
+        elif left < FOREVER:  # where it said so cannot be read
+            self.resting = True
+            story.out.append(Gap(left, FOREVER, "it had come to rest"))
 
     def own(self, life: Life, round_: int) -> bool:
         """Whether a round is told of for the first time. Raises BadTrace where another file has told of it."""
