@@ -10,7 +10,7 @@ from pathlib import Path
 
 from koordgen.check.params import BadParam, with_params
 from koordgen.cli import HOLDS, INCONCLUSIVE, INTERRUPTED, USAGE, VIOLATED, WRONG, Failure, _params, _tell
-from koordgen.cli.prove import save
+from koordgen.cli.prove import hash_of, save
 from koordgen.cli.terminal import Line
 from koordgen.diagnostics import Diagnostic
 from koordgen.emit.program import functions_module
@@ -20,7 +20,8 @@ from koordgen.explore.search import Bounds, Progress, Result, Search
 from koordgen.explore.show import document, itf, report, told, trace
 from koordgen.ir.decl import Program
 from koordgen.pipeline import Rejected, check_file, fleet_params, read_source
-from koordgen.replay.functions import CannotCall
+from koordgen.prove.trace import About
+from koordgen.replay.functions import CannotCall, externs
 from koordgen.source import Source, Span
 
 
@@ -34,10 +35,11 @@ def explore(options: Namespace) -> int:
         program = with_params(checked.program, given)
     except BadParam as error:
         raise Failure(USAGE, str(error)) from None
-    result = _searched(options, program)
+    around = _around(options, program)
+    result = _searched(options, program, around)
     if result.violation is not None:
         if options.trace:
-            save(options.trace, trace(result.violation, program))
+            save(options.trace, trace(result.violation, program, _about(options, program, around)))
         if options.itf:
             save(options.itf, itf(result.violation, program))
     if options.format == "json":
@@ -47,7 +49,20 @@ def explore(options: Namespace) -> int:
     return _status(result)
 
 
-def _searched(options: Namespace, program: Program) -> Result:
+def _around(options: Namespace, program: Program) -> Environment:
+    try:
+        return _environment(options, program)
+    except Lacking as error:
+        raise Failure(USAGE, str(error), "docs/explore.md tells how such a file is written") from None
+
+
+def _about(options: Namespace, program: Program, around: Environment) -> About:
+    """What a run that was found was made with."""
+    hashed, functions = hash_of(program, options.program, options.functions)
+    return About(hashed, answering(around), externs(program, functions))
+
+
+def _searched(options: Namespace, program: Program, around: Environment) -> Result:
     line = Line(sys.stderr)
 
     def show(progress: Progress) -> None:
@@ -56,7 +71,6 @@ def _searched(options: Namespace, program: Program) -> Result:
     functions = options.functions or Path(options.program).with_name(f"{functions_module(program)}.py")
     bounds = Bounds(options.rounds, options.states, options.seconds)
     try:
-        around = _environment(options, program)
         machine = Machine(program, options.robots, answering(around), Path(functions))
         search = Search(
             machine, Surroundings(machine, around), bounds, time.monotonic, show,

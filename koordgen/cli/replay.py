@@ -29,7 +29,7 @@ def replay(options: Namespace) -> int:
         program, functions = _program(options, trace)
         found = list(replayed(program, externs(program, functions), trace, counts))
     except BadTrace as error:
-        raise Failure(WRONG, str(error), "a trace of koordgen's is expected: trace.jsonl") from None
+        raise Failure(WRONG, str(error), "a trace of robots is expected: trace.jsonl") from None
     except Unreplayable as error:
         raise Failure(WRONG, f"{path}: {error}", "what this trace says is not enough to replay it") from None
     except CannotCall as error:
@@ -81,9 +81,6 @@ def _program(options: Namespace, trace: Trace) -> tuple[Program, Path | None]:
         raise Failure(USAGE, str(error)) from None
     verify(program)
     functions = functions_file(program, place.parent, options.functions)
-    if not trace.program_hash:
-        shown = "counterexamples were run when they were found; `koordgen report` shows them"
-        raise Failure(WRONG, f"{trace.path} is not of a run", shown)
     its = program_hash(program, functions.read_bytes() if functions and functions.is_file() else b"")
     if its != trace.program_hash:
         raise Failure(

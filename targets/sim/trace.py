@@ -49,6 +49,7 @@ class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
     world: World = World()
     shared: tuple[Shared, ...] = ()
     records: dict[str, tuple[tuple[str, str], ...]] = {}
+    followed: str = ""  # a counterexample, which chose the events: a "run", or a "step" that says also how all began
 
 
 class Pose(msgspec.Struct, frozen=True, tag_field="kind", tag="pose"):
