@@ -47,6 +47,11 @@ class Follower(Resident):
         self._guide = guide
         super().__init__(robot, folder, shared)
 
+    def poll(self, now: float) -> None:
+        """See Resident. An agent is polled at the very beginning of each of its rounds."""
+        super().poll(now)
+        self._guide.began(self._round(), now)
+
     def _round(self) -> int:
         return self._machine.round if self._machine is not None else 0
 

@@ -63,6 +63,11 @@ class Guide:
                 detail = f"agents' round {number + 1} is of {self._place(each)}: {does}"
                 self._run.mark(Cause(begins, "follow", names, detail))
 
+    def began(self, round_: int, at: float) -> None:
+        """A robot's round has begun, at that time of the run's clock."""
+        if self._zero is None and round_:
+            self._zero = at - (round_ - 1) * self.delta
+
     def _place(self, each: Planned) -> str:
         return f"the trace's round {each.of}, line {each.line}"
 
@@ -139,8 +144,6 @@ class Guide:
 
     def observe(self, pid: int, record: Record) -> None:
         """A robot's round, as the agent itself tells it."""
-        if self._zero is None:
-            self._zero = record.time - record.late - (record.round - 1) * self.delta
         self._seen[pid] = max(self._seen[pid], record.round)
         if record.round > len(self.plan.rounds):
             return
