@@ -6,23 +6,29 @@ import json
 import sys
 import time
 from argparse import Namespace
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
+from koordgen import manifest
 from koordgen.check.params import BadParam, with_params
 from koordgen.cli import HOLDS, INCONCLUSIVE, INTERRUPTED, USAGE, VIOLATED, WRONG, Failure, _params, _tell
 from koordgen.cli.prove import hash_of, save
 from koordgen.cli.terminal import Line
 from koordgen.diagnostics import Diagnostic
 from koordgen.emit.program import functions_module
-from koordgen.explore.environment import Environment, Lacking, Surroundings, answering, environment
+from koordgen.explore.envfile import environment
+from koordgen.explore.environment import Environment, Lacking, Surroundings, answering
 from koordgen.explore.machine import Machine
 from koordgen.explore.search import Bounds, Progress, Result, Search
 from koordgen.explore.show import document, itf, report, told, trace
 from koordgen.ir.decl import Program
-from koordgen.pipeline import Rejected, check_file, fleet_params, read_source
+from koordgen.pipeline import Checked, Rejected, check_file, read_fleet, read_source
 from koordgen.prove.trace import About
 from koordgen.replay.functions import CannotCall, externs
 from koordgen.source import Source, Span
+
+ROBOTS = 3  # where neither --robots nor a fleet says how many
 
 
 def explore(options: Namespace) -> int:
@@ -30,39 +36,36 @@ def explore(options: Namespace) -> int:
     checked = check_file(options.program)
     if options.format == "text":
         _tell([(checked.source, d) for d in checked.noticed], options)
+    robots, from_fleet = _fleet(options, checked)
     try:
-        given = {**fleet_params(options.fleet, checked, options.program), **_params(options.param)}
+        around = _environment(options, checked.program, robots)
+        given = {**from_fleet, **around.params, **_params(options.param)}
         program = with_params(checked.program, given)
+        result = _searched(options, program, robots, around)
     except BadParam as error:
         raise Failure(USAGE, str(error)) from None
-    around = _around(options, program)
-    result = _searched(options, program, around)
+    except Lacking as error:
+        raise Failure(USAGE, str(error), "docs/explore.md tells how such a file is written") from None
     if result.violation is not None:
         if options.trace:
-            save(options.trace, trace(result.violation, program, _about(options, program, around)))
+            about = _about(options, program, robots, around, given)
+            save(options.trace, trace(result.violation, program, about))
         if options.itf:
             save(options.itf, itf(result.violation, program))
     if options.format == "json":
-        print(json.dumps(document(result, program, options.robots), indent=2), flush=True)
+        print(json.dumps(document(result, program, robots), indent=2), flush=True)
     else:
-        sys.stdout.write(report(result, program, options.program, options.robots))
+        sys.stdout.write(report(result, program, options.program, robots))
     return _status(result)
 
 
-def _around(options: Namespace, program: Program) -> Environment:
-    try:
-        return _environment(options, program)
-    except Lacking as error:
-        raise Failure(USAGE, str(error), "docs/explore.md tells how such a file is written") from None
-
-
-def _about(options: Namespace, program: Program, around: Environment) -> About:
+def _about(options: Namespace, program: Program, robots: int, around: Environment, given: Iterable[str]) -> About:
     """What a run that was found was made with."""
     hashed, functions = hash_of(program, options.program, options.functions)
-    return About(hashed, answering(around), externs(program, functions))
+    return About(hashed, tuple(given), answering(around, program, robots), externs(program, functions))
 
 
-def _searched(options: Namespace, program: Program, around: Environment) -> Result:
+def _searched(options: Namespace, program: Program, robots: int, around: Environment) -> Result:
     line = Line(sys.stderr)
 
     def show(progress: Progress) -> None:
@@ -71,21 +74,28 @@ def _searched(options: Namespace, program: Program, around: Environment) -> Resu
     functions = options.functions or Path(options.program).with_name(f"{functions_module(program)}.py")
     bounds = Bounds(options.rounds, options.states, options.seconds)
     try:
-        machine = Machine(program, options.robots, answering(around), Path(functions))
+        machine = Machine(program, robots, answering(around, program, robots), Path(functions))
         search = Search(
             machine, Surroundings(machine, around), bounds, time.monotonic, show,
             symmetry=options.symmetry, independence=options.independence, deadlock=options.deadlock,
         )  # fmt: skip
         return search.run()
-    except Lacking as error:
-        raise Failure(USAGE, str(error), "docs/explore.md tells how such a file is written") from None
     except CannotCall as error:
         raise Failure(WRONG, str(error), "name it with --functions") from None
     finally:
         line.end()
 
 
-def _environment(options: Namespace, program: Program) -> Environment:
+def _fleet(options: Namespace, checked: Checked) -> tuple[int, Mapping[str, Any]]:
+    """How many robots, and the values of params that a fleet file gives."""
+    if options.fleet is None:
+        return options.robots or ROBOTS, {}
+    targets = {name: manifest.load(name) for name in manifest.available()}
+    fleet, params = read_fleet(options.fleet, targets, checked.program, options.program)
+    return options.robots or len(fleet.robots), params
+
+
+def _environment(options: Namespace, program: Program, robots: int) -> Environment:
     source = read_source(options.env) if options.env else None
     found: list[tuple[Source, Diagnostic]] = []
 
@@ -93,7 +103,7 @@ def _environment(options: Namespace, program: Program) -> Environment:
         assert source is not None
         found.append((source, Diagnostic(code, "error", message, span, help=help)))
 
-    around = environment(program, source, note)
+    around = environment(program, robots, source, note)
     if around is None:
         raise Rejected(found)
     return around

@@ -56,9 +56,10 @@ def _program(options: Namespace, given: Counterexample) -> tuple[Program, dict[s
     try:
         own = {**from_file, **_params(options.param)}
         told = _told(checked.program, given)
-        more = {name: value for name, value in told.items() if name not in own}
+        asked = {name: told[name] for name in given.given}
+        more = {name: value for name, value in asked.items() if name not in own}
         program = with_params(checked.program, {**more, **own})
-        candidates = [with_params(checked.program, values) for values in ({}, own, {**more, **own}, told)]
+        versions = [with_params(checked.program, values) for values in (asked, own, told, {})]
     except BadParam as error:
         raise Failure(WRONG, f"{given.path}: {error}", "those are params of trace, fleet or command") from None
     for name, here in initial(program, given.n_sys).params.items():
@@ -67,15 +68,14 @@ def _program(options: Namespace, given: Counterexample) -> tuple[Program, dict[s
                 WRONG, f"{given.path}: param {name} is {given.params[name]!r} in it, and {plain(here)!r} here",
                 f"look for a counterexample with --fleet {options.fleet} and the same --param",
             )  # fmt: skip
-    hashes = list(dict.fromkeys(hash_of(each, options.program, options.functions)[0] for each in candidates))
-    if given.program_hash not in hashes:
-        here, there = hashes[min(1, len(hashes) - 1)], given.program_hash or "(none)"
+    hashes = [hash_of(version, options.program, options.functions)[0] for version in versions]
+    if given.program_hash not in hashes:  # params may be written in more than one way
         raise Failure(
-            WRONG, f"{given.path} is of a program with the hash {there}; {options.program} has {here}",
+            WRONG, f"{given.path} is of a program with the hash {given.program_hash or '(none)'}; {options.program} "
+            f"has {hashes[0]}",
             "another version of the program or of its extern functions: look for the counterexample anew",
         )  # fmt: skip
-    default = hash_of(candidates[1], options.program, options.functions)[0]
-    return (candidates[1], {}) if default == given.program_hash else (program, more)
+    return program, more
 
 
 def _told(program: Program, given: Counterexample) -> dict[str, Value]:

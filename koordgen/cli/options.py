@@ -83,9 +83,9 @@ def _prove(command: argparse.ArgumentParser) -> None:
 
 def _explore(command: argparse.ArgumentParser) -> None:
     command.add_argument("program", metavar="APP.koord")
-    command.add_argument("--robots", metavar="N", type=_count, default=3, help="how many (default: 3)")
+    command.add_argument("--robots", metavar="N", type=_count, help="how many (default: the fleet file's, or 3)")
     command.add_argument("--rounds", metavar="R", type=_count, help="go no farther (default: to the end)")
-    command.add_argument("--env", metavar="FILE", help="the values of sensors, what callable ports answer (YAML)")
+    command.add_argument("--env", metavar="FILE", help="the values of sensors, what callable ports may answer (YAML)")
     command.add_argument("--states", metavar="K", type=_count, help="end after so many states")
     command.add_argument("--seconds", metavar="S", type=_seconds, help="end after so long")
     apart = "tell robots apart also where the program does not"
@@ -94,7 +94,7 @@ def _explore(command: argparse.ArgumentParser) -> None:
     command.add_argument("--no-independence", dest="independence", action="store_false", help=orders)
     quiet = "let robots wait for ever without `stop`"
     command.add_argument("--no-deadlock", dest="deadlock", action="store_false", help=quiet)
-    command.add_argument("--fleet", metavar="FILE", help="a fleet file (YAML) for the values of params")
+    command.add_argument("--fleet", metavar="FILE", help="a fleet file (YAML): values of params, how many robots")
     command.add_argument("--param", metavar="NAME=VALUE", action="append", default=[], help="a param's value")
     command.add_argument("--functions", metavar="FILE", help="Python of the extern functions")
     command.add_argument("--trace", metavar="FILE", help="write the run to a violation as koord-trace/1")

@@ -152,7 +152,7 @@ def trace_of(program: Program, path: str, given: Mapping[str, Value], found: lis
         hashed, _ = hash_of(with_params(program, {**values, **given}), path, None)
     except BadParam:  # numbers that robots do not have
         hashed = ""
-    return trace(program, first, About(hashed))
+    return trace(program, first, About(hashed, tuple(values)))
 
 
 def hash_of(program: Program, path: str, functions: str | None) -> tuple[str, Path | None]:

@@ -8,7 +8,7 @@ by all their bits; what no event can read, the number of the round, is left out.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from itertools import count
 from pathlib import Path
 from types import ModuleType
@@ -26,7 +26,8 @@ from koordgen.semantics.step import initial
 
 T = TypeVar("T")
 Packed = tuple[int, ...]
-Answer = Callable[[int, Mapping[str, Any], str, tuple[Any, ...]], Any]  # pid, its sensors, "Module.port", arguments
+# pid, its sensors, "Module.port", arguments -> all that may be answered
+Answer = Callable[[int, Mapping[str, Any], str, tuple[Any, ...]], tuple[Any, ...]]
 _numbers = count()
 
 
@@ -57,6 +58,40 @@ class Discard(NamedTuple):
     seen: Packed
     line: int
     reason: str
+
+
+class Asking:
+    """The ways an event can go, by what callable ports answer: any of what they may, equal questions the same."""
+
+    def __init__(self, answers: Callable[[str, tuple[Any, ...]], tuple[Any, ...]]) -> None:
+        self._answers = answers
+        self._raised: Exception | None = None
+
+    def ways(self) -> Iterator[None]:
+        """Each is to be followed by a run of the event. Raises what the answers raise, which a run would take for a
+        fault of the event's."""
+        self._pending: list[tuple[int, ...]] = [()]
+        while self._pending:
+            self._script = self._pending.pop()
+            self._given: dict[Hashable, Any] = {}
+            yield
+            if self._raised is not None:
+                raise self._raised
+
+    def call(self, port: str, args: tuple[Any, ...]) -> Any:
+        key = (port, repr(args))
+        if key not in self._given:
+            place = len(self._given)
+            try:
+                options = self._answers(port, args)
+            except Exception as error:
+                self._raised = error
+                raise
+            if place == len(self._script):
+                self._pending += [(*self._script, other) for other in range(1, len(options))]
+                self._script = (*self._script, 0)
+            self._given[key] = options[self._script[place]]
+        return self._given[key]
 
 
 class Interned(Generic[T]):
@@ -103,35 +138,51 @@ class Machine:
         robot = self.owns.values[own]
         if robot.stopped:
             return ()
-        frame = self.frame(pid, robot, seen)
+        asking = self._asking(pid, robot)
+        frame = self.frame(pid, robot, seen, asking.call)
         looking = self.code.begin(frame)
-        found = []
+        found: dict[Choice, None] = {}
         for index in events:
-            event = self.code.events[index]
-            try:
-                if not event.guard(looking):
-                    continue
-                done = rt.run(self.code, event.effect, self.code.begin(frame), event.line)
-            except Exception:  # of a guard: the same again, told as of an effect
-                done = rt.run(self.code, event.guard, self.code.begin(frame), event.line)  # type: ignore[arg-type]
-            if isinstance(done, rt.Fault):
-                self.discards.append(Discard(pid, index, own, seen, done.line, done.reason))
-            elif isinstance(done, rt.Effects):
-                self.enabled.add(index)
-                found.append(self._choice(index, pid, robot, seen, done))
+            for _ in asking.ways():
+                done = self._run(self.code.events[index], frame, looking)
+                if isinstance(done, rt.Fault):
+                    self.discards.append(Discard(pid, index, own, seen, done.line, done.reason))
+                elif isinstance(done, rt.Effects):
+                    self.enabled.add(index)
+                    found[self._choice(index, pid, robot, seen, done)] = None
         return tuple(found)
 
-    def begun(self, fleet: Packed) -> Packed:
-        """A fleet after every robot's init, each on the store before it."""
-        after = fleet
-        for pid in range(self.n_sys) if self.code.init is not None else ():
-            robot, seen = self.owns.values[fleet[pid]], fleet[self.n_sys :]
-            done = rt.run(self.code, self.code.init, self.code.begin(self.frame(pid, robot, seen)))  # type: ignore[arg-type]
-            if isinstance(done, rt.Fault):
-                self.discards.append(Discard(pid, -1, fleet[pid], seen, done.line, done.reason))
-            else:
-                after = self.applied(after, pid, self._choice(-1, pid, robot, seen, done))
-        return after
+    def _asking(self, pid: int, robot: Own) -> Asking:
+        return Asking(lambda port, args: self.answer(pid, robot.sensors, port, args))
+
+    def _run(self, event: rt.Event, frame: rt.Frame, looking: Any) -> rt.Effects | rt.Fault | None:
+        """What an event does; None where its guard does not hold."""
+        try:
+            if not event.guard(looking):
+                return None
+            return rt.run(self.code, event.effect, self.code.begin(frame), event.line)
+        except Exception:  # of a guard: the same again, told as of an effect
+            return rt.run(self.code, event.guard, self.code.begin(frame), event.line)  # type: ignore[arg-type]
+
+    def begun(self, fleet: Packed) -> list[Packed]:
+        """A fleet after every robot's init, each on the store before it, in every way that this can go."""
+        init = self.code.init
+        if init is None:
+            return [fleet]
+        found, seen = [fleet], fleet[self.n_sys :]
+        for pid in range(self.n_sys):
+            robot = self.owns.values[fleet[pid]]
+            asking = self._asking(pid, robot)
+            frame = self.frame(pid, robot, seen, asking.call)
+            made: dict[Choice, None] = {}
+            for _ in asking.ways():
+                done = rt.run(self.code, init, self.code.begin(frame))
+                if isinstance(done, rt.Fault):
+                    self.discards.append(Discard(pid, -1, fleet[pid], seen, done.line, done.reason))
+                else:
+                    made[self._choice(-1, pid, robot, seen, done)] = None
+            found = [self.applied(after, pid, choice) for after in found for choice in made]
+        return found
 
     def applied(self, fleet: Packed, pid: int, choice: Choice) -> Packed:
         """A fleet after one robot's event, all of its writes together."""
@@ -141,15 +192,13 @@ class Machine:
             made[-1] = self._cells(fleet[-1], choice.cells)
         return tuple(made)
 
-    def frame(self, pid: int, robot: Own, seen: Packed) -> rt.Frame:
+    def frame(
+        self, pid: int, robot: Own, seen: Packed, call: Callable[[str, tuple[Any, ...]], Any] = rt.no_ports
+    ) -> rt.Frame:
         """What a robot knows at an event."""
         columns = zip(*[self.slots.values[number] for number in seen[:-1]], strict=True)
         shared = dict(zip(self.allread, columns, strict=True)) if self.allread else {}
         shared |= dict(zip(self.allwrite, self.cells.values[seen[-1]], strict=True))
-
-        def call(port: str, args: tuple[Any, ...]) -> Any:
-            return self.answer(pid, robot.sensors, port, args)
-
         return rt.Frame(pid, self.n_sys, robot.locals, shared, robot.sensors, robot.actuators, call)
 
     def own(self, robot: Own) -> int:

@@ -104,6 +104,7 @@ class _Planner:
         self.types = declared(program)
         self.events = {event.name: event for event in program.events}
         self.sensors = {f"{m.name}.{p.name}" for m in program.modules for p in m.ports if p.direction == "sensor"}
+        self.actuators = {f"{m.name}.{p.name}" for m in program.modules for p in m.ports if p.direction == "actuator"}
         self.commanded: set[tuple[int, str]] = set()  # robots, and their modules whose target or path was written
         self.rounds: list[Round] = []
 
@@ -155,8 +156,7 @@ class _Planner:
             self.note(self.done(block, state, self.world(calls)) or ())
             state = after
         if moved:
-            state = sense(state, [self.sensed(moved[0], told) for told in moved[0].robots])
-            self.check_reached(moved[0], state)
+            state = sense(state, [self.sensed(moved[0], told, pid) for pid, told in enumerate(moved[0].robots)])
             self.compare(moved[0], state)
         return state
 
@@ -223,10 +223,9 @@ class _Planner:
 
     def begun(self, first: Step) -> State:
         """The trace's first state."""
-        sensors = [self.sensed(first, told) for told in first.robots]
+        sensors = [self.sensed(first, told, pid) for pid, told in enumerate(first.robots)]
         state = initial(self.program, self.given.n_sys, sensors)
         if self.given.initial:
-            self.check_reached(first, state)
             self.compare(first, state)
             return state
         robots, slots = [], {name: list(held) for name, held in state.store.slots.items()}
@@ -244,10 +243,11 @@ class _Planner:
         self.compare(first, state)
         return state
 
-    def sensed(self, step: Step, told: Told) -> dict[str, Value]:
+    def sensed(self, step: Step, told: Told, pid: int) -> dict[str, Value]:
         if set(told.sensors) != self.sensors:
             raise self.broken(step, f"its sensors are {', '.join(told.sensors) or 'none'}")
-        return self.values(step, told.sensors)
+        known: dict[str, Value] = dict.fromkeys(self.unset(pid), True) if self.given.initial else {}
+        return {**self.values(step, told.sensors), **known}
 
     def values(self, step: Step, told: Mapping[str, Any]) -> dict[str, Value]:
         try:
@@ -278,19 +278,12 @@ class _Planner:
                 written = [n.rpartition(".") for n in step.outcome.ports]
                 self.commanded |= {(step.pid, module) for module, _, port in written if port in ("target", "path")}
 
-    def check_reached(self, step: Step, state: State) -> None:
-        """Before any command `reached` is true."""
-        for name in sorted(self.sensors):
-            module, _, port = name.rpartition(".")
-            if port != "reached" or not {f"{module}.target", f"{module}.path"} & set(state.robots[0].ports):
-                continue
-            for pid, robot in enumerate(state.robots):
-                if not robot.ports[name] and (pid, module) not in self.commanded:
-                    raise CannotFollow(
-                        f"{self.given.path}:{step.line}: {name} of robot {pid} is false, though nothing was commanded "
-                        "yet: on robots it is true then",
-                        "say so in the module's `assume`, or in the environment's file",
-                    )
+    def unset(self, pid: int) -> set[str]:
+        """The sensors `reached` of a robot that was commanded nothing yet: on robots they are true then, whatever the
+        environment of an exploration says."""
+        goals = [name.rpartition(".") for name in self.actuators if name.endswith((".target", ".path"))]
+        modules = {module for module, _, _ in goals if (pid, module) not in self.commanded}
+        return {f"{module}.reached" for module in modules} & self.sensors
 
     def compare(self, step: Step, state: State) -> None:
         if difference := self.differs(step, state):
@@ -303,6 +296,7 @@ class _Planner:
             meant = {**robot.locals, **robot.ports, **state.store.cells}
             meant |= {name: held[pid] for name, held in state.store.slots.items()}
             said = {**told.locals, **told.actuators, **told.sensors, **told.shared}
+            said |= {name: robot.ports[name] for name in self.unset(pid)}
             for name in [*meant, *[n for n in said if n not in meant]]:
                 if name not in meant or name not in said or not agree(said[name], plain(meant[name])):
                     values = f"{said.get(name)!r} in the trace and {plain(meant.get(name))!r} by the program"

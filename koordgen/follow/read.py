@@ -49,7 +49,8 @@ class Ending(NamedTuple):
 
 
 class Counterexample(NamedTuple):
-    """A whole trace. `initial`: it begins in an initial state. `params` are in JSON. Without `ending` it is cut off, or
+    """A whole trace. `initial`: it begins in an initial state. `params` are in JSON, `given` names those
+    that were not as the program has them. Without `ending` it is cut off, or
     of a run in which nothing is violated; `cut` is the line from which on it cannot be read, 0 where it can."""
 
     path: Path
@@ -58,6 +59,7 @@ class Counterexample(NamedTuple):
     initial: bool
     n_sys: int
     params: Values
+    given: tuple[str, ...]
     steps: tuple[Step, ...]
     ending: Ending | None
     cut: int
@@ -74,7 +76,9 @@ def read(path: Path) -> Counterexample:
         raise BadTrace(f"{path}: it is no counterexample's trace, as `koordgen explore --trace` writes it")
     try:
         app, program_hash = str(header["app"]), str(header["program_hash"])
-        n_sys, params = len(header["robots"]), _table(header["params"])
+        n_sys, params, given = len(header["robots"]), _table(header["params"]), tuple(header["given"])
+        if not all(name in params for name in given):
+            raise ValueError(f"given {given!r}")
         if not 1 <= n_sys <= MOST_ROBOTS:
             raise ValueError(f"{n_sys} robots")
     except (KeyError, TypeError, ValueError) as error:
@@ -83,7 +87,8 @@ def read(path: Path) -> Counterexample:
     cut = blank.cut or cut
     if not steps:
         raise BadTrace(f"{path}: there is no whole step in it")
-    return Counterexample(path, app, program_hash, header["counterexample"] == "run", n_sys, params, steps, ending, cut)
+    initial = header["counterexample"] == "run"
+    return Counterexample(path, app, program_hash, initial, n_sys, params, given, steps, ending, cut)
 
 
 def _steps(

@@ -10,8 +10,10 @@ from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.program import Effects, Life
 from koordgen.runtime.trace import Calls, Observe, Record, Trace
 from koordgen.runtime.views import described
+from koordgen.runtime.watched import Change
 from koordgen.runtime.wire import View
 
+_ACTING = {"off": "", "log": "", "hold": ", the robot holds", "land": ", it lands", "stop": ", it comes to rest"}
 METRICS_EVERY = 10.0  # seconds between two of them in the trace
 
 Emit = Callable[[str, str], None]  # level (info, warning, error) and a line
@@ -66,6 +68,23 @@ class Journal:
 
     def error(self, text: str) -> None:
         self.log("error", text)
+
+    def monitor(self, change: Change) -> None:
+        """A property has come to another outcome; told to people unless that is its first, and as it should be."""
+        self._trace.monitor(change)
+        if change.outcome == "violated":
+            self._line("warning", f"{change.word} is violated{_ACTING[change.action]}: {change.why}")
+        elif change.before is not None:
+            self._line("info", f"{change.word}: {change.outcome}" + (f": {change.why}" if change.why else ""))
+
+    def judged(self, violated: bool, summary: str) -> None:
+        """What the robot's monitors have come to, at its end."""
+        if summary:
+            self.log("warning" if violated else "info", f"properties: {summary}")
+
+    def watch(self, monitor: Observe) -> None:
+        """One more that gets each round's record."""
+        self._monitors.append(monitor)
 
     def streams(self, lines: Sequence[tuple[str, str]], round_: int, time: float) -> None:
         """What the program has to say in a round; 0 is `init`. A stream is served by every agent."""

@@ -46,7 +46,7 @@ NEEDED = ("numpy", "pybullet", "matplotlib")
 
 def main(root: Path, argv: list[str] | None = None) -> int:
     """Run the bundle at `root`; returns the exit status. Usage errors leave by SystemExit(2)."""
-    parser = _parser(root)
+    parser = _parser(root, sys.argv[1:] if argv is None else argv)
     options = parser.parse_args(argv)
     if options.pace and not options.lockstep:
         parser.error("--pace is for --lockstep; in real time a run goes at its own")
@@ -86,8 +86,15 @@ def main(root: Path, argv: list[str] | None = None) -> int:
         return _fail(INTERNAL, "this is a mistake of koordgen; please report it with the lines above", "")
 
 
-def _parser(root: Path) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog=f"python3 {root.name}", description="Run the whole fleet on this host.")
+def _parser(root: Path, argv: list[str]) -> argparse.ArgumentParser:
+    """What is wrong in `argv` is told of the command that the user called."""
+    key = "--invoked-as="
+    invoked = next((word.removeprefix(key) for word in argv if word.startswith(key)), None)
+    parser = argparse.ArgumentParser(
+        prog=" ".join(invoked.split()[:2]) if invoked else f"python3 {root}",
+        usage=invoked and invoked.replace("%", "%%"),
+        description="Run the whole fleet on this host.",
+    )
     parser.add_argument("--duration", type=_seconds, default=DURATION, metavar="S", help="mission time, default 30 s")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all randomness in the world, default 0")
     parser.add_argument("--lockstep", action="store_true", help="all in one process, repeatable, as fast as it goes")
@@ -184,7 +191,7 @@ def _schedule(scenario: Scenario, options: argparse.Namespace) -> tuple[Schedule
     names = [robot.name for robot in scenario.robots]
     found, told = faults.load(options.scenario, names) if options.scenario else (Schedule(), None)
     faults.check_times(found, options.duration)
-    faults.check_external(found, scenario.robots)
+    faults.check_robots(found, scenario.robots)
     return faults.with_network(found, vars(options)), told
 
 

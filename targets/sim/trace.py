@@ -1,8 +1,7 @@
 """The run's trace, format koord-trace/1: its records, following the agents' own files, and the one merged file.
 
-In an agent's file `time` is the run's clock (the host's monotonic one in real time, from 0 in lockstep); in the merged
-one every record has `t`, seconds since the start of round 1 (negative before), and the agents' records a `pid`. Points
-are [x, y, z], metres, local ENU.
+In an agent's file `time` is the run's clock (in real time the host's, in lockstep from 0); in the merged one records
+have `t`, seconds since the start of round 1 (negative before), agents' ones a `pid`. Points: [x, y, z], m, local ENU.
 """
 
 from __future__ import annotations
@@ -32,8 +31,8 @@ class RobotName(msgspec.Struct, frozen=True):
 
 
 class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
-    """The merged file's first record. `started` tells whether there was a round 1; without one, t counts from the
-    agents' launch. `geofence` are the two corners; `world`, `shared` and `records` as in the scenario."""
+    """The merged file's first record. `started`: whether there was a round 1; without one, t counts from the launch.
+    `geofence` are the two corners; `world`, `shared`, `records` as in the scenario; `followed`: a counterexample."""
 
     format: str
     app: str
@@ -49,11 +48,11 @@ class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
     world: World = World()
     shared: tuple[Shared, ...] = ()
     records: dict[str, tuple[tuple[str, str], ...]] = {}
-    followed: str = ""  # a counterexample, which chose the events: a "run", or a "step" that says also how all began
+    followed: str = ""  # chose the events: a "run", or a "step", which says also how all began
 
 
 class Pose(msgspec.Struct, frozen=True, tag_field="kind", tag="pose"):
-    """The truth about a robot, 20 times a second; yaw in radians."""
+    """The truth about a robot, `pose_rate` times a second; yaw in radians."""
 
     pid: int
     position: Vector
@@ -142,6 +141,22 @@ class Stream(msgspec.Struct, frozen=True, tag_field="kind", tag="stream"):
     pid: int = -1
 
 
+class Monitor(msgspec.Struct, frozen=True, tag_field="kind", tag="monitor"):
+    """A property has come to another outcome, as far as this robot can tell (koordgen/runtime/watched.py, Change)."""
+
+    of: str
+    name: str
+    line: str
+    outcome: str
+    age: int = 0
+    why: str = ""
+    action: str = "log"
+    round: int = 0
+    time: float = 0.0
+    t: float = 0.0
+    pid: int = -1
+
+
 class Metrics(msgspec.Struct, frozen=True, tag_field="kind", tag="metrics"):
     """How well a robot hears its peers and keeps its rounds, as its runtime's metrics say; `peers` by pid."""
 
@@ -215,18 +230,14 @@ class End(msgspec.Struct, frozen=True, tag_field="kind", tag="end"):
 
 class _Kind(msgspec.Struct):
     kind: str
-
-
-class _Time(msgspec.Struct):
     time: float | None = None
 
 
 Mark = Violation | Verdict | Cause | End
-Record = Header | Pose | Phase | Init | Round | View | Log | Stream | Metrics | Violation | Verdict | Cause | End
+Record = Header | Pose | Phase | Init | Round | View | Log | Stream | Monitor | Metrics | Mark
 _KINDS = {kind.__struct_config__.tag for kind in Record.__args__}
 _decoder = msgspec.json.Decoder(Record)
 _kind_decoder = msgspec.json.Decoder(_Kind)
-_time_decoder = msgspec.json.Decoder(_Time)
 _encoder = msgspec.json.Encoder()
 
 
@@ -339,7 +350,7 @@ def _told(path: Path, zero: float, pid: int) -> Iterator[tuple[float, bytes]]:
             if line.endswith(b"\n") and b'"kind":"header"' not in line[:40]:
                 with suppress(msgspec.DecodeError):
                     decoded(line)
-                    time = _time_decoder.decode(line).time
+                    time = _kind_decoder.decode(line).time
                     places.append((zero if time is None else time, place))
         for _, place in sorted(places):
             file.seek(place)

@@ -139,3 +139,10 @@ def test_usage(tmp_path: Path, arguments: list[str]) -> None:
     with pytest.raises(SystemExit) as left:
         harness.main(tmp_path, arguments)
     assert left.value.code == 2
+
+
+def test_usage_is_that_of_the_command_that_was_called(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        harness.main(tmp_path, ["--invoked-as=koordgen sim 'my 50% app' --duration=0", "--duration=0"])
+    said = capsys.readouterr().err
+    assert "usage: koordgen sim 'my 50% app' --duration=0" in said and "koordgen sim: error: argument --dur" in said

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Any, ClassVar
@@ -9,6 +10,7 @@ from typing import IO, Any, ClassVar
 from koordgen.runtime.drivers import Drivers
 from koordgen.runtime.platform import Platform
 from koordgen.runtime.program import Program
+from koordgen.runtime.property import Properties
 from koordgen.runtime.settings import Settings
 from targets.sim.bodies import BodyState
 from targets.sim.follow.guide import FollowedBody, Guide
@@ -55,16 +57,19 @@ class Follower(Resident):
     def _round(self) -> int:
         return self._machine.round if self._machine is not None else 0
 
-    def _loaded(self) -> tuple[Program, Drivers]:
-        program, _ = super()._loaded()
-        return self._guide.program(program, self.robot.pid, self._round), {}
+    def _loaded(self) -> tuple[Program, Properties, Drivers]:
+        program, properties, _ = super()._loaded()
+        return self._guide.program(program, self.robot.pid, self._round), properties, {}
 
     def _embodied(self, actor: Actor, settings: Settings, program: Program) -> Platform:
         return FollowedBody(self._guide, self.robot.pid, program, self._round)
 
     def _overrides(self, actor: Actor) -> dict[str, Any]:
         far = [EVERYWHERE] * 3
-        return {**super()._overrides(actor), "geofence": {"lo": [-x for x in far], "hi": far}, "avoid": ""}
+        fence = {"lo": [-x for x in far], "hi": far}
+        named = json.loads((self._shared.root / self.robot.bundle / "settings.json").read_bytes()).get("monitors", {})
+        monitors = dict.fromkeys([*named, "default"], "log")  # what they find must not end the run
+        return {**super()._overrides(actor), "geofence": fence, "avoid": "", "monitors": monitors}
 
     def _opened(self) -> Told:
         return Marked(self.trace_file.open("ab"), self._shared.shares, self._guide.plan.kind)
