@@ -43,17 +43,18 @@ def drawn(reachsets: Sequence[Reachset], file: Path) -> Path:
     grid[0][0].set_ylabel("y (north), m")
     grid[1][0].set_ylabel("along the offset, m")
     handles, labels = grid[0][0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=8.5, frameon=False)
+    figure.legend(
+        handles, labels, loc="outside lower center", ncols=5 if len(reachsets) > 1 else 3, fontsize=8.5, frameon=False
+    )
     figure.savefig(file, dpi=110)
     return file
 
 
 def _title(found: Reachset) -> str:
-    offset = ", ".join(f"{v:g}" for v in found.offset)
-    past = f"tube ends {abs(found.overshoot):.2f} m {'beyond' if found.overshoot > 0 else 'short of'} the target"
-    share = f"{1 - found.epsilon:.0%} of all ways stay in it, with confidence {1 - found.gamma:.0%}"
-    new = f"{found.covered:.1%} of {found.samples[2]} new ones did"
-    return f"{found.platform} to ({offset}) m: {past}\n{share}; {new}"
+    past = f"{'reaches' if found.overshoot > 0 else 'stays'} {abs(found.overshoot):.2f} m "
+    past += f"{'beyond' if found.overshoot > 0 else 'before'} the target"
+    new = f"{found.covered:.1%} of {found.samples[2]} new ways inside (claimed: {1 - found.epsilon:.0%})"
+    return f"{found.platform}: {past}\n{new}"
 
 
 def _extent(reachsets: Sequence[Reachset]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -91,8 +92,7 @@ def _above(axes: Axes, found: Reachset) -> None:
 def _along(axes: Axes, found: Reachset) -> None:
     goal = float(np.linalg.norm(found.offset))
     u = np.array(found.offset) / goal
-    low = np.where(u > 0, found.lower, found.upper) @ u
-    high = np.where(u > 0, found.upper, found.lower) @ u
+    low, high = found.ahead.T
     axes.stairs(high, found.edges, baseline=low, fill=True, facecolor=TUBE, edgecolor=EDGE, linewidth=1.0, zorder=2)
     for way in found.ways:
         axes.plot(found.edges, way @ u, color=WAY, linewidth=0.7, zorder=3)

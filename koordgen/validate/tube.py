@@ -13,16 +13,13 @@ Frame: ENU, metres, its origin at the nominal start; times in seconds since the 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from koordgen.campaign.crew import Crew
-from koordgen.validate.probe import Probe, Samples, Start, Vector, sampled
+from koordgen.validate.probe import Samples, Start, Vector
 from koordgen.validate.sensitivity import Discrepancy, bound, calibrated, learned, nearest
 
 Array = NDArray[np.float64]
@@ -31,7 +28,7 @@ EPSILON, GAMMA = 0.05, 0.05  # as `koordgen validate` has them
 STEP = 0.05  # seconds that a box of the tube is for, at most
 SEGMENT = 0.25  # seconds of the discrepancy's segments
 VELOCITY, HEADING = 1.0, 1.0  # s, m: what a m/s, and a unit of heading, count for in the distance of two starts
-SHOWN = 24  # ways that a reachset keeps for pictures
+SHOWN = 24  # ways that a reachset keeps for pictures, evenly from those that go farthest to those that go least far
 SLOW = 0.05  # m/s: who is faster at the end had not come to rest
 MOST_BOXES = 100  # of a volume
 
@@ -49,10 +46,11 @@ class Observed:
 
 @dataclass(frozen=True, eq=False)
 class Reachset:
-    """A tube: while edges[k] <= t <= edges[k + 1] the robot is between lower[k] and upper[k] (J, 3). `samples` are
-    those that it was learned of, calibrated on and checked on; `covered` is the part of the last that never left it,
-    `pairs_covered` that for which the sensitivity held. `inflated` is the multiple of the sensitivity's radius that
-    calibration asked for. `ways` (w, J + 1, 3) are some samples at the edges."""
+    """A tube: while edges[k] <= t <= edges[k + 1] the robot is between lower[k] and upper[k] (J, 3), along the offset
+    between ahead[k] (J, 2), and in x and y to the left of it between aside[k] (J, 2). `samples` are those that it was
+    learned of, calibrated on and checked on; `covered` is the part of the last that never left it, `pairs_covered` that
+    of which the sensitivity held. `inflated` is the multiple of the sensitivity's radius that calibration asked for.
+    `ways` (w, J + 1, 3) are some samples at the edges."""
 
     platform: str
     target: str
@@ -64,6 +62,8 @@ class Reachset:
     edges: Array
     lower: Array
     upper: Array
+    ahead: Array
+    aside: Array
     sensitivity: Discrepancy
     epsilon: float
     gamma: float
@@ -77,16 +77,12 @@ class Reachset:
     @property
     def overshoot(self) -> float:
         """How far the tube reaches beyond the target along the offset, metres; less than 0: it does not."""
-        u = np.array(self.offset) / np.linalg.norm(self.offset)
-        ahead = np.where(u > 0, self.upper, self.lower) @ u
-        return float(ahead.max() - np.linalg.norm(self.offset))
+        return float(self.ahead.max() - np.linalg.norm(self.offset))
 
     @property
     def lateral(self) -> float:
         """How far it reaches to a side of the offset's line, in x and y, metres."""
-        side = np.array([-self.offset[1], self.offset[0]]) / max(math.hypot(*self.offset[:2]), 1e-12)
-        sides = [np.where(s > 0, self.upper[:, :2], self.lower[:, :2]) @ s for s in (side, -side)]
-        return float(np.max(sides))
+        return float(np.abs(self.aside).max())
 
     def json(self) -> dict[str, Any]:
         """As docs/validate.md has it; numbers to a tenth of a millimetre."""
@@ -99,7 +95,7 @@ class Reachset:
         return {"format": FORMAT, **found}
 
 
-_ARRAYS = ("edges", "lower", "upper", "ways", "sensitivity")
+_ARRAYS = ("edges", "lower", "upper", "ahead", "aside", "ways", "sensitivity")
 
 
 def _listed(values: Array) -> list[float]:
@@ -134,7 +130,7 @@ def features(starts: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Tube:
-    """What is learned of ways: boxes (J, 3) between `edges`, and how good they are."""
+    """What is learned of ways: boxes (J, a) between `edges`, and how good they are."""
 
     edges: Array
     lower: Array
@@ -145,21 +141,23 @@ class Tube:
     pairs_covered: float
 
 
-def tube(times: Array, ways: Array, starts: Array, each: int, step: float) -> Tube:
+def tube(times: Array, ways: Array, starts: Array, each: int, step: float, axes: Array) -> Tube:
     """Of ways (n, T, d) at evenly spaced `times` (T,) with starts (n, f): the first part is learned of, the next `each`
-    are calibrated on, the last `each` checked on. Boxes are for `step` seconds. Raises ValueError."""
+    are calibrated on, the last `each` checked on. Boxes are for `step` seconds, and along `axes` (d, a), unit vectors.
+    Raises ValueError."""
     first = len(ways) - 2 * each
     if first < 2:
         raise ValueError(f"{len(ways)} samples; with {each} to calibrate and {each} to check there must be more")
     found = learned(times, ways[:first], starts[:first], SEGMENT)
-    low, high = ways[:first].min(axis=0), ways[:first].max(axis=0)
+    along = ways @ axes
+    low, high = along[:first].min(axis=0), along[:first].max(axis=0)
     radius = found.gain(times) * found.resolution
     held, checked = slice(first, first + each), slice(first + each, None)
     apart, away = _pairs(ways[held], starts[held], ways[:first], starts[:first])
-    out = np.maximum(np.maximum(low - ways[held], ways[held] - high), 0.0).max(axis=2)
+    out = np.maximum(np.maximum(low - along[held], along[held] - high), 0.0).max(axis=2)
     inflated = float((out / radius).max())
     low, high = low - (inflated * radius)[:, None], high + (inflated * radius)[:, None]
-    inside = ((low <= ways[checked]) & (ways[checked] <= high)).all(axis=(1, 2))
+    inside = ((low <= along[checked]) & (along[checked] <= high)).all(axis=(1, 2))
     sure = calibrated(found, times, apart, away)
     fresh = sure.beyond(times, *_pairs(ways[checked], starts[checked], ways[:first], starts[:first])) <= 1
     edges, lower, upper = _boxes(times, low, high, step)
@@ -188,41 +186,38 @@ def reached(samples: Samples, epsilon: float = EPSILON, gamma: float = GAMMA) ->
     probe, each = samples.probe, bound(epsilon, gamma)
     platform = probe.platform
     step = platform.delta / math.ceil(platform.delta / STEP)
-    found = tube(samples.times, samples.positions, features(samples.starts), each, step)
+    u, left = _axes(probe.offset)
+    axes = np.vstack([np.eye(3), u, left]).T
+    found = tube(samples.times, samples.positions, features(samples.starts), each, step, axes)
     count = len(samples.positions)
+    farthest = np.argsort((samples.positions @ u).max(axis=1))
+    shown = farthest[np.linspace(0, count - 1, min(SHOWN, count)).round().astype(int)]
+    ahead, aside = (np.stack([found.lower[:, k], found.upper[:, k]], axis=1) for k in (3, 4))
     at = np.minimum(np.searchsorted(samples.times, found.edges - 1e-9), len(samples.times) - 1)
     return Reachset(
         platform.name, platform.target, platform.fidelity, probe.offset, probe.start, platform.delta, probe.seed,
-        found.edges, found.lower, found.upper, found.sensitivity, epsilon, gamma, (count - 2 * each, each, each),
-        found.covered, found.pairs_covered, found.inflated, _observed(samples), samples.positions[:SHOWN, at],
+        found.edges, found.lower[:, :3], found.upper[:, :3], ahead, aside, found.sensitivity, epsilon, gamma,
+        (count - 2 * each, each, each), found.covered, found.pairs_covered, found.inflated, _observed(samples),
+        samples.positions[shown][:, at],
     )  # fmt: skip
+
+
+def _axes(offset: Vector) -> tuple[Array, Array]:
+    """Unit vectors along the offset, and in x and y to the left of it (0 for one straight up)."""
+    left = np.array([-offset[1], offset[0], 0.0]) / max(math.hypot(*offset[:2]), 1e-12)
+    return np.array(offset) / np.linalg.norm(offset), left
 
 
 def _observed(samples: Samples) -> Observed:
     ways, offset = samples.positions, np.array(samples.probe.offset)
-    u = offset / np.linalg.norm(offset)
-    side = np.array([-offset[1], offset[0], 0.0]) / max(math.hypot(*offset[:2]), 1e-12)
+    u, left = _axes(samples.probe.offset)
     corner = ways[:, :1]
     low, high = np.minimum(corner, offset), np.maximum(corner, offset)
     out = np.maximum(low - ways, ways - high).max()
     back = round(0.1 / (samples.times[1] - samples.times[0]))
     speed = np.linalg.norm(ways[:, -1] - ways[:, -1 - back], axis=1) / 0.1
     ahead = float((ways @ u).max() - np.linalg.norm(offset))
-    return Observed(ahead, float(np.abs(ways @ side).max()), max(0.0, float(out)), float((speed > SLOW).mean()))
-
-
-def reachsets(
-    probes: Sequence[Probe],
-    crew: Crew,
-    folder: Path,
-    epsilon: float = EPSILON,
-    gamma: float = GAMMA,
-    tell: Callable[[str], None] = lambda _: None,
-    interrupted: Callable[[], bool] = lambda: False,
-) -> list[Reachset]:
-    """One for each probe; all their runs are carried out together, in a new folder. Raises BadProbe, Rejected, and
-    what `campaign.drive.carry_out` raises."""
-    return [reached(samples, epsilon, gamma) for samples in sampled(probes, crew, folder, tell, interrupted)]
+    return Observed(ahead, float(np.abs(ways @ left).max()), max(0.0, float(out)), float((speed > SLOW).mean()))
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from targets.sim.trace import Header
     from targets.sim.view.live import Live
     from targets.sim.watch import Watcher
+    from targets.sim.windows import Windows
 
 HELD, BAD_FILES, USAGE, VIOLATED, SURROUNDINGS, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 5, 70, 130
 STATUS = {"held": HELD, "violated": VIOLATED, "interrupted": INTERRUPTED, "not started": SURROUNDINGS}
@@ -109,6 +110,7 @@ def _parser(root: Path, argv: list[str]) -> argparse.ArgumentParser:
         )
     later = "no report and no pictures; `koordgen report` and `export` make them of the folder"
     parser.add_argument("--no-report", action="store_true", help=later)
+    parser.add_argument("--windows", action="store_true", help="tell of every window of every robot, in windows.jsonl")
     parser.add_argument("--gui", action="store_true", help="show PyBullet's window")
     parser.add_argument("--check", action="store_true", help="check the bundle and its packages; run nothing")
     parser.add_argument("--invoked-as", metavar="TEXT", help="the command to name in the report, if not this one")
@@ -215,7 +217,11 @@ def _run(
 
     header = _header(scenario, plan, options)
     progress = Progress(sys.stderr, options.quiet, free=options.lockstep)
-    run, watcher, guide = _made(root, scenario, schedule, plan, folder, options, progress)
+    windows, guide = None, None
+    if plan is not None:
+        run, watcher, guide = _following(root, scenario, plan, folder, options, progress)
+    else:
+        run, watcher, windows = _made(root, scenario, schedule, folder, options, progress)
     run.companions += [view] if view else []
     run.companions += [live.Paced(options.pace)] if options.pace and options.lockstep else []
     began = time.perf_counter()
@@ -229,6 +235,8 @@ def _run(
     run.poses_file.unlink()
     found = summary.summarise(*trace.read(merged), outcome)
     found.watching = round(watcher.seconds / (time.perf_counter() - began), 4)
+    if windows is not None:
+        windows.write(folder, outcome.ended)
     if options.pace:
         found.shares = {}  # of time, of which most went to waiting
     found.reproduce = _reproduce(root, scenario, folder, options)
@@ -254,36 +262,46 @@ def _followed(guide: Guide, outcome: Outcome) -> int:
     return status
 
 
+def _following(
+    root: Path, scenario: Scenario, plan: Plan, folder: Path, options: argparse.Namespace, progress: Progress
+) -> tuple[Run, Watcher, Guide]:
+    """As `_made`, of a run that follows a plan."""
+    from targets.sim import watch
+    from targets.sim.follow.conduct import Follow
+    from targets.sim.follow.guide import Guide
+    from targets.sim.run import Run
+
+    properties = watch.load(root)
+    watcher = watch.Watcher(properties, tuple(robot.name for robot in scenario.robots), scenario.delta)
+    shutil.copytree(root / SOURCE, folder / SOURCE)
+    guide = Guide(plan, scenario.robots, scenario.delta, properties.measured)
+    run = Run(scenario, Follow(scenario, root, folder, options.seed, guide), folder, options.duration, progress)
+    run.companions += [watcher, guide]
+    return run, watcher, guide
+
+
 def _made(
-    root: Path, scenario: Scenario, schedule: Schedule, plan: Plan | None, folder: Path, options: argparse.Namespace,
-    progress: Progress,
-) -> tuple[Run, Watcher, Guide | None]:  # fmt: skip
+    root: Path, scenario: Scenario, schedule: Schedule, folder: Path, options: argparse.Namespace, progress: Progress
+) -> tuple[Run, Watcher, Windows | None]:
     """The run with all that goes along with it, ready to be executed."""
     from targets.sim import watch
     from targets.sim.idle import IDLE_TIMEOUT, Idle
     from targets.sim.lockstep.run import Lockstep
     from targets.sim.realtime import RealTime
     from targets.sim.run import Run
+    from targets.sim.windows import Windows
 
     robots = tuple(robot.name for robot in scenario.robots)
     properties = watch.load(root)
-    watcher = watch.Watcher(properties, robots, scenario.delta)
+    windows = Windows(properties, scenario, options.seed) if options.windows else None
+    watcher = watch.Watcher(properties, robots, scenario.delta, windows)
     shutil.copytree(root / SOURCE, folder / SOURCE)
-    if plan is not None:
-        from targets.sim.follow.conduct import Follow
-        from targets.sim.follow.guide import Guide
-
-        guide = Guide(plan, scenario.robots, scenario.delta, properties.measured)
-        following = Follow(scenario, root, folder, options.seed, guide)
-        run = Run(scenario, following, folder, options.duration, progress)
-        run.companions += [watcher, guide]
-        return run, watcher, guide
     conduct = Lockstep if options.lockstep else RealTime
     run = Run(scenario, conduct(scenario, root, folder, options.seed), folder, options.duration, progress)
     run.companions += [watcher, Idle(robots, scenario.number("idle_timeout", IDLE_TIMEOUT))]
     if schedule != Schedule():
         run.companions.append(faults.Faults(schedule))
-    return run, watcher, None
+    return run, watcher, windows
 
 
 def _header(scenario: Scenario, plan: Plan | None, options: argparse.Namespace) -> Header:

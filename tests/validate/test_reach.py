@@ -13,7 +13,7 @@ import yaml
 
 from koordgen.campaign.crew import Local
 from koordgen.pipeline import check_file
-from koordgen.validate import draw, probe, tube
+from koordgen.validate import draw, probe, reach, tube
 from koordgen.validate.probe import BadProbe, Probe, Samples, Start
 
 FLEET = """
@@ -77,6 +77,18 @@ def test_what_cannot_be_probed_is_told(platforms: dict[str, probe.Platform], cha
     asked = Probe(platforms["quad full"], (1.0, 0.0, 0.0), count=20, seconds=5.0)
     with pytest.raises(BadProbe, match=said):
         probe.check(replace(asked, **changed))
+
+
+def test_probes_are_of_all_platforms_or_of_those_that_are_named(tmp_path: Path) -> None:
+    file = tmp_path / "fleet.yaml"
+    file.write_text(FLEET)
+    asked = reach.Asked((3.0, 4.0, 0.0), epsilon=0.1, gamma=0.05, seed=7)
+    assert [p.platform.name for p in reach.probes(str(file), [], asked)] == list(probe.platforms(str(file)))
+    (one,) = reach.probes(str(file), ["quad simple"], asked)
+    assert (one.count, one.seconds, one.seed, one.parts) == (90, 14.0, 7, 6)
+    with pytest.raises(BadProbe, match="no platform 'boat'") as raised:
+        reach.probes(str(file), ["boat"], asked)
+    assert "quad simple" in raised.value.help
 
 
 def test_an_external_autopilot_is_told(platforms: dict[str, probe.Platform]) -> None:
@@ -166,9 +178,11 @@ def test_simple_robots_are_probed(platforms: dict[str, probe.Platform], tmp_path
 @pytest.mark.slow
 def test_the_quads_reachset_is_the_larger_one_because_it_overshoots(tmp_path: Path) -> None:
     """The published picture, with the very bundles: from a set of starts, moving, to a target 0.8 m ahead."""
-    of = probe.platforms(str(Path(__file__).parents[2] / "examples" / "lineform" / "fleet.yaml"))
-    asked = [Probe(of[name], (0.8, 0.0, 0.0), 90, 6.0, robots=30) for name in ("quad full", "car full")]
-    flying, driving = tube.reachsets(asked, Local(2), tmp_path / "out", 0.1, 0.05)
+    fleet = str(Path(__file__).parents[2] / "examples" / "lineform" / "fleet.yaml")
+    asked = reach.Asked((0.8, 0.0, 0.0), epsilon=0.1, gamma=0.05, robots=30)
+    flying, driving = reach.reachsets(fleet, ["quad full", "car full"], asked, Local(2), tmp_path / "out")
+    names = [file.name for file in reach.written([flying, driving], tmp_path / "left")]
+    assert names == ["quad-full.json", "car-full.json", "reachsets.txt", "reachsets.png"]
     found = tube.compared(flying, driving)
     assert flying.covered >= 0.9 and driving.covered >= 0.9
     assert flying.observed.overshoot > 0.05 > driving.observed.overshoot

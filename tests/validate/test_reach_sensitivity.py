@@ -32,9 +32,13 @@ def steered(random: np.random.Generator, count: int) -> Ways:
     return (1 + np.exp(-0.5 * TIMES) * (a * np.cos(w * TIMES) + b * np.sin(w * TIMES)))[..., None], starts
 
 
+def learned_of(ways: Array, starts: Array, each: int) -> tube.Tube:
+    return tube.tube(TIMES, ways, starts, each, 0.05, np.eye(ways.shape[2]))
+
+
 def found(of: Callable[[np.random.Generator, int], Ways], seed: int = 1) -> tube.Tube:
     each = sensitivity.bound(EPSILON, GAMMA)
-    return tube.tube(TIMES, *of(np.random.default_rng(seed), 3 * each), each, 0.05)
+    return learned_of(*of(np.random.default_rng(seed), 3 * each), each)
 
 
 @pytest.mark.parametrize("of", [lagging, steered])
@@ -90,9 +94,9 @@ def test_of_many_tubes_few_break_the_promise() -> None:
 def test_a_way_that_left_is_told() -> None:
     each = sensitivity.bound(EPSILON, GAMMA)
     ways, starts = lagging(np.random.default_rng(1), 3 * each)
-    plain = tube.tube(TIMES, ways, starts, each, 0.05)
+    plain = learned_of(ways, starts, each)
     ways[-3:, 100:150] += 1.0
-    learned = tube.tube(TIMES, ways, starts, each, 0.05)
+    learned = learned_of(ways, starts, each)
     assert plain.covered - 3 / each - 1e-9 <= learned.covered <= 1 - 3 / each + 1e-9
     assert learned.pairs_covered == pytest.approx(1 - 3 / each)
 
@@ -100,9 +104,9 @@ def test_a_way_that_left_is_told() -> None:
 def test_a_way_that_left_among_those_of_calibration_makes_the_tube_larger() -> None:
     each = sensitivity.bound(EPSILON, GAMMA)
     ways, starts = lagging(np.random.default_rng(1), 3 * each)
-    plain = tube.tube(TIMES, ways, starts, each, 0.05)
+    plain = learned_of(ways, starts, each)
     ways[each + 3, 100] += 0.3
-    wider = tube.tube(TIMES, ways, starts, each, 0.05)
+    wider = learned_of(ways, starts, each)
     assert wider.inflated > 2 * plain.inflated
     at = int(np.searchsorted(wider.edges, TIMES[100])) - 1
     assert (wider.upper[at] >= ways[each + 3, 100]).all()
@@ -122,4 +126,4 @@ def test_what_is_no_bound_is_refused(epsilon: float, gamma: float) -> None:
 
 def test_too_few_samples_are_refused() -> None:
     with pytest.raises(ValueError, match="there must be more"):
-        tube.tube(TIMES, *lagging(np.random.default_rng(1), 20), 10, 0.05)
+        learned_of(*lagging(np.random.default_rng(1), 20), 10)
