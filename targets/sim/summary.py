@@ -109,7 +109,6 @@ def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Su
         robot.waiting_for = outcome.waiting.get(robot.name)
         robot.last_lines = outcome.last_lines.get(robot.name, [])
     verdict, why = _verdict(outcome, violations, properties)
-    closest = outcome.closest
     return Summary(
         app=header.app,
         program_hash=header.program_hash,
@@ -123,11 +122,7 @@ def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Su
         noticed=monitored.beside(properties),
         causes=causes,
         robots=robots,
-        min_separation=Separation(
-            round(closest.distance, 4), closest.time, (names[closest.pids[0]], names[closest.pids[1]])
-        )
-        if closest
-        else None,
+        min_separation=_separation(outcome, names),
         min_separation_asked=header.min_separation,
         collisions=sum(v.what == "collision" for v in violations),
         real_time_factor=outcome.real_time_factor,
@@ -136,6 +131,14 @@ def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Su
         steps=outcome.steps,
         shares=outcome.shares,
     )
+
+
+def _separation(outcome: Outcome, names: dict[int, str]) -> Separation | None:
+    closest = outcome.closest
+    if closest is None:
+        return None
+    one, other = closest.pids
+    return Separation(round(closest.distance, 4), closest.time, (names[one], names[other]))
 
 
 class _Tally:
