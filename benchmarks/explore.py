@@ -32,7 +32,7 @@ from tests.explore import spin
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 ELECTION = EXAMPLES / "election/election.koord"
 SALT = 7
-BARE = {"symmetry": False, "independence": False}  # every reduction off
+BARE = {"symmetry": False, "independence": False, "forgetting": False}  # every reduction off
 OTHERS = ("atomicsum/atomicsum", "patrol/patrol", "task/task", "mapping/mapping")
 BOUND = 120.0  # seconds of one exploration
 

@@ -92,6 +92,8 @@ def _explore(command: argparse.ArgumentParser) -> None:
     command.add_argument("--no-symmetry", dest="symmetry", action="store_false", help=apart)
     orders = "try every order of robots, also where it makes no difference"
     command.add_argument("--no-independence", dest="independence", action="store_false", help=orders)
+    unread = "keep apart what differs only in what nobody reads any more"
+    command.add_argument("--no-forgetting", dest="forgetting", action="store_false", help=unread)
     quiet = "let robots wait for ever without `stop`"
     command.add_argument("--no-deadlock", dest="deadlock", action="store_false", help=quiet)
     command.add_argument("--fleet", metavar="FILE", help="a fleet file (YAML) for the values of params")

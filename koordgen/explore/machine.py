@@ -97,23 +97,26 @@ class Machine:
         self.params = initial(program, 1).params
         self.discards: list[Discard] = []
         self.enabled: set[int] = set()
+        self.watched: dict[str, type[rt.Cell[Any]]] = {}  # locals whose cells tell when they are read
+        self._look: rt.Transaction | None = None
+        self._sensors = {f"{module}.{port}": self.names.ports[module, port] for module, port in self.names.sensors}
 
     def choices(self, events: Sequence[int], pid: int, own: int, seen: Packed) -> tuple[Choice, ...]:
         """What a robot may do of these events where it sees a store: all whose guards hold, but those discarded."""
         robot = self.owns.values[own]
         if robot.stopped:
             return ()
-        frame = self.frame(pid, robot, seen)
-        looking = self.code.begin(frame)
+        looking = self._looking(pid, robot, seen)
         found = []
         for index in events:
             event = self.code.events[index]
             try:
                 if not event.guard(looking):
                     continue
-                done = rt.run(self.code, event.effect, self.code.begin(frame), event.line)
+                done = rt.run(self.code, event.effect, self.begin(self.frame(pid, robot, seen)), event.line)
             except Exception:  # of a guard: the same again, told as of an effect
-                done = rt.run(self.code, event.guard, self.code.begin(frame), event.line)  # type: ignore[arg-type]
+                again = self.begin(self.frame(pid, robot, seen))
+                done = rt.run(self.code, event.guard, again, event.line)  # type: ignore[arg-type]
             if isinstance(done, rt.Fault):
                 self.discards.append(Discard(pid, index, own, seen, done.line, done.reason))
             elif isinstance(done, rt.Effects):
@@ -141,16 +144,57 @@ class Machine:
             made[-1] = self._cells(fleet[-1], choice.cells)
         return tuple(made)
 
+    def begin(self, frame: rt.Frame) -> rt.Transaction:
+        """What an event works on."""
+        state = self.code.begin(frame)
+        for name, kind in self.watched.items():
+            state.written[name].__class__ = kind
+        return state
+
+    def watch(self, cells: Mapping[str, type[rt.Cell[Any]]]) -> None:
+        """Locals whose cells are of these classes from now on."""
+        self.watched = dict(cells)
+        self._look = None
+
+    def _looking(self, pid: int, robot: Own, seen: Packed) -> Any:
+        """What guards look at. They write nothing, so that it is one object, of which only what differs is put in."""
+        if self._look is None:
+            self._look, self._looked = self.begin(self.frame(pid, robot, seen)), (robot, seen)
+        look: Any = self._look
+        known, store = self._looked
+        self._looked = robot, seen
+        if store is not seen:
+            columns = zip(*[self.slots.values[number] for number in seen[:-1]], strict=True)
+            for name, column in zip(self.allread, columns, strict=False):
+                look.written[name]._values = column
+            for name, value in zip(self.allwrite, self.cells.values[seen[-1]], strict=True):
+                look.written[name]._value = value
+        if known is not robot:
+            for name, value in robot.locals.items():
+                look.written[name]._value = value
+            for name, value in robot.actuators.items():
+                look.written[name]._value = value
+            for name, value in robot.sensors.items():
+                setattr(look, self._sensors[name], value)
+        if known is not robot or look.pid != pid:
+            look.pid, look.call = pid, self._calling(pid, robot)
+            for name in self.allread:
+                look.written[name]._pid = pid
+        return look
+
     def frame(self, pid: int, robot: Own, seen: Packed) -> rt.Frame:
         """What a robot knows at an event."""
         columns = zip(*[self.slots.values[number] for number in seen[:-1]], strict=True)
         shared = dict(zip(self.allread, columns, strict=True)) if self.allread else {}
         shared |= dict(zip(self.allwrite, self.cells.values[seen[-1]], strict=True))
+        call = self._calling(pid, robot)
+        return rt.Frame(pid, self.n_sys, robot.locals, shared, robot.sensors, robot.actuators, call)
 
+    def _calling(self, pid: int, robot: Own) -> Callable[[str, tuple[Any, ...]], Any]:
         def call(port: str, args: tuple[Any, ...]) -> Any:
             return self.answer(pid, robot.sensors, port, args)
 
-        return rt.Frame(pid, self.n_sys, robot.locals, shared, robot.sensors, robot.actuators, call)
+        return call
 
     def own(self, robot: Own) -> int:
         """The number of what one robot has to itself."""

@@ -18,7 +18,9 @@ ELECTION = Path(__file__).parents[2] / "examples/election/election.koord"
 @pytest.mark.parametrize("tight", [False, True])
 @pytest.mark.parametrize("n_sys", [2, 3, 4])
 def test_ends_of_rounds_are_those_of_spin(n_sys: int, tight: bool, tmp_path: Path) -> None:
-    made, result = explored(check_file(str(ELECTION)).program, n_sys, symmetry=False, independence=False)
+    made, result = explored(
+        check_file(str(ELECTION)).program, n_sys, symmetry=False, independence=False, forgetting=False
+    )
     assert result.violation is None and not result.stopped
     states = [made.machine.state(fleet) for fleet in made.known]
     ours = {
