@@ -22,7 +22,9 @@ from typing import Any, NamedTuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from koordgen.explore.environment import Environment, Surroundings, answering, environment
+from koordgen.check.params import with_params
+from koordgen.explore.envfile import environment
+from koordgen.explore.environment import Environment, Surroundings, answering
 from koordgen.explore.machine import Machine
 from koordgen.explore.search import Bounds, Search
 from koordgen.ir.decl import Program
@@ -55,9 +57,9 @@ def ours(path: Path, robots: int, how: str, repeats: int, **switches: bool) -> R
     for _ in range(repeats):
         gc.collect()
         began = time.process_time()
-        program = check_file(str(path)).program
-        around = _environment(program, path)
-        machine = Machine(program, robots, answering(around), path.with_name(f"{path.stem}_functions.py"))
+        program, around = _surrounded(path, robots)
+        functions = path.with_name(f"{path.stem}_functions.py")
+        machine = Machine(program, robots, answering(around, program, robots), functions)
         search = Search(
             machine, Surroundings(machine, around), Bounds(seconds=BOUND), time.process_time, lambda _: None, **switches
         )
@@ -70,11 +72,12 @@ def ours(path: Path, robots: int, how: str, repeats: int, **switches: bool) -> R
     return min(rows, key=lambda row: row.search)
 
 
-def _environment(program: Program, path: Path) -> Environment:
-    file = path.with_name("explore.yaml")
-    around = environment(program, read_source(str(file)) if file.exists() else None, lambda *_: None)
+def _surrounded(path: Path, robots: int) -> tuple[Program, Environment]:
+    """The program, with the params of the environment that stands beside it."""
+    program, file = check_file(str(path)).program, path.with_name("explore.yaml")
+    around = environment(program, robots, read_source(str(file)), lambda *_: None)
     assert around is not None, f"{file} has a mistake"
-    return around
+    return with_params(program, around.params), around
 
 
 def of_spin(robots: int, tight: bool, repeats: int) -> Row:
@@ -117,12 +120,10 @@ def ratios(rows: list[Row]) -> dict[str, dict[str, float]]:
 
 
 def others(quick: bool) -> list[Row]:
-    """The other examples that need no environment, or have theirs beside them."""
+    """Other examples in their environments."""
     rows = []
     for name in OTHERS[:2] if quick else OTHERS:
         path = EXAMPLES / f"{name}.koord"
-        if name in OTHERS[2:] and not path.with_name("explore.yaml").exists():
-            continue
         for robots in (3, 4):
             rows.append(ours(path, robots, "koordgen", 1))
             show(rows[-1])

@@ -81,6 +81,7 @@ def _agent(these: Ingredients, target: Target, text: bytes, robot: Robot | None)
         **these.beside,
         "__main__.py": render("main_agent.py", module=module, name=name, drivers=_drivers(these)).encode(),
         "program.py": text,
+        "properties.py": _properties(these),
         program.path: these.source,
         "requirements.txt": _requirements(fleet, target),
         "README.md": render("README_agent.md", **values).encode(),
@@ -92,6 +93,10 @@ def _agent(these: Ingredients, target: Target, text: bytes, robot: Robot | None)
 
 def _functions(these: Ingredients) -> bytes:
     return these.beside.get(f"{functions_module(these.program)}.py", b"")
+
+
+def _properties(these: Ingredients) -> bytes:
+    return properties_text(these.program, these.fleet.drivers if these.fleet else ()).encode()
 
 
 def _drivers(these: Ingredients) -> list[tuple[str, str, str]]:
@@ -112,7 +117,7 @@ def _harness(these: Ingredients, target: Target, text: bytes, agents: dict[str, 
         **{path: data for path, data in these.beside.items() if path == functions},
         "__main__.py": render("main_harness.py", module=module, name=name).encode(),
         "program.py": text,
-        "properties.py": properties_text(program, fleet.drivers if fleet else ()).encode(),
+        "properties.py": _properties(these),
         f"{SOURCE}/{program.path}": these.source,
         f"{SOURCE}/{PARAMS}": _json(dict(these.params)),
         **{f"{SOURCE}/{path}": data for path, data in these.beside.items() if path == functions},
@@ -174,6 +179,7 @@ def settings(program: Program, fleet: Fleet, robot: Robot) -> dict[str, Any]:
         "control": robot.control,
         "planner_budget": fleet.planner_budget,
         "safety": fleet.safety,
+        "monitors": fleet.monitors,
         "avoid": fleet.avoid,
         "body": robot.settings,
     }

@@ -44,13 +44,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: Namespace) -> int:
-    from koordgen.pipeline import Rejected
-
     try:
         return _COMMANDS.get(options.command, _harness)(options)
-    except Rejected as rejected:
-        _show(rejected, options)
-        return WRONG
     except Failure as failure:
         _say(f"error: {failure}" + (f"\n  help: {failure.help}" if failure.help else ""))
         return failure.status
@@ -61,7 +56,12 @@ def _run(options: Namespace) -> int:
         sys.stderr.close()
         return SURROUNDINGS
     except Exception as error:
-        return _internal(error)
+        from koordgen.pipeline import Rejected
+
+        if not isinstance(error, Rejected):
+            return _internal(error)
+        _show(error, options)
+        return WRONG
 
 
 def _check(options: Namespace) -> int:
@@ -222,10 +222,22 @@ def _campaign(options: Namespace) -> int:
     return campaign(options)
 
 
+def _validate(options: Namespace) -> int:
+    from koordgen.cli.validate import validate
+
+    return validate(options)
+
+
 def _replay(options: Namespace) -> int:
     from koordgen.cli.replay import replay
 
     return replay(options)
+
+
+def _audit(options: Namespace) -> int:
+    from koordgen.cli.audit import audit
+
+    return audit(options)
 
 
 def _afterwards(options: Namespace) -> int:
@@ -238,6 +250,7 @@ _COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "check": _check, "dump": _dump, "build": _build, "prove": _prove, "explore": _explore, "fmt": _fmt,
     "explain": _explain, "estop": _estop, "basestation": _basestation, "doctor": _doctor, "key": _key,
     "report": _afterwards, "export": _afterwards, "campaign": _campaign, "replay": _replay,
+    "validate": _validate, "audit": _audit,
 }  # fmt: skip
 
 

@@ -201,10 +201,14 @@ def _jobs(
 
 
 def _ended(
-    carry_out: Callable[[Callable[[], bool]], None], kept: store.Store, planned: int, line: Line
+    carry_out: Callable[[Callable[[], bool]], None],
+    kept: store.Store,
+    planned: int,
+    line: Line,
+    again: str = "--resume",
 ) -> BaseException | None:
-    """Why it ended before its end, or None. What was finished is there either way."""
-    resumable = "{} of {} runs are finished; --resume goes on from there".format
+    """Why it ended before its end, or None. What was finished is there either way; `again` goes on with it."""
+    resumable = ("{} of {} runs are finished; " + f"{again} goes on from there").format
     try:
         with _noticed_signals() as noticed:
             carry_out(lambda: bool(noticed))
@@ -215,7 +219,7 @@ def _ended(
     except drive.DiskFull:
         line.end()
         said = f"the disk is full; {resumable(len(kept.results), planned)}"
-        return cli.Failure(cli.SURROUNDINGS, f"{kept.folder}: {said}", "make room and call it again with --resume")
+        return cli.Failure(cli.SURROUNDINGS, f"{kept.folder}: {said}", f"make room; {again} goes on")
     except crew.Unreachable as lost:
         line.end()
         return cli.Failure(cli.SURROUNDINGS, f"{lost}; {resumable(len(kept.results), planned)}", lost.help)

@@ -6,22 +6,28 @@ import json
 import sys
 import time
 from argparse import Namespace
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
+from koordgen import manifest
 from koordgen.check.params import BadParam, with_params
 from koordgen.cli import HOLDS, INCONCLUSIVE, INTERRUPTED, USAGE, VIOLATED, WRONG, Failure, _params, _tell
 from koordgen.cli.prove import save
 from koordgen.cli.terminal import Line
 from koordgen.diagnostics import Diagnostic
 from koordgen.emit.program import functions_module
-from koordgen.explore.environment import Environment, Lacking, Surroundings, answering, environment
+from koordgen.explore.envfile import environment
+from koordgen.explore.environment import Environment, Lacking, Surroundings, answering
 from koordgen.explore.machine import Machine
 from koordgen.explore.search import Bounds, Progress, Result, Search
 from koordgen.explore.show import document, itf, report, told, trace
 from koordgen.ir.decl import Program
-from koordgen.pipeline import Rejected, check_file, fleet_params, read_source
+from koordgen.pipeline import Checked, Rejected, check_file, read_fleet, read_source
 from koordgen.replay.functions import CannotCall
 from koordgen.source import Source, Span
+
+ROBOTS = 3  # where neither --robots nor a fleet says how many
 
 
 def explore(options: Namespace) -> int:
@@ -29,25 +35,28 @@ def explore(options: Namespace) -> int:
     checked = check_file(options.program)
     if options.format == "text":
         _tell([(checked.source, d) for d in checked.noticed], options)
+    robots, from_fleet = _fleet(options, checked)
     try:
-        given = {**fleet_params(options.fleet, checked, options.program), **_params(options.param)}
-        program = with_params(checked.program, given)
+        around = _environment(options, checked.program, robots)
+        program = with_params(checked.program, {**from_fleet, **around.params, **_params(options.param)})
+        result = _searched(options, program, robots, around)
     except BadParam as error:
         raise Failure(USAGE, str(error)) from None
-    result = _searched(options, program)
+    except Lacking as error:
+        raise Failure(USAGE, str(error), "docs/explore.md tells how such a file is written") from None
     if result.violation is not None:
         if options.trace:
             save(options.trace, trace(result.violation, program))
         if options.itf:
             save(options.itf, itf(result.violation, program))
     if options.format == "json":
-        print(json.dumps(document(result, program, options.robots), indent=2), flush=True)
+        print(json.dumps(document(result, program, robots), indent=2), flush=True)
     else:
-        sys.stdout.write(report(result, program, options.program, options.robots))
+        sys.stdout.write(report(result, program, options.program, robots))
     return _status(result)
 
 
-def _searched(options: Namespace, program: Program) -> Result:
+def _searched(options: Namespace, program: Program, robots: int, around: Environment) -> Result:
     line = Line(sys.stderr)
 
     def show(progress: Progress) -> None:
@@ -56,23 +65,29 @@ def _searched(options: Namespace, program: Program) -> Result:
     functions = options.functions or Path(options.program).with_name(f"{functions_module(program)}.py")
     bounds = Bounds(options.rounds, options.states, options.seconds)
     try:
-        around = _environment(options, program)
-        machine = Machine(program, options.robots, answering(around), Path(functions))
+        machine = Machine(program, robots, answering(around, program, robots), Path(functions))
         search = Search(
             machine, Surroundings(machine, around), bounds, time.monotonic, show,
             symmetry=options.symmetry, independence=options.independence, deadlock=options.deadlock,
             forgetting=options.forgetting,
         )  # fmt: skip
         return search.run()
-    except Lacking as error:
-        raise Failure(USAGE, str(error), "docs/explore.md tells how such a file is written") from None
     except CannotCall as error:
         raise Failure(WRONG, str(error), "name it with --functions") from None
     finally:
         line.end()
 
 
-def _environment(options: Namespace, program: Program) -> Environment:
+def _fleet(options: Namespace, checked: Checked) -> tuple[int, Mapping[str, Any]]:
+    """How many robots, and the values of params that a fleet file gives."""
+    if options.fleet is None:
+        return options.robots or ROBOTS, {}
+    targets = {name: manifest.load(name) for name in manifest.available()}
+    fleet, params = read_fleet(options.fleet, targets, checked.program, options.program)
+    return options.robots or len(fleet.robots), params
+
+
+def _environment(options: Namespace, program: Program, robots: int) -> Environment:
     source = read_source(options.env) if options.env else None
     found: list[tuple[Source, Diagnostic]] = []
 
@@ -80,7 +95,7 @@ def _environment(options: Namespace, program: Program) -> Environment:
         assert source is not None
         found.append((source, Diagnostic(code, "error", message, span, help=help)))
 
-    around = environment(program, source, note)
+    around = environment(program, robots, source, note)
     if around is None:
         raise Rejected(found)
     return around

@@ -83,9 +83,9 @@ def _prove(command: argparse.ArgumentParser) -> None:
 
 def _explore(command: argparse.ArgumentParser) -> None:
     command.add_argument("program", metavar="APP.koord")
-    command.add_argument("--robots", metavar="N", type=_count, default=3, help="how many (default: 3)")
+    command.add_argument("--robots", metavar="N", type=_count, help="how many (default: the fleet file's, or 3)")
     command.add_argument("--rounds", metavar="R", type=_count, help="go no farther (default: to the end)")
-    command.add_argument("--env", metavar="FILE", help="the values of sensors, what callable ports answer (YAML)")
+    command.add_argument("--env", metavar="FILE", help="the values of sensors, what callable ports may answer (YAML)")
     command.add_argument("--states", metavar="K", type=_count, help="end after so many states")
     command.add_argument("--seconds", metavar="S", type=_seconds, help="end after so long")
     apart = "tell robots apart also where the program does not"
@@ -96,7 +96,7 @@ def _explore(command: argparse.ArgumentParser) -> None:
     command.add_argument("--no-forgetting", dest="forgetting", action="store_false", help=unread)
     quiet = "let robots wait for ever without `stop`"
     command.add_argument("--no-deadlock", dest="deadlock", action="store_false", help=quiet)
-    command.add_argument("--fleet", metavar="FILE", help="a fleet file (YAML) for the values of params")
+    command.add_argument("--fleet", metavar="FILE", help="a fleet file (YAML): values of params, how many robots")
     command.add_argument("--param", metavar="NAME=VALUE", action="append", default=[], help="a param's value")
     command.add_argument("--functions", metavar="FILE", help="Python of the extern functions")
     command.add_argument("--trace", metavar="FILE", help="write the run to a violation as koord-trace/1")
@@ -209,10 +209,59 @@ def _campaign(command: argparse.ArgumentParser) -> None:
     _of_a_build(command, fleet_required=True)
 
 
+def _validate(command: argparse.ArgumentParser) -> None:
+    command.add_argument("program", metavar="APP.koord")
+    command.add_argument("--fleet", metavar="FILE", required=True, help="the fleet file (YAML)")
+    samples = "runs, each from a start of its own (default: as many as epsilon and gamma want)"
+    command.add_argument("--samples", metavar="N", type=_count, help=samples)
+    epsilon = "a run violates with a probability below E (default: 0.05)"
+    command.add_argument("--epsilon", metavar="E", type=_part, default=0.05, help=epsilon)
+    gamma = "said with confidence 1 - G (default: 0.05)"
+    command.add_argument("--gamma", metavar="G", type=_part, default=0.05, help=gamma)
+    command.add_argument("--seconds", metavar="S", type=_seconds, default=30.0, help="of each run (default: 30)")
+    command.add_argument("--seed", metavar="K", type=_natural, default=1, help="of the first run (default: 1)")
+    command.add_argument(
+        "--jobs", metavar="J", type=_count, help="runs at a time (default: as many as there are cores)"
+    )
+    command.add_argument("--cluster", metavar="ADDRESS", help="hand the runs to this Dask scheduler")
+    command.add_argument("--out", metavar="DIR", help="where runs, table and picture go (default: validate-<app>)")
+    command.add_argument("--quiet", action="store_true", help="no progress")
+    command.add_argument("--param", metavar="NAME=VALUE", action="append", default=[], help="a param's value")
+    command.add_argument("--functions", metavar="FILE", help="Python of the extern functions")
+    command.add_argument("--format", choices=("text", "json"), default="text", help="of what is told (default: text)")
+
+
+def _part(text: str) -> float:
+    value = float(text)
+    if not 1e-6 <= value <= 0.999:
+        raise argparse.ArgumentTypeError(f"{text} is no probability; give 0.000001 to 0.999")
+    return value
+
+
+def _natural(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise ValueError
+    return value
+
+
 def _replay(command: argparse.ArgumentParser) -> None:
     command.add_argument("trace", metavar="TRACE", help="a run's folder, its trace.jsonl, or a robot's own trace")
     command.add_argument("--program", metavar="APP.koord", help="the program (default: that in the run's folder)")
     _of_a_build(command)
+
+
+def _audit(command: argparse.ArgumentParser) -> None:
+    traces = "robots' own traces, folders of them, a run's folder or its merged trace.jsonl"
+    command.add_argument("traces", metavar="TRACE", nargs="+", help=traces)
+    command.add_argument("--program", metavar="APP.koord", help="the program (default: that in the run's folder)")
+    proof = "ask the prover about each invariant that was violated"
+    command.add_argument("--prove", action="store_true", help=proof)
+    command.add_argument("--plot", metavar="FILE", help="draw the properties over time (png, svg or pdf)")
+    command.add_argument("--fleet", metavar="FILE", help="a fleet file (YAML) for the values of params")
+    command.add_argument("--param", metavar="NAME=VALUE", action="append", default=[], help="a param's value")
+    command.add_argument("--functions", metavar="FILE", help="Python of the extern functions")
+    command.add_argument("--format", choices=("text", "json"), default="text", help="of what is told (default: text)")
 
 
 def _count(text: str) -> int:
@@ -262,7 +311,9 @@ _COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "doctor": ("look whether a robot is ready for a mission, on its own computer; nothing moves", _doctor),
     "key": ("make a fleet's key", _key),
     "replay": ("run a trace's program again on what its robots saw, and compare what they did", _replay),
+    "audit": ("judge a program's properties by the traces of a whole fleet", _audit),
     "campaign": ("run a fleet many times, and tell what came of it", _campaign),
+    "validate": ("hold what a program assumes of its ports to simulated platforms, many times", _validate),
     "report": ("make the page that shows a run: moving pictures, rounds, shared variables, network", _report),
     "export": ("write a run's trace as MCAP, CSV, pictures or a film", _export),
 }

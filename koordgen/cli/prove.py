@@ -39,7 +39,7 @@ def run(options: Namespace) -> int:
     limits = Limits(query=options.timeout, total=max(ALL_QUERIES, 10 * options.timeout))
     try:
         with solver_of(options.solver, limits) as solver:
-            solver.start()  # it loads while the program is checked
+            solver.start()  # it loads while the compiler does, and the program is checked
             return proved(options, solver)
     except SolverMissing as error:
         raise Failure(SURROUNDINGS, str(error), f"{sys.executable} -m pip install 'koordgen[prove]'") from None
@@ -55,6 +55,7 @@ def proved(options: Namespace, solver: Solver | Both) -> int:
     given = {**fleet_params(options.fleet, checked, options.program), **_params(options.param)}
     question = fixed(checked.program, given)
     found = asked(checked.program, question, numbers(options.robots), solver)
+    solver.stop()  # what it holds is freed while we tell
     tell(options, found)
     if options.emit is not None:
         emit(options.emit, files(checked.source, checked.program, question, numbers(options.robots), found))
@@ -123,14 +124,16 @@ def tell(options: Namespace, found: list[list[Verdict]]) -> None:
 def files(
     source: Source, program: Program, params: Mapping[str, Expr], robots: list[int | None], found: list[list[Verdict]]
 ) -> dict[str, bytes]:
-    """What `--emit` writes, for all numbers of robots that were asked for: each obligation as it was asked last."""
+    """What `--emit` writes, for all numbers of robots that were asked for: each obligation as it was asked last, with
+    the names of all cells."""
+    from koordgen.node import replace
     from koordgen.prove.emit import folder
     from koordgen.prove.generate import obligations
 
     made = []
     for number, verdicts in zip(robots, found, strict=True):
         asked = {o.obligation.name: o.obligation for verdict in verdicts for o in verdict.outcomes}
-        made += [asked.get(o.name, o) for o in obligations(program, number, params)]
+        made += [replace(asked.get(o.name, o), cells=o.cells) for o in obligations(program, number, params)]
     return folder(made, lambda _, line: source.line(line))
 
 

@@ -181,9 +181,7 @@ class Forgetting:
     def _alone(self, frame: rt.Frame) -> rt.Transaction:
         """An event's State that shows nothing but the robot's locals, actuators and own slots."""
         machine = self.machine
-        state = machine.begin(
-            rt.Frame(frame.pid, frame.n_sys, frame.locals, frame.shared, frame.sensors, frame.actuators, _nobody)
-        )
+        state = machine.begin(frame)
         for name in machine.allread:
             state.written[name].__class__ = _OwnSlots
         for name in machine.allwrite:
@@ -192,10 +190,6 @@ class Forgetting:
             module, _, port = name.partition(".")
             delattr(state, machine.names.ports[module, port])
         return state
-
-
-def _nobody(port: str, args: tuple[Any, ...]) -> Any:
-    raise _Others
 
 
 def _turns_on(event: decl.Event) -> str | None:

@@ -8,7 +8,7 @@ by all their bits; what no event can read, the number of the round, is left out.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from itertools import count
 from pathlib import Path
 from types import ModuleType
@@ -26,7 +26,9 @@ from koordgen.semantics.step import initial
 
 T = TypeVar("T")
 Packed = tuple[int, ...]
-Answer = Callable[[int, Mapping[str, Any], str, tuple[Any, ...]], Any]  # pid, its sensors, "Module.port", arguments
+Call = Callable[[str, tuple[Any, ...]], Any]  # "Module.port", arguments -> the answer
+# pid, its sensors, "Module.port", arguments -> all that may be answered
+Answer = Callable[[int, Mapping[str, Any], str, tuple[Any, ...]], tuple[Any, ...]]
 _numbers = count()
 
 
@@ -57,6 +59,40 @@ class Discard(NamedTuple):
     seen: Packed
     line: int
     reason: str
+
+
+class Asking:
+    """The ways an event can go, by what callable ports answer: any of what they may, equal questions the same."""
+
+    def __init__(self, answers: Callable[[str, tuple[Any, ...]], tuple[Any, ...]]) -> None:
+        self._answers = answers
+        self._raised: Exception | None = None
+
+    def ways(self) -> Iterator[None]:
+        """Each is to be followed by a run of the event. Raises what the answers raise, which a run would take for a
+        fault of the event's."""
+        self._pending: list[tuple[int, ...]] = [()]
+        while self._pending:
+            self._script = self._pending.pop()
+            self._given: dict[Hashable, Any] = {}
+            yield
+            if self._raised is not None:
+                raise self._raised
+
+    def call(self, port: str, args: tuple[Any, ...]) -> Any:
+        key = (port, repr(args))
+        if key not in self._given:
+            place = len(self._given)
+            try:
+                options = self._answers(port, args)
+            except Exception as error:
+                self._raised = error
+                raise
+            if place == len(self._script):
+                self._pending += [(*self._script, other) for other in range(1, len(options))]
+                self._script = (*self._script, 0)
+            self._given[key] = options[self._script[place]]
+        return self._given[key]
 
 
 class Interned(Generic[T]):
@@ -106,35 +142,50 @@ class Machine:
         robot = self.owns.values[own]
         if robot.stopped:
             return ()
-        looking = self._looking(pid, robot, seen)
-        found = []
+        asking = self._asking(pid, robot)
+        looking = self._looking(pid, robot, seen, asking.call)
+        found: dict[Choice, None] = {}
         for index in events:
-            event = self.code.events[index]
-            try:
-                if not event.guard(looking):
-                    continue
-                done = rt.run(self.code, event.effect, self.begin(self.frame(pid, robot, seen)), event.line)
-            except Exception:  # of a guard: the same again, told as of an effect
-                again = self.begin(self.frame(pid, robot, seen))
-                done = rt.run(self.code, event.guard, again, event.line)  # type: ignore[arg-type]
-            if isinstance(done, rt.Fault):
-                self.discards.append(Discard(pid, index, own, seen, done.line, done.reason))
-            elif isinstance(done, rt.Effects):
-                self.enabled.add(index)
-                found.append(self._choice(index, pid, robot, seen, done))
+            for _ in asking.ways():
+                done = self._run(self.code.events[index], looking, lambda: self.frame(pid, robot, seen, asking.call))
+                if isinstance(done, rt.Fault):
+                    self.discards.append(Discard(pid, index, own, seen, done.line, done.reason))
+                elif isinstance(done, rt.Effects):
+                    self.enabled.add(index)
+                    found[self._choice(index, pid, robot, seen, done)] = None
         return tuple(found)
 
-    def begun(self, fleet: Packed) -> Packed:
-        """A fleet after every robot's init, each on the store before it."""
-        after = fleet
-        for pid in range(self.n_sys) if self.code.init is not None else ():
-            robot, seen = self.owns.values[fleet[pid]], fleet[self.n_sys :]
-            done = rt.run(self.code, self.code.init, self.code.begin(self.frame(pid, robot, seen)))  # type: ignore[arg-type]
-            if isinstance(done, rt.Fault):
-                self.discards.append(Discard(pid, -1, fleet[pid], seen, done.line, done.reason))
-            else:
-                after = self.applied(after, pid, self._choice(-1, pid, robot, seen, done))
-        return after
+    def _asking(self, pid: int, robot: Own) -> Asking:
+        return Asking(lambda port, args: self.answer(pid, robot.sensors, port, args))
+
+    def _run(self, event: rt.Event, looking: Any, frame: Callable[[], rt.Frame]) -> rt.Effects | rt.Fault | None:
+        """What an event does; None where its guard does not hold."""
+        try:
+            if not event.guard(looking):
+                return None
+            return rt.run(self.code, event.effect, self.begin(frame()), event.line)
+        except Exception:  # of a guard: the same again, told as of an effect
+            return rt.run(self.code, event.guard, self.begin(frame()), event.line)  # type: ignore[arg-type]
+
+    def begun(self, fleet: Packed) -> list[Packed]:
+        """A fleet after every robot's init, each on the store before it, in every way that this can go."""
+        init = self.code.init
+        if init is None:
+            return [fleet]
+        found, seen = [fleet], fleet[self.n_sys :]
+        for pid in range(self.n_sys):
+            robot = self.owns.values[fleet[pid]]
+            asking = self._asking(pid, robot)
+            frame = self.frame(pid, robot, seen, asking.call)
+            made: dict[Choice, None] = {}
+            for _ in asking.ways():
+                done = rt.run(self.code, init, self.code.begin(frame))
+                if isinstance(done, rt.Fault):
+                    self.discards.append(Discard(pid, -1, fleet[pid], seen, done.line, done.reason))
+                else:
+                    made[self._choice(-1, pid, robot, seen, done)] = None
+            found = [self.applied(after, pid, choice) for after in found for choice in made]
+        return found
 
     def applied(self, fleet: Packed, pid: int, choice: Choice) -> Packed:
         """A fleet after one robot's event, all of its writes together."""
@@ -156,7 +207,7 @@ class Machine:
         self.watched = dict(cells)
         self._look = None
 
-    def _looking(self, pid: int, robot: Own, seen: Packed) -> Any:
+    def _looking(self, pid: int, robot: Own, seen: Packed, call: Call) -> Any:
         """What guards look at. They write nothing, so that it is one object, of which only what differs is put in."""
         if self._look is None:
             self._look, self._looked = self.begin(self.frame(pid, robot, seen)), (robot, seen)
@@ -176,25 +227,17 @@ class Machine:
                 look.written[name]._value = value
             for name, value in robot.sensors.items():
                 setattr(look, self._sensors[name], value)
-        if known is not robot or look.pid != pid:
-            look.pid, look.call = pid, self._calling(pid, robot)
-            for name in self.allread:
-                look.written[name]._pid = pid
+        look.pid, look.call = pid, call
+        for name in self.allread:
+            look.written[name]._pid = pid
         return look
 
-    def frame(self, pid: int, robot: Own, seen: Packed) -> rt.Frame:
+    def frame(self, pid: int, robot: Own, seen: Packed, call: Call = rt.no_ports) -> rt.Frame:
         """What a robot knows at an event."""
         columns = zip(*[self.slots.values[number] for number in seen[:-1]], strict=True)
         shared = dict(zip(self.allread, columns, strict=True)) if self.allread else {}
         shared |= dict(zip(self.allwrite, self.cells.values[seen[-1]], strict=True))
-        call = self._calling(pid, robot)
         return rt.Frame(pid, self.n_sys, robot.locals, shared, robot.sensors, robot.actuators, call)
-
-    def _calling(self, pid: int, robot: Own) -> Callable[[str, tuple[Any, ...]], Any]:
-        def call(port: str, args: tuple[Any, ...]) -> Any:
-            return self.answer(pid, robot.sensors, port, args)
-
-        return call
 
     def own(self, robot: Own) -> int:
         """The number of what one robot has to itself."""
@@ -283,7 +326,7 @@ def _compiled(program: decl.Program, functions: Path | None) -> dict[str, Any]:
         if functions is None or not functions.is_file():
             missing = functions or f"{functions_module(program)}.py"
             raise CannotCall(f"{missing}, which has the extern functions, is not there")
-        load(functions_module(program), functions)
+        load(program, functions)
     name = f"explored{next(_numbers)}"
     module = sys.modules[name] = ModuleType(name)  # where annotations of records are looked up
     scope: dict[str, Any] = vars(module)

@@ -85,7 +85,7 @@ class Search:
     ) -> None:  # fmt: skip
         self.machine, self.around, self.bounds, self.clock, self.show = machine, around, bounds, clock, show
         self.invariants = Invariants(machine)
-        self.apart = distinguishes(machine.program) if symmetry else "it is switched off"
+        self.apart = (around.apart or distinguishes(machine.program)) if symmetry else "it is switched off"
         self.independence, self.deadlock = independence, deadlock
         self.forgetting = Forgetting(machine) if forgetting else None
         self._fresh()
@@ -216,7 +216,8 @@ class Search:
                 allowed = False
             if allowed:
                 before = machine.packed(state)
-                yield before, machine.begun(before)
+                begun = machine.begun(before)
+                yield from [(before, after) for after in begun] if not machine.discards else [(before, before)]
 
     def _look(self) -> None:
         """Shows the progress. Raises _Over where a bound ends the search."""
@@ -251,7 +252,7 @@ class Search:
         while (parent := self.known[chain[-1]]) is not None:
             chain.append(parent)
         before = self.begin[chain[-1]]
-        at = self.machine.begun(before)
+        at = next(after for after in self.machine.begun(before) if self.alike(after) == chain[-1])
         moments = [Moment(self.machine.state(before, 0), "", None, 0), Moment(self.machine.state(at), "init", None, 0)]
         for number, target in enumerate(reversed(chain[:-1]), 1):
             at = self._step_to(moments, at, target, number)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 
 from koordgen.ir import decl
@@ -10,7 +11,7 @@ from koordgen.prove.ledger import LEMMAS
 from koordgen.prove.obligation import Fact, Obligation
 from koordgen.prove.solve import Answer
 from koordgen.prove.spell import nodes, spelled
-from koordgen.prove.term import Op, Term, Value
+from koordgen.prove.term import NONLINEAR
 
 MOST = 3  # of what is named
 
@@ -22,7 +23,7 @@ def doubt(program: decl.Program, obligation: Obligation, answer: Answer, unshown
     if answer.result == "unknown":
         hard = list(dict.fromkeys(_products(program, obligation)))[:MOST]
         if not hard:
-            return f"{where}: {answer.reason}"
+            return f"{where}: {answer.reason}{_many(obligation) if exhausted(answer) else ''}"
         many = "products or quotients" if len(hard) > 1 else "a product or quotient"
         terms = f"{many} of unknowns: {', '.join(hard)}"
         helps = "; values for params (--param) may help" if program.params else ""
@@ -32,12 +33,23 @@ def doubt(program: decl.Program, obligation: Obligation, answer: Answer, unshown
     return f"{where}: {unshown}{known}. Say more of it in an invariant, a contract or an axiom"
 
 
+def exhausted(answer: Answer) -> bool:
+    """Whether a solver had too little time or memory, rather than that it broke, or gave up."""
+    return any(word in answer.reason for word in ("--timeout", "memory"))
+
+
+def _many(obligation: Obligation) -> str:
+    """What there is most of in an obligation."""
+    (label, count), *_ = Counter(fact.label for fact in obligation.facts).most_common(1) or [("", 0)]
+    if not count:
+        return ""
+    return f". It is linear: what is hard in it is how much it is, {len(obligation.facts)} facts, {count} of `{label}`"
+
+
 def _products(program: decl.Program, obligation: Obligation) -> Iterator[str]:
     """The program's expressions that make an obligation non-linear, with their lines."""
     facts: list[Fact] = [*obligation.facts, *([obligation.goal] if obligation.goal is not None else [])]
-    seen: set[Term] = set()
-    lines = {fact.line for fact in facts if _nonlinear(fact.term, seen)}
-    if not lines:
+    if not any(fact.term.traits & NONLINEAR for fact in facts):
         return
     events = tuple([event for event in program.events if event.name == obligation.event])
     for part in (events, program.init, program.functions, program.properties, program.modules):
@@ -50,19 +62,6 @@ def _products(program: decl.Program, obligation: Obligation) -> Iterator[str]:
                     within.update(n for n in nodes(node) if isinstance(n, ir.Binary))
     if any(fact.label == "distance of two points" and not fact.line for fact in facts):
         yield "distances told by the squares of coordinates"
-
-
-def _nonlinear(term: Term, seen: set[Term]) -> bool:
-    pending, found = [term], False
-    while pending:
-        part = pending.pop()
-        if part in seen or isinstance(part, Value):
-            continue
-        seen.add(part)
-        if isinstance(part, Op) and part.name in ("*", "/", "div", "mod"):
-            found = found or sum(not isinstance(a, Value) for a in part.args) > 1
-        pending.extend(part.args)
-    return found
 
 
 def _literal(node: ir.Expr) -> bool:

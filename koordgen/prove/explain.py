@@ -136,7 +136,7 @@ class Explainer:
     def of(self, program: decl.Program, robots: int) -> list[Obligation]:
         key = (program, robots)
         if key not in self.made:
-            self.made[key] = obligations(program, robots, self.params, exact=True)
+            self.made[key] = obligations(program, robots, self.params, told="most")
         return self.made[key]
 
     def lacking(self, proved: decl.Program, invariant: decl.Property) -> tuple[str, ...] | None:
@@ -165,7 +165,7 @@ class Explainer:
 
 def _usual(obligation: Obligation, program: decl.Program) -> Iterator[Term]:
     """That the params have the values that the program gives them."""
-    values = initial(program, 1).params
+    values = initial(replace(program, shared=(), locals=(), modules=()), 1).params  # first values may not be exact
     for cell in obligation.cells:
         parts = flat(values.get(cell.name))
         if cell.robot is None and len(parts) == len(cell.terms):

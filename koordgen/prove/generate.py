@@ -6,7 +6,7 @@ in the round by then; and so does each moment of the environment's step. docs/pr
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from koordgen.ir import decl
 from koordgen.ir import expr as ir
@@ -18,9 +18,8 @@ from koordgen.prove.encode.stmt import Cut, Frame
 from koordgen.prove.encode.values import Val
 from koordgen.prove.fragment import complete
 from koordgen.prove.goal import goal
-from koordgen.prove.moment import Setting, Stage, temps_of
+from koordgen.prove.moment import Setting, Stage, Told, temps_of
 from koordgen.prove.obligation import Cell, Fact, Kind, Moment, Obligation
-from koordgen.prove.term import Term
 from koordgen.prove.within import changes
 
 WELL_DEFINED = "(well-defined)"
@@ -29,21 +28,21 @@ Goal = tuple[decl.Property, str, tuple[Fact, ...]]  # an invariant, at which pla
 
 
 def obligations(
-    program: Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None, exact: bool = False
+    program: Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None, told: Told = "usual"
 ) -> list[Obligation]:
     """Everything that is to be shown of a checked program: for `robots` robots, or for any number of them; with the
     values of `params`, the others being any. To leave an invariant out, or to add one, hand over a program without or
-    with it. `exact`: distances are told by the squares of coordinates in any case, which is slower to solve, and what a
-    counterexample must satisfy."""
-    return [obligation for room in rooms(program, robots, params, exact) for obligation in room]
+    with it. `told`: how much of what is known of distances and of the round; "most" is slower to solve, and what a
+    counterexample must satisfy; with "little" there are no cells."""
+    return [obligation for room in rooms(program, robots, params, told) for obligation in room]
 
 
 def rooms(
-    program: Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None, exact: bool = False
+    program: Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None, told: Told = "usual"
 ) -> Iterator[list[Obligation]]:
     """The same, by and by: those that share their facts together."""
     t.forget()
-    setting = Setting(program, robots, params, exact)
+    setting = Setting(program, robots, params, told)
     for single in consistent(setting):
         yield [single]
     yield base(setting)
@@ -57,7 +56,7 @@ def assumptions(
 ) -> list[Obligation]:
     """Those of the obligations that ask whether what is assumed can be true."""
     t.forget()
-    return consistent(Setting(program, robots, params, False))
+    return consistent(Setting(program, robots, params, "little"))
 
 
 def base(setting: Setting) -> list[Obligation]:
@@ -144,7 +143,7 @@ def consistent(setting: Setting) -> list[Obligation]:
     """What is assumed can be true: the mission's start, and a step of the environment within the invariants."""
     found = []
     for name in ("initially", "environment"):
-        stage = Stage(setting)
+        stage = Stage(setting, thorough=True)
         room = stage.room
         room.robot(t.integer(0), known=True)
         if name == "initially":
@@ -157,7 +156,7 @@ def consistent(setting: Setting) -> list[Obligation]:
             stage.holds(setting.invariants, now)
             stage.ports(now, after)
             cells = stage.cells([("before", now), ("after", after)])
-        facts = stage.close(thorough=True)
+        facts = stage.close()
         out = _Output(stage, "consistency", "", 1, facts, cells)
         found.append(out.one(f"consistency-{name}", "", None, (), ()))
     return found
@@ -182,9 +181,9 @@ class _Output:
         self.stage, self.kind, self.event, self.line = stage, kind, event, line
         self.facts, self.cells = facts, cells
         self.notes = tuple(stage.room.notes)
-        self.seen: set[Term] = set()
-        self.real = self.nonlinear = False
-        self.look([fact.term for fact in facts])
+        self.traits = 0
+        for fact in facts:
+            self.traits |= fact.term.traits
         self.complete = complete(stage.setting) and not stage.room.partial
 
     def all(
@@ -215,7 +214,8 @@ class _Output:
             line = conjuncts[0].line if conjuncts else self.line
             goal = Fact(invariant, t.all_of([c.term for c in conjuncts]), program.path, line)
         facts = self.before(invariant) + assumed
-        self.look([fact.term for fact in (*assumed, *([goal] if goal else []))])
+        for fact in (*assumed, *([goal] if goal else [])):
+            self.traits |= fact.term.traits
         return Obligation(
             name, kind or self.kind, invariant, self.event, program.path, self.line, self.logic(), facts,
             goal, "sat" if goal is None else "unsat", conjuncts, self.cells, self.complete,
@@ -230,22 +230,6 @@ class _Output:
         later = {f"invariant {name}{AFTERWARDS}" for name in names}
         return tuple([fact for fact in self.facts if fact.label not in later])
 
-    def look(self, terms: Iterable[Term]) -> None:
-        """Notes what the logic must have."""
-        pending = list(terms)
-        while pending:
-            term = pending.pop()
-            if term in self.seen:
-                continue
-            self.seen.add(term)
-            self.real = self.real or term.sort is t.REAL
-            if isinstance(term, t.Value):
-                continue
-            if isinstance(term, t.Op) and term.name in ("*", "/", "div", "mod"):
-                literals = [isinstance(a, t.Value) for a in term.args]
-                self.nonlinear = self.nonlinear or not (any(literals) if term.name == "*" else literals[1])
-            pending.extend(term.args)
-
     def logic(self) -> str:
         """The logic of SMT-LIB that all terms of the room are in."""
-        return f"QF_UF{'N' if self.nonlinear else 'L'}{'IRA' if self.real else 'IA'}"
+        return f"QF_UF{'N' if self.traits & t.NONLINEAR else 'L'}{'IRA' if self.traits & t.REALS else 'IA'}"

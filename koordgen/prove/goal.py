@@ -58,7 +58,7 @@ class _Goals:
                 pass
             case _:
                 term = t.implies(guard, self.stage.encoder.defined(formula, self.scope))
-                label = f"invariant {self.name}: {shown(formula)}"
+                label = f"invariant {self.name}{'' if self.stage.brief else f': {shown(formula)}'}"
                 self.found.append(Fact(label, term, self.stage.setting.program.path, formula.span.line))
 
     def of_others(self, robots: tuple[Term, ...]) -> bool:

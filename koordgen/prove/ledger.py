@@ -34,15 +34,23 @@ class Entry(NamedTuple):
     checked: str
 
 
-def ledger(program: decl.Program, obligations: Iterable[Obligation]) -> tuple[Entry, ...]:
-    """What these obligations rest on: the parts of the program that stand among their facts, and their notes."""
-    used: set[int] = set()
-    notes: dict[str, None] = {}
-    for obligation in obligations:
-        used.update(fact.line for fact in obligation.facts)
-        notes.update(dict.fromkeys(obligation.notes))
-    written = [entry for entry, span in _written(program) if used.intersection(range(span.line, span.end_line + 1))]
-    return (*written, *_general(program), *[_noted(note, program) for note in notes])
+class Ledger:
+    """Of one program."""
+
+    def __init__(self, program: decl.Program) -> None:
+        self.program = program
+        self.written = tuple(_written(program))
+        self.general = tuple(_general(program))
+
+    def of(self, obligations: Iterable[Obligation]) -> tuple[Entry, ...]:
+        """What these rest on: the parts of the program that stand among their facts, and their notes."""
+        used: set[int] = set()
+        notes: dict[str, None] = {}
+        for obligation in obligations:
+            used.update([fact.line for fact in obligation.facts])
+            notes.update(dict.fromkeys(obligation.notes))
+        written = [entry for entry, span in self.written if used.intersection(range(span.line, span.end_line + 1))]
+        return (*written, *self.general, *[_noted(note, self.program) for note in notes])
 
 
 def _noted(note: str, program: decl.Program) -> Entry:

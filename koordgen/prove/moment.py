@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from typing import Literal
 
 from koordgen.ir import decl, stmt
 from koordgen.ir import expr as ir
@@ -20,24 +21,27 @@ from koordgen.prove.encode.values import Val
 from koordgen.prove.obligation import Cell, Fact, Moment
 from koordgen.prove.term import Term
 
+# How much of what is known is told: "little" is what proofs mostly need, "most" all that is known, which solvers find
+# hard. Counterexamples are of what is told "usual"ly, or most.
+Told = Literal["little", "usual", "most"]
+Trigger = ir.Call | ir.ExternCall | ir.Builtin
 UNROLLED, PAIRED = 20, 4  # robots, at most, that are spoken of one by one; where formulas speak of pairs of them
 
 
 class Setting:
-    """A program, how many robots it has (None: any number), the params that have values, whether distances are told by
-    squares."""
+    """A program, how many robots it has (None: any number), the params that have values, how much is told."""
 
     def __init__(
-        self, program: decl.Program, robots: int | None, params: Mapping[str, ir.Expr] | None, exact: bool
+        self, program: decl.Program, robots: int | None, params: Mapping[str, ir.Expr] | None, told: Told
     ) -> None:
-        self.exact = exact
+        self.told = told
         pairs = any(_pairs(p.formula) for p in program.properties)
         self.unrolled = robots is not None and (robots <= (PAIRED if pairs else UNROLLED))
         self.program, self.robots, self.params = program, robots, params or {}
         self.types = declared(program)
         self.sensors = sensors(program)
         self.invariants = [p for p in program.properties if p.kind == "invariant"]
-        self.axioms = [p for p in program.properties if p.kind == "axiom"]
+        self.axioms = [(p, *_triggers(p.formula)) for p in program.properties if p.kind == "axiom"]
         self.initially = [p for p in program.properties if p.kind == "initially"]
         self.mentions = {p.name: frozenset(mentioned(p.formula)) for p in self.invariants}
 
@@ -49,12 +53,17 @@ class Setting:
 class Stage:
     """The room of one obligation, or of several that share their facts."""
 
-    def __init__(self, setting: Setting) -> None:
+    def __init__(self, setting: Setting, thorough: bool = False) -> None:
+        """`thorough`: everything is told of distances, in any case."""
+        self.thorough = thorough or setting.told == "most"
         program = setting.program
         self.setting = setting
+        self.brief = setting.told == "little"
         self.room = Room(program, setting.robots, setting.unrolled)
         self.params: dict[str, Val] = {}
+        self.looked: dict[int, int] = {}  # of an axiom's trigger: of how many calls it was told
         self.encoder = Functions(self.room, self.params).encoder
+        self.encoder.geometry.brief = self.brief and not thorough
         for param in program.params:
             self.params[param.name] = self._param(param)
         for property_ in setting.initially:
@@ -163,38 +172,41 @@ class Stage:
 
     def axioms(self) -> None:
         """What is known of spec functions, for the values that were met."""
-        for axiom in self.setting.axioms:
+        for axiom, free, triggers in self.setting.axioms:
             with self.room.about(f"axiom {axiom.name}", axiom.span.line):
-                self._axiom(axiom)
+                if not free:
+                    self.assume(axiom.formula, OfFleet(_Nowhere()))
+                for trigger in triggers:
+                    self._axiom(axiom, trigger)
 
-    def _axiom(self, axiom: decl.Property) -> None:
-        free = decl.free(axiom.formula)
-        if not free:
-            self.assume(axiom.formula, OfFleet(_Nowhere()))
-            return
-        triggers = [n for n in nodes(axiom.formula) if isinstance(n, (ir.Call, ir.ExternCall, ir.Builtin))
-                    and free.keys() <= {a.name for a in n.args if isinstance(a, ir.TempRead)}]  # fmt: skip
-        for trigger in triggers:
-            for args, _ in list(self.encoder.calls.get(trigger.name, ())):
-                scope = OfFleet(_Nowhere())
-                places = zip(trigger.args, args, strict=True)
-                scope.temps = {a.name: v for a, v in places if isinstance(a, ir.TempRead)}
-                self.room.fact(self.encoder.defined(axiom.formula, scope))
+    def _axiom(self, axiom: decl.Property, trigger: Trigger) -> None:
+        """Of each call once."""
+        met = self.encoder.calls.get(trigger.name, [])
+        done = self.looked.get(id(trigger), 0)
+        self.looked[id(trigger)] = len(met)
+        for args in met[done : len(met)]:
+            scope = OfFleet(_Nowhere())
+            places = zip(trigger.args, args, strict=True)
+            scope.temps = {a.name: v for a, v in places if isinstance(a, ir.TempRead)}
+            self.room.fact(self.encoder.defined(axiom.formula, scope))
 
-    def close(self, thorough: bool = False) -> tuple[Fact, ...]:
+    def close(self) -> tuple[Fact, ...]:
         """All facts, once nothing more is asked. What is told of distances brings forth others: of those it is told
-        once, or twice where it is to be `thorough`, or all else has failed."""
-        for _ in range(3 if thorough or self.setting.exact else 2):
+        once, or twice where it is to be thorough."""
+        for _ in range(3 if self.thorough else 2):
             many = len(self.room.facts)
             self.room.instantiate()
             self.axioms()
-            self.encoder.geometry.lemmas(self.setting.exact)
+            self.encoder.geometry.lemmas(self.setting.told == "most")
             if len(self.room.facts) == many:
                 break
         return tuple(self.room.facts)
 
     def cells(self, moments: Iterable[tuple[Moment, State]]) -> tuple[Cell, ...]:
-        """Which terms are which variables, of the robots that are spoken of."""
+        """Which terms are which variables, of the robots that are spoken of: for counterexamples, and so not where
+        little is told."""
+        if self.brief:
+            return ()
         lists, found = self.encoder.lists, []
         for param in self.setting.program.params:
             found.append(Cell(param.name, None, param.type, lists.leaves(self.params[param.name]), "before"))
@@ -215,6 +227,13 @@ class _Nowhere:
 
     def of(self, key: Key, robot: Term) -> Val:
         raise AssertionError(f"{key} where only params are read")
+
+
+def _triggers(axiom: ir.Expr) -> tuple[bool, list[Trigger]]:
+    """Whether an axiom has names that stand for all values; the calls in it that are made of all of them."""
+    free = decl.free(axiom)
+    calls = [n for n in nodes(axiom) if isinstance(n, (ir.Call, ir.ExternCall, ir.Builtin))] if free else []
+    return bool(free), [n for n in calls if free.keys() <= {a.name for a in n.args if isinstance(a, ir.TempRead)}]
 
 
 def _pairs(formula: ir.Expr, around: bool = False) -> bool:

@@ -7,10 +7,8 @@ where it is long.
 from __future__ import annotations
 
 import re
-import textwrap
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from fractions import Fraction
-from typing import assert_never
 
 from koordgen.prove.obligation import Fact, Obligation
 from koordgen.prove.term import Apply, Function, Op, Term, Value, not_
@@ -59,19 +57,18 @@ class Printer:
     """Prints the terms of one script: counts first what occurs more than once, then prints each once."""
 
     def __init__(self, terms: Iterable[Term]) -> None:
-        self.uses: dict[int, int] = {}
+        self.uses: dict[Term, int] = {}
         self.functions: dict[str, Function] = {}
         self.heads: dict[str, str] = {}
-        self.done: dict[int, str] = {}
+        self.done: dict[Term, str] = {}
         self.named = 0
-        self.kept = list(terms)  # ids are of what lives
-        uses, pending = self.uses, self.kept[::-1]
+        uses, pending = self.uses, list(terms)[::-1]
         while pending:
             node = pending.pop()
-            if id(node) in uses:
-                uses[id(node)] += 1
+            if node in uses:
+                uses[node] += 1
                 continue
-            uses[id(node)] = 1
+            uses[node] = 1
             if isinstance(node, Value):
                 continue
             if isinstance(node, Apply):
@@ -84,20 +81,20 @@ class Printer:
         done, pending = self.done, [term]
         while pending:
             node = pending[-1]
-            if id(node) in done:
+            if node in done:
                 pending.pop()
                 continue
-            missing = [] if isinstance(node, Value) else [a for a in node.args if id(a) not in done]
+            missing = [] if isinstance(node, Value) else [arg for arg in node.args if arg not in done]
             if missing:
                 pending += missing[::-1]
                 continue
             text = self.shown(node)
-            if len(text) > LONG and self.uses.get(id(node), 0) > 1:
+            if len(text) > LONG and self.uses.get(node, 0) > 1:
                 name = self.fresh()
                 definitions.append(f"(define-fun {name} () {symbol(node.sort.name)} {text})")
                 text = name
-            done[id(node)] = text
-        return definitions, done[id(term)]
+            done[node] = text
+        return definitions, done[term]
 
     def fresh(self) -> str:
         while True:
@@ -107,19 +104,14 @@ class Printer:
                 return name
 
     def shown(self, node: Term) -> str:
-        match node:
-            case Value(value, sort):
-                return literal(value, sort.name)
-            case Apply(function, args):
-                head = self.heads.get(function.name) or self.heads.setdefault(function.name, symbol(function.name))
-                return f"({head} {self.list(args)})" if args else head
-            case Op(name, args):
-                return f"({name} {self.list(args)})"
-            case _:
-                assert_never(node)
-
-    def list(self, args: tuple[Term, ...]) -> str:
-        return " ".join([self.done[id(a)] for a in args])
+        """A term whose arguments were printed before."""
+        if isinstance(node, Value):
+            return literal(node.value, node.sort.name)
+        if isinstance(node, Op):
+            return f"({node.name} {' '.join([self.done[arg] for arg in node.args])})"
+        name = node.function.name
+        head = self.heads.get(name) or self.heads.setdefault(name, symbol(name))
+        return f"({head} {' '.join([self.done[arg] for arg in node.args])})" if node.args else head
 
     def declarations(self) -> Iterator[str]:
         """Of all sorts and symbols, each once."""
@@ -180,7 +172,8 @@ def document(obligation: Obligation, line: Line) -> str:
     refuted = [*obligation.facts, *([goal] if goal else [])]
     printer = Printer([*(f.term for f in obligation.facts), *([not_(goal.term)] if goal else [])])
     lines = [*_head(obligation), "(set-info :smt-lib-version 2.6)", f"(set-logic {obligation.logic})"]
-    lines += [f"(set-info :status {obligation.expected})", "", *_cells(obligation), *printer.declarations()]
+    lines += [f"(set-info :status {obligation.expected})", ""]
+    lines += [*_cells(obligation, printer.functions), *printer.declarations()]
     last = ""
     for fact in refuted:
         said = f"{fact.label}{_place(fact, line)}"
@@ -205,11 +198,11 @@ def _head(obligation: Obligation) -> Iterator[str]:
         yield from _comment(note)
 
 
-def _cells(obligation: Obligation) -> Iterator[str]:
-    """Which symbols are which variables."""
+def _cells(obligation: Obligation, used: Collection[str]) -> Iterator[str]:
+    """Which of the symbols that are used are which variables."""
     told: dict[str, None] = {}
     for cell in obligation.cells:
-        names = dict.fromkeys(t.function.name for t in cell.terms if isinstance(t, Apply))
+        names = dict.fromkeys(t.function.name for t in cell.terms if isinstance(t, Apply) and t.function.name in used)
         if names:
             told[f"{', '.join(map(symbol, names))}: {cell.name} {cell.moment}"] = None
     for text in told:
@@ -224,6 +217,8 @@ def _place(fact: Fact, line: Line) -> str:
 
 
 def _comment(text: str) -> list[str]:
+    import textwrap
+
     return textwrap.wrap(_flat(text), WIDTH, initial_indent="; ", subsequent_indent=";   ", break_on_hyphens=False)
 
 

@@ -34,6 +34,7 @@ class Value(Node):
 
     value: bool | int | Fraction
     sort: Sort
+    traits: int
     __eq__ = object.__eq__
     __hash__ = object.__hash__
 
@@ -44,6 +45,7 @@ class Apply(Node):
     function: Function
     args: tuple[Term, ...]
     sort: Sort
+    traits: int
     __eq__ = object.__eq__
     __hash__ = object.__hash__
 
@@ -55,16 +57,21 @@ class Op(Node):
     name: str
     args: tuple[Term, ...]
     sort: Sort
+    traits: int
     __eq__ = object.__eq__
     __hash__ = object.__hash__
 
 
 Term = Value | Apply | Op
 
+# Traits, of a term and all its parts: what a logic must have.
+REALS, NONLINEAR = 1, 2
+_NONLINEAR = frozenset(("*", "/", "div", "mod"))  # unless a factor, or the divisor, is a literal
+
 _TERMS: dict[object, Term] = {}  # an operator or symbol with its arguments -> the one term of it
 _LITERALS: dict[object, Value] = {}
 
-TRUE, FALSE = Value(True, BOOL), Value(False, BOOL)
+TRUE, FALSE = Value(True, BOOL, 0), Value(False, BOOL, 0)
 
 
 def forget() -> None:
@@ -74,13 +81,13 @@ def forget() -> None:
 
 def integer(value: int) -> Term:
     found = _LITERALS.get(("Int", value))
-    return found or _LITERALS.setdefault(("Int", value), Value(value, INT))
+    return found or _LITERALS.setdefault(("Int", value), Value(value, INT, 0))
 
 
 def real(value: int | float | Fraction) -> Term:
     """A real number, exactly: a float is the binary fraction that it is."""
     found = _LITERALS.get(("Real", value))
-    return found or _LITERALS.setdefault(("Real", value), Value(Fraction(value), REAL))
+    return found or _LITERALS.setdefault(("Real", value), Value(Fraction(value), REAL, REALS))
 
 
 def boolean(value: bool) -> Term:
@@ -92,7 +99,10 @@ def apply(function: Function, *args: Term) -> Term:
     found = _TERMS.get(key)
     if found is None:
         assert tuple(a.sort for a in args) == function.domain, f"{function.name} of {[a.sort.name for a in args]}"
-        found = _TERMS[key] = Apply(function, args, function.result)
+        traits = REALS if function.result is REAL else 0
+        for arg in args:
+            traits |= arg.traits
+        found = _TERMS[key] = Apply(function, args, function.result, traits)
     return found
 
 
@@ -104,13 +114,18 @@ def _op(name: str, sort: Sort, *args: Term) -> Term:
     key = (name, sort.name, args)
     found = _TERMS.get(key)
     if found is None:
-        found = _TERMS[key] = Op(name, args, sort)
+        traits = REALS if sort is REAL else 0
+        for arg in args:
+            traits |= arg.traits
+        if name in _NONLINEAR and not any(isinstance(arg, Value) for arg in (args if name == "*" else args[1:])):
+            traits |= NONLINEAR
+        found = _TERMS[key] = Op(name, args, sort, traits)
     return found
 
 
 def number(term: Term) -> int | Fraction | None:
     """The number that a literal is."""
-    return term.value if isinstance(term, Value) and term.sort is not BOOL else None
+    return term.value if type(term) is Value and term.sort is not BOOL else None
 
 
 # Truth
@@ -145,11 +160,12 @@ def _joined(name: str, parts: Iterable[Term], neutral: Term, absorbing: Term) ->
     for part in parts:
         if part is absorbing:
             return absorbing
-        for inner in part.args if isinstance(part, Op) and part.name == name else (part,):
-            if inner is not neutral:
-                found[inner] = None
+        if type(part) is Op and part.name == name:
+            found.update(dict.fromkeys(part.args))
+        elif part is not neutral:
+            found[part] = None
     for part in found:
-        if isinstance(part, Op) and part.name == "not" and part.args[0] in found:
+        if type(part) is Op and part.name == "not" and part.args[0] in found:
             return absorbing
     if len(found) < 2:
         return next(iter(found), neutral)
@@ -216,6 +232,8 @@ def equals(a: Term, b: Term) -> Term:
 
 def _offset(a: Term, b: Term) -> int | Fraction | None:
     """b - a where the two differ by a literal: i and i + 1."""
+    if type(a) is not Op and type(b) is not Op:
+        return 0 if a is b else None
     base, more = _split(a)
     other, further = _split(b)
     return further - more if base is other else None
@@ -223,7 +241,7 @@ def _offset(a: Term, b: Term) -> int | Fraction | None:
 
 def _split(a: Term) -> tuple[Term, int | Fraction]:
     """A term as another plus a literal."""
-    if isinstance(a, Op) and a.name == "+" and len(a.args) == 2:
+    if type(a) is Op and a.name == "+" and len(a.args) == 2:
         last = number(a.args[1])
         if last is not None:
             return a.args[0], last

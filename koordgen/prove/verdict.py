@@ -13,7 +13,8 @@ from koordgen.ir import decl
 from koordgen.ir.expr import Expr
 from koordgen.node import replace
 from koordgen.prove.generate import assumptions, obligations, rooms
-from koordgen.prove.ledger import Entry, ledger
+from koordgen.prove.ledger import Entry, Ledger
+from koordgen.prove.moment import Told
 from koordgen.prove.obligation import Obligation
 from koordgen.prove.smtlib import script
 from koordgen.prove.solve import Answer, Both, Solver
@@ -23,6 +24,7 @@ if TYPE_CHECKING:  # what explains failures runs programs: a proof needs none of
 
 Name = Literal["PROVED", "VACUOUS", "FALSIFIED", "NOT INDUCTIVE", "UNKNOWN"]
 WELL_DEFINED = "(well-defined)"
+MORE: tuple[Told, ...] = ("usual", "most")
 
 
 class Question(NamedTuple):
@@ -75,12 +77,12 @@ def prove(question: Question, solver: Solver | Both) -> list[Verdict]:
         groups = {name: group for name, group in _groups(outcomes).items() if name not in failed}
     contradiction, doubt = _consistency(outcomes, solver)
     explained = {} if contradiction else _explained(question, failed, solver, program)
-    found = []
+    found, ledger = [], Ledger(question.program)
     for name in names:
         group = failed[name][0] if name in failed else groups[name]
         told = explained.get(name)
         verdict, reason = _verdict(question.program, group, told, contradiction, doubt)
-        assumed = ledger(question.program, [o.obligation for o in group])
+        assumed = ledger.of([o.obligation for o in group])
         rests = _rests_on(name, group, program) if verdict == "PROVED" else ()
         found.append(Verdict(name, verdict, question.robots, group, reason, told, rests, assumed))
     return found
@@ -101,14 +103,18 @@ def _explained(
     return {name: explainer.explain(name, group, relied) for name, (group, relied) in failed.items()}
 
 
-def _asked(question: Question, program: decl.Program, solver: Solver | Both) -> list[Outcome]:
-    """What the solver says of all obligations; of those that fail again, with distances told exactly, where that is
-    something else."""
-    found = [Outcome(*each) for each in solver.ask_all(rooms(program, question.robots, question.params))]
-    if all(outcome.holds for outcome in found):
-        return found
-    exact = {o.name: o for o in obligations(program, question.robots, question.params, exact=True)}
-    return [outcome if outcome.holds else _again(outcome, exact, solver) for outcome in found]
+def _asked(
+    question: Question, program: decl.Program, solver: Solver | Both, more: Sequence[Told] = MORE
+) -> list[Outcome]:
+    """What the solver says of all obligations, of which little is told at first; of those that fail again, with more
+    told, where that is something else."""
+    found = [Outcome(*each) for each in solver.ask_all(rooms(program, question.robots, question.params, "little"))]
+    for told in more:
+        if all(outcome.holds for outcome in found):
+            break
+        others = {o.name: o for o in obligations(program, question.robots, question.params, told)}
+        found = [outcome if outcome.holds else _again(outcome, others, solver) for outcome in found]
+    return found
 
 
 def _as_for_any(question: Question, program: decl.Program, solver: Solver | Both) -> list[Outcome]:
@@ -116,7 +122,7 @@ def _as_for_any(question: Question, program: decl.Program, solver: Solver | Both
     assumptions are consistent must be seen for this number. Nothing, where something does not hold for every number."""
     if question.robots is None:
         return []
-    general = [Outcome(*each) for each in solver.ask_all(rooms(program, None, question.params))]
+    general = _asked(question._replace(robots=None), program, solver, MORE[:1])
     # SOUND: all of them or none: what holds behind a loop rests on what its runs keep, of which nothing is asked where
     # it is written out.
     if not all(outcome.holds for outcome in general):
@@ -125,10 +131,12 @@ def _as_for_any(question: Question, program: decl.Program, solver: Solver | Both
     return [*(Outcome(*each) for each in numbered), *(o for o in general if o.obligation.kind != "consistency")]
 
 
-def _again(outcome: Outcome, exact: Mapping[str, Obligation], solver: Solver | Both) -> Outcome:
-    other = exact.get(outcome.obligation.name)
-    if other is None or script(other) == script(outcome.obligation):
+def _again(outcome: Outcome, others: Mapping[str, Obligation], solver: Solver | Both) -> Outcome:
+    other = others.get(outcome.obligation.name)
+    if other is None:
         return outcome
+    if script(other) == script(outcome.obligation):
+        return Outcome(other, outcome.answer)
     answer = solver.ask(other)
     return Outcome(other, answer._replace(seconds=answer.seconds + outcome.answer.seconds))
 
@@ -185,6 +193,6 @@ def _verdict(
 
 def _rests_on(name: str, group: tuple[Outcome, ...], program: decl.Program) -> tuple[str, ...]:
     """The other invariants whose lines stand among the facts of this one's obligations."""
-    lines = {fact.line for outcome in group for fact in outcome.obligation.facts}
+    lines = set().union(*[[fact.line for fact in outcome.obligation.facts] for outcome in group])
     others = [p for p in program.properties if p.kind == "invariant" and p.name != name]
     return tuple([p.name for p in others if lines.intersection(range(p.span.line, p.span.end_line + 1))])

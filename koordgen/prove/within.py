@@ -23,7 +23,7 @@ def changes(stage: Stage, begun: Begun, now: State) -> None:
     room, program = stage.room, stage.setting.program
     writers = {event.name: written(event.effect) for event in program.events}
     own = [key for key in stage.setting.types if key[0] in ("local", "slot")]
-    followed = {e.name for e in program.events if stage.setting.exact and _followed(e, program)}
+    followed = {e.name for e in program.events if stage.setting.told == "most" and _followed(e, program)}
 
     def instance(robot: Term) -> Term:
         acting = room.same(robot, begun.own)

@@ -7,11 +7,9 @@ from typing import Any
 
 from koordgen.ir import decl
 from koordgen.replay.robot import Counts, Difference, Replay
+from koordgen.replay.store import Shown, Writes
 from koordgen.replay.trace import Line, Trace
 from koordgen.replay.values import plain
-from koordgen.semantics.step import initial
-
-Shown = Mapping[str, Any]  # a store in JSON: of an allread variable a list by pid
 
 
 def replayed(
@@ -38,9 +36,7 @@ class Stores:
     ascending pid. From where a robot died on, which may have written what it told nobody, it is not known."""
 
     def __init__(self, program: decl.Program, n_sys: int, trace: Trace) -> None:
-        self._locks = {event.name: event.lock is not None for event in program.events}
-        self._slots = {v.name for v in program.shared if v.kind == "allread"}
-        self._writes: dict[int, list[tuple[bool, int, dict[str, Any]]]] = {}
+        self._writes = Writes(program, n_sys)
         ends = dict.fromkeys(range(n_sys), 0)
         acted = dict.fromkeys(range(n_sys), 0)  # the last round whose event a robot told of
         until = float("inf")
@@ -55,16 +51,9 @@ class Stores:
             if record.get("event") is not None and not record.get("fault"):
                 acted[line.pid] = round_
             ends[line.pid] = max(ends[line.pid], round_)
-            if record.get("shared"):
-                plain_event = not self._locks.get(record.get("event") or "", False)
-                self._writes.setdefault(round_, []).append((plain_event, line.pid, record["shared"]))
+            self._writes.hear(line.pid, record)
         self._until = min(until, min(ends.values()))
-        store = initial(program, n_sys).store
-        first = {
-            **{n: [plain(v) for v in held] for n, held in store.slots.items()},
-            **{n: plain(v) for n, v in store.cells.items()},
-        }
-        self._known: dict[int, Shown] = {0: self._after(first, 0)}  # round -> after it
+        self._known: dict[int, Shown] = {0: self._writes.after(self._writes.first(), 0)}  # round -> after it
 
     def compared(self, line: Line, copy: Mapping[str, Any]) -> Iterator[Difference]:
         """A robot's copy at a round's start beside the store after the round before."""
@@ -73,7 +62,7 @@ class Stores:
             return
         store = self._of(round_ - 1)
         for name, meant in store.items():
-            if name in self._slots:
+            if name in self._writes.slots:
                 for pid, own in enumerate(meant):
                     if plain(copy[name][pid]) != own:
                         yield Difference(
@@ -85,17 +74,5 @@ class Stores:
     def _of(self, round_: int) -> Shown:
         latest = max(self._known)
         for r in range(latest + 1, round_ + 1):
-            self._known[r] = self._after(self._known[r - 1], r)
+            self._known[r] = self._writes.after(self._known[r - 1], r)
         return self._known[round_]
-
-    def _after(self, store: Shown, round_: int) -> Shown:
-        writes = self._writes.get(round_)
-        if not writes:
-            return store
-        found = dict(store)
-        for _, pid, shared in sorted(writes, key=lambda w: w[:2]):
-            for name, value in shared.items():
-                found[name] = (
-                    [value if p == pid else own for p, own in enumerate(found[name])] if name in self._slots else value
-                )
-        return found

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from koordgen.ir import decl
 from koordgen.ir.types import Type
+from koordgen.replay.store import had_frame
 from koordgen.replay.trace import Line
 from koordgen.replay.values import BadValue, plain, taken
 from koordgen.semantics.eval import Discarded
@@ -16,7 +17,6 @@ from koordgen.semantics.state import Robot, State, Store, World
 from koordgen.semantics.step import Step, execute, initial, select
 from koordgen.semantics.values import Value
 
-IDLE = "no event enabled"
 OVERRAN = "not finished by the round's publish deadline"  # what only the robot's clock knows
 
 
@@ -114,8 +114,8 @@ class Replay:
         restored = record.get("restored")
         if restored is not None:
             self._own, self._actuators = self._values(restored["locals"]), self._values(restored["actuators"])
-        event, skipped, fault = record.get("event"), record.get("skipped"), record.get("fault")
-        if event is None and fault is None and skipped != IDLE:
+        event, fault = record.get("event"), record.get("fault")
+        if not had_frame(record):
             return
         self._learn(record.get("copy", {}))
         self.saw = {name: dict(held) if name in self._slots else held for name, held in self._store.items()}

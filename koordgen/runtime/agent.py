@@ -1,6 +1,7 @@
 """The process of one robot: `main` of every agent bundle reads its settings, opens what it needs, runs the machine.
 
-Exit statuses: 0 done and at rest; 1 settings or program are wrong; 2 usage; 5 surroundings (port, link, device, body);
+Exit statuses: 0 done and at rest; 1 settings or program are wrong; 2 usage; 3 at rest, as the fleet file wants it when
+a property is violated; 5 surroundings (port, link, device, body);
 70 internal error; 130 ended at once by a third signal.
 """
 
@@ -32,6 +33,7 @@ from koordgen.runtime.machine import INTERNAL, OK, SURROUNDINGS, WRONG_PROGRAM, 
 from koordgen.runtime.opening import open_key, open_settings, open_transport
 from koordgen.runtime.platform import Platform, Unready
 from koordgen.runtime.program import Program
+from koordgen.runtime.property import Properties
 from koordgen.runtime.runner import EndedAtOnce, Interrupting
 from koordgen.runtime.seal import BadKey
 from koordgen.runtime.settings import BadSettings, Settings
@@ -50,10 +52,15 @@ NO_DRIVERS: Drivers = {}
 
 
 def main(
-    program: Program, platform_type: PlatformType, root: Path, argv: Sequence[str], drivers: Drivers = NO_DRIVERS
+    program: Program,
+    platform_type: PlatformType,
+    root: Path,
+    argv: Sequence[str],
+    drivers: Drivers = NO_DRIVERS,
+    properties: Properties | None = None,
 ) -> int:
     """Run robot `program` on the body `platform_type` makes, with the settings in `root`; `drivers` makes those of
-    modules that the body does not offer. Returns the exit status."""
+    modules that the body does not offer, `properties` are monitored. Returns the exit status."""
     arguments = _arguments(program, argv)
     if isinstance(arguments, int):
         return arguments
@@ -74,7 +81,7 @@ def main(
             program.library.load()  # importing may take longer than a round
         platform = platform_type(settings, key)
         platform = with_drivers(platform, program, drivers)
-        return _run(program, settings, key, platform, root, quiet=arguments.quiet)
+        return _run(program, settings, key, platform, root, properties, quiet=arguments.quiet)
     except (BadSettings, BadKey, TooLarge, BadExtern) as error:
         return _fail(str(error), "", WRONG_PROGRAM)
     except CannotOpen as error:
@@ -127,6 +134,7 @@ def _run(
     key: bytes | None,
     platform: Platform,
     root: Path,
+    properties: Properties | None,
     quiet: bool,
 ) -> int:
     def emit(level: str, line: str) -> None:
@@ -144,8 +152,10 @@ def _run(
         trace = _open_trace(settings.trace)
         opened.callback(trace.close)
         agent = Agent(
-            program, settings, key, platform, clock, transport, trace, emit, os.urandom(8), store, limit=Interrupting()
-        )
+            program, settings, key, platform, clock, transport, trace, emit, os.urandom(8), store,
+            limit=Interrupting(), properties=properties,
+            cpu=time.thread_time,
+        )  # fmt: skip
 
         def report() -> dict[str, Any]:
             return _report(settings, agent, control, clock.now())
@@ -185,6 +195,7 @@ def _report(settings: Settings, agent: Agent, control: Control, now: float) -> d
         "names": [peer.name for peer in settings.peers],
         "phase": agent.phase,
         "round": agent.round,
+        "monitors": agent.monitors.report(),
         "counters": {k: v for k, v in counters.items() if not k.startswith("dropped: ")},
         **agent.metrics.snapshot(now, dropped | {f"order: {k}": v for k, v in control.rejected.items()}),
     }

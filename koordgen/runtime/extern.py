@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib
 import reprlib
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import msgspec
 
@@ -21,8 +21,20 @@ from koordgen.runtime.values import Opaque
 ESCAPES = (Exception, SystemExit, KeyboardInterrupt, GeneratorExit)
 
 
+class Contract(NamedTuple):
+    """What an extern function requires or ensures: its name, and the line of the program on which that stands."""
+
+    of: Literal["requires", "ensures"]
+    name: str
+    line: int
+
+
 class BadExtern(Exception):
     """An extern function that is missing, raised, returned what it must not, or whose contract does not hold."""
+
+    def __init__(self, message: str, contract: Contract | None = None) -> None:
+        super().__init__(message)
+        self.contract = contract
 
 
 class Library:
@@ -80,12 +92,14 @@ class Extern:
     def require(self, holds: bool, line: int) -> None:
         """A precondition, which stands on a line of the program. Raises BadExtern."""
         if not holds:
-            raise BadExtern(f"{self._name} was called although what it requires (line {line}) does not hold")
+            why = f"{self._name} was called although what it requires (line {line}) does not hold"
+            raise BadExtern(why, Contract("requires", self._name, line))
 
     def ensure(self, holds: bool, line: int, result: object) -> None:
         """A promise of the function, which stands on a line of the program. Raises BadExtern."""
         if not holds:
-            raise BadExtern(f"{self._name} returned {shown(result)}, against what it ensures (line {line})")
+            why = f"{self._name} returned {shown(result)}, against what it ensures (line {line})"
+            raise BadExtern(why, Contract("ensures", self._name, line))
 
     def _opened(self, bound: Bound, value: Any) -> Any:
         """A Koord value as the user's code gets it: with values of the user's own classes."""

@@ -73,13 +73,19 @@ class Joining:
         self._returning = False
         self._announced: deque[bytes] = deque(maxlen=8)  # missions that others may have begun with this boot
         self.met = True  # no robot need be told of this one any more
-        self.restarted: set[int] = set()  # robots that began anew while the mission runs
+        self._restarted: set[int] = set()  # robots that began anew while the mission runs
+        self._untold = False  # there are more of them
 
     def come_back(self, epoch: bytes) -> None:
         """This robot was in the mission of that name when its process died."""
         self._returning = True
         self.met = False
         self._link.epoch = epoch
+
+    def began_anew(self) -> str:
+        """The robots that began anew while the mission runs, when there are more of them than this told before."""
+        untold, self._untold = self._untold, False
+        return ", ".join(self._names[p] for p in sorted(self._restarted)) if untold else ""
 
     @property
     def lost(self) -> bool:
@@ -149,7 +155,8 @@ class Joining:
                 return
             same_mission = hello.head.epoch == self._link.epoch
             if self._start is not None and not same_mission:
-                self.restarted.add(pid)
+                self._untold = self._untold or pid not in self._restarted
+                self._restarted.add(pid)
                 self._hello(pid, hello.challenge)
                 return
             self._link.adopt(hello)

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Sequence
-from dataclasses import fields
 
+from koordgen.runtime.allowance import Cpu
 from koordgen.runtime.body import Body
 from koordgen.runtime.clock import Clock, FleetClock
 from koordgen.runtime.joining import Joining
@@ -18,11 +18,13 @@ from koordgen.runtime.keeping import Keeping
 from koordgen.runtime.layout import Layout
 from koordgen.runtime.link import Link
 from koordgen.runtime.memory import Memory
-from koordgen.runtime.metrics import Metrics
+from koordgen.runtime.metrics import Metrics, tally
+from koordgen.runtime.monitor import Monitors
 from koordgen.runtime.platform import Platform, Unready
 from koordgen.runtime.program import Fault, Life, Program
+from koordgen.runtime.property import Properties
 from koordgen.runtime.replica import Replica
-from koordgen.runtime.rounds import Counters, Lost, Rounds
+from koordgen.runtime.rounds import Lost, Rounds
 from koordgen.runtime.runner import Limit, Runner, unlimited
 from koordgen.runtime.safety import Guard, Verdict
 from koordgen.runtime.settings import Settings
@@ -32,9 +34,8 @@ from koordgen.runtime.transport import Transport
 from koordgen.runtime.views import Vote
 from koordgen.runtime.wire import Closing, Hello, View, encoder
 
-OK, WRONG_PROGRAM, SURROUNDINGS, INTERNAL = 0, 1, 5, 70
+OK, WRONG_PROGRAM, VIOLATED, SURROUNDINGS, INTERNAL = 0, 1, 3, 5, 70
 LOST_BODY = 10.0  # seconds that a body which is lost for good is still tried to be brought to rest
-_COUNTED = tuple(f.name for f in fields(Counters))
 MOST_UNTOLD = 8  # records of rounds that wait to be told
 MOST_FAILURES = 100  # of the platform in a row after an internal error, then it is given up
 
@@ -57,6 +58,8 @@ class Agent:
         store: Keeper,
         monitors: Sequence[Observe] = (),
         limit: Limit = unlimited,
+        properties: Properties | None = None,
+        cpu: Cpu | None = None,
     ) -> None:
         self._settings = settings
         self._platform = platform
@@ -67,6 +70,8 @@ class Agent:
         self._layout = Layout(program.shared, len(self._names))
         self._fleet_clock = FleetClock(settings.pid)
         self._journal = Journal(settings.robot, trace, emit, clock, self._fleet_clock, self.metrics, monitors)
+        self.monitors = Monitors(properties, settings, self._journal.monitor, limit, cpu)
+        self._journal.watch(self.monitors.hear)
         self._link = Link(
             program, settings, key, transport, clock, self._fleet_clock, boot, self._journal.error, self.metrics
         )
@@ -84,15 +89,12 @@ class Agent:
         self._untold: list[Record] = []
         self._view = -1
         self._next_body = 0.0
-        self._known_restarts = self._missed = 0
+        self._missed = self._failures = 0
         self._init: Life | None = None
         self._resting_since = 0.0
         self._served = 0.0  # when the platform's `poll` last went well
         self._asked_to_end = False
-        self._started = False
-        self._lost = False
-        self._broken = False
-        self._failures = 0
+        self._started = self._lost = self._broken = False
         self.phase = ""
         self.status = OK
         self.done = False
@@ -111,15 +113,9 @@ class Agent:
         return self._rounds.gather if self._rounds is not None else 0.0
 
     def counters(self) -> dict[str, int]:
-        """Everything counted so far, by its name; datagrams by the reason they were dropped for."""
-        counted = {f"dropped: {k}": v for k, v in self._link.rejected.items()}
-        counted |= {f"network: {k}": v for k, v in self._transport.troubles.items()}
-        if self._body.slow_calls:
-            counted["slow calls"] = self._body.slow_calls
-        if self._rounds is not None:
-            counters = self._rounds.counters
-            counted |= {name: getattr(counters, name) for name in _COUNTED}
-        return counted
+        """Everything counted so far, by its name."""
+        counters = None if self._rounds is None else self._rounds.counters
+        return tally(self._link.rejected, self._transport.troubles, self._body.slow_calls, counters)
 
     def end(self, why: str) -> None:
         """Bring the robot to rest and be done then."""
@@ -182,12 +178,15 @@ class Agent:
                 self._rounds.take(message)
         if self._rounds is None and self._joining.inside:
             self._fleet_clock.follow(min(self._joining.inside), now)  # who keeps the time is not known before the view
-        self._watch_restarts()
+        if names := self._joining.began_anew():
+            self._journal.error(f"{names} began anew during the mission and cannot come back: end all and start again")
         rounds = self._rounds
         if rounds is not None:
             if messages or not acted:
                 wake = min(wake, self._poll_rounds(rounds, now))
             wake = min(wake, self._joining.poll(now, fleet))
+            if rounds.calm:
+                self._monitor(rounds, now)
             if self._untold and (rounds.calm or len(self._untold) >= MOST_UNTOLD):
                 self._tell()
             if rounds.over and self.phase == "running":
@@ -334,6 +333,7 @@ class Agent:
             self._untold.append,
             self._keeping.life,
         )
+        self._rounds.watched = self.monitors.wanted
         self._enter("running", f"mission {epoch.hex()}, round 1 at {start:.3f} s of fleet time")
         if self._rounds.stopped:
             self._body.hold("stopped", True, now)
@@ -363,6 +363,7 @@ class Agent:
         self._body.retire()
         self._enter("resting", why)
         self._journal.measure(self._link.rejected, self._resting_since, at_once=True)
+        self._journal.judged(*self.monitors.summary())
 
     def _give_up(self, now: float) -> None:
         """A body that is lost for good is tried for a while, one that serves again for as long as it takes; one that
@@ -385,13 +386,14 @@ class Agent:
         for pid, held in enumerate(memory.held if memory is not None else ()):
             self.metrics.closed(pid, held)
 
-    def _watch_restarts(self) -> None:
-        if len(self._joining.restarted) > self._known_restarts:
-            self._known_restarts = len(self._joining.restarted)
-            names = ", ".join(self._names[p] for p in sorted(self._joining.restarted))
-            self._journal.log(
-                "error", f"{names} began anew during the mission and cannot come back: end all and start again"
-            )
+    def _monitor(self, rounds: Rounds, now: float) -> None:
+        """What the properties demand, as far as this robot can tell."""
+        self._journal.attempt(self.monitors.look, rounds.moment)
+        verdict = self.monitors.verdict
+        self._body.hold("monitor", verdict.action == "hold", now)
+        if verdict.action == "rest" and self.phase == "running":
+            self._journal.error(verdict.reason)
+            self._rest(verdict.reason, VIOLATED)
 
     def _enter(self, phase: str, detail: str) -> None:
         self.phase = phase

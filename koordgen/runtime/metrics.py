@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from typing import Any
 
 _PER_OCTAVE = 8  # buckets: a quantile is right within 9 %
@@ -58,6 +59,33 @@ class _Peer:
         self.longest = 0.0  # seconds between two datagrams
         self.closed = 0
         self.repeats = 0
+
+
+@dataclass(slots=True)
+class Counters:
+    rounds: int = 0
+    skipped: int = 0
+    missed: int = 0  # slept through
+    faults: int = 0
+    discarded: int = 0  # faults by the publish deadline
+    gave_way: int = 0  # commits that did not count because another robot's did
+    current: int = 0  # rounds in which the shared state was there in time
+    asked: int = 0  # times that missing closings were asked for
+    out: int = 0  # rounds in which the others went on without this robot
+    in_a_row: int = 0  # rounds until now without current state or time for an event
+
+
+_COUNTED = tuple(f.name for f in fields(Counters))
+
+
+def tally(
+    rejected: Mapping[str, int], troubles: Mapping[str, int], slow_calls: int, counters: Counters | None
+) -> dict[str, int]:
+    """Everything counted, by its name; datagrams by the reason they were dropped for."""
+    counted = {f"dropped: {k}": v for k, v in rejected.items()} | {f"network: {k}": v for k, v in troubles.items()}
+    if slow_calls:
+        counted["slow calls"] = slow_calls
+    return counted if counters is None else counted | {name: getattr(counters, name) for name in _COUNTED}
 
 
 class Metrics:

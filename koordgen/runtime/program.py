@@ -15,7 +15,7 @@ from typing import Any, Generic, Literal, TypeVar
 
 from koordgen.runtime.bounds import Bound
 from koordgen.runtime.containers import Missing, OutOfRange
-from koordgen.runtime.extern import BadExtern, Library
+from koordgen.runtime.extern import BadExtern, Contract, Library
 from koordgen.runtime.values import transmissible
 
 T = TypeVar("T")
@@ -73,6 +73,7 @@ class Fault:
     file: str
     line: int
     reason: str
+    contract: Contract | None = None  # that was broken
 
     def __str__(self) -> str:
         return f"{self.file}:{self.line}: {self.reason}"
@@ -294,4 +295,5 @@ def _fault(program: Program, error: Exception) -> Fault:
         trace = trace.tb_next
     told = isinstance(error, (OutOfRange, Missing, BadExtern))
     reason = str(error) if told else f"{type(error).__name__}: {error}"
-    return Fault(program.source, line, reason if len(reason) <= LONGEST_REASON else f"{reason[:LONGEST_REASON]} ...")
+    reason = reason if len(reason) <= LONGEST_REASON else f"{reason[:LONGEST_REASON]} ..."
+    return Fault(program.source, line, reason, error.contract if isinstance(error, BadExtern) else None)

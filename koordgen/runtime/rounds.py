@@ -8,18 +8,21 @@ present round, and closes those it missed as empty.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 from koordgen.runtime.body import Body, unusable
 from koordgen.runtime.clock import FleetClock
 from koordgen.runtime.memory import Memory
+from koordgen.runtime.metrics import Counters
 from koordgen.runtime.outbox import AHEAD, Outbox, has_outputs
 from koordgen.runtime.platform import Sensed
 from koordgen.runtime.program import Frame, Life
 from koordgen.runtime.replica import SLOTS, Replica, Talk
 from koordgen.runtime.runner import LATE, Outcome, Runner
-from koordgen.runtime.trace import Observe, Record
+from koordgen.runtime.trace import LEFT, Observe, Record
+from koordgen.runtime.watched import OWN, SENSED, SHARED, Moment
 
 PUBLISH = 0.5  # of delta: when a round's closing leaves at the latest
 FIRST_SLOT = 3  # the first of a round's SLOTS in which its own closings are asked for, before it the last round's
@@ -42,20 +45,6 @@ class _Present:
     sensed: Sensed | None = None
     slot: int = -1  # the last slot that was looked at
     confirmed: bool = False  # those who wait for it were told that the round is applied
-
-
-@dataclass(slots=True)
-class Counters:
-    rounds: int = 0
-    skipped: int = 0
-    missed: int = 0  # slept through
-    faults: int = 0
-    discarded: int = 0  # faults by the publish deadline
-    gave_way: int = 0  # commits that did not count because another robot's did
-    current: int = 0  # rounds in which the shared state was there in time
-    asked: int = 0  # times that missing closings were asked for
-    out: int = 0  # rounds in which the others went on without this robot
-    in_a_row: int = 0  # rounds until now without current state or time for an event
 
 
 class Lost(Exception):
@@ -102,6 +91,8 @@ class Rounds:
         self.stopped = self._outbox.life.stopped
         self.counters = Counters()
         self.reason: str | None = None  # why the last round that was closed had no event
+        self.watched = False  # by monitors
+        self.moment: Moment | None = None  # at the start of that round, when it is watched
 
     @property
     def round(self) -> int:
@@ -275,7 +266,7 @@ class Rounds:
         overdue = into >= PUBLISH * self._delta - 1e-9
         lagging = False
         if self._left:
-            reason: str | None = "left the mission"
+            reason: str | None = LEFT
         elif self.stopped and current:
             reason = "stopped"
         else:
@@ -291,6 +282,7 @@ class Rounds:
         self.counters.current += current
         self.counters.in_a_row = self.counters.in_a_row + 1 if late else 0
         self.reason = reason
+        self.moment = self._moment(now, sensed.time, sensors, current) if self.watched and not self._left else None
         self._body.hold("not current", lagging and not current, now)
         self._body.hold("not confirmed", self._outbox.first is not None, now)
         if reason is not None:
@@ -302,6 +294,13 @@ class Rounds:
         self._body.others(memory.shared)
         frame = self._runner.frame(memory.shared, sensors, self._body.actuators, self._body.call)
         self._finish(self._runner.step(frame, self._tick(PUBLISH)), frame, now, into)
+
+    def _moment(self, now: float, sensed: float | None, sensors: Mapping[str, Any], current: bool) -> Moment:
+        """What this robot knows before its event."""
+        memory, own, body = self._replica.memory, self._runner.locals, self._body.actuators
+        if memory is None or self._outbox.first is not None or self._outbox.undecided:
+            return Moment(self.round, now, SENSED, sensed, sensors, own, {}, body)
+        return Moment(self.round, now, SHARED if current else OWN, sensed, sensors, own, memory.shared, body)
 
     def _unsettled(self, current: bool) -> str | None:
         """Why no event may run as far as the shared memory goes."""

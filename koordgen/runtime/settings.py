@@ -12,6 +12,8 @@ import msgspec
 from koordgen.runtime.obstacles import Obstacle
 from koordgen.runtime.values import Point
 
+Action = Literal["off", "log", "hold", "land", "stop"]  # when a property is violated; off: it is not looked at
+
 
 class BadSettings(Exception):
     """A settings file that cannot be used; the message names the file and the key."""
@@ -80,6 +82,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     insecure: bool = False  # run without a key, with a warning
     safety: Safety = Safety()
     network: Network = Network()
+    monitors: dict[str, Action] = {}  # by an invariant's name, "assume MODULE", "requires F", "ensures F", or "default"
     body: dict[str, Any] = {}
     trace: str | None = None  # JSON lines, one a round
     planner_budget: float = 0.01  # seconds that a call of a planner within an event may take; more is counted and told

@@ -83,6 +83,13 @@ def show(report: Mapping[str, Any]) -> str:
             f"{names[int(pid)]:<12} {loss:>7} {_durations(peer['delay_ms']):>26} {silent:>10} "
             f"{peer['longest_silence_ms']:>9.0f} {peer['behind']:>7} {peer['repeats']:>8}"
         )
+    monitors = report["monitors"]
+    if monitors["counts"]:
+        counted = ", ".join(f"{count} {outcome}" for outcome, count in sorted(monitors["counts"].items()))
+        lines += ["", f"properties, as far as it can tell: {counted}"]
+        for found in monitors["violated"]:
+            word = f"{found['of']} {found['name']}".strip()
+            lines.append(f"  violated since round {found['since']}: {word} ({found['line']}): {found['why']}")
     for title, counts in (("skipped", report["skipped"]), ("rejected", report["rejected"])):
         if counts:
             lines += ["", title, *(f"{count:>8}  {reason}" for reason, count in sorted(counts.items()))]

@@ -1,8 +1,8 @@
 """A robot's trace: JSON lines of format koord-trace/1, one a round, which the simulator and the replayer read.
 
 `time` is the agent's local monotonic clock in seconds. Points are [x, y, z], metres, local ENU. Kinds: header, phase,
-init, round, view, log, stream, metrics. What an event saw and did can be told from it alone: `replay` does. A disk that
-is full or gone ends the trace with one warning, never the robot.
+init, round, view, log, stream, monitor, metrics. What an event saw and did can be told from it alone: `replay` does. A
+disk that is full or gone ends the trace with one warning, never the robot.
 """
 
 from __future__ import annotations
@@ -10,13 +10,17 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import msgspec
 
 from koordgen.runtime.program import Effects, Fault, Frame, Life
 
+if TYPE_CHECKING:  # it is made of what this module has
+    from koordgen.runtime.watched import Change
+
 FORMAT = "koord-trace/1"
+LEFT = "left the mission"  # why a robot that comes to rest skips
 
 Calls = tuple[tuple[str, tuple[Any, ...], Any], ...]  # of callable ports: port, arguments, answer
 
@@ -102,6 +106,13 @@ class Trace:
     def metrics(self, time: float, snapshot: Mapping[str, Any]) -> None:
         """How well the robot hears and keeps its rounds (see `metrics`)."""
         self._write({"kind": "metrics", "time": time, **snapshot})
+
+    def monitor(self, change: Change) -> None:
+        """A property has come to another outcome."""
+        told = {
+            name: getattr(change, name) for name in ("time", "round", "of", "name", "line", "outcome", "age", "why")
+        }
+        self._write({"kind": "monitor", **told, "action": change.action})
 
     def round(self, record: Record, clock_bound: float, counters: Mapping[str, int]) -> None:
         """One round; `clock_bound` is how far fleet time may be off (s), `counters` those that changed. Of its

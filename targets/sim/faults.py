@@ -76,14 +76,21 @@ def check_times(schedule: Schedule, duration: float) -> None:
         raise BadScenario(too_late(late[0], duration), LONGER)
 
 
-def check_external(schedule: Schedule, robots: Sequence[Robot]) -> None:
-    """What cannot be done to a robot whose autopilot is not ours. Raises BadScenario."""
+def check_robots(schedule: Schedule, robots: Sequence[Robot]) -> None:
+    """What cannot be done to a robot: one whose autopilot is not ours, one that has no battery. Raises BadScenario."""
     own_gps = {r.name for r in robots if r.external and not fed(r.settings)}
+    simple = {r.name for r in robots if r.sim.fidelity == "simple"}
     for event in schedule.events:
+        what = f"{event.kind} at {event.at:g} s"
         if event.kind == "positioning" and event.robots[0] in own_gps:
             raise BadScenario(
-                f"positioning at {event.at:g} s: the GPS of {event.robots[0]} is that of its external autopilot",
+                f"{what}: the GPS of {event.robots[0]} is that of its external autopilot",
                 "set ArduPilot's own SIM_GPS parameters, or feed it: `positioning: gps_input` in its settings",
+            )
+        if event.kind == "battery" and event.robots[0] in simple:
+            raise BadScenario(
+                f"{what}: {event.robots[0]} is simulated without a battery",
+                "say `fidelity: full` in its `sim:`, or leave this fault out",
             )
 
 

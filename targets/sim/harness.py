@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from targets.sim.trace import Header
     from targets.sim.view.live import Live
     from targets.sim.watch import Watcher
+    from targets.sim.windows import Windows
 
 HELD, BAD_FILES, USAGE, VIOLATED, SURROUNDINGS, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 5, 70, 130
 STATUS = {"held": HELD, "violated": VIOLATED, "interrupted": INTERRUPTED, "not started": SURROUNDINGS}
@@ -44,7 +45,7 @@ NEEDED = ("numpy", "pybullet", "matplotlib")
 
 def main(root: Path, argv: list[str] | None = None) -> int:
     """Run the bundle at `root`; returns the exit status. Usage errors leave by SystemExit(2)."""
-    parser = _parser(root)
+    parser = _parser(root, sys.argv[1:] if argv is None else argv)
     options = parser.parse_args(argv)
     if options.pace and not options.lockstep:
         parser.error("--pace is for --lockstep; in real time a run goes at its own")
@@ -83,8 +84,15 @@ def main(root: Path, argv: list[str] | None = None) -> int:
         return _fail(INTERNAL, "this is a mistake of koordgen; please report it with the lines above", "")
 
 
-def _parser(root: Path) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog=f"python3 {root.name}", description="Run the whole fleet on this host.")
+def _parser(root: Path, argv: list[str]) -> argparse.ArgumentParser:
+    """What is wrong in `argv` is told of the command that the user called."""
+    key = "--invoked-as="
+    invoked = next((word.removeprefix(key) for word in argv if word.startswith(key)), None)
+    parser = argparse.ArgumentParser(
+        prog=" ".join(invoked.split()[:2]) if invoked else f"python3 {root}",
+        usage=invoked and invoked.replace("%", "%%"),
+        description="Run the whole fleet on this host.",
+    )
     parser.add_argument("--duration", type=_seconds, default=DURATION, metavar="S", help="mission time, default 30 s")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all randomness in the world, default 0")
     parser.add_argument("--lockstep", action="store_true", help="all in one process, repeatable, as fast as it goes")
@@ -98,6 +106,7 @@ def _parser(root: Path) -> argparse.ArgumentParser:
         )
     later = "no report and no pictures; `koordgen report` and `export` make them of the folder"
     parser.add_argument("--no-report", action="store_true", help=later)
+    parser.add_argument("--windows", action="store_true", help="tell of every window of every robot, in windows.jsonl")
     parser.add_argument("--gui", action="store_true", help="show PyBullet's window")
     parser.add_argument("--check", action="store_true", help="check the bundle and its packages; run nothing")
     parser.add_argument("--invoked-as", metavar="TEXT", help="the command to name in the report, if not this one")
@@ -168,7 +177,7 @@ def _schedule(scenario: Scenario, options: argparse.Namespace) -> tuple[Schedule
     names = [robot.name for robot in scenario.robots]
     found, told = faults.load(options.scenario, names) if options.scenario else (Schedule(), None)
     faults.check_times(found, options.duration)
-    faults.check_external(found, scenario.robots)
+    faults.check_robots(found, scenario.robots)
     return faults.with_network(found, vars(options)), told
 
 
@@ -191,7 +200,7 @@ def _run(
 
     header = _header(scenario, options)
     progress = Progress(sys.stderr, options.quiet, free=options.lockstep)
-    run, watcher = _made(root, scenario, schedule, folder, options, progress)
+    run, watcher, windows = _made(root, scenario, schedule, folder, options, progress)
     run.companions += [view] if view else []
     run.companions += [live.Paced(options.pace)] if options.pace and options.lockstep else []
     began = time.perf_counter()
@@ -205,6 +214,8 @@ def _run(
     run.poses_file.unlink()
     found = summary.summarise(*trace.read(merged), outcome)
     found.watching = round(watcher.seconds / (time.perf_counter() - began), 4)
+    if windows is not None:
+        windows.write(folder, outcome.ended)
     if options.pace:
         found.shares = {}  # of time, of which most went to waiting
     found.reproduce = _reproduce(root, scenario, folder, options)
@@ -222,23 +233,26 @@ def _run(
 
 def _made(
     root: Path, scenario: Scenario, schedule: Schedule, folder: Path, options: argparse.Namespace, progress: Progress
-) -> tuple[Run, Watcher]:
+) -> tuple[Run, Watcher, Windows | None]:
     """The run with all that goes along with it, ready to be executed."""
     from targets.sim import watch
     from targets.sim.idle import IDLE_TIMEOUT, Idle
     from targets.sim.lockstep.run import Lockstep
     from targets.sim.realtime import RealTime
     from targets.sim.run import Run
+    from targets.sim.windows import Windows
 
     robots = tuple(robot.name for robot in scenario.robots)
-    watcher = watch.Watcher(watch.load(root), robots, scenario.delta)
+    properties = watch.load(root)
+    windows = Windows(properties, scenario, options.seed) if options.windows else None
+    watcher = watch.Watcher(properties, robots, scenario.delta, windows)
     shutil.copytree(root / SOURCE, folder / SOURCE)
     conduct = Lockstep if options.lockstep else RealTime
     run = Run(scenario, conduct(scenario, root, folder, options.seed), folder, options.duration, progress)
     run.companions += [watcher, Idle(robots, scenario.number("idle_timeout", IDLE_TIMEOUT))]
     if schedule != Schedule():
         run.companions.append(faults.Faults(schedule))
-    return run, watcher
+    return run, watcher, windows
 
 
 def _header(scenario: Scenario, options: argparse.Namespace) -> Header:

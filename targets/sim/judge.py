@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from koordgen.runtime.property import Assumption, Known, Outcome, Properties, Property, Trail, judged
-from targets.sim.told import told
+from koordgen.runtime.told import told
 from targets.sim.trace import Found, Verdict, Violation
 
 Of = Literal["invariant", "initially", "assume"]

@@ -16,8 +16,9 @@ from targets.sim.progress import Progress
 from targets.sim.scenario import Scenario
 from targets.sim.stage import Closest
 from targets.sim.trace import End, Mark, Poses, Violation
+from targets.sim.world import STEP
 
-POSE_EVERY = 12  # steps: 20 poses a second
+POSE_RATE = 20.0  # poses a second, unless the setting `pose_rate` says otherwise
 LOOK_EVERY = 0.05  # seconds between two looks at the agents
 REST_WITHIN = 20.0  # seconds from the end of the mission until every agent must have ended
 SETTLE = 0.5  # seconds that the world goes on after the last agent
@@ -65,6 +66,7 @@ class Run:
         self._interrupts = 0
         self._finished = ""  # why the mission was ended by a companion
         self._steps = 0
+        self._pose_every = max(1, round(1 / (STEP * scenario.number("pose_rate", POSE_RATE))))
         self._late = 0  # steps of the world, during the mission
         self._marks: list[Mark] = []  # with times of the run's clock
         self._next_look = 0.0
@@ -162,7 +164,7 @@ class Run:
     def _step(self, at: float) -> None:
         """One step of the world."""
         states = self.stage.step(at)
-        if self._steps % POSE_EVERY == 0:
+        if self._steps % self._pose_every == 0:
             self._poses.write(at, states)
         self._steps += 1
         for companion in self.companions:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib
 import math
 import random
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
@@ -26,7 +27,7 @@ TOLD_EVERY = 0.02  # s
 _encode, _decode = msgspec.msgpack.Encoder().encode, msgspec.msgpack.Decoder(Asked).decode
 
 
-class Direct:
+class Direct(ABC):
     """targets.sim.bodies.Device. `platform` makes the agent's, in this process."""
 
     module: ClassVar[str]  # that has the platform, with a function `inside` that makes it in lockstep
@@ -80,9 +81,9 @@ class Direct:
         if self.takes.get(asked.what) == len(asked.values) and all(map(math.isfinite, asked.values)):
             self.ask(asked.what, asked.values)
 
+    @abstractmethod
     def ask(self, what: str, values: tuple[float, ...]) -> None:
         """Pass on what the agent asks of the body."""
-        raise NotImplementedError
 
     def close(self) -> None:
         """See Device."""

@@ -68,12 +68,13 @@ def run(argv: list[str]) -> int:
     module, _, member = platform.partition(":")
     make: Callable[..., Any] = getattr(importlib.import_module(module), member)
     program = importlib.import_module("program").PROGRAM
+    properties = importlib.import_module("properties").PROPERTIES
     found = {
         served: getattr(importlib.import_module(name), cls)
         for served, name, cls in msgspec.json.decode(drivers, type=list[tuple[str, str, str]])
     }
     body = RemoteBody(int(port))
-    return main(program, lambda settings, key: make(settings, key, body), Path(bundle), options, found)
+    return main(program, lambda settings, key: make(settings, key, body), Path(bundle), options, found, properties)
 
 
 if __name__ == "__main__":

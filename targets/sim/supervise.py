@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from targets.sim.scenario import Robot
 from targets.sim.trace import Record, Tail
 
 _SET_DEATH_SIGNAL = 1  # prctl: PR_SET_PDEATHSIG
+_BEHIND = 5  # the niceness of agents: the world, on whose steps all of them wait, goes first
 # What an agent may end with when it was told to: done, or interrupted.
 GOOD_ENDS = (0, 130, 128 + signal.SIGTERM)
 
@@ -73,7 +75,7 @@ class Process(Agent):
                 env=environment,
                 cwd=self._settings_file.parent,
                 start_new_session=True,  # Ctrl-C on the terminal is the harness's to pass on
-                preexec_fn=_end_with_parent,
+                preexec_fn=_second_to_parent,
             )
 
     @property
@@ -152,7 +154,12 @@ class Process(Agent):
         return f"ended with status {status}: {why[0]}"
 
 
-def _end_with_parent() -> None:
-    """Runs in the child: should the harness be killed, its agents are told to come to rest."""
+def _second_to_parent() -> None:
+    """Runs in the child, which has a session of its own: should the harness be killed, its agents are told to come to
+    rest; where both want the processor, the harness has it first."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_SET_DEATH_SIGNAL, signal.SIGTERM)
+    with suppress(OSError):
+        os.nice(_BEHIND)
+    with suppress(OSError):  # where Linux shares the processor among sessions, niceness counts only within one
+        Path("/proc/self/autogroup").write_text(str(_BEHIND))

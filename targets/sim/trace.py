@@ -52,7 +52,7 @@ class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
 
 
 class Pose(msgspec.Struct, frozen=True, tag_field="kind", tag="pose"):
-    """The truth about a robot, 20 times a second; yaw in radians."""
+    """The truth about a robot, `pose_rate` times a second; yaw in radians."""
 
     pid: int
     position: Vector
@@ -141,6 +141,22 @@ class Stream(msgspec.Struct, frozen=True, tag_field="kind", tag="stream"):
     pid: int = -1
 
 
+class Monitor(msgspec.Struct, frozen=True, tag_field="kind", tag="monitor"):
+    """A property has come to another outcome, as far as this robot can tell (koordgen/runtime/watched.py, Change)."""
+
+    of: str
+    name: str
+    line: str
+    outcome: str
+    age: int = 0
+    why: str = ""
+    action: str = "log"
+    round: int = 0
+    time: float = 0.0
+    t: float = 0.0
+    pid: int = -1
+
+
 class Metrics(msgspec.Struct, frozen=True, tag_field="kind", tag="metrics"):
     """How well a robot hears its peers and keeps its rounds, as its runtime's metrics say; `peers` by pid."""
 
@@ -214,18 +230,14 @@ class End(msgspec.Struct, frozen=True, tag_field="kind", tag="end"):
 
 class _Kind(msgspec.Struct):
     kind: str
-
-
-class _Time(msgspec.Struct):
     time: float | None = None
 
 
 Mark = Violation | Verdict | Cause | End
-Record = Header | Pose | Phase | Init | Round | View | Log | Stream | Metrics | Violation | Verdict | Cause | End
+Record = Header | Pose | Phase | Init | Round | View | Log | Stream | Monitor | Metrics | Mark
 _KINDS = {kind.__struct_config__.tag for kind in Record.__args__}
 _decoder = msgspec.json.Decoder(Record)
 _kind_decoder = msgspec.json.Decoder(_Kind)
-_time_decoder = msgspec.json.Decoder(_Time)
 _encoder = msgspec.json.Encoder()
 
 
@@ -338,7 +350,7 @@ def _told(path: Path, zero: float, pid: int) -> Iterator[tuple[float, bytes]]:
             if line.endswith(b"\n") and b'"kind":"header"' not in line[:40]:
                 with suppress(msgspec.DecodeError):
                     decoded(line)
-                    time = _time_decoder.decode(line).time
+                    time = _kind_decoder.decode(line).time
                     places.append((zero if time is None else time, place))
         for _, place in sorted(places):
             file.seek(place)

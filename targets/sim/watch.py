@@ -33,6 +33,7 @@ from targets.sim.judge import Of, Watched, all_of
 from targets.sim.run import Run
 from targets.sim.trace import Init, Phase, Record, Round, Verdict, View
 from targets.sim.truth import Truth
+from targets.sim.windows import Came, Windows
 
 PATIENCE = 3.0  # seconds after a round's end for which records of it are waited for
 MOST_KEPT = 4800  # steps kept while round 1 has not been heard of
@@ -41,6 +42,7 @@ _PORTS: dict[str, Callable[[BodyState], Any]] = {
     "velocity": lambda state: Point(*state.velocity),
     "pose": lambda state: Pose(Point(*state.position), state.yaw),
 }
+_CAME: dict[Outcome, Came] = {"held": "h", "violated": "v", "no value": "n", "unknown": "u"}
 
 
 def load(root: Path) -> Properties:
@@ -66,10 +68,12 @@ class _Moment:
 
 
 class Watcher:
-    """A `crew.Companion`. `seconds` is what it took of the host's time."""
+    """A `crew.Companion`. `seconds` is what it took of the host's time. With `windows` it looks at all windows of all
+    robots, also when an assumption has been violated already; what it says of the run is the same."""
 
-    def __init__(self, found: Properties, names: tuple[str, ...], delta: float) -> None:
+    def __init__(self, found: Properties, names: tuple[str, ...], delta: float, windows: Windows | None = None) -> None:
         self.seconds = 0.0
+        self._windows = windows
         self._found, self._names, self._delta, self._n = found, names, delta, len(names)
         self._truth = Truth(found.program, self._n)
         self._known = found.fleet(self._n, None)
@@ -225,11 +229,26 @@ class Watcher:
         return {name: [UNKNOWN if pid in gone else v for pid, v in enumerate(values[name])] for name in ports}
 
     def _assumptions(self, moments: list[_Moment]) -> None:
-        for watched in [w for w in self._watched if w.of == "assume" and not w.decided]:
+        if self._windows is not None:
+            self._tell_of(self._windows, moments)
+        for watched in [w for w in self._watched if w.of == "assume" and (self._windows or not w.decided)]:
             due = self._due_of_each(watched, moments)
             for pid in range(self._n):
-                if due[pid] and not watched.decided:
+                if self._windows is not None:
+                    looked = [moments[k] for k in due[pid]]
+                    self._windows.put(pid, self._assumption(watched, pid, moments[0], looked) if looked else "h")
+                elif due[pid] and not watched.decided:
                     self._assumption(watched, pid, moments[0], [moments[k] for k in due[pid]])
+
+    def _tell_of(self, windows: Windows, moments: list[_Moment]) -> None:
+        windows.begin(self._truth.round)
+        targets = self._truth.values.get(f"{windows.body}.target")
+        if targets is not None:
+            places, velocities = (
+                np.array([[getattr(state, kind) for state in moment.states] for moment in moments])
+                for kind in ("position", "velocity")
+            )
+            windows.moved(places, velocities, targets, self._gone(moments[-1].at))
 
     def _due_of_each(self, watched: Watched, moments: list[_Moment]) -> list[list[int]]:
         """By pid the moments at which an assumption has to be asked: as `_due`."""
@@ -242,16 +261,17 @@ class Watcher:
         values = {**self._truth.values, **self._ports(moments[0])}
         values |= {f"{p.name}'": values[p.name] for p in self._found.program.ports if p.direction == "actuator"}
         unsure = Batch(last + 1, self._n, measured, values).unsure_of(what.surely)
-        watched.moments += (last + 1) * self._n - len(unsure)
+        watched.moments += 0 if watched.decided else (last + 1) * self._n - len(unsure)
         return [[k for k, p in unsure if p == pid] for pid in range(self._n)]
 
-    def _assumption(self, watched: Watched, pid: int, first: _Moment, moments: list[_Moment]) -> None:
-        """Of one robot in one round: before, its ports right after the program's step; after, at each moment."""
+    def _assumption(self, watched: Watched, pid: int, first: _Moment, moments: list[_Moment]) -> Came:
+        """Of one robot in one round: before, its ports right after the program's step; after, at each moment, until it
+        does not hold."""
         assumption, step, values = watched.what, self._step, self._truth.values
         assert isinstance(assumption, Assumption)
         if self._is_out(pid, moments[-1].at):
             watched.left = moments[-1].at if watched.left is None else watched.left
-            return
+            return "o"
         before = self._ports(first)
         ports = [name for name in step.one if not name.endswith("'")]
         step.pid, step.asked = pid, self._truth.calls(pid)
@@ -260,14 +280,18 @@ class Watcher:
         step.put({f"{name}'": values[name][pid] for name in ports if name in actuators})
         others = {n: self._truth.sensed(pid, n, self._truth.round + 1) for n in self._sampled(assumption)}
         if UNKNOWN in others.values():
-            return
+            return "u"
         step.put({f"{name}'": value for name, value in others.items()})
+        came: Came = "h" if assumption.asked(step) else "-"
         for moment in moments:
             step.put({f"{name}'": held[pid] for name, held in self._ports(moment).items()})
             outcome, why = judged(assumption.holds_of_calls, step)
-            self._note(watched, outcome, moment.at, why, step)
-            if watched.decided:
-                return
+            if not watched.decided:
+                self._note(watched, outcome, moment.at, why, step)
+            if outcome in ("violated", "no value"):
+                return _CAME[outcome]
+            came = _CAME[outcome] if outcome == "unknown" else came
+        return came
 
     def _sampled(self, assumption: Assumption) -> list[str]:
         """Sensors of which an assumption wants to know what they are afterwards, and only the robot can say: it does at

@@ -7,6 +7,7 @@ run.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
@@ -44,7 +45,7 @@ class Motion:
         return (2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y))
 
 
-class Kind:
+class Kind(ABC):
     """All bodies that move by the same law. A kind overrides `grow` for what it keeps of each, `push`, and what else is
     not as here."""
 
@@ -55,21 +56,22 @@ class Kind:
         self.motions = Motions.still(0)
         self._told: tuple[int, list[BodyState]] = (-1, [])
 
+    @abstractmethod
     def grow(self) -> None:
         """There is one more, the last one."""
 
+    @abstractmethod
     def push(self, air: Array | None, taken: Mask) -> None:
         """Change velocities and spins by all that acts in one step but contacts. `air` is the wind; those `taken` are
         PyBullet's to move."""
-        raise NotImplementedError
 
     def steady(self) -> Mask:
         """Of a kind that rolls, which ones stand on the floor as they should."""
         return np.zeros(self.count, dtype=bool)
 
+    @abstractmethod
     def place(self) -> tuple[Array, Array, Array]:
         """Positions and velocities of the reference points, (3, n), and the bodies' yaws."""
-        raise NotImplementedError
 
     def states(self, steps: int) -> list[BodyState]:
         """The truth after so many steps."""

@@ -25,7 +25,7 @@ def search(
     program: decl.Program, n_sys: int, around: Environment = NOTHING, rounds: int | None = None, **switches: Any
 ) -> Search:
     """A search that has not begun, on a clock that no machine disturbs: each look is a thousandth of a second."""
-    machine = Machine(program, n_sys, answering(around))
+    machine = Machine(program, n_sys, answering(around, program, n_sys))
     ticks = count()
     bounds = switches.pop("bounds", Bounds(rounds=rounds))
     return Search(

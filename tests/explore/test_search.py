@@ -6,7 +6,8 @@ import json
 
 import pytest
 
-from koordgen.explore.environment import Domain, Environment, Lacking, environment
+from koordgen.explore.envfile import environment
+from koordgen.explore.environment import STRAIGHT, Domain, Environment, Lacking
 from koordgen.explore.search import DEADLOCK, WELL_DEFINED, Bounds
 from koordgen.explore.show import document, itf, report, trace
 from koordgen.ir.decl import Program
@@ -184,14 +185,14 @@ Go:
 def read(program: Program, text: str | None) -> tuple[Environment | None, list[tuple[str, str, Span, str]]]:
     found: list[tuple[str, str, Span, str]] = []
     source = None if text is None else Source("env.yaml", text)
-    return environment(program, source, lambda *mistake: found.append(mistake)), found
+    return environment(program, 2, source, lambda *mistake: found.append(mistake)), found
 
 
 def test_an_environment_is_read() -> None:
     grid = "{grid: {lo: [0, 0, 0], hi: [1, 2, 0], step: 0.5}, moves: 1}"
     around, found = read(compiled(MOTION), f"Motion.position: {grid}\nMotion.planner: straight\n")
-    assert around is not None and not found and around.answers == {"Motion.planner": "straight"}
-    values, near = around.domains["Motion.position"]
+    assert around is not None and not found and around.answers == {"Motion.planner": (STRAIGHT,)}
+    values, near, *_ = around.domains["Motion.position"]
     assert len(values) == 3 * 5 and Point(0.5, 1.5, 0.0) in values and near is not None
     assert near(Point(0, 0, 0), Point(0.5, 0.5, 0)) and not near(Point(0, 0, 0), Point(1, 0, 0))
     assert around.domains["Motion.reached"].values == (False, True)

@@ -10,6 +10,7 @@ import pytest
 
 from koordgen.ir.decl import Program
 from koordgen.pipeline import check_file
+from koordgen.prove.doubt import doubt
 from koordgen.prove.explain import invariant_of
 from koordgen.prove.generate import obligations
 from koordgen.prove.model import failing, true, with_values
@@ -302,10 +303,39 @@ def test_of_another_robot_it_is_told_what_its_plain_event_wrote(
 
 
 def test_the_ledger_tells_lemmas_from_approximations() -> None:
-    from koordgen.prove.ledger import COMPARED, HARMLESS, ledger
+    from koordgen.prove.ledger import COMPARED, HARMLESS, Ledger
 
     program = check_file(str(Path(__file__).parents[2] / "examples/task/task.koord")).program
-    entries = ledger(program, obligations(program))
+    entries = Ledger(program).of(obligations(program))
     kinds = {entry.kind: entry.checked for entry in entries if entry.kind in ("lemma", "approximation")}
     assert kinds == {"lemma": COMPARED, "approximation": HARMLESS}
     assert any(e.kind == "lemma" and e.text.startswith("path_distance: symmetric") for e in entries)
+
+
+def test_what_was_too_much_for_a_solver_is_told_by_how_much_it_is() -> None:
+    program = check_file(str(Path(__file__).parents[2] / "examples/task/separation.koord")).program
+    obligation = next(o for o in obligations(program) if o.name == "Clear-Assign")
+    late = Answer("unknown", 1.0, "z3 found no answer within 1 s; a longer --timeout may help")
+    said = doubt(program, obligation, late, "")
+    assert said.startswith("Clear-Assign (") and "--timeout may help. It is linear" in said
+    assert f"{len(obligation.facts)} facts" in said and "of `distances of paths`" in said
+    assert "facts" not in doubt(program, obligation, late._replace(reason="z3 was killed by signal 9"), "")
+
+
+MAPS = """\
+param Point corner = Point(0, 0, 0)
+param Point opposite = Point(2, 2, 0)
+allwrite: GridMap known = GridMap(corner, opposite, 1.0)
+local: bool looked
+Look:
+  pre: not looked
+  eff:
+    looked = True
+    known = mark_free(known, Grid(0, 0, 1.0))
+invariant Dark: known == GridMap(corner, opposite, 1.0)
+"""
+
+
+def test_a_map_that_is_made_of_params_is_no_mistake_of_the_prover(tmp_path: Path, solver: Solver) -> None:
+    found = verdicts(tmp_path, MAPS, solver)["Dark"]
+    assert found.verdict == "UNKNOWN"  # such maps are not calculated exactly, so no run is shown

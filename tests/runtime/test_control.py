@@ -374,11 +374,15 @@ def test_a_report_is_shown_as_a_table() -> None:
     metrics.heard(0, 3, 0.002, 1.5)
     metrics.round(1, 0.001, "Move", None, True)
     metrics.round(2, 0.001, None, "waits for cleo", False)
-    head = {"robot": "bert", "pid": 1, "app": "line", "phase": "running", "round": 2}
+    head: dict[str, Any] = {"robot": "bert", "pid": 1, "app": "line", "phase": "running", "round": 2}
+    near = {"of": "invariant", "name": "Near", "line": "line.koord:7", "since": 12, "why": "x[1] = 3"}
+    head["monitors"] = {"counts": {"violated": 1, "held": 2}, "violated": [near]}
     report = {**head, "names": ["alice", "bert", "cleo"], **metrics.snapshot(2.0, {"not authentic": 4})}
     told = show(report)
     assert "bert  pid 1 of 3, line: running, round 2" in told
     assert "rounds    2, current in 50.0 %, 1 events" in told
     assert "alice         50.0 %" in told and "never" in told
     assert "       4  not authentic" in told and "       1  waits for cleo" in told
+    assert "properties, as far as it can tell: 2 held, 1 violated" in told
+    assert "  violated since round 12: invariant Near (line.koord:7): x[1] = 3" in told
     assert not math.isnan(json.loads(json.dumps(report))["late_ms"]["p50"])

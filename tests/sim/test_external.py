@@ -16,7 +16,7 @@ import pytest
 from targets.sim import json_link
 from targets.sim.bodies import DeviceContext
 from targets.sim.external import ExternalAutopilot, Socket
-from targets.sim.faults import check_external
+from targets.sim.faults import check_robots
 from targets.sim.json_link import Servos, Vehicle
 from targets.sim.quadrotor import SimulatedQuadrotor
 from targets.sim.scenario import BadScenario, Robot, Sim, Start
@@ -293,9 +293,9 @@ def robot(**settings: str) -> Robot:
 
 def test_positions_of_a_gps_that_is_not_ours_are_left_alone() -> None:
     schedule, _ = read({"events": [{"at": 1, "positioning": {"robot": "ann", "noise": 1}}]}, ["ann"])
-    check_external(schedule, [robot(positioning="gps_input")])
+    check_robots(schedule, [robot(positioning="gps_input")])
     with pytest.raises(BadScenario, match="the GPS of ann is that of its external autopilot"):
-        check_external(schedule, [robot(positioning="own")])
+        check_robots(schedule, [robot(positioning="own")])
 
 
 APP = """
@@ -351,3 +351,11 @@ def test_an_agent_flies_with_an_external_autopilot(tmp_path: Path) -> None:
     lockstep = [sys.executable, "-m", "koordgen", "sim", *words, "--lockstep"]
     done = subprocess.run(lockstep, capture_output=True, text=True)
     assert done.returncode == 1 and "ext: its autopilot is external, a process with a clock of its own" in done.stderr
+
+
+def test_a_robot_without_a_battery_cannot_run_out_of_it() -> None:
+    schedule, _ = read({"events": [{"at": 4, "battery": {"robot": "ann", "level": 0.1}}]}, ["ann"])
+    simple = Robot("ann", 0, "quad", "", "simple_quad", "simple", Start((0, 0, 0)), sim=Sim(fidelity="simple"))
+    check_robots(schedule, [robot()])
+    with pytest.raises(BadScenario, match="battery at 4 s: ann is simulated without a battery"):
+        check_robots(schedule, [simple])

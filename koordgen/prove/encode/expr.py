@@ -49,8 +49,9 @@ class Encoder:
         self.room, self.params, self.call = room, params, call
         self.lists = Lists(room)
         self.geometry = Geometry(room, self.lists)
-        # What was called on what, and the result: where axioms about all values are looked at.
-        self.calls: dict[str, list[tuple[tuple[Val, ...], Val]]] = {}
+        # What was called on what: where axioms about all values are looked at.
+        self.calls: dict[str, list[tuple[Val, ...]]] = {}
+        self.called_on: set[tuple[object, ...]] = set()
 
     def value(self, node: ir.Expr, scope: Scope) -> Val:
         return _READERS[type(node)](self, node, scope)
@@ -58,8 +59,13 @@ class Encoder:
     def term(self, node: ir.Expr, scope: Scope) -> Term:
         return truth(self.value(node, scope))
 
-    def met(self, name: str, args: tuple[Val, ...], result: Val) -> None:
-        self.calls.setdefault(name, []).append((args, result))
+    def apply(self, name: str, symbol: str, args: tuple[Val, ...], type_: Type) -> Val:
+        """A call of what is known by contracts and axioms alone: a function of its arguments."""
+        leaves = tuple([leaf for arg in args for leaf in self.lists.leaves(arg)])
+        if (name, leaves) not in self.called_on:
+            self.called_on.add((name, leaves))
+            self.calls.setdefault(name, []).append(args)
+        return self.room.function(symbol, leaves, type_)
 
     # What is read
 

@@ -29,10 +29,10 @@ class Functions:
             except Unsummarised:
                 # SOUND: all that is known is that equal arguments give equal results.
                 self.room.note(f"{name}: nothing is known of its result but that equal arguments give equal ones")
-                return self.opaque(name, args, node)
+                return self.encoder.apply(name, symbol(name), args, node.type)
         if name in self.externs:
             return self.extern(self.externs[name], args, node)
-        return self.opaque(name, args, node)
+        return self.encoder.apply(name, symbol(name), args, node.type)
 
     def run(self, function: decl.Function, args: tuple[Val, ...]) -> Val:
         frame = Frame(self.encoder, t.integer(-1), None, None, _nothing)
@@ -47,16 +47,10 @@ class Functions:
             raise Unsummarised
         return found
 
-    def opaque(self, name: str, args: tuple[Val, ...], node: ir.Expr) -> Val:
-        leaves = tuple([leaf for arg in args for leaf in self.encoder.lists.leaves(arg)])
-        result = self.room.function(symbol(name), leaves, node.type)
-        self.encoder.met(name, args, result)
-        return result
-
     def extern(self, function: decl.ExternFunction, args: tuple[Val, ...], node: ir.Expr) -> Val:
         """What it requires is demanded. What it ensures holds where the call is made and has a result: of one that
         breaks its contract the event is discarded."""
-        result = self.opaque(function.name, args, node)
+        result = self.encoder.apply(function.name, symbol(function.name), args, node.type)
         frame = Frame(self.encoder, t.integer(-1), None, None, _nothing)
         frame.temps = {p.name: arg for p, arg in zip(function.parameters, args, strict=True)}
         required: list[Term] = []

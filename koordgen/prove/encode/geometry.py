@@ -2,6 +2,10 @@
 
 A path is not looked into: only its first and last points are, and paths of one point. Squares are told where
 coordinates are reckoned with elsewhere (`measured`), or where they are asked for; all else is linear.
+
+`brief` tells little, of which most proofs need no more: what lemmas bring forth has none of its own, but for what it
+says of distances that were met already; and instead of being told that a distance is symmetric, each pair is always
+written the same way round. Mostly, that is: equal pairs of which that is not known when they are written need not be.
 """
 
 from __future__ import annotations
@@ -39,6 +43,9 @@ class Geometry:
         self.others: dict[Term, Collection] = {}  # paths that are but terms
         self.measured = False
         self.squared: set[Term] = set()
+        self.brief = False
+        self.settled = False  # lemmas bring forth no more distances
+        self.ranks: dict[Term, int] = {}
 
     def distance(self, a: Val, b: Val) -> Term:
         """Of two points, in metres."""
@@ -62,11 +69,28 @@ class Geometry:
         if found is None:
             self.room.note(DISTANCES)
             name = Function("distance@points", (t.REAL,) * 6, t.REAL)
-            found = self.distances[p, q] = self.distances[q, p] = t.apply(name, *p, *q)
+            one, other = self._ordered(p, q)
+            found = self.distances[p, q] = self.distances[q, p] = t.apply(name, *one, *other)
             with self.room.about("distance of two points", 0):
                 self.room.fact(t.at_most(_NOTHING, found))
                 self.room.fact(t.equals(t.equals(found, _NOTHING), _equal(p, q)))
-                self.room.fact(t.equals(found, t.apply(name, *q, *p)))
+                if not self.brief:
+                    self.room.fact(t.equals(found, t.apply(name, *q, *p)))
+        return found
+
+    def _ordered(self, p: Triple, q: Triple) -> tuple[Triple, Triple]:
+        """A pair as it is written: where little is told, what speaks of the acting robot first, so that pairs that
+        are equal once their parts are, are one. Any order is right."""
+        return (q, p) if self.brief and max(map(self._rank, q)) < max(map(self._rank, p)) else (p, q)
+
+    def _rank(self, term: Term) -> int:
+        """By the last of the robots that a term speaks of."""
+        if isinstance(term, t.Value):
+            return -1
+        found = self.ranks.get(term)
+        if found is None:
+            own = list(self.room.indices).index(term) if term in self.room.indices else -1
+            found = self.ranks[term] = max([own, *map(self._rank, term.args)])
         return found
 
     def path_distance(self, a: Collection, b: Collection) -> Term:
@@ -95,6 +119,7 @@ class Geometry:
         found = self.lists.term(path)
         if point is not None:
             self.points[found] = point
+            self.singles[point] = found
         else:
             self.others[found] = path
         return found
@@ -104,19 +129,24 @@ class Geometry:
         if found is None:
             self.room.note(PATHS)
             name = Function("path_distance@paths", (p.sort, q.sort), t.REAL)
-            found = self.paths[p, q] = self.paths[q, p] = t.apply(name, p, q)
+            (one,), (other,) = self._ordered((p,), (q,))
+            found = self.paths[p, q] = self.paths[q, p] = t.apply(name, one, other)
             with self.room.about("distance of two paths", 0):
                 self.room.fact(t.at_most(_NOTHING, found))
-                self.room.fact(t.equals(found, t.apply(name, q, p)))
+                if not self.brief:
+                    self.room.fact(t.equals(found, t.apply(name, q, p)))
         return found
 
-    def _from_point(self, point: Triple, q: Term) -> Term:
-        """How far a point is from a path."""
+    def _from_point(self, point: Triple, q: Term) -> Term | None:
+        """How far a point is from a path; None where that was not met and lemmas bring forth no more."""
         if q in self.points:
-            return self._distance(point, self.points[q])
+            met = point == self.points[q] or (point, self.points[q]) in self.distances
+            return self._distance(point, self.points[q]) if met or not self.settled else None
         found = self.singles.get(point)
+        if self.settled:
+            return self.paths.get((found, q)) if found is not None else None
         if found is None:
-            found = self.singles[point] = self._path(_single(point), point)
+            found = self._path(_single(point), point)
         return self._apart(found, q)
 
     # Lemmas
@@ -136,6 +166,7 @@ class Geometry:
                     self._near(t.TRUE, self.points[p], q, found)
             if self.measured or exact:
                 self._squares()
+        self.settled = self.brief
 
     def _ends(self, p: Term, q: Term, found: Term) -> None:
         """A path is not farther away than its first and its last point are; one of a single point just as far."""
@@ -146,8 +177,12 @@ class Geometry:
         last = self.lists.leaves(self.lists.element(path, t.subtract(long, _ONE)))
         if q in self.points:
             for end in (first, last):
-                fact(t.implies(some, t.at_most(found, self._distance(end, self.points[q]))))
-            fact(t.implies(one, t.equals(found, self._distance(first, self.points[q]))))
+                there = self._from_point(end, q)
+                if there is not None:
+                    fact(t.implies(some, t.at_most(found, there)))
+            there = self._from_point(first, q)
+            if there is not None:
+                fact(t.implies(one, t.equals(found, there)))
         else:
             for single, point in list(self.points.items()):
                 if (single, q) in self.paths and (single in self.given or point in (first, last)):
@@ -170,8 +205,9 @@ class Geometry:
         some = t.less(_ZERO, self.lists.length(self.others[q])) if q in self.others else t.TRUE
         for other, apart in list(self.neighbours.get(point, {}).items()):
             there = self._from_point(other, q)
-            bounds = t.at_most(found, t.add(there, apart)), t.at_most(there, t.add(found, apart))
-            self.room.fact(t.implies(t.and_(one, some), t.and_(*bounds)))
+            if there is not None:
+                bounds = t.at_most(found, t.add(there, apart)), t.at_most(there, t.add(found, apart))
+                self.room.fact(t.implies(t.and_(one, some), t.and_(*bounds)))
 
     def _squares(self) -> None:
         for (p, q), found in list(self.distances.items()):

@@ -54,14 +54,13 @@ class Lists:
     def length(self, xs: Collection) -> Term:
         found = self.lengths.get(xs)
         if found is None:
-            found = self.lengths[xs] = self._length(xs)
+            found = self.lengths[xs] = self._long(xs) if type(xs) is Named else self._length(xs)
         return found
 
     def _length(self, xs: Collection) -> Term:
-        room = self.room
         match xs:
             case Fleet():
-                return room.size
+                return self.room.size
             case Known(items, type_) if not _unordered(type_) or len(items) < 2:
                 return t.integer(len(items))
             case Choice(condition, then, orelse):
@@ -73,15 +72,20 @@ class Lists:
             case Changed(update, base) if update in _STEPS:
                 return t.add(self.length(base), t.integer(_STEPS[update]))
             case _:
-                found = truth(room.function(f"{xs.type}.len", (self.term(xs),), INT))
-                room.fact(t.at_most(_ZERO, found), "no length is negative")
-                return found
+                return self._long(xs)
+
+    def _long(self, xs: Collection) -> Term:
+        found = truth(self.room.function(f"{xs.type}.len", (self.term(xs),), INT))
+        self.room.fact(t.at_most(_ZERO, found), "no length is negative")
+        return found
 
     def element(self, xs: Collection, index: Term) -> Val:
         """`xs[index]` of a list or queue, of a set or map in their order; any value where there is none."""
         found = self.elements.get((xs, index))
         if found is None:
-            found = self.elements[xs, index] = self._element(xs, index)
+            plain = type(xs) is Named
+            found = self._read(self.term(xs), xs.type, index) if plain else self._element(xs, index)
+            self.elements[xs, index] = found
         return found
 
     def _element(self, xs: Collection, index: Term) -> Val:
@@ -229,10 +233,14 @@ class Lists:
     def leaves(self, value: Val) -> tuple[Term, ...]:
         """A value as terms, each collection one of them."""
         if isinstance(value, tuple):
-            return tuple([leaf for part in value for leaf in self.leaves(part)])
-        if isinstance(value, _COLLECTIONS):
-            return (self.term(value),)
-        return (truth(value),)
+            flat: list[Term] = []
+            for part in value:
+                if isinstance(part, (t.Apply, t.Op, t.Value)):
+                    flat.append(part)
+                else:
+                    flat += self.leaves(part)
+            return tuple(flat)
+        return (self.term(value) if isinstance(value, _COLLECTIONS) else truth(value),)
 
     def term(self, xs: Collection) -> Term:
         """The term that a collection is."""

@@ -48,6 +48,12 @@ def symbol(name: str) -> str:
     return f"{name}@" if name in _RESERVED else name
 
 
+def symbols(name: str, args: tuple[Term, ...], type_: Type) -> list[Function]:
+    """Of a value that is a function of such terms, one for each part."""
+    domain = tuple([a.sort for a in args])
+    return [Function(name + suffix, domain, sort) for suffix, sort in shape(type_)]
+
+
 class Universal:
     """A formula that holds of every int in a domain: `instance` yields it for one, the domain's bounds included.
     `robots`, `places`: whether these are robots, places in lists, or may be both. `inner`: it arose from an instance of
@@ -174,9 +180,13 @@ class Room:
 
     def function(self, name: str, args: tuple[Term, ...], type_: Type) -> Val:
         """A value of a type that is a function of terms, and of nothing else."""
-        domain = tuple([a.sort for a in args])
-        leaves = [t.apply(Function(name + suffix, domain, sort), *args) for suffix, sort in shape(type_)]
-        return build(type_, iter([self.known.get(leaf, leaf) for leaf in leaves]))
+        return self.applied(symbols(name, args, type_), args, type_)
+
+    def applied(self, functions: list[Function], args: tuple[Term, ...], type_: Type) -> Val:
+        leaves = [t.apply(function, *args) for function in functions]
+        if self.known:
+            leaves = [self.known.get(leaf, leaf) for leaf in leaves]
+        return build(type_, iter(leaves))
 
     def learn(self, formula: Term) -> None:
         """What holds for certain of single variables is put in their place from now on."""

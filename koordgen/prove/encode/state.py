@@ -8,9 +8,9 @@ from typing import Protocol
 from koordgen.ir.decl import Program
 from koordgen.ir.types import PerRobot, Type
 from koordgen.prove import term as t
-from koordgen.prove.encode.room import Room, symbol
+from koordgen.prove.encode.room import Room, symbol, symbols
 from koordgen.prove.encode.values import Fleet, Val, pick
-from koordgen.prove.term import Term
+from koordgen.prove.term import Function, Term
 
 # "local", "slot", "cell", "port" and a name; a port's is "Module.port". "temp" and "wrote" (whether a cell was
 # written) are a run's own.
@@ -62,14 +62,16 @@ class Free:
     def __init__(self, room: Room, types: Mapping[Key, Type], moment: str = "") -> None:
         self.room, self.types, self.moment = room, types, moment
         self.read: dict[tuple[Key, Term], Val] = {}
+        self.symbols: dict[Key, list[Function]] = {}
 
     def of(self, key: Key, robot: Term) -> Val:
         found = self.read.get((key, robot))
         if found is None:
-            kind, name = key
-            args = () if kind == "cell" else (robot,)
-            found = self.room.function(symbol(name) + self.moment, args, self.types[key])
-            self.read[key, robot] = found
+            type_, args = self.types[key], () if key[0] == "cell" else (robot,)
+            functions = self.symbols.get(key)
+            if functions is None:
+                functions = self.symbols[key] = symbols(symbol(key[1]) + self.moment, args, type_)
+            found = self.read[key, robot] = self.room.applied(functions, args, type_)
         return found
 
 

@@ -7,14 +7,21 @@ from collections.abc import Iterator
 from koordgen.node import Node
 from koordgen.source import Span
 
+_FIELDS: dict[type, tuple[str, ...]] = {}  # of a class of nodes, last first
+
 
 def nodes(node: object) -> Iterator[Node]:
-    """All nodes of a tree."""
-    if isinstance(node, tuple):
-        for part in node:
-            yield from nodes(part)
-    elif isinstance(node, Node) and not isinstance(node, Span):
-        yield node
-        for field in type(node).__match_args__:  # type: ignore[attr-defined]
-            if field not in ("type", "span"):
-                yield from nodes(getattr(node, field))
+    """All nodes of a tree, each before those within it."""
+    pending = [node]
+    while pending:
+        node = pending.pop()
+        if type(node) is tuple:
+            pending += node[::-1]
+        elif isinstance(node, Node) and type(node) is not Span:
+            yield node
+            pending += [getattr(node, field) for field in _FIELDS.get(type(node)) or _fields(type(node))]
+
+
+def _fields(kind: type) -> tuple[str, ...]:
+    names = kind.__match_args__[::-1]  # type: ignore[attr-defined]
+    return _FIELDS.setdefault(kind, tuple([name for name in names if name not in ("type", "span")]))

@@ -29,7 +29,7 @@ class Own:
         self._count = 0
         self._hidden: dict[str, ModuleType] = {}
         self._streams = sys.stdout, sys.stderr
-        self.idle = self._names <= {"program"}  # a program alone needs none of this once it is loaded
+        self.idle = self._names <= {"program", "properties"}  # these need none of this once they are loaded
 
     def __enter__(self) -> None:
         sys.path.insert(0, self._path)

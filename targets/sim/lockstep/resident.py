@@ -23,6 +23,7 @@ from koordgen.runtime.machine import Agent as Machine
 from koordgen.runtime.network import MemoryNetwork, MemoryTransport, Queue
 from koordgen.runtime.platform import Platform, Unready
 from koordgen.runtime.program import Program
+from koordgen.runtime.property import Properties
 from koordgen.runtime.runner import Limit
 from koordgen.runtime.settings import BadSettings, Settings, load
 from koordgen.runtime.trace import Trace
@@ -133,14 +134,14 @@ class Resident(Agent):
         try:
             with self._own:
                 settings = load(shared.root / robot.bundle / "settings.json", self._settings_file)
-                program, drivers = _loaded(shared.scenario)
+                program, properties, drivers = _loaded(shared.scenario)
                 platform = self._embodied(actor, settings)
                 self._platform = with_drivers(platform, program, drivers)
                 self._transport = shared.network.transport(robot.pid)
                 self._machine = Machine(
                     program, settings, shared.key, self._platform, shared.clock, self._transport,
                     Trace(self._out, self._warn), self._emit, self._dice.randbytes(8), self._store,  # type: ignore[arg-type]
-                    monitors=self.monitors, limit=shared.limit,
+                    monitors=self.monitors, limit=shared.limit, properties=properties,
                 )  # fmt: skip
                 if program.library is None and not drivers and self._own.idle:
                     self._inside = nullcontext()
@@ -298,12 +299,13 @@ class Resident(Agent):
             self._log.close()
 
 
-def _loaded(scenario: Scenario) -> tuple[Program, Drivers]:
+def _loaded(scenario: Scenario) -> tuple[Program, Properties, Drivers]:
     """What the bundle's `__main__.py` takes from beside it. Within `Own`. Raises BadExtern and what imports raise."""
     program: Program = importlib.import_module("program").PROGRAM
+    properties: Properties = importlib.import_module("properties").PROPERTIES
     if program.library is not None:
         program.library.load()
     drivers: dict[str, Callable[[], Any]] = {
         served: getattr(importlib.import_module(module), member) for served, module, member in scenario.drivers
     }
-    return program, drivers
+    return program, properties, drivers

@@ -13,9 +13,11 @@ if __name__ == "__main__":
     try:
         from koordgen.runtime.agent import main
         from program import PROGRAM
+        from properties import PROPERTIES
         from targets.car.platform import Car as Body
     except ImportError as missing:
         from koordgen.runtime.findings import tell_unloadable
 
         raise SystemExit(tell_unloadable(HERE, sys.argv[1:], missing)) from None
-    raise SystemExit(main(PROGRAM, Body, HERE, sys.argv[1:]))
+    drivers = {}
+    raise SystemExit(main(PROGRAM, Body, HERE, sys.argv[1:], drivers, PROPERTIES))

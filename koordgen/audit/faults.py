@@ -1,0 +1,64 @@
+"""Contracts of extern functions, and all else for which events were discarded, as robots told of it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from koordgen.audit.finding import AFTER, Finding, Moment, Outcome, Violation
+from koordgen.audit.story import Mission, Story
+from koordgen.ir import decl
+from koordgen.prove.spell import spelled
+from koordgen.replay.robot import OVERRAN
+
+_CONTRACT = re.compile(r"(?:requires|ensures) \(line (\d{1,9})\)")  # as runtime/extern.py words it
+
+
+def contracts(program: decl.Program, mission: Mission) -> list[Finding]:
+    """A finding for each line of a contract, and last one that every program has: that no event is discarded for a
+    reason of the program's. Robots do not tell each call: what is counted are events."""
+    found = {
+        formula.span.line: Finding("contract", f"{extern.name} {word} {spelled(formula)}", formula.span.line)
+        for extern in program.externs
+        for word, formulas in (("requires", extern.requires), ("ensures", extern.ensures))
+        for formula in formulas
+    }
+    general = Finding("well-defined", "", 0)
+    for round_ in range(1, mission.last + 1):
+        told: dict[int, list[tuple[Outcome, str]]] = {line: [] for line in (0, *found)}
+        for story in mission.stories:
+            record = story.rounds[round_].record if round_ in story.rounds else {}
+            if record.get("event") is None and record.get("fault") is None:
+                continue
+            broken = _line(record, found)
+            for line, outcomes in told.items():
+                outcomes.append(("violated" if line == broken else "held", ""))
+            finding = general if broken == 0 else found.get(broken)
+            if finding is not None and finding.first is None:
+                finding.first = _violation(story, round_, record)
+        for finding in (general, *found.values()):
+            finding.close(round_, told[finding.line], of_each=True)
+    return [*found.values(), general]
+
+
+def late(mission: Mission) -> int:
+    """How many events were discarded because they took too long, which says nothing of the program."""
+    faults = [line.record.get("fault") for story in mission.stories for line in story.rounds.values()]
+    return sum(fault is not None and fault["reason"] == OVERRAN for fault in faults)
+
+
+def _line(record: Mapping[str, Any], contracts: Mapping[int, Finding]) -> int:
+    """The line of the contract that was broken; 0 where an event was discarded for another reason, else -1."""
+    fault = record.get("fault")
+    if fault is None or fault["reason"] == OVERRAN:
+        return -1
+    told = _CONTRACT.search(fault["reason"])
+    return int(told[1]) if told and int(told[1]) in contracts else 0
+
+
+def _violation(story: Story, round_: int, record: Mapping[str, Any]) -> Violation:
+    fault = record["fault"]
+    place = f"{fault.get('file', '')}:{fault.get('line', 0)}"
+    read = (f"{record.get('event') or 'a guard'} was discarded, {place}: {fault['reason']}",)
+    return Violation(Moment(round_, False), AFTER, (story.name,), (), read, "", ())

@@ -1,0 +1,97 @@
+"""`koordgen audit`: what is asked, what is printed, and the exit status."""
+
+from __future__ import annotations
+
+import json
+import sys
+from argparse import Namespace
+from collections.abc import Sequence
+from pathlib import Path
+
+from koordgen.audit import blame, clocks, faults, monitors
+from koordgen.audit.finding import Finding
+from koordgen.audit.judge import Judge
+from koordgen.audit.meaning import Meaning
+from koordgen.audit.reading import found, opened
+from koordgen.audit.show import Audit, document, report
+from koordgen.audit.story import Mission, mission
+from koordgen.cli import HOLDS, INCONCLUSIVE, SURROUNDINGS, VIOLATED, WRONG, Failure
+from koordgen.cli.terminal import Line
+from koordgen.cli.traced import program_of
+from koordgen.ir.decl import Program
+from koordgen.replay.functions import CannotCall
+from koordgen.replay.trace import BadTrace
+
+QUERY, ALL_QUERIES = 10.0, 60.0  # seconds that a solver has
+
+
+def audit(options: Namespace) -> int:
+    """The whole command."""
+    try:
+        paths = list(dict.fromkeys(path for given in options.traces for path in found(Path(given))))
+        logs = [opened(path) for path in paths]
+        whole = mission(logs)
+        program, functions = program_of(options, logs[0].path, logs[0].program_hash)
+        judged = _judged(program, functions, whole)
+    except BadTrace as error:
+        raise Failure(WRONG, str(error), "traces of one mission of one fleet are expected") from None
+    except CannotCall as error:
+        raise Failure(WRONG, str(error), "name it with --functions") from None
+    except RecursionError:
+        raise Failure(
+            WRONG, "values in these traces are nested too deeply", "no robot of koordgen's writes such"
+        ) from None
+    blames = blame.blames(program, judged)
+    proved = _proved(program, [each.invariant for each in blames]) if options.prove and blames else None
+    made = Audit(program.path, whole, judged, blames, _notes(judged, whole), proved)
+    status = VIOLATED if made.violated else INCONCLUSIVE if made.doubtful else HOLDS
+    if options.plot:
+        _draw(made, Path(options.plot))
+    if options.format == "json":
+        print(json.dumps(document(made, status), indent=2), flush=True)
+    else:
+        sys.stdout.write(report(made))
+    return status
+
+
+def _judged(program: Program, functions: Path | None, whole: Mission) -> list[Finding]:
+    line = Line(sys.stderr)
+    try:
+        judge = Judge(Meaning(program, functions), whole)
+        judged = judge.run(lambda round_, last: None if round_ % 50 else line.show(f"round {round_} of {last}"))
+    finally:
+        line.end()
+    return [*judged, *faults.contracts(program, whole)]
+
+
+def _notes(judged: Sequence[Finding], whole: Mission) -> list[str]:
+    late = faults.late(whole)
+    overran = [f"{late} event{'s' * (late != 1)} were discarded because they took too long"] if late else []
+    return [*whole.notes, *clocks.notes(whole), *overran, *monitors.compared(judged, whole)]
+
+
+def _proved(program: Program, violated: Sequence[Finding]) -> dict[str, str]:
+    """What the prover says of the program as it was flown, of any number of robots."""
+    from koordgen.prove.solve import Limits, SolverMissing, solver_of
+    from koordgen.prove.verdict import Question, prove
+
+    question = Question(program, params={p.name: p.default for p in program.params})
+    try:
+        with solver_of("z3", Limits(query=QUERY, total=ALL_QUERIES)) as solver:
+            verdicts = prove(question, solver)
+    except SolverMissing as error:
+        raise Failure(SURROUNDINGS, str(error), f"{sys.executable} -m pip install 'koordgen[prove]'") from None
+    names = {finding.name for finding in violated}
+    return {verdict.invariant: verdict.verdict for verdict in verdicts if verdict.invariant in names}
+
+
+def _draw(made: Audit, path: Path) -> None:
+    from koordgen.audit.plot import draw
+
+    try:
+        draw(made, path)
+    except ModuleNotFoundError as error:
+        hint = f"{sys.executable} -m pip install 'koordgen[sim]'"
+        raise Failure(SURROUNDINGS, f"the package {error.name} is missing", hint) from None
+    except (OSError, ValueError) as error:
+        raise Failure(SURROUNDINGS, f"{path}: {error}", "a name that ends in .png, .svg or .pdf is expected") from None

@@ -1,0 +1,46 @@
+"""How much so many independent runs tell."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+HALVINGS = 60
+
+
+def needed(epsilon: float, gamma: float) -> int:
+    """How many runs without a violation it takes to say, with confidence 1 - gamma, that a run violates with a
+    probability below epsilon: at least ln(1/gamma)/epsilon, because (1 - epsilon)^n <= exp(-n epsilon)."""
+    return math.ceil(math.log(1.0 / gamma) / epsilon)
+
+
+def shown(runs: int, gamma: float) -> float:
+    """The epsilon that so many runs without a violation show, with confidence 1 - gamma: (1 - epsilon)^runs = gamma."""
+    return 1.0 if runs < 1 else -math.expm1(math.log(gamma) / runs)
+
+
+def clopper_pearson(violated: int, runs: int, gamma: float) -> tuple[float, float]:
+    """The interval in which the probability of a violation lies with confidence 1 - gamma or more, whatever it is:
+    the probabilities with which neither so many violations or more, nor so many or fewer, are rarer than gamma/2
+    (Clopper and Pearson 1934). Of no runs, everything."""
+    low = 0.0 if not violated else _where(lambda p: 1.0 - _at_most(violated - 1, runs, p) < gamma / 2)
+    high = 1.0 if violated == runs else _where(lambda p: _at_most(violated, runs, p) > gamma / 2)
+    return low, high
+
+
+def _at_most(k: int, n: int, p: float) -> float:
+    """The probability of at most k out of n, each with probability p in (0, 1)."""
+    log_p, log_q = math.log(p), math.log1p(-p)
+    return math.fsum(
+        math.exp(math.lgamma(n + 1) - math.lgamma(i + 1) - math.lgamma(n - i + 1) + i * log_p + (n - i) * log_q)
+        for i in range(k + 1)
+    )
+
+
+def _where(below: Callable[[float], bool]) -> float:
+    """The probability up to which a condition is true."""
+    low, high = 0.0, 1.0
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if below(middle) else (low, middle)
+    return (low + high) / 2
