@@ -141,10 +141,11 @@ class Surroundings:
             return
         n_sys = self.machine.n_sys
         rest = fleet[n_sys:]
-        for owns in product(*[self._moved(pid, fleet[pid]) for pid in range(n_sys)]):
+        for owns in product(*[self.moves(pid, fleet[pid]) for pid in range(n_sys)]):
             yield owns + rest
 
-    def _moved(self, pid: int, own: int) -> tuple[int, ...]:
+    def moves(self, pid: int, own: int) -> tuple[int, ...]:
+        """What one robot's own may be after the step."""
         found = self._moves.get((pid, own))
         if found is None:
             robot = self.machine.owns.values[own]
