@@ -30,6 +30,7 @@ SAFETY: dict[str, Any] = {
     "outside_fence": 0.5,
 }
 MISSED_ACTIONS = ("hold", "rest")  # as there (a test compares them)
+MONITOR_ACTIONS = ("off", "log", "hold", "land", "stop")  # as there (a test compares them)
 LEAST_TIMEOUT = 3  # rounds: what is lost is asked for in the round after, and some of that is lost again
 GOING_ON = 5  # rounds after `peer_timeout` by which the others have gone on
 
@@ -49,6 +50,7 @@ class Fleet(Node):
     insecure: bool
     params: dict[str, Any]
     safety: dict[str, Any]
+    monitors: dict[str, str]  # what robots do when a property is violated, by its name
     planner_budget: float  # seconds that a planner may take within an event
     drivers: dict[str, Driver]
     robots: tuple[Robot, ...]
@@ -84,7 +86,7 @@ def _read(
 ) -> Fleet:
     harnesses = sorted(name for name, t in targets.items() if t.kind == "harness")
     optional = ["application_id", "key", "insecure", "params", "safety", "obstacles", "modules"]
-    optional += ["planner_budget", "avoid", "link", "network", "mocap", "world", *harnesses]
+    optional += ["monitors", "planner_budget", "avoid", "link", "network", "mocap", "world", *harnesses]
     top = reader.table(reader.document(), "the fleet file", ["delta", "origin", "geofence", "robots"], optional)
     origin = reader.table(top.get("origin"), "origin", ["latitude", "longitude", "altitude"], [])
     geofence = read_box(reader, top.get("geofence"), "geofence")
@@ -110,6 +112,7 @@ def _read(
         insecure=insecure,
         params={} if params is None else _params(reader, top.get("params"), params),
         safety=_safety(reader, top.get("safety")),
+        monitors=_monitors(reader, top.get("monitors"), known, roster.robots, targets),
         planner_budget=reader.number(top.get("planner_budget"), "planner_budget (seconds)", 0.0005, 1.0) or 0.01,
         drivers=_drivers(reader, top.get("modules")),
         robots=roster.robots,
@@ -185,6 +188,25 @@ def _safety(reader: Reader, node: YamlNode | None) -> dict[str, Any]:
         )
         help = f"say `missed_rounds: {patience + 1}` or more, or a shorter peer_timeout"
         reader.report("F005", message, given["missed_action"], help)
+    return found
+
+
+def _monitors(
+    reader: Reader, node: YamlNode | None, known: Known, robots: tuple[Robot, ...], targets: Mapping[str, Target]
+) -> dict[str, str]:
+    named = [key.value for key, _ in node.value] if isinstance(node, yaml.MappingNode) else []
+    there = named if known.properties is None else known.properties
+    found = {}
+    for name, value in reader.table(node, "monitors", [], ["default", *there]).items():
+        # YAML 1.1 reads a bare `off` as false.
+        bare = isinstance(value, yaml.ScalarNode) and value.value == "off"
+        action = "off" if bare else reader.choice(value, f"monitors: {name}", MONITOR_ACTIONS)
+        unable = [r.name for r in robots if action not in ("off", "log", *targets[r.target].actions)]
+        if action is not None and unable:
+            message = f"monitors: {name} is {action!r}, which {', '.join(unable)} cannot"
+            reader.report("F005", message, value, "`stop` brings each robot to rest in its own way: a quad lands")
+        elif action is not None:
+            found[name] = action
     return found
 
 

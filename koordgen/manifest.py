@@ -11,6 +11,7 @@ from koordgen.node import Node
 
 # The Platform interface of koordgen/runtime/platform.py that this compiler's runtime offers.
 API = 1
+ACTIONS = ("hold", "stop")  # of every robot
 SETTING_TYPES = {"string": str, "float": float, "int": int, "bool": bool}
 
 
@@ -59,6 +60,7 @@ class Target(Node):
     (`entry` is its main function), both as "module:name". `sensors`, `actuators` and `callables` are keyed by
     "Module.port" and say the Koord type. `simulation` names the body and the device that stand in for the real ones;
     `feed` how a base station finds it; `also` the other folders of targets/ whose files this one's code imports.
+    `actions` are what its robots can do when a property is violated: hold, come to rest (stop), land.
     `robot` is what a harness lets the file say of each robot, single settings and groups of them, without defaults: the
     harness has these. `footprint` names the settings (m) that tell how much room the body takes: `radius` about its
     reference point, or `length`, `width` and `behind`, which is how much of the length is behind that; and `height`, if
@@ -79,6 +81,7 @@ class Target(Node):
     folder: Path
     robot: Offered
     footprint: dict[str, str]
+    actions: tuple[str, ...] = ACTIONS
 
     @property
     def modules(self) -> set[str]:
@@ -135,6 +138,7 @@ def _target(raw: dict[str, Any], path: Path) -> Target:
         folder=path.parent,
         robot={key: _offered(key, value) for key, value in raw.get("robot", {}).items()},
         footprint=raw.get("footprint", {}),
+        actions=(*ACTIONS, "land") if raw.get("lands", False) else ACTIONS,
     )
 
 

@@ -44,11 +44,12 @@ def _any_class(driver: Driver, methods: tuple[str, ...]) -> str:
 class Known(Node):
     """What the file's names must fit: `avoid` tells of a variable's name, `markers` of the name of a list and of the
     field in which its elements have their places, `own_class` of a class with these methods, made with one argument,
-    what is wrong with it, or ""."""
+    what is wrong with it, or "". `properties` are the names that `monitors` may give; None: any."""
 
     avoid: Fits = _anything
     markers: Callable[[str, str], str] = _any_list
     own_class: Callable[[Driver, tuple[str, ...]], str] = _any_class
+    properties: tuple[str, ...] | None = None
 
 
 def read_settings(

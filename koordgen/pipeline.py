@@ -243,7 +243,11 @@ def _known(program: Program, fleet_path: str, program_path: str) -> Known:
     def unfit(module: str, name: str, methods: tuple[str, ...]) -> str:
         return own_class(Driver(module, name), methods, program, folders)
 
-    return Known(unpublished, unmarked, lambda driver, methods: unfit(driver.module, driver.name, methods))
+    own = [p.name for p in program.properties if p.kind == "invariant" and p.name]
+    own += [f"assume {module.name}" for module in program.modules if module.assumptions]
+    own += [f"requires {f.name}" for f in program.externs if f.requires]
+    own += [f"ensures {f.name}" for f in program.externs if f.ensures]
+    return Known(unpublished, unmarked, lambda d, methods: unfit(d.module, d.name, methods), tuple(own))
 
 
 def _fits(program: Program, name: str) -> Callable[[Value], str]:

@@ -179,6 +179,7 @@ def settings(program: Program, fleet: Fleet, robot: Robot) -> dict[str, Any]:
         "control": robot.control,
         "planner_budget": fleet.planner_budget,
         "safety": fleet.safety,
+        "monitors": fleet.monitors,
         "avoid": fleet.avoid,
         "body": robot.settings,
     }

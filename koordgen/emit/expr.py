@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from koordgen.diagnostics import InternalError
+from koordgen.emit.alone import tells_of_itself
 from koordgen.emit.names import Names
 from koordgen.emit.types import display, with_floats
 from koordgen.ir import expr as ir
@@ -99,6 +100,8 @@ def _quantified(node: ir.Quantified, names: Names) -> str:
     every = "every" if node.kind == "forall" else "some"
     others = "" if isinstance(node.domain, ir.Ids) or _names_a_robot(node.name, node.body) else ", robots=False"
     body = f"lambda {names.temp(node.name)}: {text(node.body, names)}"
+    if tells_of_itself(node):
+        return f"s.own({literal(node.name)}, {body})"
     return f"s.{every}({literal(node.name)}, {domain(node.domain, names)}, {body}{others})"
 
 

@@ -154,6 +154,7 @@ def _run(
         agent = Agent(
             program, settings, key, platform, clock, transport, trace, emit, os.urandom(8), store,
             limit=Interrupting(), properties=properties,
+            cpu=time.thread_time,
         )  # fmt: skip
 
         def report() -> dict[str, Any]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 from koordgen.runtime.clock import Clock, FleetClock
 from koordgen.runtime.metrics import Metrics
@@ -14,8 +15,10 @@ from koordgen.runtime.watched import Change
 from koordgen.runtime.wire import View
 
 _ACTING = {"off": "", "log": "", "hold": ", the robot holds", "land": ", it lands", "stop": ", it comes to rest"}
+MOST_CHANGES, OFTEN = 6, 10.0  # lines for people about one property within so many seconds
 METRICS_EVERY = 10.0  # seconds between two of them in the trace
 
+T = TypeVar("T")
 Emit = Callable[[str, str], None]  # level (info, warning, error) and a line
 
 
@@ -39,6 +42,7 @@ class Journal:
         self._fleet_clock = fleet_clock
         self._metrics = metrics
         self._monitors = list(monitors)
+        self._changes: dict[str, tuple[float, int]] = {}  # of properties: since when, how many
         self._counted: Mapping[str, int] = {}
         self._faulty = ""
         self._phase = ""
@@ -70,8 +74,15 @@ class Journal:
         self.log("error", text)
 
     def monitor(self, change: Change) -> None:
-        """A property has come to another outcome; told to people unless that is its first, and as it should be."""
+        """A property has come to another outcome. People are told unless that is its first and as it should be, and of
+        one that goes to and fro not each time."""
         self._trace.monitor(change)
+        since, count = self._changes.get(change.word, (-math.inf, 0))
+        if change.time - since > OFTEN:
+            since, count = change.time, 0
+        self._changes[change.word] = since, count + 1
+        if count >= MOST_CHANGES:
+            return
         if change.outcome == "violated":
             self._line("warning", f"{change.word} is violated{_ACTING[change.action]}: {change.why}")
         elif change.before is not None:
@@ -116,11 +127,17 @@ class Journal:
         self._faulty = fault
         self._metrics.round(record.round, record.late, record.event, record.skipped, record.frame is not None)
         for monitor in tuple(self._monitors):
-            try:
-                monitor(record)
-            except Exception as error:
+            if not self.attempt(monitor, record):
                 self._monitors.remove(monitor)
-                self.error(f"a monitor failed and is off: {type(error).__name__}: {error}")
+
+    def attempt(self, monitor: Callable[[T], None], seen: T) -> bool:
+        """Let a monitor look at something; what it raises is told and brings nobody down."""
+        try:
+            monitor(seen)
+        except Exception as error:
+            self.error(f"a monitor failed and is off: {type(error).__name__}: {error}")
+            return False
+        return True
 
     def measure(self, rejected: Mapping[str, int], now: float, at_once: bool = False) -> None:
         """Put the metrics into the trace, if it is time."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import traceback
 from collections.abc import Sequence
 
+from koordgen.runtime.allowance import Cpu
 from koordgen.runtime.body import Body
 from koordgen.runtime.clock import Clock, FleetClock
 from koordgen.runtime.joining import Joining
@@ -58,6 +59,7 @@ class Agent:
         monitors: Sequence[Observe] = (),
         limit: Limit = unlimited,
         properties: Properties | None = None,
+        cpu: Cpu | None = None,
     ) -> None:
         self._settings = settings
         self._platform = platform
@@ -68,7 +70,7 @@ class Agent:
         self._layout = Layout(program.shared, len(self._names))
         self._fleet_clock = FleetClock(settings.pid)
         self._journal = Journal(settings.robot, trace, emit, clock, self._fleet_clock, self.metrics, monitors)
-        self.monitors = Monitors(properties, settings, self._journal.monitor, limit)
+        self.monitors = Monitors(properties, settings, self._journal.monitor, limit, cpu)
         self._journal.watch(self.monitors.hear)
         self._link = Link(
             program, settings, key, transport, clock, self._fleet_clock, boot, self._journal.error, self.metrics
@@ -87,13 +89,12 @@ class Agent:
         self._untold: list[Record] = []
         self._view = -1
         self._next_body = 0.0
-        self._missed = 0
+        self._missed = self._failures = 0
         self._init: Life | None = None
         self._resting_since = 0.0
         self._served = 0.0  # when the platform's `poll` last went well
         self._asked_to_end = False
         self._started = self._lost = self._broken = False
-        self._failures = 0
         self.phase = ""
         self.status = OK
         self.done = False
@@ -387,7 +388,7 @@ class Agent:
 
     def _monitor(self, rounds: Rounds, now: float) -> None:
         """What the properties demand, as far as this robot can tell."""
-        self.monitors.look(rounds.moment)
+        self._journal.attempt(self.monitors.look, rounds.moment)
         verdict = self.monitors.verdict
         self._body.hold("monitor", verdict.action == "hold", now)
         if verdict.action == "rest" and self.phase == "running":

@@ -7,10 +7,10 @@ assumption is evaluated from right after a round's event to the next round's sen
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from operator import is_
+from collections.abc import Callable, Mapping
 from typing import Any
 
+from koordgen.runtime.allowance import Allowance, Cpu
 from koordgen.runtime.extern import Contract
 from koordgen.runtime.property import UNKNOWN, Assumption, Known, Outcome, Properties, Trail, judged
 from koordgen.runtime.runner import Limit, Overrun
@@ -20,8 +20,10 @@ from koordgen.runtime.told import told
 from koordgen.runtime.trace import LEFT, Record
 from koordgen.runtime.watched import FOR_GOOD, OWN, SENSED, SHARED, Change, Moment, Watched, usable
 
+SHARE = 0.05  # of the agent's processor time: what properties that are only logged may take
+LONGEST_WAIT = 50  # rounds, then one is evaluated whatever it takes
 BUDGET = 0.1  # of delta: what the properties of one round may take, all together
-MOST_OVERRUNS = 3  # then a property that takes too long is not looked at any more
+MOST_OVERRUNS = 3  # a property that takes too long more often is not looked at any more
 GOALS = ("target", "path")
 
 Tell = Callable[[Change], None]
@@ -29,14 +31,17 @@ Tell = Callable[[Change], None]
 
 class Monitors:
     """`look` at each round's moment once its closing has left, `hear` each round's record once it is certain. `verdict`
-    is what the violated ones demand. `limit` interrupts what takes too long."""
+    is what the violated ones demand. `limit` interrupts what takes too long. Of those that are only logged as many are
+    evaluated as the processor's time `cpu` allows, the oldest first; those with an action always."""
 
-    def __init__(self, found: Properties | None, settings: Settings, tell: Tell, limit: Limit) -> None:
+    def __init__(
+        self, found: Properties | None, settings: Settings, tell: Tell, limit: Limit, cpu: Cpu | None = None
+    ) -> None:
         self.verdict = GO
         self._pid, self._names = settings.pid, tuple(p.name for p in settings.peers)
         self._delta, self._patience = settings.delta, settings.safety.peer_timeout
         self._actions = settings.monitors
-        self._tell, self._limit = tell, limit
+        self._tell, self._limit, self._cpu = tell, limit, cpu
         self._round = 0
         self._invariants: list[Watched] = []
         self._assumptions: list[Watched] = []
@@ -51,17 +56,34 @@ class Monitors:
     def _watch(self, found: Properties) -> None:
         n, program = len(self._names), found.program
         self._known, self._step = found.fleet(n, None), found.step(n, None)
-        self._rows = {name: [UNKNOWN] * n for name in self._known.each}
-        self._ports = [p for p in program.ports if p.direction in ("sensor", "actuator")]
-        places = {p.name: SENSED for p in program.ports if p.direction == "sensor"}
-        places |= {v.name: SHARED for v in program.shared}
+        self._known.pid = self._step.pid = self._pid
+        place = {p.name: SENSED for p in program.ports if p.direction == "sensor"}
+        place |= {v.name: SHARED for v in program.shared}
         for p in found.properties:
             if p.kind == "invariant" and (action := self._action(p.name)) != "off":
-                reads = tuple((name, places.get(name, OWN)) for name in p.reads)
-                self._invariants.append(Watched("invariant", p.name, f"{program.source}:{p.line}", action, p, reads))
+                places = [place.get(name, OWN) for name in p.reads]
+                reads, needs, senses = frozenset(p.reads), max(places, default=SENSED), SENSED in places
+                line = f"{program.source}:{p.line}"
+                self._invariants.append(Watched("invariant", p.name, line, action, p, reads, needs, senses))
         for a in found.assumptions:
             if (action := self._action(f"assume {a.module}")) != "off":
-                self._assumptions.append(Watched("assume", a.module, f"{program.source}:{a.line}", action, a))
+                self._assumptions.append(
+                    Watched("assume", a.module, f"{program.source}:{a.line}", action, a, frozenset(a.reads))
+                )
+        # Each has its own, so that neither gets all the time that there is.
+        share = SHARE / 2 if self._invariants and self._assumptions else SHARE
+        self._invariant_time, self._assumption_time = Allowance(self._cpu, share), Allowance(self._cpu, share)
+        names = sorted(frozenset[str]().union(*(watched.reads for watched in self._invariants)))
+        self._reading = [(name, place.get(name, OWN)) for name in names]
+        self._values: dict[str, Any] = {}  # what was read last
+        self._rows = {name: [UNKNOWN] * n for name in self._known.each}
+        one = self._step.one
+        primed = frozenset[str]().union(*(watched.reads for watched in self._assumptions))
+        self._ports = [
+            (p.name, p.direction == "sensor", one[p.name], one[f"{p.name}'"])
+            for p in program.ports
+            if p.name in primed or f"{p.name}'" in primed
+        ]
 
     def _action(self, name: str) -> Action:
         return self._actions.get(name) or self._actions.get("default") or "log"
@@ -78,39 +100,60 @@ class Monitors:
         return bool(self._invariants or self._assumptions)
 
     def look(self, moment: Moment | None) -> None:
-        """The present round's moment; the same one is looked at once."""
+        """The present round's moment; the same one is looked at once. What it raises is a mistake of ours: all
+        invariants are off then."""
         if moment is None or moment.round == self._round:
             return
         self._round = moment.round
-        due = [watched for watched in self._invariants if self._is_due(watched, moment)]
-        if not due:
-            return
-        self._put(due)
-        self._judge(due, self._known, moment.time)
+        if self._invariants:
+            try:
+                self._look(moment)
+            except Exception:
+                self._invariants = []
+                raise
 
-    def _is_due(self, watched: Watched, moment: Moment) -> bool:
-        """Whether something that it reads has become another; what has not is as true as it was before. What is not
-        certain for too long is not known any more."""
-        if watched.needs > moment.certain:
-            age = moment.round - watched.true
-            if age > self._patience and watched.outcome not in (None, "unknown"):
-                watched.values = ()
-                self._become(watched, "unknown", f"what it reads is {age} rounds old", moment.time)
-            return False
-        watched.true = moment.round - (moment.age(self._delta) if watched.senses else 0)
-        before, watched.values = watched.values, tuple([moment.value(name, place) for name, place in watched.reads])
-        same = len(before) == len(watched.values) and all(map(is_, before, watched.values))
-        return not same or watched.outcome is None
+    def _look(self, moment: Moment) -> None:
+        self._invariant_time.begin()
+        changed = self._put(moment)
+        old = moment.age(self._delta)
+        due = []
+        for watched in self._invariants:
+            watched.due = watched.due or not changed.isdisjoint(watched.reads)
+            if watched.needs > moment.certain:
+                self._wait(watched, moment)
+            elif watched.due:
+                due.append(watched)
+            else:  # what has not become another is as true as it was before
+                watched.true = moment.round - (old if watched.senses else 0)
+        if due:
+            self._judge(due, self._known, self._invariant_time, moment.time, moment.round, old)
+        self._invariant_time.end()
 
-    def _put(self, due: Sequence[Watched]) -> None:
-        known, rows = self._known, self._rows
-        for watched in due:
-            for (name, place), value in zip(watched.reads, watched.values, strict=True):
-                if place == SHARED:
-                    known.put({name: value})
-                else:
-                    rows[name][self._pid] = value if place == OWN else usable(value)
-                    known.each[name].values = rows[name]
+    def _wait(self, watched: Watched, moment: Moment) -> None:
+        """What is not certain for too long is not known any more."""
+        age = moment.round - watched.true
+        if age > self._patience and watched.outcome not in (None, "unknown"):
+            watched.due = True
+            self._become(watched, "unknown", f"what it reads is {age} rounds old", moment.time, stale=True)
+
+    def _put(self, moment: Moment) -> set[str]:
+        """What is certain; the names of what is another object than before."""
+        known, values, changed = self._known, self._values, set()
+        for name, place in self._reading:
+            if place > moment.certain:
+                continue
+            value = moment.value(name, place)
+            if value is values.get(name):
+                continue
+            values[name] = value
+            changed.add(name)
+            if place == SHARED:
+                known.put({name: value})
+            else:
+                row = self._rows[name]
+                row[self._pid] = usable(value) if place == SENSED else value
+                known.each[name].values = row
+        return changed
 
     def hear(self, record: Record) -> None:
         """A round's record, in their order: it shows of assumptions about the round before, and of contracts."""
@@ -128,21 +171,20 @@ class Monitors:
 
     def _assume(self, before: Record, after: Record, actuators: Mapping[str, Any]) -> None:
         """Of the round that `before` tells of: from right after its event to the sensors of the next round."""
-        step = self._step
-        step.pid, step.asked = self._pid, before.calls
+        self._assumption_time.begin()
         commanded = before.effects.actuators if before.effects is not None else ()
         moved = {module for module, _, port in (name.rpartition(".") for name in commanded) if port in GOALS}
-        for port in self._ports:
-            name = port.name
-            if port.direction == "actuator":
-                step.put({name: actuators[name], f"{name}'": actuators[name]})
+        for name, senses, first, then in self._ports:
+            if senses:
+                module, _, port = name.rpartition(".")
+                unreached = port == "reached" and module in moved
+                first.content = False if unreached else usable(before.sensors[name])
+                then.content = usable(after.sensors[name])
             else:
-                module, _, word = name.rpartition(".")
-                first = False if word == "reached" and module in moved else usable(before.sensors[name])
-                step.put({name: first, f"{name}'": usable(after.sensors[name])})
-        for watched in self._assumptions:
-            watched.true = after.round
-        self._judge(self._assumptions, step, after.time)
+                first.content = then.content = actuators[name]
+        self._step.asked = before.calls
+        self._judge(self._assumptions, self._step, self._assumption_time, after.time, after.round, 0)
+        self._assumption_time.end()
 
     def _contract(self, record: Record) -> None:
         """An event that a broken contract discarded; or that ran through although one was broken in it before."""
@@ -163,28 +205,33 @@ class Monitors:
                     watched.true = record.round
                     self._become(watched, "held", f"{record.event or 'every guard'} ran through again", record.time)
 
-    def _judge(self, due: Sequence[Watched], known: Known, time: float) -> None:
-        """What each comes to, within the time that there is; one that takes too long again and again has no value."""
-        found: list[tuple[Outcome, str]] = []
+    def _judge(
+        self, due: list[Watched], known: Known, allowance: Allowance, time: float, round_: int, old: int
+    ) -> None:
+        """What each comes to, within the time that there is; what of it senses was so `old` rounds before `round_`."""
+        found: list[tuple[Watched, Outcome, str]] = []
+        begun: Watched | None = None
         try:
             with self._limit(BUDGET * self._delta):
-                for watched in due:
-                    found.append(judged(watched.holds, known))
+                for watched in sorted(due, key=_urgency):
+                    patient = watched.action == "log" and round_ - watched.true < LONGEST_WAIT
+                    if patient and allowance.spent:
+                        break
+                    begun = watched
+                    found.append((watched, *judged(watched.holds, known)))
         except Overrun:
-            self._overran(due[len(found) :], time)
-        for watched, (outcome, why) in zip(due, found, strict=False):
+            if begun is not None and (not found or found[-1][0] is not begun):
+                self._overran(begun, time)
+        for watched, outcome, why in found:
+            watched.due, watched.true = False, round_ - (old if watched.senses else 0)
             if outcome == "violated" and watched.outcome != "violated":
                 why = self._told(watched, known)
             self._become(watched, outcome, why, time)
 
-    def _overran(self, left: Sequence[Watched], time: float) -> None:
-        """The first of these took too long, the others are due again."""
-        for watched in left:
-            watched.values = ()
-        if left and left[0].overruns < MOST_OVERRUNS:
-            left[0].overruns += 1
-        elif left:
-            late = left[0]
+    def _overran(self, late: Watched, time: float) -> None:
+        """One that takes too long again and again is given up."""
+        late.overruns += 1
+        if late.overruns > MOST_OVERRUNS:
             self._invariants = [w for w in self._invariants if w is not late]
             self._assumptions = [w for w in self._assumptions if w is not late]
             self._off.append(late)
@@ -200,8 +247,8 @@ class Monitors:
         judged(watched.holds, again)
         return told(trail, self._names)[1]
 
-    def _become(self, watched: Watched, outcome: Outcome, why: str, time: float) -> None:
-        change = watched.become(outcome, why, self._round, time)
+    def _become(self, watched: Watched, outcome: Outcome, why: str, time: float, stale: bool = False) -> None:
+        change = watched.become(outcome, why, self._round, time, stale)
         if change is not None:
             self.verdict = self._demanded()
             self._tell(change)
@@ -229,3 +276,7 @@ class Monitors:
             f"{w.word}, {w.violations} times" if w.violations > 1 else w.word for w in self.watched if w.violations
         ]
         return bool(broken), counts + (f"; violated: {'; '.join(broken)}" if broken else "")
+
+
+def _urgency(watched: Watched) -> tuple[bool, int]:
+    return watched.action == "log", watched.true

@@ -102,8 +102,9 @@ class One(Generic[T]):
 
 class Known:
     """What is known at one moment: by its name in the program everything that a formula reads, of an assumption its
-    one robot's ports, those of the moment after with a prime behind. With a trail it is told what a formula came
-    to: the names that made it false, outermost first, and the values read for them."""
+    one robot's ports, those of the moment after with a prime behind; `pid` is that robot's, or whose knowledge it is
+    (-1: nobody's alone). With a trail it is told what a formula came to: the names that made it false, outermost first,
+    and the values read for them."""
 
     def __init__(self, n_sys: int, trail: Trail | None = None) -> None:
         self.n_sys = n_sys
@@ -158,6 +159,14 @@ class Known:
         if unknown is not None:
             raise unknown
         return True
+
+    def own(self, name: str, body: Callable[[int], bool]) -> bool:
+        """forall over robots, of which who knows one alone (`pid`) can tell nothing but for that one."""
+        if self.pid < 0 or self.n_sys == 1:
+            return self.every(name, range(self.n_sys), body)
+        if self.every(name, (self.pid,), body):
+            raise Unknown(f"{name}: what the other robots know")
+        return False
 
     def some(self, name: str, domain: Iterable[T], body: Callable[[T], bool], robots: bool = True) -> bool:
         """exists: true for the first that it is true for."""

@@ -68,16 +68,19 @@ class Change:
 
 @dataclass(slots=True)
 class Watched:
-    """One property: `outcome` since round `since`, which was true at the start of round `true`. `reads` are names, each
-    with the place where its value is. It is `acting` as long as it makes the robot do something."""
+    """One property: `outcome` since round `since`, which was true at the start of round `true`. It `reads` these names,
+    `needs` so much to be certain, and is `due` when something that it reads has become another. It is `acting` as long
+    as it makes the robot do something."""
 
     of: Of
     name: str
     line: str
     action: Action
     what: Property | Assumption | None = None
-    reads: tuple[tuple[str, int], ...] = ()
-    values: tuple[Any, ...] = ()  # what was read last
+    reads: frozenset[str] = frozenset()
+    needs: int = SENSED
+    senses: bool = False  # reads what grows old between two samples
+    due: bool = True
     outcome: Outcome | None = None
     why: str = ""
     since: int = 0
@@ -92,27 +95,18 @@ class Watched:
         return _word(self.of, self.name, self.line)
 
     @property
-    def needs(self) -> int:
-        """How much must be certain."""
-        return max((place for _, place in self.reads), default=SENSED)
-
-    @property
-    def senses(self) -> bool:
-        """Whether it reads what grows old between two samples."""
-        return any(place == SENSED for _, place in self.reads)
-
-    @property
     def holds(self) -> Callable[[Known], bool]:
         match self.what:
-            case Assumption():
-                return self.what.holds_of_calls
+            case Assumption(goals=goals):
+                return self.what.holds_of_calls if goals else self.what.holds
             case Property():
                 return self.what.holds
             case None:
                 raise LookupError(f"nothing evaluates {self.of} {self.name}")
 
-    def become(self, outcome: Outcome, why: str, round_: int, time: float) -> Change | None:
-        """Another outcome in a round; None when it is none."""
+    def become(self, outcome: Outcome, why: str, round_: int, time: float, stale: bool = False) -> Change | None:
+        """Another outcome in a round; None when it is none. `stale`: not because it was evaluated. What made the robot
+        hold does so until it is evaluated and not violated."""
         before = self.outcome
         if outcome == before:
             return None
@@ -120,7 +114,7 @@ class Watched:
         if outcome == "violated":
             self.violations += 1
             self.acting = self.action in ("hold", *FOR_GOOD)
-        elif outcome == "held":
+        elif outcome != "no value" and not stale:
             self.acting = self.acting and self.action != "hold"
         age = max(0, round_ - self.true)
         return Change(time, round_, self.of, self.name, self.line, outcome, age, why, self.action, before)

@@ -21,7 +21,24 @@ from koordgen.runtime.trace import Record, Trace
 from koordgen.runtime.values import Point, distance
 from tests.runtime.lineform import PROGRAM
 
-NAMES = ("alice", "bert", "cleo", "dora", "emil", "finn", "gina", "hugo", "ines", "jan", "kim", "lola")
+NAMES = (
+    "alice",
+    "bert",
+    "cleo",
+    "dora",
+    "emil",
+    "finn",
+    "gina",
+    "hugo",
+    "ines",
+    "jan",
+    "kim",
+    "lola",
+    "mia",
+    "nils",
+    "olga",
+    "paul",
+)
 STARTS = (Point(-4, -1.5), Point(-3, 2.5), Point(1.5, -2.5), Point(0.5, 3.2), Point(4, 1.5))
 KEY = bytes(range(32))
 
@@ -199,6 +216,7 @@ class Fleet:
         body = platform or FakePlatform(STARTS[pid % len(STARTS)])
         file, lines, records = io.BytesIO(), list[str](), list[Record]()
         program, key = changes.pop("program", self.program), changes.pop("key", self.key)
+        properties, cpu = changes.pop("properties", None), changes.pop("cpu", None)
         agent = Agent(
             program,
             settings(pid, self.n, self.delta, safety=self.safety, **changes),
@@ -211,6 +229,8 @@ class Fleet:
             self.random.randbytes(8),
             self.kept[pid],
             monitors=[records.append],
+            properties=properties,
+            cpu=cpu,
         )
         robot = self.robots[pid] = Robot(agent, body, self._clocks[pid], file, lines, records, self.time.time)
         return robot

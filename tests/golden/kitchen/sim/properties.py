@@ -75,12 +75,12 @@ class Step(Known):
 
 def initially(s: Fleet) -> bool:
     """initially, kitchen.koord:160"""
-    return s.every("i", range(s.n_sys), lambda my_i: s.every("j", range(s.n_sys), lambda my_j: my_i == my_j or distance(s.motion_position[my_i], s.motion_position[my_j]) > PARAM_MARGIN))
+    return s.own("i", lambda my_i: s.own("j", lambda my_j: my_i == my_j or distance(s.motion_position[my_i], s.motion_position[my_j]) > PARAM_MARGIN))
 
 
 def invariant_fenced(s: Fleet) -> bool:
     """invariant Fenced, kitchen.koord:161"""
-    return s.every("i", range(s.n_sys), lambda my_i: s.motion_position[my_i] in Ball(PARAM_HOME, 10.0) and (not s.local_on[my_i] or s.some("j", range(1, s.n_sys), lambda my_j: equal(s.shared_paths[my_j], s.shared_paths[my_i]))))
+    return s.own("i", lambda my_i: s.motion_position[my_i] in Ball(PARAM_HOME, 10.0) and (not s.local_on[my_i] or s.some("j", range(1, s.n_sys), lambda my_j: equal(s.shared_paths[my_j], s.shared_paths[my_i]))))
 
 
 def invariant_sized(s: Fleet) -> bool:

@@ -1,0 +1,190 @@
+"""What monitors cost of an agent's round: `python benchmarks/monitors.py`.
+
+Whole agents of the examples' programs run in one process, on the in-memory transport, over bodies that move to their
+targets and are polled once a round. Twin fleets, one with monitors and one without, take turns, so that whatever else
+the computer does falls on both. A round's CPU is all that an agent does in it: events, shared memory, MAC, polls of the
+body. Beside that the same invariant in `rtamt` (https://github.com/nickovic/rtamt), if it is installed: one robot's
+place within a box, one sample at a time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples/mapping"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from koordgen.check.params import with_params
+from koordgen.emit.program import program_text
+from koordgen.emit.property import properties_text
+from koordgen.pipeline import check_file
+from koordgen.runtime.containers import last
+from koordgen.runtime.network import Conditions
+from koordgen.runtime.platform import Finding, Sensed
+from koordgen.runtime.property import Properties
+from koordgen.runtime.values import Point, Scan, distance
+from tests.runtime.fleet import Fleet, Robot
+
+ROOT = Path(__file__).resolve().parents[1]
+PROGRAMS = ("task/task", "lineform/geofence", "election/election", "mapping/mapping")
+SIZES = (4, 16)
+DELTA = 0.1
+CHUNK = 20  # rounds between two changes from one fleet to its twin
+SPEED = 0.02  # metres in a round: nobody arrives, and all are always on their way
+TASKS = [{"target": [float(k % 5), float(k // 5), 0.0], "id": k + 1} for k in range(20)]
+
+
+class Moving:
+    """A body of any module that moves slowly to where it is sent, each target a step away and never reached."""
+
+    period = DELTA
+    ready = rested = True
+    progress = "moving"
+
+    def __init__(self, ports: list[str], pid: int) -> None:
+        self._ports = ports
+        self._position = Point(float(pid % 4) - 2, float(pid // 4) - 2, 0.0)
+        self._goal = self._position
+
+    def diagnose(self) -> list[Finding]:
+        return []
+
+    def start(self, now: float) -> None: ...
+
+    def poll(self, now: float) -> None:
+        away = distance(self._goal, self._position)
+        if away > 2 * SPEED:
+            self._position = self._position + (self._goal - self._position) * (SPEED / away)
+        else:
+            self._position = Point(self._position.x, self._position.y, 1e-6 * (now % 7))
+
+    def sense(self, now: float) -> Sensed:
+        values = {
+            "position": self._position,
+            "reached": False,
+            "velocity": Point(),
+            "pscan": ((self._position, Scan()),),
+        }
+        return Sensed({name: values[name.rpartition(".")[2]] for name in self._ports}, now)
+
+    def command(self, actuators: Mapping[str, Any], now: float) -> None:
+        for value in actuators.values():
+            self._goal = value if isinstance(value, Point) else last(value) if value else self._position
+
+    def call(self, port: str, args: tuple[Any, ...]) -> Any:
+        return (self._position, args[0])
+
+    def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None: ...
+
+    def news(self) -> list[str]:
+        return []
+
+    def hold(self, on: bool, now: float) -> None: ...
+
+    def rest(self, now: float) -> None: ...
+
+    def close(self) -> None: ...
+
+
+def generated(name: str, params: dict[str, Any]) -> Properties:
+    """An example's program and properties, as they go into a bundle."""
+    checked = check_file(str(ROOT / f"examples/{name}.koord")).program
+    program = with_params(checked, params)
+    functions = f"{program.name}_functions"
+    sys.modules.pop(functions, None)
+    for module, text in (("program", program_text(program)), ("properties", properties_text(program))):
+        made = ModuleType(module)
+        made.__file__ = f"{module}.py"
+        sys.modules[module] = made
+        exec(compile(text, f"{module}.py", "exec"), vars(made))
+    found: Properties = sys.modules["properties"].__dict__["PROPERTIES"]
+    if found.program.library is not None:
+        found.program.library.load()
+    return found
+
+
+class Own:
+    """The processor's time of one agent of many in this process."""
+
+    def __init__(self) -> None:
+        self._before = self._since = 0.0
+
+    def poll(self, robot: Robot) -> None:
+        """Its time begins with each poll and ends with it."""
+        poll = robot.agent.poll
+
+        def timed(now: float) -> float:
+            self._since = time.process_time()
+            wake = poll(now)
+            self._before += time.process_time() - self._since
+            return wake
+
+        robot.agent.poll = timed  # type: ignore[method-assign]
+
+    def __call__(self) -> float:
+        return self._before + time.process_time() - self._since
+
+
+def fleet(found: Properties, n: int, watched: bool) -> Fleet:
+    made = Fleet(n=n, conditions=Conditions(delay=0.001), program=found.program, delta=DELTA)
+    ports = [port.name for port in found.program.ports if port.direction == "sensor"]
+    for pid in range(n):
+        own = Own()
+        robot = made.boot(pid, Moving(ports, pid), properties=found if watched else None, cpu=own)  # type: ignore[arg-type]
+        own.poll(robot)
+        robot.agent._journal._trace.close()  # most robots write none
+    made.run_rounds(1)
+    return made
+
+
+def spent(made: Fleet, rounds: int) -> float:
+    """Seconds of CPU that all agents took for so many more rounds."""
+    through = min(robot.agent.round for robot in made.robots.values()) + rounds
+    began = time.process_time()
+    made.run_rounds(through)
+    return time.process_time() - began
+
+
+def measure(name: str, n: int, chunks: int) -> dict[str, float]:
+    """Microseconds of CPU in one agent's round, without monitors and with them, and the share that they take."""
+    found = generated(name, {"tasks": TASKS} if name == "task/task" else {})
+    took: tuple[list[float], list[float]] = [], []
+    twins: tuple[Fleet, Fleet] | None = None
+    for chunk in range(chunks):
+        if twins is None or any(r.agent.done or r.agent.round > 200 for f in twins for r in f.robots.values()):
+            twins = fleet(found, n, False), fleet(found, n, True)
+        for which in (0, 1) if chunk % 2 else (1, 0):
+            took[which].append(spent(twins[which], CHUNK) / CHUNK / n)
+    without, with_ = statistics.median(took[0]) * 1e6, statistics.median(took[1]) * 1e6
+    return {"without_us": without, "with_us": with_, "share": with_ / without - 1}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--quick", action="store_true", help="6 turns of each fleet instead of 30")
+    parser.add_argument("--only", choices=PROGRAMS, help="one program alone")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there, too")
+    arguments = parser.parse_args()
+    chunks = 6 if arguments.quick else 30
+    figures: dict[str, Any] = {"rounds": CHUNK * chunks}
+    print(f"CPU of one agent's round, {CHUNK * chunks} rounds each")
+    for name in [arguments.only] if arguments.only else PROGRAMS:
+        for n in SIZES:
+            found = figures[f"{name}, N = {n}"] = measure(name, n, chunks)
+            times = f"without {found['without_us']:8.1f} us  with {found['with_us']:8.1f} us"
+            print(f"  {name:20} N = {n:2}  {times}  {found['share']:+.1%}")
+    if arguments.json is not None:
+        arguments.json.write_text(json.dumps(figures, indent=2) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
