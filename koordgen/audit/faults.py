@@ -12,7 +12,7 @@ from koordgen.ir import decl
 from koordgen.prove.spell import spelled
 from koordgen.replay.robot import OVERRAN
 
-_CONTRACT = re.compile(r"(?:requires|ensures) \(line (\d+)\)")  # as runtime/extern.py words it
+_CONTRACT = re.compile(r"(?:requires|ensures) \(line (\d{1,9})\)")  # as runtime/extern.py words it
 
 
 def contracts(program: decl.Program, mission: Mission) -> list[Finding]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -15,7 +15,7 @@ from koordgen.runtime.property import UNKNOWN, Assumption, Bound, Known, Propert
 
 MOST_READ = 8
 MOST_ROBOTS = 6  # in a table
-Values = Mapping[str, Any]
+_ANY = "the run followed a counterexample, which begins in any state in which the invariants hold"
 Progress = Callable[[int, int], None]  # the round, of how many
 
 
@@ -26,6 +26,9 @@ class _Asked:
     outcome: Outcome
     why: str = ""
     robot: int = -1
+
+
+_UNTOLD = _Asked("unknown", "a call of a port")
 
 
 def asked(holds: Callable[[Known], bool], known: Known) -> _Asked:
@@ -55,6 +58,9 @@ class Judge:
         self._assumptions = [(a, Finding("assume", a.module, a.line)) for a in found.assumptions]
         unchecked = [Finding(u.kind, u.name, u.line, u.why) for u in found.unchecked]  # type: ignore[arg-type]
         self.findings = [f for _, f in self._properties] + [f for _, f in self._assumptions] + unchecked
+        if mission.step:
+            for finding in self.findings:
+                finding.unchecked = _ANY if finding.of == "initially" else finding.unchecked
         self._known, self._step = found.fleet(n, None), found.step(n, None)
         self._whole = Whole(meaning, mission.stories)
         self._before: dict[str, Any] = {}  # of the moment before
@@ -62,7 +68,8 @@ class Judge:
 
     def run(self, progress: Progress) -> list[Finding]:
         whole, last = self._whole, self._mission.last
-        self._fleet(Moment(0, False), BEGIN, "initially")
+        if not self._mission.step:
+            self._fleet(Moment(0, False), BEGIN, "initially")
         for round_ in range(last + 1):
             progress(round_, last)
             self._before = dict(whole.values)
@@ -105,13 +112,14 @@ class Judge:
             if not self._assumptions:
                 return
             step = self._step
-            step.pid, step.asked = pid, self._whole.calls(pid)
+            calls = self._whole.calls(pid)
+            step.pid, step.asked = pid, calls or ()
             ports = [name for name in step.one if not name.endswith("'")]
             step.put({name: self._before[name][pid] for name in ports})
             step.put({f"{name}'": self._before[name][pid] for name in ports if name in actuators})
             step.put({f"{name}'": self._whole.values[name][pid] for name in ports if name not in actuators})
             for assumption, finding in self._assumptions:
-                came = asked(assumption.holds_of_calls, step)
+                came = _UNTOLD if calls is None else asked(assumption.holds_of_calls, step)
                 whose = replace(came, robot=pid)
                 self._note(finding, whose, moment, partial(self._broken, assumption, whose, moment))
 

@@ -39,7 +39,7 @@ def _of(record: Mapping[str, Any]) -> str:
 
 def _line(record: Mapping[str, Any]) -> int:
     text = str(record.get("line", "")).rpartition(":")[2]
-    return int(text) if text.isdecimal() else -1
+    return int(text) if text.isdecimal() and len(text) < 10 else -1
 
 
 def _alone(finding: Finding, story: Story, spans: list[tuple[int, int, Mapping[str, Any]]]) -> Iterator[str]:
@@ -72,8 +72,12 @@ def _unsaid(
     ]
     if any(record.get("outcome") in _BAD for _, record in here):
         return
-    words = ", ".join(f"{mission.stories[pid].name}: {record.get('outcome')}" for pid, record in here)
-    yield (
-        f"no monitor said that {finding.title} (line {finding.line}) is violated, in rounds {bad.since} to {bad.until}"
-        f" ({words})"
-    )
+    rounds = f"rounds {bad.since} to {bad.until}"
+    for pid, record in here:
+        if record.get("outcome") == "held":
+            yield (
+                f"{mission.stories[pid].name} said that {finding.title} (line {finding.line}) held in {rounds}; "
+                "on the whole it was violated"
+            )
+            return
+    yield f"no monitor could tell that {finding.title} (line {finding.line}) was violated in {rounds}"

@@ -18,7 +18,8 @@ from koordgen.replay.trace import FORMAT, BadTrace, Line
 LOST = "lost"
 LONGEST = 8 << 20  # bytes of a line; what is longer is passed over
 MOST_ROBOTS = 1000
-MOST_ROUND = 1 << 53
+MOST_ROUND = 100_000_000
+MOST_JUMP = 100_000  # rounds from one record to the next; a larger number is none
 HEADER = b'{"kind":"header"'
 
 
@@ -43,6 +44,8 @@ class Log:
     n_sys: int
     names: dict[int, str]
     own: bool
+    last: dict[int, int] = field(default_factory=dict)  # the round that each robot told of last
+    step: bool = False  # the run followed a counterexample of one step, whose beginning is any state
     lines: list[Line] = field(default_factory=list)
     flaws: list[Flaw] = field(default_factory=list)
 
@@ -97,6 +100,8 @@ def opened(path: Path) -> Log:
 
 
 def _log(path: Path, header: Mapping[str, Any]) -> Log:
+    if "counterexample" in header or not header["program_hash"]:
+        raise BadTrace(f"{path}: a counterexample, which no robot ran: `koordgen report` shows it")
     app, program_hash, delta = str(header["app"]), str(header["program_hash"]), float(header["delta"])
     if not 0.0 < delta < 1e6:
         raise ValueError(f"delta {delta}")
@@ -107,7 +112,7 @@ def _log(path: Path, header: Mapping[str, Any]) -> Log:
         n_sys = len(names)
     if not 1 <= n_sys <= MOST_ROBOTS or not all(0 <= pid < n_sys for pid in names):
         raise ValueError(f"pids {sorted(names)} of {n_sys} robots")
-    return Log(path, app, program_hash, delta, n_sys, names, own)
+    return Log(path, app, program_hash, delta, n_sys, names, own, step=header.get("followed") == "step")
 
 
 def _lines(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
@@ -143,7 +148,11 @@ def _take(log: Log, number: int, data: bytes) -> None:
         return
     if not sound(record) or (pid < 0 and kind != "header"):
         _lose(log, number, pid, f"a broken record of kind {kind}")
+    elif kind == "round" and record["round"] > log.last.setdefault(pid, record["round"]) + MOST_JUMP:
+        _lose(log, number, pid, f"round {record['round']} does not come after round {log.last[pid]}")
     else:
+        if kind == "round":
+            log.last[pid] = record["round"]
         log.lines.append(Line(number, pid, record))
 
 

@@ -36,7 +36,7 @@ class Audit:
     @property
     def doubtful(self) -> bool:
         """Nothing of it may be said of the whole mission: something was never known, or traces are not whole."""
-        return self.mission.cut or any(f.verdict in ("unknown", "unchecked") for f in self.findings)
+        return self.mission.cut or any(f.verdict in ("unknown", "unchecked") for f in self.findings if f.of != "axiom")
 
 
 def report(audit: Audit) -> str:

@@ -10,10 +10,11 @@ from typing import Any, NamedTuple
 
 from koordgen.audit.reading import LOST, Log
 from koordgen.replay.trace import BadTrace, Line
+from koordgen.runtime.trace import LEFT
 
 FOREVER = 1 << 60
 # As an agent says it when its rounds begin.
-_MISSION = re.compile(r"mission ([0-9a-f]+), round 1 at (-?[0-9.]+) s of fleet time")
+_MISSION = re.compile(r"mission ([0-9a-f]{1,64}), round 1 at (-?\d{1,15}(?:\.\d{1,9})?) s of fleet time")
 
 
 class Gap(NamedTuple):
@@ -55,6 +56,7 @@ class Story:
     acts: list[Gap] = field(default_factory=list)
     out: list[Gap] = field(default_factory=list)
     away: list[Gap] = field(default_factory=list)
+    quiet: list[Gap] = field(default_factory=list)  # of which another life, or a broken line, is the reason
     monitors: list[Mapping[str, Any]] = field(default_factory=list)
 
     @property
@@ -76,7 +78,7 @@ class Story:
             return f"there is no trace of {self.name}"
         if self.out_at(round_):
             return f"{self.name} had left the model ({self.out_at(round_)})"
-        why = _why(self.acts, round_)
+        why = _why(self.acts, round_) or _why(self.quiet, round_)
         if why or round_ not in self.rounds:
             return f"{self.name} told nothing" + (f": {why}" if why else "")
         return f"{self.name}'s trace does not say it"
@@ -93,6 +95,7 @@ class Mission:
     stories: list[Story]
     notes: list[str]
     cut: bool
+    step: bool = False  # as of a Log
 
     @property
     def last(self) -> int:
@@ -130,7 +133,7 @@ def mission(logs: Sequence[Log]) -> Mission:
         notes.insert(0, f"there is no trace of {', '.join(missing)}")
     starts = [life.start for life in lives if life.mission == chosen and life.start is not None]
     cut = any(log.flaws for log in logs) or bool(missing)
-    return Mission(chosen, logs[0].app, logs[0].delta, starts[0] if starts else None, stories, notes, cut)
+    return Mission(chosen, logs[0].app, logs[0].delta, starts[0] if starts else None, stories, notes, cut, logs[0].step)
 
 
 def _same(logs: Sequence[Log]) -> None:
@@ -235,9 +238,13 @@ class _Teller:
                     self.doubt = self.doubt or f"{life.log.path}:{line.number} cannot be read"
                 case _:
                     pass
+        left = min([each.record["round"] for each in life.lines if each.record.get("skipped") == LEFT], default=FOREVER)
         if self.resting:
             since = max([r for time, r in times if time <= rested], default=self.previous)
-            story.out[-1] = story.out[-1]._replace(since=since + 1)
+            story.out[-1] = story.out[-1]._replace(since=min(since + 1, left))
+        elif left < FOREVER:  # where it said so cannot be read
+            self.resting = True
+            story.out.append(Gap(left, FOREVER, "it had come to rest"))
 
     def own(self, life: Life, round_: int) -> bool:
         """Whether a round is told of for the first time. Raises BadTrace where another file has told of it."""
@@ -261,6 +268,7 @@ class _Teller:
 
     def join(self, life: Life, gap: Gap) -> None:
         """What is not told before a record, and what a robot that came back went on with."""
+        self.story.quiet.append(gap)
         records = (line.record for line in life.lines if line.record["kind"] == "round")
         restored = next((r["restored"] for r in records if r.get("restored")), None) if self.came_back else None
         if restored is None:

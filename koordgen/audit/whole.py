@@ -82,10 +82,11 @@ class Whole:
             return story.init or {}
         return story.rounds[round_].record if round_ in story.rounds else {}
 
-    def calls(self, pid: int) -> Calls:
-        """The robot's calls of callable ports in this round."""
+    def calls(self, pid: int) -> Calls | None:
+        """The robot's calls of callable ports in this round; None where a value in them is not known."""
         told = self.record(pid, self.round).get("calls", [])
-        return tuple([self._meaning.call(port, args, answer) for port, args, answer in told])
+        calls = tuple([self._meaning.call(port, args, answer) for port, args, answer in told])
+        return None if any(answer is UNKNOWN or UNKNOWN in args for _, args, answer in calls) else calls
 
     def _act(self, pid: int, story: Story) -> None:
         own, record = self._own[pid], self.record(pid, self.round)
@@ -165,7 +166,9 @@ class _Shared:
             if name not in self._writes.slots:
                 copy[name] = held
             elif isinstance(held, dict):
-                copy.setdefault(name, {}).update({int(p): own for p, own in held.items() if p.isdecimal()})
+                copy.setdefault(name, {}).update(
+                    {int(p): own for p, own in held.items() if p.isdecimal() and len(p) < 10}
+                )
         for name, held in self._store.items():
             if name in self._writes.slots:
                 slots = copy.get(name, {})

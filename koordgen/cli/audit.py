@@ -37,6 +37,10 @@ def audit(options: Namespace) -> int:
         raise Failure(WRONG, str(error), "traces of one mission of one fleet are expected") from None
     except CannotCall as error:
         raise Failure(WRONG, str(error), "name it with --functions") from None
+    except RecursionError:
+        raise Failure(
+            WRONG, "values in these traces are nested too deeply", "no robot of koordgen's writes such"
+        ) from None
     blames = blame.blames(program, judged)
     proved = _proved(program, [each.invariant for each in blames]) if options.prove and blames else None
     made = Audit(program.path, whole, judged, blames, _notes(judged, whole), proved)

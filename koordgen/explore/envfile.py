@@ -21,7 +21,6 @@ from koordgen.semantics.values import Value
 from koordgen.source import Source, Span
 
 MOST = 100_000  # values of one port
-MOST_ROBOTS = 64  # that can have values of their own
 ROUNDING = 1e-9  # of a step: what rounding adds to a distance of so many steps
 ANSWERS: dict[str, tuple[Any, ...]] = {"straight": (STRAIGHT,), "none": ((),), "either": (STRAIGHT, ())}
 PATH, SCANS = list_of(POINT), list_of(TupleOf((POINT, SCAN)))
@@ -86,11 +85,18 @@ class _File:
 
     def _robots(self, node: YamlNode | None, usual: Environment, n_sys: int) -> dict[int, Environment]:
         """Those of the fleet; one file may serve fleets of several sizes."""
-        pids = [str(pid) for pid in range(MOST_ROBOTS)]
         found = {}
-        for pid, own in self.reader.table(node, "robots", [], pids).items():
+        keys = [key for key, _ in node.value] if node is not None and node.tag == "tag:yaml.org,2002:map" else []
+        pids = [str(key.value) for key in keys if str(key.value).isdecimal()]
+        for key in keys:
+            if str(key.value) not in pids:
+                self.reader.report(
+                    "F002", f"unknown key {key.value!r} in robots", key, "a robot is named by its pid: 0"
+                )
+        for pid, own in self.reader.table(node, "robots", [], [str(key.value) for key in keys]).items():
             table = self.reader.table(own, f"robots.{pid}", [], [*self.sensors, *self.called])
-            found[int(pid)] = self._ports(table, usual)
+            if pid in pids:
+                found[int(pid)] = self._ports(table, usual)
         return {pid: own for pid, own in found.items() if pid < n_sys}
 
     def _ports(self, table: dict[str, YamlNode], usual: Environment) -> Environment:

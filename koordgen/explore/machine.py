@@ -288,7 +288,7 @@ def _compiled(program: decl.Program, functions: Path | None) -> dict[str, Any]:
         if functions is None or not functions.is_file():
             missing = functions or f"{functions_module(program)}.py"
             raise CannotCall(f"{missing}, which has the extern functions, is not there")
-        load(functions_module(program), functions)
+        load(program, functions)
     name = f"explored{next(_numbers)}"
     module = sys.modules[name] = ModuleType(name)  # where annotations of records are looked up
     scope: dict[str, Any] = vars(module)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 
 from koordgen.ir import decl
@@ -22,7 +23,7 @@ def doubt(program: decl.Program, obligation: Obligation, answer: Answer, unshown
     if answer.result == "unknown":
         hard = list(dict.fromkeys(_products(program, obligation)))[:MOST]
         if not hard:
-            return f"{where}: {answer.reason}"
+            return f"{where}: {answer.reason}{_many(obligation) if exhausted(answer) else ''}"
         many = "products or quotients" if len(hard) > 1 else "a product or quotient"
         terms = f"{many} of unknowns: {', '.join(hard)}"
         helps = "; values for params (--param) may help" if program.params else ""
@@ -30,6 +31,19 @@ def doubt(program: decl.Program, obligation: Obligation, answer: Answer, unshown
     less = [note for note in obligation.notes if note not in LEMMAS][:MOST]
     known = f". The prover knows less than the program says: {'; '.join(less)}" if less else ""
     return f"{where}: {unshown}{known}. Say more of it in an invariant, a contract or an axiom"
+
+
+def exhausted(answer: Answer) -> bool:
+    """Whether a solver had too little time or memory, rather than that it broke, or gave up."""
+    return any(word in answer.reason for word in ("--timeout", "memory"))
+
+
+def _many(obligation: Obligation) -> str:
+    """What there is most of in an obligation."""
+    (label, count), *_ = Counter(fact.label for fact in obligation.facts).most_common(1) or [("", 0)]
+    if not count:
+        return ""
+    return f". It is linear: what is hard in it is how much it is, {len(obligation.facts)} facts, {count} of `{label}`"
 
 
 def _products(program: decl.Program, obligation: Obligation) -> Iterator[str]:

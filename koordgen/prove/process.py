@@ -17,6 +17,12 @@ class Ended(Exception):
     """It has closed its output."""
 
 
+def allowed(memory: int) -> int:
+    """So many megabytes, or as many as we have ourselves where those are fewer."""
+    own = resource.getrlimit(resource.RLIMIT_AS)[0]
+    return memory if own == resource.RLIM_INFINITY else min(memory, own >> 20)
+
+
 class Process:
     """What it is told waits in `unsent` until it reads; what it said, in `read`, and in `times` how much of that had
     come when."""

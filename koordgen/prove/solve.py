@@ -18,7 +18,7 @@ from typing import Literal, NamedTuple, Self
 from koordgen.diagnostics import InternalError
 from koordgen.prove.batch import Batch
 from koordgen.prove.obligation import Obligation
-from koordgen.prove.process import Ended, Process
+from koordgen.prove.process import Ended, Process, allowed
 from koordgen.prove.sexpr import ModelValue, Unreadable, values
 from koordgen.prove.smtlib import script, together
 from koordgen.prove.term import TRUE, Term, not_
@@ -99,7 +99,7 @@ class Solver:
         if self._process is not None:
             return
         try:
-            self._process = Process(self.command, self.limits.memory)
+            self._process = Process(self.command, allowed(self.limits.memory))
         except OSError as error:
             raise SolverMissing(f"{self.command[0]}: {error.strerror}") from None
         self._left, self._timeout = "", 0
@@ -304,7 +304,7 @@ class Solver:
         words = _short(process.read.decode(errors="replace"))
         how = f"was killed by signal {-status}" if status < 0 else f"ended with status {status}"
         hint = _exhausted(words) or (
-            f" (its memory is limited to {self.limits.memory} MB)" if status in (-9, -6, 101) else ""
+            f" (its memory is limited to {allowed(self.limits.memory)} MB)" if status in (-9, -6, 101) else ""
         )
         return f"{self.name} {how} in the midst of a query{f', saying: {words}' if words else ''}{hint}"
 

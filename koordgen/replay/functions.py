@@ -26,7 +26,7 @@ def externs(program: decl.Program, file: Path | None) -> Mapping[str, Callable[.
         return {}
     if file is None or not file.is_file():
         raise CannotCall(f"{file or functions_module(program) + '.py'}, which has the extern functions, is not there")
-    load(functions_module(program), file)
+    load(program, file)
     names = Names(program)
     module = sys.modules["replayed"] = ModuleType("replayed")  # where annotations of records are looked up
     vars(module)["__file__"] = "program.py"
@@ -34,7 +34,9 @@ def externs(program: decl.Program, file: Path | None) -> Mapping[str, Callable[.
     return {f.name: _called(f, vars(module), names) for f in program.externs}
 
 
-def load(name: str, file: Path) -> None:
+def load(program: decl.Program, file: Path) -> None:
+    """Imports the file, under the name by which generated code asks for it. Raises CannotCall."""
+    name = functions_module(program)
     spec = util.spec_from_file_location(name, file)
     assert spec is not None and spec.loader is not None
     module = sys.modules[name] = util.module_from_spec(spec)
@@ -45,6 +47,9 @@ def load(name: str, file: Path) -> None:
         raise CannotCall(f"{file} cannot be imported: {type(error).__name__}: {error}") from error
     finally:
         sys.path.remove(str(file.parent))
+    missing = [f.name for f in program.externs if not callable(getattr(module, f.name, None))]
+    if missing:
+        raise CannotCall(f"{file} lacks {', '.join(missing)}, which the program declares as extern")
 
 
 def _called(function: decl.ExternFunction, scope: Mapping[str, Any], names: Names) -> Callable[..., Value]:

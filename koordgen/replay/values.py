@@ -38,7 +38,7 @@ def taken(data: Any, type_: Type) -> Value:
     BadValue."""
     try:
         return _taken(data, type_)
-    except (TypeError, ValueError, LookupError, AttributeError):
+    except (TypeError, ValueError, LookupError, AttributeError, OverflowError):
         raise BadValue(f"{data!r} is no {type_}") from None
 
 

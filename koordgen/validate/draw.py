@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from koordgen.validate.tube import Reachset
+from koordgen.validate.tube import Reachset, above
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,13 +33,13 @@ def drawn(reachsets: Sequence[Reachset], file: Path) -> Path:
     tall = min(max(INCHES * (y1 - y0) / (x1 - x0), 1.6), 1.4 * INCHES)
     figure = Figure(figsize=(INCHES * len(reachsets), tall + 3.9), layout="constrained")
     grid = figure.subplots(2, len(reachsets), squeeze=False, sharex="row", sharey="row", height_ratios=[tall, 2.6])
-    for found, above, along in zip(reachsets, *grid, strict=True):
-        _above(above, found)
+    for found, top, along in zip(reachsets, *grid, strict=True):
+        _from_above(top, found)
         _along(along, found)
-        above.set(xlim=(x0, x1), ylim=(y0, y1))
-        above.set_aspect("equal", adjustable="box")
-        above.set_title(_title(found), fontsize=10)
-        above.set_xlabel("x (east), m")
+        top.set(xlim=(x0, x1), ylim=(y0, y1))
+        top.set_aspect("equal", adjustable="box")
+        top.set_title(_title(found), fontsize=10)
+        top.set_xlabel("x (east), m")
         along.set_xlabel("time since the target came, s")
     grid[0][0].set_ylabel("y (north), m")
     grid[1][0].set_ylabel("along the offset, m")
@@ -59,18 +60,23 @@ def _title(found: Reachset) -> str:
 
 def _extent(reachsets: Sequence[Reachset]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The corners in x and y of what all have in them."""
-    corners = [np.vstack([f.lower[:, :2], f.upper[:, :2], np.zeros(2), f.offset[:2]]) for f in reachsets]
-    every = np.vstack(corners)
+    every = np.vstack([np.vstack([_corners(f).reshape(-1, 2), np.zeros(2), f.offset[:2]]) for f in reachsets])
     low, high = every.min(axis=0), every.max(axis=0)
     room = MARGIN * float((high - low).max())
     return low - room, high + room
 
 
-def _above(axes: Axes, found: Reachset) -> None:
-    from matplotlib.collections import PatchCollection
-    from matplotlib.patches import Circle, Rectangle
+def _corners(found: Reachset) -> NDArray[np.float64]:
+    """Of each box, seen from above: (J, 4, 2)."""
+    u, left = (axis[:2] for axis in above(found.offset))
+    return found.ahead[:, [0, 1, 1, 0], None] * u + found.aside[:, [0, 0, 1, 1], None] * left
 
-    boxes = [Rectangle((a[0], a[1]), *(b - a)[:2]) for a, b in zip(found.lower, found.upper, strict=True)]
+
+def _from_above(axes: Axes, found: Reachset) -> None:
+    from matplotlib.collections import PatchCollection
+    from matplotlib.patches import Circle, Polygon, Rectangle
+
+    boxes = [Polygon(corners) for corners in _corners(found)]
     # The edges of all first: what is left of them below the faces is the outline of the union.
     axes.add_collection(PatchCollection(boxes, facecolor=EDGE, edgecolor=EDGE, linewidth=2.0, zorder=1))
     axes.add_collection(PatchCollection(boxes, facecolor=TUBE, edgecolor="none", linewidth=0, zorder=2))
@@ -90,8 +96,7 @@ def _above(axes: Axes, found: Reachset) -> None:
 
 
 def _along(axes: Axes, found: Reachset) -> None:
-    goal = float(np.linalg.norm(found.offset))
-    u = np.array(found.offset) / goal
+    goal, u = math.hypot(*found.offset[:2]), above(found.offset)[0]
     low, high = found.ahead.T
     axes.stairs(high, found.edges, baseline=low, fill=True, facecolor=TUBE, edgecolor=EDGE, linewidth=1.0, zorder=2)
     for way in found.ways:

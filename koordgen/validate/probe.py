@@ -85,8 +85,8 @@ class Start:
     evenly, and for a time drawn from `after` (s) it has been on its way to a first target, `run_up` m away in a
     direction that is within `turn` (rad) of the offset's; with `run_up` 0 it stands."""
 
-    radius: float = 0.2
-    turn: float = 0.25
+    radius: float = 0.1
+    turn: float = 0.1
     run_up: float = 4.0
     after: tuple[float, float] = (0.5, 2.5)
 
@@ -185,8 +185,8 @@ def check(probe: Probe) -> None:
         raise BadProbe(f"{platform.name} is flown by an external autopilot, which knows real time only")
     if not 1 <= probe.robots <= MOST_ROBOTS:
         raise BadProbe(f"{probe.robots} robots in a run; there may be 1 to {MOST_ROBOTS}")
-    if not any(probe.offset):
-        raise BadProbe("the offset is (0, 0, 0): there is no way to look at", "give another")
+    if not any(probe.offset[:2]):
+        raise BadProbe(f"the offset {_told(probe.offset)} leads nowhere in x and y", "give another")
 
 
 def drawn(probe: Probe, part: int) -> dict[str, Any]:

@@ -46,8 +46,8 @@ class Observed:
 
 @dataclass(frozen=True, eq=False)
 class Reachset:
-    """A tube: while edges[k] <= t <= edges[k + 1] the robot is between lower[k] and upper[k] (J, 3), along the offset
-    between ahead[k] (J, 2), and in x and y to the left of it between aside[k] (J, 2). `samples` are those that it was
+    """A tube: while edges[k] <= t <= edges[k + 1] the robot is between lower[k] and upper[k] (J, 3), and from above
+    between ahead[k] (J, 2) along the offset and aside[k] (J, 2) to the left of it. `samples` are those that it was
     learned of, calibrated on and checked on; `covered` is the part of the last that never left it, `pairs_covered` that
     of which the sensitivity held. `inflated` is the multiple of the sensitivity's radius that calibration asked for.
     `ways` (w, J + 1, 3) are some samples at the edges."""
@@ -76,8 +76,8 @@ class Reachset:
 
     @property
     def overshoot(self) -> float:
-        """How far the tube reaches beyond the target along the offset, metres; less than 0: it does not."""
-        return float(self.ahead.max() - np.linalg.norm(self.offset))
+        """How far the tube reaches beyond the target, along the offset in x and y, metres; below 0: it does not."""
+        return float(self.ahead.max() - math.hypot(*self.offset[:2]))
 
     @property
     def lateral(self) -> float:
@@ -186,7 +186,7 @@ def reached(samples: Samples, epsilon: float = EPSILON, gamma: float = GAMMA) ->
     probe, each = samples.probe, bound(epsilon, gamma)
     platform = probe.platform
     step = platform.delta / math.ceil(platform.delta / STEP)
-    u, left = _axes(probe.offset)
+    u, left = above(probe.offset)
     axes = np.vstack([np.eye(3), u, left]).T
     found = tube(samples.times, samples.positions, features(samples.starts), each, step, axes)
     count = len(samples.positions)
@@ -202,21 +202,21 @@ def reached(samples: Samples, epsilon: float = EPSILON, gamma: float = GAMMA) ->
     )  # fmt: skip
 
 
-def _axes(offset: Vector) -> tuple[Array, Array]:
-    """Unit vectors along the offset, and in x and y to the left of it (0 for one straight up)."""
-    left = np.array([-offset[1], offset[0], 0.0]) / max(math.hypot(*offset[:2]), 1e-12)
-    return np.array(offset) / np.linalg.norm(offset), left
+def above(offset: Vector) -> tuple[Array, Array]:
+    """Unit vectors in x and y, along the offset and to the left of it."""
+    x, y = np.array(offset[:2]) / math.hypot(*offset[:2])
+    return np.array([x, y, 0.0]), np.array([-y, x, 0.0])
 
 
 def _observed(samples: Samples) -> Observed:
     ways, offset = samples.positions, np.array(samples.probe.offset)
-    u, left = _axes(samples.probe.offset)
+    u, left = above(samples.probe.offset)
     corner = ways[:, :1]
     low, high = np.minimum(corner, offset), np.maximum(corner, offset)
     out = np.maximum(low - ways, ways - high).max()
     back = round(0.1 / (samples.times[1] - samples.times[0]))
     speed = np.linalg.norm(ways[:, -1] - ways[:, -1 - back], axis=1) / 0.1
-    ahead = float((ways @ u).max() - np.linalg.norm(offset))
+    ahead = float((ways @ u).max() - math.hypot(*offset[:2]))
     return Observed(ahead, float(np.abs(ways @ left).max()), max(0.0, float(out)), float((speed > SLOW).mean()))
 
 
@@ -263,8 +263,9 @@ _TOLD = {
 
 
 def figures(found: Reachset) -> Figures:
-    """How large it is."""
-    lower, upper = found.lower, found.upper
+    """How large it is, of the boxes that lie along the offset."""
+    lower = np.stack([found.ahead[:, 0], found.aside[:, 0], found.lower[:, 2]], axis=1)
+    upper = np.stack([found.ahead[:, 1], found.aside[:, 1], found.upper[:, 2]], axis=1)
     window = max(1, round(found.delta / (found.edges[1] - found.edges[0])))
     starts = range(max(1, len(lower) - window + 1))
     areas = [union(lower[k : k + window, :2], upper[k : k + window, :2]) for k in starts]

@@ -130,6 +130,50 @@ def test_a_line_that_says_nothing_of_a_round_costs_nothing(home: Path) -> None:
     assert status == 4 and all(p["unknown"] == 0 for p in document["properties"])
 
 
+@pytest.mark.parametrize(
+    ("kind", "field", "value"),
+    [
+        ("round", "round", 1 << 52),
+        ("round", "round", 90_000_000),
+        ("round", "copy", {"turns": {"9" * 5000: 1, "\u0663": 2, "-1": 3}, "none": 4, "sum": [5]}),
+        ("round", "sensors", {"Motion.position": [10**400, 0, 0], "Motion.reached": 7}),
+        ("round", "locals", {"mine": 2.5}),
+        ("round", "calls", [["Motion.planner", [[1, 2], 3, None], "x"], ["", [], None]]),
+        ("round", "calls", [["Motion.planner"]]),
+        ("round", "fault", {"reason": f"requires (line {'7' * 5000})", "line": []}),
+        ("phase", "detail", f"mission ab, round 1 at {'9' * 5000}.1.2 s of fleet time"),
+        ("monitor", "line", f"a.koord:{'9' * 5000}"),
+        ("monitor", "round", 1 << 52),
+        ("view", "members", [1 << 52, -1, 0]),
+        ("init", "restored", True),
+        ("init", "locals", {"mine": [[[[]]]], "none": None}),
+    ],
+)
+def test_values_that_no_robot_writes_are_none(home: Path, kind: str, field: str, value: Any) -> None:
+    record = {"kind": "monitor", "time": 3.0, "round": 5, "of": "invariant", "name": "Sum", "line": "a.koord:32",
+              "outcome": "violated", "age": 1 << 40}  # fmt: skip
+    with (home / "bert.jsonl").open("a") as file:
+        file.write(json.dumps(record) + "\n")
+    edit(home / "bert.jsonl", lambda r: r | {field: value} if r["kind"] == kind else r)
+    status, document = audited(home)
+    bad = [p for p in document["properties"] if p["verdict"] == "violated" and p["of"] != "well-defined"]
+    assert status in (0, 3, 4) and not bad
+
+
+def test_values_too_deep_to_look_at_are_refused_or_passed_over(home: Path) -> None:
+    deep: Any = 1
+    for _ in range(400):
+        deep = [deep]
+    edit(home / "bert.jsonl", lambda r: r | {"shared": {"sum": deep, "turns": deep}} if r["kind"] == "round" else r)
+    assert main(["audit", str(home), "--format", "json"]) in (0, 1, 4)
+
+
+def test_a_counterexample_is_no_trace_of_robots(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for more in ({"program_hash": ""}, {"counterexample": "run"}):
+        (tmp_path / "x.jsonl").write_text(json.dumps(HEADER | more) + "\n")
+        assert "a counterexample, which no robot ran" in refused(capsys, tmp_path / "x.jsonl")
+
+
 @given(st.binary(max_size=400))
 @settings(max_examples=60, deadline=None)
 def test_bytes_behind_a_header_never_raise(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:

@@ -28,7 +28,10 @@ LONG = {
     "task/once": "explore_once",
     "task/task": "explore",
 }
-ENDLESS = {"formation/formation"}  # it turns on and on: an angle for each round
+ENDLESS = {  # each round brings a number that was not there before
+    "formation/formation",  # an angle: it turns on and on
+    "lineform/margin",  # a target: a fortieth of what is left
+}
 
 
 def holds(example: str, env: str, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from koordgen.cli import main
+from koordgen.prove.process import allowed
 from koordgen.prove.solve import Limits, solver_of
 from tests.prove.programs import CONTRADICTION, COUNTER, CUBES, LINE, SECRET, STRONG
 
@@ -145,16 +146,56 @@ def test_without_a_solver(folder: Path, capsys: pytest.CaptureFixture[str], monk
     assert "there is no solver z3" in message and "koordgen[prove]" in message
 
 
+def stand_in(folder: Path, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    """A solver z3 of our own."""
+    (folder / "z3").write_text(text)
+    (folder / "z3").chmod(0o755)
+    monkeypatch.setattr("koordgen.prove.solve.GRACE", 0.05)
+    monkeypatch.setattr(sys, "executable", str(folder / "python"))
+
+
 def test_a_solver_that_lies_proves_nothing(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("koordgen.prove.solve.GRACE", 0.05)
-    fake = folder / "z3"
-    fake.write_text("#!/bin/sh\nwhile read line; do echo unsat; echo unsat; done\n")
-    fake.chmod(0o755)
-    monkeypatch.setattr(sys, "executable", str(folder / "python"))
+    stand_in(folder, monkeypatch, "#!/bin/sh\nwhile read line; do echo unsat; echo unsat; done\n")
     assert main(["prove", written(STRONG), "--timeout", "0.1"]) == 4
     assert "PROVED" not in capsys.readouterr().out
+
+
+KILLED = "#!/bin/sh\nread line\nkill -9 $$\n"
+SILENT = "#!/bin/sh\nexec sleep 60\n"
+# It is killed when three are answered, of which none counts then; asked alone it never comes to an end.
+HALF = """#!/bin/sh
+while read line; do
+  case "$line" in *check-sat*) echo unsat;; *echo*batch*) echo koordgen-batch; n=$((n+1));; esac
+  [ "$n" = 3 ] && kill -9 $$
+done
+"""
+
+
+@pytest.mark.parametrize(("text", "why"), [(KILLED, "killed by signal 9"), (SILENT, "in time"), (HALF, "in time")])
+def test_a_solver_that_ends_or_says_nothing_proves_nothing(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, text: str, why: str
+) -> None:
+    stand_in(folder, monkeypatch, text)
+    assert main(["prove", written(STRONG), "--timeout", "0.05"]) == 4
+    said = " ".join(capsys.readouterr().out.split())
+    assert "PROVED" not in said and "Geofence-init (app.koord:" in said, "the obligation is named"
+    assert why in said
+
+
+def test_a_solver_without_memory_proves_nothing(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("koordgen.prove.solve.Limits", lambda **given: Limits(memory=4, **given))
+    assert main(["prove", written(STRONG)]) == 4
+    said = " ".join(capsys.readouterr().out.split())
+    assert "PROVED" not in said and "limited to 4 MB" in said
+
+
+def test_a_solver_has_no_more_memory_than_we_have(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("resource.getrlimit", lambda _: (100 << 20, 200 << 20))
+    assert (allowed(2048), allowed(50)) == (100, 50)
 
 
 def test_a_trace_of_the_counterexample(folder: Path) -> None:

@@ -24,6 +24,7 @@ PROVED = {
     "hvac/hvac": "Safe, (well-defined)",
     "lineform/geofence": "Geofence, (well-defined)",
     "lineform/lineform": "(well-defined)",
+    "lineform/margin": "Targets, Geofence, (well-defined)",
     "mapping/mapping": "GlobalTruth, LocalTruth, Looked, (well-defined)",
     "patrol/patrol": "Begun, Apart, (well-defined)",
     "rendezvous/rendezvous": "Honest, (well-defined)",

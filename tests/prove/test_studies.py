@@ -18,7 +18,7 @@ STUDIES = {
     "lineform/geofence": {"Geofence", "(well-defined)"},
     "task/separation": {"Following", "Arrived", "Idle", "Shared", "Clear", "Separation", "(well-defined)"},
     "task/once": {"Listed", "Taken", "Once", "(well-defined)"},
-    "mapping/mapping": {"GlobalTruth", "LocalTruth", "(well-defined)"},
+    "mapping/mapping": {"GlobalTruth", "LocalTruth", "Looked", "(well-defined)"},
     "election/election": {"Bidding", "Everyone", "Best", "Agreement", "(well-defined)"},
     "atomicsum/atomicsum": {"Counted", "Given", "NothingLost", "Bounds", "All"},
     "atomicsum/mutex": {"Holder", "Alone"},

@@ -10,6 +10,7 @@ import pytest
 
 from koordgen.ir.decl import Program
 from koordgen.pipeline import check_file
+from koordgen.prove.doubt import doubt
 from koordgen.prove.explain import invariant_of
 from koordgen.prove.generate import obligations
 from koordgen.prove.model import failing, true, with_values
@@ -309,6 +310,16 @@ def test_the_ledger_tells_lemmas_from_approximations() -> None:
     kinds = {entry.kind: entry.checked for entry in entries if entry.kind in ("lemma", "approximation")}
     assert kinds == {"lemma": COMPARED, "approximation": HARMLESS}
     assert any(e.kind == "lemma" and e.text.startswith("path_distance: symmetric") for e in entries)
+
+
+def test_what_was_too_much_for_a_solver_is_told_by_how_much_it_is() -> None:
+    program = check_file(str(Path(__file__).parents[2] / "examples/task/separation.koord")).program
+    obligation = next(o for o in obligations(program) if o.name == "Clear-Assign")
+    late = Answer("unknown", 1.0, "z3 found no answer within 1 s; a longer --timeout may help")
+    said = doubt(program, obligation, late, "")
+    assert said.startswith("Clear-Assign (") and "--timeout may help. It is linear" in said
+    assert f"{len(obligation.facts)} facts" in said and "of `distances of paths`" in said
+    assert "facts" not in doubt(program, obligation, late._replace(reason="z3 was killed by signal 9"), "")
 
 
 MAPS = """\

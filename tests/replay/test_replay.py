@@ -204,6 +204,18 @@ def test_a_trace_broken_amid_it_is_refused(copied: Path, capsys: pytest.CaptureF
     assert f"{path}:21: " in capsys.readouterr().err
 
 
+def test_a_number_that_no_robot_has_is_refused(copied: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    line = edited(
+        copied / "trace.jsonl",
+        lambda r: (
+            "Motion.position" in r.get("sensors", {})
+            and r["sensors"].update({"Motion.position": [10**400, 0, 0]}) is None
+        ),
+    )
+    assert replay(copied) == 1
+    assert f"line {line}: " in capsys.readouterr().err
+
+
 def test_a_trace_of_another_version_is_refused(copied: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (copied / "source/params.json").write_text('{"most": 4}')
     assert replay(copied) == 1
