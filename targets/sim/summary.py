@@ -10,8 +10,10 @@ from typing import Literal
 import msgspec
 
 from targets.sim.bodies import Vector
+from targets.sim.noticed import Monitored, Noticed
+from targets.sim.noticed import as_text as noticed_text
 from targets.sim.run import Outcome
-from targets.sim.trace import Cause, End, Header, Pose, Record, Round, Violation, fault_text
+from targets.sim.trace import Cause, End, Header, Monitor, Pose, Record, Round, Violation, fault_text
 from targets.sim.trace import Verdict as Found
 
 Verdict = Literal["held", "violated", "interrupted", "not started"]
@@ -66,6 +68,7 @@ class Summary(msgspec.Struct):
     late_steps: int
     steps: int
     late_in_mission: int = 0  # of the late steps
+    noticed: list[Noticed] = []  # by the robots' own monitors
     watching: float = 0.0  # share of the run's time that watching its properties took
     shares: dict[str, float] = {}  # of the processor's time, by part; empty in real time
     reproduce: dict[str, str] = {}  # what one needs to do it again
@@ -80,8 +83,12 @@ def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Su
     violations: list[Violation] = []
     properties: list[Found] = []
     causes: list[Cause] = []
+    names = {robot.pid: robot.name for robot in header.robots}
+    monitored = Monitored(names, header.delta)
     for record in records:
         match record:
+            case Monitor() if not ended:
+                monitored.take(record)
             case Pose(pid=pid) if pid in tallies:
                 tallies[pid].pose(record, ended)
             case Round(pid=pid) if pid in tallies and not ended:
@@ -102,8 +109,6 @@ def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Su
         robot.waiting_for = outcome.waiting.get(robot.name)
         robot.last_lines = outcome.last_lines.get(robot.name, [])
     verdict, why = _verdict(outcome, violations, properties)
-    closest = outcome.closest
-    names = {robot.pid: robot.name for robot in header.robots}
     return Summary(
         app=header.app,
         program_hash=header.program_hash,
@@ -114,13 +119,10 @@ def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Su
         why=why,
         violations=violations,
         properties=properties,
+        noticed=monitored.beside(properties),
         causes=causes,
         robots=robots,
-        min_separation=Separation(
-            round(closest.distance, 4), closest.time, (names[closest.pids[0]], names[closest.pids[1]])
-        )
-        if closest
-        else None,
+        min_separation=_separation(outcome, names),
         min_separation_asked=header.min_separation,
         collisions=sum(v.what == "collision" for v in violations),
         real_time_factor=outcome.real_time_factor,
@@ -129,6 +131,14 @@ def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Su
         steps=outcome.steps,
         shares=outcome.shares,
     )
+
+
+def _separation(outcome: Outcome, names: dict[int, str]) -> Separation | None:
+    closest = outcome.closest
+    if closest is None:
+        return None
+    one, other = closest.pids
+    return Separation(round(closest.distance, 4), closest.time, (names[one], names[other]))
 
 
 class _Tally:
@@ -279,7 +289,9 @@ def _properties(summary: Summary) -> list[str]:
         detail = f": {found.detail}" if found.detail else f", moments: {found.moments}"
         lines.append(f"{found.outcome.upper()}{_since(found)}: {_named(found)}{detail}")
     took = [f"watching them took {summary.watching:.1%} of the time"] if lines else []
-    return ["", "properties:", *(f"  {line}" for line in lines + took)] if lines else []
+    own = ["", "the robots' own monitors:"] if summary.noticed else []
+    own += [f"  {noticed_text(found)}" for found in summary.noticed]
+    return (["", "properties:", *(f"  {line}" for line in lines + took)] if lines else []) + own
 
 
 def _details(summary: Summary) -> list[str]:

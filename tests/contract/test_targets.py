@@ -165,3 +165,11 @@ def test_robots_limit_is_the_wires() -> None:
     from koordgen.runtime.wire import MAX_ROBOTS
 
     assert robots.MOST_ROBOTS == MAX_ROBOTS
+
+
+@agents_by_name
+def test_its_robots_take_their_properties_along_and_can_do_what_the_manifest_says(target: manifest.Target) -> None:
+    files = build(target.name)[f"{target.name}-0"]
+    assert b"PROPERTIES = Properties(" in files["properties.py"]
+    assert b"drivers, PROPERTIES))" in files["__main__.py"]
+    assert {"hold", "stop"} <= set(target.actions) <= {"hold", "stop", "land"}

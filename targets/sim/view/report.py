@@ -8,10 +8,11 @@ from pathlib import Path
 
 import msgspec
 
+from targets.sim.noticed import Notable, said
 from targets.sim.run import Outcome
 from targets.sim.stage import Closest
 from targets.sim.summary import RobotSummary, Summary, headline, place, seconds, summarise, told
-from targets.sim.trace import Header, Log, Phase, Record, Round, Violation, fault_text, read
+from targets.sim.trace import Header, Log, Monitor, Phase, Record, Round, Violation, fault_text, read
 from targets.sim.view.history import gathered
 from targets.sim.view.page import page
 from targets.sim.view.rows import Chunk
@@ -22,10 +23,11 @@ COLOURS = {"held": "#1B7F4B", "violated": "#B00020", "interrupted": "#8A5A00", "
 
 def important(header: Header, records: Iterable[Record]) -> list[tuple[float, str, str, str]]:
     """What the report tells of the trace: t, robot, kind and text of all violations, and the first MOST_LINES of
-    changed phases, warnings, errors and each robot's different faults."""
+    changed phases, warnings, errors, violations that robots saw themselves and each robot's different faults."""
     names = {robot.pid: robot.name for robot in header.robots}
     seen: set[tuple[int, str]] = set()
     phases: dict[int, str] = {}
+    notable = Notable()
     found: list[tuple[float, str, str, str]] = []
     violations = 0
     for record in records:
@@ -39,6 +41,9 @@ def important(header: Header, records: Iterable[Record]) -> list[tuple[float, st
             case Phase() if phases.get(record.pid) != record.phase:
                 phases[record.pid] = record.phase
                 found.append((record.t, names.get(record.pid, "?"), record.phase, record.detail))
+            case Monitor() if notable.take(record):
+                text = f"{said(record)} ({record.line})" + (f": {record.why}" if record.why else "")
+                found.append((record.t, names.get(record.pid, "?"), "monitor", text))
             case Log() if record.level != "info":
                 found.append((record.t, names.get(record.pid, "?"), record.level, record.message))
             case Round(fault=fault) if fault is not None and (record.pid, fault_text(fault)) not in seen:

@@ -25,6 +25,7 @@ import msgspec
 import numpy as np
 
 from targets.sim.bodies import Vector
+from targets.sim.noticed import Notable, said
 from targets.sim.trace import (
     Cause,
     End,
@@ -32,6 +33,7 @@ from targets.sim.trace import (
     Init,
     Log,
     Metrics,
+    Monitor,
     Phase,
     Pose,
     Record,
@@ -53,6 +55,8 @@ class Rows:
 
     def __init__(self, header: Header) -> None:
         self._count = len(header.robots)
+        self._names = [robot.name for robot in sorted(header.robots, key=lambda robot: robot.pid)]
+        self._notable = Notable()
         self._delta = header.delta
         self._chunk: Chunk = {}
         self._second: dict[int, list[Any]] = {}
@@ -84,6 +88,8 @@ class Rows:
                 what = f"{f'{record.of} {record.name}'.strip()}: {record.outcome}"
                 detail = ", ".join(filter(None, (record.line, record.detail)))
                 self._add("marks", [t, "verdict", what, list(record.robots), detail])
+            case Monitor(why=why) if 0 <= record.pid < self._count and self._notable.take(record):
+                self._add("marks", [t, "monitor", said(record), [self._names[record.pid]], f"{record.line}: {why}"])
             case Pose() | Phase() | Init() | Round() | Log() | Stream() | Metrics() if 0 <= record.pid < self._count:
                 self._of_robot(record, t)
             case _:

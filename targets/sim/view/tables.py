@@ -19,6 +19,7 @@ from targets.sim.trace import (
     Init,
     Log,
     Metrics,
+    Monitor,
     Phase,
     Pose,
     Record,
@@ -36,6 +37,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "phases": ("t", "robot", "phase", "detail"),
     "logs": ("t", "robot", "level", "text"),
     "links": ("t", "robot", "peer", "loss", "delay_p50_ms", "delay_p99_ms", "silent_ms", "repeats"),
+    "monitors": ("t", "robot", "round", "of", "name", "line", "outcome", "age", "why", "action"),
     "marks": ("t", "kind", "what", "robots", "name", "line", "detail"),
 }
 Row = tuple[Any, ...]
@@ -69,14 +71,14 @@ def _rows(record: Record, names: dict[int, str]) -> Iterator[tuple[str, Row]]:
             yield "marks", (t, "cause", what, " ".join(robots), "", "", told)
         case End(why=why):
             yield "marks", (t, "end", why, "", "", "", "")
-        case Pose() | Init() | Round() | Phase() | Log() | Stream() | Metrics():
+        case Pose() | Init() | Round() | Phase() | Log() | Stream() | Monitor() | Metrics():
             yield from _of_robot(record, t, names.get(record.pid, f"robot {record.pid}"))
         case _:
             pass
 
 
 def _of_robot(
-    record: Pose | Init | Round | Phase | Log | Stream | Metrics, t: float, robot: str
+    record: Pose | Init | Round | Phase | Log | Stream | Monitor | Metrics, t: float, robot: str
 ) -> Iterator[tuple[str, Row]]:
     match record:
         case Pose(position=(x, y, z), yaw=yaw):
@@ -87,6 +89,8 @@ def _of_robot(
             yield "logs", (t, robot, level, message)
         case Stream(port=port, text=text):
             yield "logs", (t, robot, port, text)
+        case Monitor(of=of, name=name, line=line, outcome=outcome, age=age, why=why, action=action):
+            yield "monitors", (t, robot, record.round, of, name, line, outcome, age, why, action)
         case Metrics(peers=peers):
             for peer, found in peers.items():
                 delay = found.get("delay_ms") or {}
