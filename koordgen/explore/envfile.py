@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from decimal import Decimal
 from itertools import product
 from typing import Any
 
@@ -184,7 +185,7 @@ class _File:
         if min(counts) < 1 or math.prod(counts) > MOST:
             self.reader.report("F005", f"{what} has no value, or more than {MOST}", node)
             return [[] for _ in ends]
-        return [[lo + k * step for k in range(count)] for (lo, _), count in zip(ends, counts, strict=True)]
+        return [[_stepped(lo, step, k) for k in range(count)] for (lo, _), count in zip(ends, counts, strict=True)]
 
     def _lidar(self, node: YamlNode, name: str, type_: Type) -> Domain:
         reader = self.reader
@@ -235,6 +236,11 @@ def _form(type_: Type) -> str:
     return (
         "{grid: {lo: [x, y, z], hi: [x, y, z], step: s}}, or a list of values" if type_ == POINT else "a list of values"
     )
+
+
+def _stepped(lo: float, step: float, k: int) -> float:
+    """The number that is written so: three steps of 0.1 from 18 on are 18.3."""
+    return type(lo)(Decimal(repr(lo)) + k * Decimal(repr(step)))
 
 
 def _within(reach: float) -> Callable[[Value, Value], bool]:

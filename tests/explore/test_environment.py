@@ -167,7 +167,7 @@ def test_what_a_lidar_sees_follows_from_where_it_is() -> None:
     program = compiled(SCANS)
     wall = "{lo: [2, 0, 0], hi: [3, 1, 1]}"
     text = f"M.position: [[0, 0.5, 0], [1, 0.5, 0]]\nM.pscan: {{lidar: {{rays: 4, range: 5, walls: [{wall}]}}}}\n"
-    made, result = explored(program, 1, around(program, text))
+    made, result = explored(program, 1, around(program, text), forgetting=False)
     assert result.violation is None
     assert {made.machine.state(f).robots[0].locals["r"] for f in made.known} == {0.0, 1.0, 2.0}
 
@@ -210,3 +210,12 @@ def test_mistakes_in_answers_are_told(planner: str) -> None:
 def test_a_wrong_key_says_what_there_is() -> None:
     _, mistakes = read(compiled(ROOM), "Motion.position: [[0, 0, 0]]")
     assert "HVAC.people, HVAC.temp, params, robots" in mistakes[0][3]
+
+
+def test_values_are_what_their_decimals_say() -> None:
+    found = around(compiled(ROOM), "HVAC.temp: {lo: 18, hi: 18.4, step: 0.1, start: [18.1, 18.3]}\n" + PEOPLE)
+    assert found.domains["HVAC.temp"].values == (18.0, 18.1, 18.2, 18.3, 18.4)
+    found = around(
+        compiled(PLAN), "Motion.position: {grid: {lo: [0, 0, 0], hi: [0.3, 0, 0], step: 0.1}}\nMotion.planner: none\n"
+    )
+    assert found.domains["Motion.position"].values == tuple([Point(x, 0.0, 0.0) for x in (0.0, 0.1, 0.2, 0.3)])
