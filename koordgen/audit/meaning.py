@@ -37,7 +37,7 @@ class Meaning:
             if functions is None or not functions.is_file():
                 missing = functions or f"{functions_module(program)}.py"
                 raise CannotCall(f"{missing}, which has the extern functions, is not there")
-            load(functions_module(program), functions)
+            load(program, functions)
         module = sys.modules["audited"] = ModuleType("audited")  # where annotations of records are looked up
         self._scope: dict[str, Any] = vars(module)
         self._scope["__file__"] = "program.py"

@@ -92,6 +92,8 @@ def _explore(command: argparse.ArgumentParser) -> None:
     command.add_argument("--no-symmetry", dest="symmetry", action="store_false", help=apart)
     orders = "try every order of robots, also where it makes no difference"
     command.add_argument("--no-independence", dest="independence", action="store_false", help=orders)
+    unread = "keep apart what differs only in what nobody reads any more"
+    command.add_argument("--no-forgetting", dest="forgetting", action="store_false", help=unread)
     quiet = "let robots wait for ever without `stop`"
     command.add_argument("--no-deadlock", dest="deadlock", action="store_false", help=quiet)
     command.add_argument("--fleet", metavar="FILE", help="a fleet file (YAML): values of params, how many robots")
@@ -183,6 +185,8 @@ def _harness(command: argparse.ArgumentParser) -> None:
     command.add_argument("--no-report", action="store_true", help=later)
     command.add_argument("--quiet", action="store_true", help="no progress")
     command.add_argument("--scenario", metavar="FILE", help="what goes wrong in the run, and when (YAML)")
+    follow = "let the agents run this counterexample, as `explore` or `prove --trace` wrote it"
+    command.add_argument("--follow", metavar="TRACE", help=follow)
     for name, (metavar, help) in _NETWORK.items():
         command.add_argument(f"--{name}", metavar=metavar, type=float, help=help)
     _of_a_build(command, fleet_required=True)

@@ -154,6 +154,17 @@ def test_without_a_broken_assumption_it_is_the_tools_mistake_where_it_is_proved(
     assert "no proof says that it holds" in told["says"]
 
 
+def test_who_had_left_the_model_before_is_named(tmp_path: Path) -> None:
+    fleet = watched(tmp_path, WHOLE).run(2.0)
+    fleet.fleet.robots[1].agent.end("landing")
+    fleet.run(2.0)
+    found = by_name(audited(saved(tmp_path, fleet, WHOLE))[1])
+    assert (
+        found["Sum"]["verdict"] == "violated"
+        and "by then bert had been out of the model" in found["Sum"]["proof"]["says"]
+    )
+
+
 def killed(folder: Path) -> Run:
     """Bert's process is killed, and began anew a second later."""
     run = Run(folder, HOLDS.replace("  assume reached or", "  assume True or"), conditions=conditions(0.05)).run(2.5)
@@ -227,6 +238,45 @@ def test_faults_and_contracts_are_findings(home: Path, tmp_path: Path) -> None:
     found = by_name(document)["well-defined"]
     assert status == 3 and found["verdict"] == "violated" and found["first"]["robots"] == ["bert"]
     assert "a.koord:21: 1 / 0" in found["first"]["read"][0] and found["first"]["round"] == 5
+
+
+CONTRACT = """\
+def Mark:
+  int count
+  Point at
+using Motion:
+  sensors: Point position
+allread: Mark mark[N_SYS]
+local: int turn
+extern fun next(int turn) -> int:
+  requires: turn >= 0
+  ensures: result > turn
+init: mark[pid] = Mark(0, Motion.position)
+Go:
+  pre: turn < 9
+  eff:
+    turn = next(turn)
+    mark[pid] = Mark(turn, Motion.position)
+invariant Small: forall i in ID: mark[i].count < 9
+invariant More: forall i in ID: next(mark[i].count) > mark[i].count or mark[i].count == 5
+"""
+
+
+def test_contracts_and_functions_of_the_users_own_are_judged(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    functions = "def next(turn):\n    return turn + (turn != 5)\n"
+    folder = Run(tmp_path, CONTRACT, functions=functions).run(4.0).save()
+    status, document = audited(folder / "robots")
+    found = by_name(document)
+    (line,) = [k for k, text in enumerate(CONTRACT.splitlines(), 1) if "ensures" in text]
+    requires, ensures = (p for p in document["properties"] if p["of"] == "contract")
+    assert status == 3 and (requires["verdict"], ensures["verdict"], ensures["line"]) == ("held", "violated", line)
+    assert "against what it ensures" in ensures["first"]["read"][0] and found["well-defined"]["verdict"] == "held"
+    assert found["Small"]["verdict"] == "held" and found["More"]["verdict"] == "no value", "it asks where no result is"
+    (folder / "source/app_functions.py").unlink()
+    assert main(["audit", str(folder / "robots")]) == 1
+    capsys.readouterr()
 
 
 def test_a_picture_is_drawn(home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
