@@ -56,6 +56,21 @@ def with_params(program: Program, values: Mapping[str, Value]) -> Program:
     return replace(program, params=tuple(params))
 
 
+def as_given(value: Value, type_: Type) -> Value:
+    """A value as traces have it, of records a list of its fields, as `with_params` takes it."""
+    match type_, value:
+        case RecordType(_, fields), list():
+            return {name: as_given(part, field) for part, (name, field) in zip(value, fields, strict=True)}
+        case Sequence(_, element), list():
+            return [as_given(part, element) for part in value]
+        case MapOf(key, held), list():
+            return [as_given(pair, TupleOf((key, held))) for pair in value]
+        case TupleOf(items), list():
+            return [as_given(part, item) for part, item in zip(value, items, strict=True)]
+        case _:
+            return value
+
+
 def parse_value(text: str) -> Value:
     """A value as written on the command line: 3, 0.5, true, x,y,z for a Point, JSON for what has parts; anything else
     is a string. Raises BadParam where JSON is broken."""

@@ -10,7 +10,7 @@ from koordgen.cli.options import parsed
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Callable, Collection, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
     from typing import TextIO
 
     from koordgen.check.params import Value
@@ -265,13 +265,17 @@ def _targets(text: str) -> list[str]:
     return list(dict.fromkeys(wanted))
 
 
-def _planned(options: Namespace, targets: list[str]) -> tuple[dict[str, dict[str, bytes]], str]:
+def _planned(
+    options: Namespace, targets: list[str], more: Mapping[str, Value] = {}
+) -> tuple[dict[str, dict[str, bytes]], str]:
+    """The bundles, and the app's name; `more` are params that neither the fleet nor the command names."""
     from koordgen.check.params import BadParam
     from koordgen.manifest import ManifestError
     from koordgen.pipeline import plan_file
 
     try:
-        checked, bundles = plan_file(options.program, targets, options.fleet, _params(options.param), options.functions)
+        given = {**more, **_params(options.param)}
+        checked, bundles = plan_file(options.program, targets, options.fleet, given, options.functions)
     except BadParam as error:
         raise Failure(USAGE, str(error)) from None
     except ManifestError as error:

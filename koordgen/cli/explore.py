@@ -6,14 +6,14 @@ import json
 import sys
 import time
 from argparse import Namespace
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from koordgen import manifest
 from koordgen.check.params import BadParam, with_params
 from koordgen.cli import HOLDS, INCONCLUSIVE, INTERRUPTED, USAGE, VIOLATED, WRONG, Failure, _params, _tell
-from koordgen.cli.prove import save
+from koordgen.cli.prove import hash_of, save
 from koordgen.cli.terminal import Line
 from koordgen.diagnostics import Diagnostic
 from koordgen.emit.program import functions_module
@@ -24,7 +24,8 @@ from koordgen.explore.search import Bounds, Progress, Result, Search
 from koordgen.explore.show import document, itf, report, told, trace
 from koordgen.ir.decl import Program
 from koordgen.pipeline import Checked, Rejected, check_file, read_fleet, read_source
-from koordgen.replay.functions import CannotCall
+from koordgen.prove.trace import About
+from koordgen.replay.functions import CannotCall, externs
 from koordgen.source import Source, Span
 
 ROBOTS = 3  # where neither --robots nor a fleet says how many
@@ -38,7 +39,8 @@ def explore(options: Namespace) -> int:
     robots, from_fleet = _fleet(options, checked)
     try:
         around = _environment(options, checked.program, robots)
-        program = with_params(checked.program, {**from_fleet, **around.params, **_params(options.param)})
+        given = {**from_fleet, **around.params, **_params(options.param)}
+        program = with_params(checked.program, given)
         result = _searched(options, program, robots, around)
     except BadParam as error:
         raise Failure(USAGE, str(error)) from None
@@ -46,7 +48,8 @@ def explore(options: Namespace) -> int:
         raise Failure(USAGE, str(error), "docs/explore.md tells how such a file is written") from None
     if result.violation is not None:
         if options.trace:
-            save(options.trace, trace(result.violation, program))
+            about = _about(options, program, robots, around, given)
+            save(options.trace, trace(result.violation, program, about))
         if options.itf:
             save(options.itf, itf(result.violation, program))
     if options.format == "json":
@@ -54,6 +57,12 @@ def explore(options: Namespace) -> int:
     else:
         sys.stdout.write(report(result, program, options.program, robots))
     return _status(result)
+
+
+def _about(options: Namespace, program: Program, robots: int, around: Environment, given: Iterable[str]) -> About:
+    """What a run that was found was made with."""
+    hashed, functions = hash_of(program, options.program, options.functions)
+    return About(hashed, tuple(given), answering(around, program, robots), externs(program, functions))
 
 
 def _searched(options: Namespace, program: Program, robots: int, around: Environment) -> Result:

@@ -19,7 +19,8 @@ from koordgen.cli.options import PASSED
 
 def harness(options: Namespace) -> int:
     """Build, run, and hand its exit status on."""
-    bundles, app = cli._planned(options, [options.command])
+    more, plan = _followed(options)
+    bundles, app = cli._planned(options, [options.command], more)
     cli._require_packages()
     bundle = bundles[options.command]
     scenario = read_scenario(options.scenario, bundle, options.duration) if options.scenario else None
@@ -30,11 +31,24 @@ def harness(options: Namespace) -> int:
     passed += [f"--{flag}" for flag in flags if getattr(options, flag.replace("-", "_"))]
     with tempfile.TemporaryDirectory(prefix="koordgen-") as folder:
         cli._write({options.command: bundle}, Path(folder))
+        if plan is not None:
+            follow = Path(folder) / "follow.json"
+            follow.write_text(json.dumps(plan), encoding="utf-8")
+            passed.append(f"--follow={follow}")
         if scenario is not None:
             file = Path(folder) / "scenario.json"
             file.write_text(json.dumps(scenario), encoding="utf-8")
             passed.append(f"--scenario={file}")
         return _run([sys.executable, f"{folder}/{options.command}", *passed], options)
+
+
+def _followed(options: Namespace) -> tuple[dict[str, Any], dict[str, Any] | None]:
+    """Of a run that follows a trace: the params that come with it, and what the bundle is to do."""
+    if options.follow is None:
+        return {}, None
+    from koordgen.cli.follow import following
+
+    return following(options)
 
 
 def _run(command: list[str], options: Namespace) -> int:

@@ -183,6 +183,8 @@ def _harness(command: argparse.ArgumentParser) -> None:
     command.add_argument("--no-report", action="store_true", help=later)
     command.add_argument("--quiet", action="store_true", help="no progress")
     command.add_argument("--scenario", metavar="FILE", help="what goes wrong in the run, and when (YAML)")
+    follow = "let the agents run this counterexample, as `explore` or `prove --trace` wrote it"
+    command.add_argument("--follow", metavar="TRACE", help=follow)
     for name, (metavar, help) in _NETWORK.items():
         command.add_argument(f"--{name}", metavar=metavar, type=float, help=help)
     _of_a_build(command, fleet_required=True)

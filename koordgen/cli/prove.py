@@ -20,6 +20,7 @@ from koordgen.cli import (
 if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Mapping
+    from pathlib import Path
 
     from koordgen.check.params import Value
     from koordgen.ir.decl import Program
@@ -60,7 +61,7 @@ def proved(options: Namespace, solver: Solver | Both) -> int:
     if options.emit is not None:
         emit(options.emit, files(checked.source, checked.program, question, numbers(options.robots), found))
     if options.trace is not None:
-        made = trace_of(checked.program, found)
+        made = trace_of(checked.program, options.program, given, found)
         if made:
             save(options.trace, made)
         else:
@@ -137,12 +138,35 @@ def files(
     return folder(made, lambda _, line: source.line(line))
 
 
-def trace_of(program: Program, found: list[list[Verdict]]) -> str:
-    """The first counterexample as a trace; empty where there is none."""
-    from koordgen.prove.trace import trace
+def trace_of(program: Program, path: str, given: Mapping[str, Value], found: list[list[Verdict]]) -> str:
+    """The first counterexample as a trace, one that is a run if there is any; empty where there is none."""
+    from koordgen.check.params import BadParam, as_given, with_params
+    from koordgen.prove.model import plain_value
+    from koordgen.prove.trace import About, trace
 
     told = [v.explanation for verdicts in found for v in verdicts if v.explanation and v.explanation.counterexample]
-    return trace(program, told[0]) if told else ""
+    if not told:
+        return ""
+    first = next((t for t in told if t.run is not None), told[0])
+    assert first.counterexample is not None
+    state = first.run.moments[0].state if first.run is not None else first.counterexample.before
+    values = {p.name: as_given(plain_value(state.params[p.name]), p.type) for p in program.params}
+    try:
+        hashed, _ = hash_of(with_params(program, {**values, **given}), path, None)
+    except BadParam:  # numbers that robots do not have
+        hashed = ""
+    return trace(program, first, About(hashed, tuple(values)))
+
+
+def hash_of(program: Program, path: str, functions: str | None) -> tuple[str, Path | None]:
+    """The hash of a program in a file, as its bundles have it, and the file of its extern functions."""
+    from pathlib import Path
+
+    from koordgen.bundle.functions import functions_file
+    from koordgen.emit.program import program_hash
+
+    file = functions_file(program, Path(path).parent, functions)
+    return program_hash(program, file.read_bytes() if file and file.is_file() else b""), file
 
 
 def emit(folder: str, files: dict[str, bytes]) -> None:

@@ -28,7 +28,7 @@ def replay(options: Namespace) -> int:
         program, functions = program_of(options, trace.path, trace.program_hash)
         found = list(replayed(program, externs(program, functions), trace, counts))
     except BadTrace as error:
-        raise Failure(WRONG, str(error), "a trace of koordgen's is expected: trace.jsonl") from None
+        raise Failure(WRONG, str(error), "a trace of robots is expected: trace.jsonl") from None
     except Unreplayable as error:
         raise Failure(WRONG, f"{path}: {error}", "what this trace says is not enough to replay it") from None
     except CannotCall as error:

@@ -43,13 +43,14 @@ class Progress(NamedTuple):
 
 class Violation(NamedTuple):
     """`name`: of the invariant, WELL_DEFINED or DEADLOCK. `failed` is what is false at the last moment; where nothing
-    is, `reason` says what is wrong."""
+    is, `reason` says what is wrong, and `culprit` which robot's event (or init) has no result."""
 
     name: str
     line: int
     moments: tuple[Moment, ...]
     failed: Conjunct | None
     reason: str
+    culprit: tuple[int, str] | None = None
 
 
 class Result(NamedTuple):
@@ -270,4 +271,4 @@ class Search:
     def _discarded(self, found: Discard, moments: list[Moment]) -> Violation:
         event = self.machine.program.events[found.event].name if found.event >= 0 else "init"
         reason = f"{event} of robot {found.pid} has no result: {found.reason}"
-        return Violation(WELL_DEFINED, found.line, tuple(moments), None, reason)
+        return Violation(WELL_DEFINED, found.line, tuple(moments), None, reason, (found.pid, event))

@@ -11,7 +11,7 @@ from koordgen.explore.search import DEADLOCK, WELL_DEFINED, Progress, Result, Vi
 from koordgen.ir import decl
 from koordgen.prove.spell import spelled
 from koordgen.prove.table import WIDTH, failed_lines, moment_lines, moments_data, own
-from koordgen.prove.trace import run_trace
+from koordgen.prove.trace import About, run_trace
 from koordgen.runtime.values import Point
 from koordgen.semantics.values import RecordValue
 
@@ -102,11 +102,11 @@ def _data(found: Violation) -> dict[str, Any]:
     }
 
 
-def trace(found: Violation, program: decl.Program) -> str:
+def trace(found: Violation, program: decl.Program, about: About) -> str:
     """The run as koord-trace/1."""
     line = found.failed.formula.span.line if found.failed else found.line
     detail = f"false: {spelled(found.failed.formula)}" if found.failed else found.reason
-    return run_trace(program, found.moments, found.name, line, detail)
+    return run_trace(program, found.moments, (found.name, line, detail), about, found.culprit)
 
 
 def itf(found: Violation, program: decl.Program) -> str:

@@ -7,6 +7,7 @@ arithmetic, from a state in which the invariants hold to one in which they do no
 from __future__ import annotations
 
 import math
+from base64 import b64encode
 from collections.abc import Mapping
 from fractions import Fraction
 from typing import Any, NamedTuple
@@ -18,7 +19,8 @@ from koordgen.node import replace
 from koordgen.prove.obligation import Cell, Moment, Obligation
 from koordgen.prove.reading import Reader, Unshowable
 from koordgen.prove.served import Served
-from koordgen.runtime.values import Point
+from koordgen.runtime.gridmap import GridMap
+from koordgen.runtime.values import Grid, Opaque, Point, Pose, Scan
 from koordgen.semantics.eval import Discarded, View, elements, holds
 from koordgen.semantics.exact import NotExact, made_exact
 from koordgen.semantics.exec import Budget, NoMeaning, library
@@ -287,6 +289,10 @@ def plain_value(value: Any) -> Any:
             return [plain_value(field) for field in fields]
         case tuple():
             return [plain_value(part) for part in value]
+        case bytes():
+            return b64encode(value).decode()
+        case Pose() | Grid() | Scan() | GridMap() | Opaque():
+            return [plain_value(getattr(value, name)) for name in value.__struct_fields__]
         case _:
             return str(value)
 

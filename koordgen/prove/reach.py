@@ -84,7 +84,7 @@ class _Search:
         self.invariant = invariant
         self.bounds = bounds
         self.until = until
-        self.world = World({}, _straight)
+        self.world = World({}, no_way)
         self.sensors = [
             (f"{m.name}.{p.name}", p.type) for m in program.modules for p in m.ports if p.direction == "sensor"
         ]
@@ -243,6 +243,6 @@ def _distinct(values: Iterable[Any]) -> list[Any]:
     return found
 
 
-def _straight(pid: int, port: str, args: tuple[Value, ...]) -> Value:
+def no_way(pid: int, port: str, args: tuple[Value, ...]) -> Value:
     """A callable port that knows no way."""
     return ()

@@ -17,7 +17,7 @@ def replayed(
 ) -> Iterator[Difference]:
     """Every difference, in the trace's order. Raises BadTrace, Unreplayable."""
     n_sys = len(trace.robots)
-    robots = [Replay(program, externs, pid, n_sys, counts) for pid in range(n_sys)]
+    robots = [Replay(program, externs, pid, n_sys, counts, trace.followed) for pid in range(n_sys)]
     stores = None if trace.own else Stores(program, n_sys, trace)
     last = 0
     for line in trace.lines():

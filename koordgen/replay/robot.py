@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from koordgen.ir import decl
 from koordgen.ir.types import Type
+from koordgen.node import replace
 from koordgen.replay.store import had_frame
 from koordgen.replay.trace import Line
 from koordgen.replay.values import BadValue, plain, taken
@@ -44,13 +45,15 @@ class Counts:
 
 @dataclass
 class Replay:
-    """One robot of a program. `externs` as in World."""
+    """One robot of a program. `externs` as in World; `followed` as in Trace: then any event may have been chosen whose
+    guard holds, or none, and of a "step" `init` is what the counterexample begins with."""
 
     program: decl.Program
     externs: Mapping[str, Any]
     pid: int
     n_sys: int
     counts: Counts = field(default_factory=Counts)
+    followed: str = ""
 
     def __post_init__(self) -> None:
         self._types: dict[str, Type] = declared(self.program)
@@ -90,6 +93,12 @@ class Replay:
 
     def _init(self, line: Line, record: dict[str, Any]) -> Iterator[Difference]:
         self._round, self._store = 0, {}
+        if self.followed != "step":
+            yield from self._ran_init(line, record)
+        self._own = self._values(record["locals"])
+        self._actuators = self._values(record["actuators"])
+
+    def _ran_init(self, line: Line, record: dict[str, Any]) -> Iterator[Difference]:
         given = {**self._unset(record), **self._values(record["sensors"])}
         state = initial(self.program, self.n_sys, [given if p == self.pid else {} for p in range(self.n_sys)])
         actuators = {n: v for n, v in state.robots[self.pid].ports.items() if n not in record["sensors"]}
@@ -100,8 +109,6 @@ class Replay:
             meant = {"locals": done.locals, "shared": {**done.slots, **done.cells}, "stopped": done.stopped}
             yield from self._compared(line, record, {**meant, "actuators": {**actuators, **done.ports}})
             self._streams = list(done.streams)
-        self._own = self._values(record["locals"])
-        self._actuators = self._values(record["actuators"])
 
     def _unset(self, record: dict[str, Any]) -> dict[str, Value]:
         """A target that nobody wrote is where the robot is, which it does not tell of unless the program asks."""
@@ -120,7 +127,7 @@ class Replay:
         self._learn(record.get("copy", {}))
         self.saw = {name: dict(held) if name in self._slots else held for name, held in self._store.items()}
         state = self._state(line, record)
-        chosen = select(self.program, state, self.pid, self._world(record))
+        chosen = self._chosen(state, record)
         if fault is not None:
             yield from self._fault(line, event, fault, chosen, state, record)
             return
@@ -141,6 +148,17 @@ class Replay:
                 self._store[name][self.pid] = taken(value, self._types[name])
             else:
                 self._store[name] = taken(value, self._types[name])
+
+    def _chosen(self, state: State, record: dict[str, Any]) -> decl.Event | Step | None:
+        """The event that the robot must have chosen; a Step is one whose guard has no value."""
+        world, name = self._world(record), record.get("event")
+        if not self.followed:
+            return select(self.program, state, self.pid, world)
+        if name is None and record.get("fault") is None:
+            return None
+        tried = [event for event in self.program.events if name is None or event.name == name]
+        found = (select(replace(self.program, events=(event,)), state, self.pid, world) for event in tried)
+        return next((each for each in found if isinstance(each, Step) is (name is None) and each is not None), None)
 
     def _event(self, line: Line, record: dict[str, Any], done: Writes | Discarded) -> Iterator[Difference]:
         if isinstance(done, Discarded):

@@ -27,7 +27,8 @@ class Line(NamedTuple):
 @dataclass
 class Trace:
     """A trace's header; `robots` are the fleet's names, by pid, empty of robots whose names it does not say. `own`: it
-    is one robot's, `pid` which one. `lines` reads the rest; when the file ends amid a line, `cut` is its number."""
+    is one robot's, `pid` which one. `followed`: of a run that followed a counterexample, a "run" or a "step", else "".
+    `lines` reads the rest; when the file ends amid a line, `cut` is its number."""
 
     path: Path
     app: str
@@ -36,10 +37,11 @@ class Trace:
     own: bool
     pid: int
     cut: int = 0
+    followed: str = ""
 
     def lines(self) -> Iterator[Line]:
         """The records that a replay needs, in their order. Raises BadTrace."""
-        for number, record in _records(self):
+        for number, record in records(self):
             if record.get("kind") in KINDS:
                 pid = self.pid if self.own else record.get("pid")
                 if not isinstance(pid, int) or not 0 <= pid < len(self.robots):
@@ -50,27 +52,32 @@ class Trace:
 def opened(path: Path) -> Trace:
     """The trace at `path`. Raises BadTrace."""
     blank = Trace(path, "", "", (), False, 0)
-    number, header = next(_records(blank), (0, {}))
+    number, header = next(records(blank), (0, {}))
     if header.get("kind") != "header" or header.get("format") != FORMAT:
         raise BadTrace(f"{path}: no header of format {FORMAT}")
     try:
         app, program_hash = str(header["app"]), str(header.get("program_hash", ""))
+        if "counterexample" in header:
+            raise BadTrace(f"{path} is a counterexample's, not of a run: `koordgen sim --follow` lets agents run it")
+        followed = str(header.get("followed", ""))
         if "robots" in header:
-            return Trace(path, app, program_hash, tuple(str(robot["name"]) for robot in header["robots"]), False, 0)
+            names = tuple(str(robot["name"]) for robot in header["robots"])
+            return Trace(path, app, program_hash, names, False, 0, followed=followed)
         n, pid = int(header["n_sys"]), int(header["pid"])
         names = tuple(str(header["robot"]) if p == pid else "" for p in range(n))
-        return Trace(path, app, program_hash, names, True, pid)
+        return Trace(path, app, program_hash, names, True, pid, followed=followed)
     except (KeyError, TypeError, ValueError) as error:
         raise BadTrace(f"{path}:{number}: a broken header: {error!r}") from None
 
 
-def _records(trace: Trace) -> Iterator[tuple[int, dict[str, Any]]]:
+def records(trace: Trace) -> Iterator[tuple[int, dict[str, Any]]]:
+    """Every record with the number of its line. Raises BadTrace."""
     try:
         with trace.path.open("rb") as file:
             for number, line in enumerate(file, 1):
                 try:
                     record = json.loads(line)
-                except ValueError as error:
+                except (ValueError, RecursionError) as error:
                     if not line.endswith(b"\n"):
                         trace.cut = number
                         return

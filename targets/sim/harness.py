@@ -27,8 +27,10 @@ from targets.sim.scenario import FILE, BadScenario, Scenario, load
 from targets.sim.schedule import CONDITIONS, DURATION, MOST_DELAY, PROBABILITIES, Schedule
 
 if TYPE_CHECKING:
+    from targets.sim.follow.guide import Guide
+    from targets.sim.follow.plan import Plan
     from targets.sim.progress import Progress
-    from targets.sim.run import Run
+    from targets.sim.run import Outcome, Run
     from targets.sim.trace import Header
     from targets.sim.view.live import Live
     from targets.sim.watch import Watcher
@@ -52,17 +54,18 @@ def main(root: Path, argv: list[str] | None = None) -> int:
     try:
         scenario = scattered(replace(load(root, options.settings), gui=options.gui), options.seed)
         out: Path = options.out or Path(f"run-{scenario.app}")
-        _require(scenario)
+        plan = _plan(scenario, options)
+        _require(scenario, placed=plan is not None)
         schedule, told = _schedule(scenario, options)
         if options.check:
             return _check(root, scenario)
         from targets.sim.view import live
 
         # The view first: what is in its way must not cost what an earlier run left.
-        with live.watched(_header(scenario, options), options.live) as view, RunFolder(out) as folder:
+        with live.watched(_header(scenario, plan, options), options.live) as view, RunFolder(out) as folder:
             if told is not None:
                 (folder / "faults.json").write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
-            return _run(root, scenario, schedule, folder, options, view)
+            return _run(root, scenario, schedule, plan, folder, options, view)
     except BadScenario as error:
         return _fail(BAD_FILES, str(error), error.hint)
     except Foreign as error:
@@ -99,6 +102,7 @@ def _parser(root: Path, argv: list[str]) -> argparse.ArgumentParser:
     parser.add_argument("--out", type=Path, metavar="DIR", help="what the run leaves, default run-<app>")
     parser.add_argument("--settings", type=Path, metavar="FILE", help="JSON object laid over the scenario's settings")
     parser.add_argument("--scenario", type=Path, metavar="FILE", help="what goes wrong in the run, and when")
+    parser.add_argument("--follow", type=Path, metavar="FILE", help="a plan of a counterexample; koordgen makes it")
     for name in CONDITIONS:
         what = "0 to 1" if name in PROBABILITIES else "seconds"
         parser.add_argument(
@@ -162,14 +166,26 @@ def _fail(status: int, message: str, hint: str) -> int:
     return status
 
 
-def _require(scenario: Scenario) -> None:
-    """Find out now, and not after the run, that a package is missing."""
+def _plan(scenario: Scenario, options: argparse.Namespace) -> Plan | None:
+    """What a run follows; it takes as long as that does, in lockstep. Raises BadScenario."""
+    if options.follow is None:
+        return None
+    from targets.sim.follow.plan import load as load_plan
+
+    plan = load_plan(options.follow, scenario.program_hash, len(scenario.robots))
+    options.lockstep, options.duration = True, (len(plan.rounds) + 2) * scenario.delta
+    return plan
+
+
+def _require(scenario: Scenario, placed: bool) -> None:
+    """Find out now, and not after the run, that a package is missing. Bodies that are placed may be anywhere."""
     from targets.sim import stage
 
     for name in NEEDED:
         if importlib.util.find_spec(name) is None:
             raise ModuleNotFoundError(name=name)
-    stage.check(scenario)
+    if not placed:
+        stage.check(scenario)
 
 
 def _schedule(scenario: Scenario, options: argparse.Namespace) -> tuple[Schedule, Any]:
@@ -190,17 +206,22 @@ def _check(root: Path, scenario: Scenario) -> int:
 
 
 def _run(
-    root: Path, scenario: Scenario, schedule: Schedule, folder: Path, options: argparse.Namespace, view: Live | None
-) -> int:
+    root: Path, scenario: Scenario, schedule: Schedule, plan: Plan | None, folder: Path, options: argparse.Namespace,
+    view: Live | None,
+) -> int:  # fmt: skip
     import msgspec
 
     from targets.sim import summary, trace
     from targets.sim.progress import Progress
     from targets.sim.view import live
 
-    header = _header(scenario, options)
+    header = _header(scenario, plan, options)
     progress = Progress(sys.stderr, options.quiet, free=options.lockstep)
-    run, watcher, windows = _made(root, scenario, schedule, folder, options, progress)
+    windows, guide = None, None
+    if plan is not None:
+        run, watcher, guide = _following(root, scenario, plan, folder, options, progress)
+    else:
+        run, watcher, windows = _made(root, scenario, schedule, folder, options, progress)
     run.companions += [view] if view else []
     run.companions += [live.Paced(options.pace)] if options.pace and options.lockstep else []
     began = time.perf_counter()
@@ -228,7 +249,35 @@ def _run(
         view.close(f"{summary.headline(found)}: {found.why}. The report: {left.resolve()}")
     print(summary.as_text(found))
     print(f"{'run' if options.no_report else 'report'}: {left}")
+    if guide is not None and outcome.ended != "interrupted":
+        return _followed(guide, outcome)
     return STATUS[found.verdict] if outcome.ended != "died" else VIOLATED
+
+
+def _followed(guide: Guide, outcome: Outcome) -> int:
+    status, message = guide.result(outcome)
+    if status == INTERNAL:
+        return _fail(status, message, "agents do not as their program means: please report it with the trace")
+    print(message)
+    return status
+
+
+def _following(
+    root: Path, scenario: Scenario, plan: Plan, folder: Path, options: argparse.Namespace, progress: Progress
+) -> tuple[Run, Watcher, Guide]:
+    """As `_made`, of a run that follows a plan."""
+    from targets.sim import watch
+    from targets.sim.follow.conduct import Follow
+    from targets.sim.follow.guide import Guide
+    from targets.sim.run import Run
+
+    properties = watch.load(root)
+    watcher = watch.Watcher(properties, tuple(robot.name for robot in scenario.robots), scenario.delta)
+    shutil.copytree(root / SOURCE, folder / SOURCE)
+    guide = Guide(plan, scenario.robots, scenario.delta, properties.measured)
+    run = Run(scenario, Follow(scenario, root, folder, options.seed, guide), folder, options.duration, progress)
+    run.companions += [watcher, guide]
+    return run, watcher, guide
 
 
 def _made(
@@ -255,7 +304,7 @@ def _made(
     return run, watcher, windows
 
 
-def _header(scenario: Scenario, options: argparse.Namespace) -> Header:
+def _header(scenario: Scenario, plan: Plan | None, options: argparse.Namespace) -> Header:
     """The merged trace's, of a run that has a round 1."""
     from targets.sim.trace import FORMAT, Header, RobotName
 
@@ -263,7 +312,7 @@ def _header(scenario: Scenario, options: argparse.Namespace) -> Header:
     return Header(
         FORMAT, scenario.app, scenario.program_hash, scenario.delta, options.seed, names, options.duration, True,
         scenario.number("min_separation", 0.0), (scenario.geofence.lo, scenario.geofence.hi), scenario.obstacles,
-        scenario.world, scenario.shared, scenario.records,
+        scenario.world, scenario.shared, scenario.records, plan.kind if plan else "",
     )  # fmt: skip
 
 

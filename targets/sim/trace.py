@@ -1,8 +1,7 @@
 """The run's trace, format koord-trace/1: its records, following the agents' own files, and the one merged file.
 
-In an agent's file `time` is the run's clock (the host's monotonic one in real time, from 0 in lockstep); in the merged
-one every record has `t`, seconds since the start of round 1 (negative before), and the agents' records a `pid`. Points
-are [x, y, z], metres, local ENU.
+In an agent's file `time` is the run's clock (in real time the host's, in lockstep from 0); in the merged one records
+have `t`, seconds since the start of round 1 (negative before), agents' ones a `pid`. Points: [x, y, z], m, local ENU.
 """
 
 from __future__ import annotations
@@ -32,8 +31,8 @@ class RobotName(msgspec.Struct, frozen=True):
 
 
 class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
-    """The merged file's first record. `started` tells whether there was a round 1; without one, t counts from the
-    agents' launch. `geofence` are the two corners; `world`, `shared` and `records` as in the scenario."""
+    """The merged file's first record. `started`: whether there was a round 1; without one, t counts from the launch.
+    `geofence` are the two corners; `world`, `shared`, `records` as in the scenario; `followed`: a counterexample."""
 
     format: str
     app: str
@@ -49,6 +48,7 @@ class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
     world: World = World()
     shared: tuple[Shared, ...] = ()
     records: dict[str, tuple[tuple[str, str], ...]] = {}
+    followed: str = ""  # chose the events: a "run", or a "step", which says also how all began
 
 
 class Pose(msgspec.Struct, frozen=True, tag_field="kind", tag="pose"):

@@ -21,7 +21,7 @@ def write(bundles, folder):
     (folder / "sim").mkdir()
     (folder / "sim/__main__.py").write_text(sys.argv[1])
 
-cli._planned = lambda options, targets: ({"sim": {}}, "app")
+cli._planned = lambda *given: ({"sim": {}}, "app")
 cli._require_packages = lambda: None
 cli._write = write
 sys.exit(cli.main(["sim", "app.koord", "--fleet", "fleet.yaml"]))

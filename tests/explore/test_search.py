@@ -11,6 +11,7 @@ from koordgen.explore.environment import STRAIGHT, Domain, Environment, Lacking
 from koordgen.explore.search import DEADLOCK, WELL_DEFINED, Bounds
 from koordgen.explore.show import document, itf, report, trace
 from koordgen.ir.decl import Program
+from koordgen.prove.trace import About
 from koordgen.runtime.values import Point
 from koordgen.source import Source, Span
 from tests.explore.reference import explored, search
@@ -158,7 +159,7 @@ def test_a_violation_is_a_trace_and_an_itf_document() -> None:
     program = compiled(LOST)
     found = explored(program, 2)[1].violation
     assert found is not None
-    lines = [json.loads(line) for line in trace(found, program).splitlines()]
+    lines = [json.loads(line) for line in trace(found, program, About()).splitlines()]
     assert lines[0]["kind"] == "header" and (lines[-1]["name"], lines[-1]["t"]) == ("Counted", 1.0)
     assert [r["event"] for r in lines if r["kind"] == "round" and r["pid"] == 0] == [None, "init", "Add", None]
     document = json.loads(itf(found, program))

@@ -120,7 +120,7 @@ class Resident(Agent):
         self._actor = actor
         settings = {
             "network": {"transport": "unicast"}, "state": None, "key_file": None, "trace": None,
-            "body": actor.overrides,
+            **self._overrides(actor),
         }  # fmt: skip
         self._settings_file.write_bytes(msgspec.json.format(msgspec.json.encode(settings), indent=2) + b"\n")
         self._boot(actor)
@@ -128,14 +128,14 @@ class Resident(Agent):
     def _boot(self, actor: Actor) -> None:
         shared, robot = self._shared, self.robot
         self._status, self._wake = None, shared.clock.now()
-        self._out = Told(self.trace_file.open("ab"), shared.shares)
+        self._out = self._opened()
         seed = self._dice.getrandbits(31)
         self._surroundings.append(Surroundings(shared.hub, shared.clock.now, seed, shared.iterations))
         try:
             with self._own:
                 settings = load(shared.root / robot.bundle / "settings.json", self._settings_file)
-                program, properties, drivers = _loaded(shared.scenario)
-                platform = self._embodied(actor, settings)
+                program, properties, drivers = self._loaded()
+                platform = self._embodied(actor, settings, program)
                 self._platform = with_drivers(platform, program, drivers)
                 self._transport = shared.network.transport(robot.pid)
                 self._machine = Machine(
@@ -152,7 +152,19 @@ class Resident(Agent):
         except Exception:
             self._fail("internal error, please report it:\n" + traceback.format_exc(), INTERNAL)
 
-    def _embodied(self, actor: Actor, settings: Settings) -> Platform:
+    def _overrides(self, actor: Actor) -> dict[str, Any]:
+        """What is laid over the robot's settings."""
+        return {"body": actor.overrides}
+
+    def _opened(self) -> Told:
+        """The trace's file. Raises OSError."""
+        return Told(self.trace_file.open("ab"), self._shared.shares)
+
+    def _loaded(self) -> tuple[Program, Properties, Drivers]:
+        """See `_loaded` below."""
+        return _loaded(self._shared.scenario)
+
+    def _embodied(self, actor: Actor, settings: Settings, program: Program) -> Platform:
         """The device's own platform, where it has one, else the target's."""
         if isinstance(actor.device, Embodied):
             return actor.device.platform(settings, self._shared.key, self._surroundings[-1])

@@ -18,7 +18,7 @@ from koordgen.runtime.runner import Interrupting
 from targets.sim.crew import Step
 from targets.sim.lockstep.resident import Resident, Shared
 from targets.sim.medium import Medium
-from targets.sim.scenario import BadScenario, Scenario
+from targets.sim.scenario import BadScenario, Robot, Scenario
 from targets.sim.stage import Stage
 from targets.sim.world import STEP
 
@@ -31,7 +31,7 @@ class Lockstep:
     from its seed: nobody else hears these datagrams."""
 
     def __init__(self, scenario: Scenario, root: Path, folder: Path, seed: int) -> None:
-        _check(scenario)
+        self.check(scenario)
         random.seed(f"{seed}/user")  # which a user's functions may ask
         self._shared = Shared(
             scenario, root, seed, hashlib.sha256(f"lockstep {seed}".encode()).digest(), ITERATIONS, _Longest()
@@ -40,10 +40,18 @@ class Lockstep:
         for robot in scenario.robots:
             own = folder / "robots" / robot.name
             own.mkdir(parents=True)
-            self._agents.append(Resident(robot, own, self._shared))
+            self._agents.append(self.resident(robot, own, self._shared))
         self._stage: Stage | None = None
         self._steps = 0
         self._began = time.perf_counter()
+
+    def check(self, scenario: Scenario) -> None:
+        """Whether all robots can run so. Raises BadScenario."""
+        _check(scenario)
+
+    def resident(self, robot: Robot, folder: Path, shared: Shared) -> Resident:
+        """A robot's agent, which is not launched yet."""
+        return Resident(robot, folder, shared)
 
     @property
     def agents(self) -> list[Resident]:

@@ -1,0 +1,123 @@
+"""The clock, the agents and the stage of a run that follows a counterexample: lockstep, with bodies that are set."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import IO, Any, ClassVar
+
+from koordgen.runtime.drivers import Drivers
+from koordgen.runtime.platform import Platform
+from koordgen.runtime.program import Program
+from koordgen.runtime.property import Properties
+from koordgen.runtime.settings import Settings
+from targets.sim.bodies import BodyState
+from targets.sim.follow.guide import FollowedBody, Guide
+from targets.sim.lockstep.resident import HEADER, Resident, Shared, Told
+from targets.sim.lockstep.run import Lockstep
+from targets.sim.lockstep.shares import Shares
+from targets.sim.scenario import Robot, Scenario
+from targets.sim.stage import Actor, Stage, Watch
+from targets.sim.upset import Upset
+
+EVERYWHERE = 1e9  # metres
+
+
+class Follow(Lockstep):
+    """Lockstep along a plan."""
+
+    def __init__(self, scenario: Scenario, root: Path, folder: Path, seed: int, guide: Guide) -> None:
+        self.guide = guide
+        super().__init__(scenario, root, folder, seed)
+
+    def check(self, scenario: Scenario) -> None:
+        """Nothing of the targets runs here."""
+
+    def resident(self, robot: Robot, folder: Path, shared: Shared) -> Resident:
+        return Follower(robot, folder, shared, self.guide)
+
+    def stage(self) -> Stage:
+        self._stage = PlacedStage(self._shared.scenario, self.guide)
+        return self._stage
+
+
+class Follower(Resident):
+    """An agent whose events, sensors and callable ports are the plan's. All else is its own."""
+
+    def __init__(self, robot: Robot, folder: Path, shared: Shared, guide: Guide) -> None:
+        self._guide = guide
+        super().__init__(robot, folder, shared)
+
+    def poll(self, now: float) -> None:
+        """See Resident. An agent is polled at the very beginning of each of its rounds."""
+        super().poll(now)
+        self._guide.began(self._round(), now)
+
+    def _round(self) -> int:
+        return self._machine.round if self._machine is not None else 0
+
+    def _loaded(self) -> tuple[Program, Properties, Drivers]:
+        program, properties, _ = super()._loaded()
+        return self._guide.program(program, self.robot.pid, self._round), properties, {}
+
+    def _embodied(self, actor: Actor, settings: Settings, program: Program) -> Platform:
+        return FollowedBody(self._guide, self.robot.pid, program, self._round)
+
+    def _overrides(self, actor: Actor) -> dict[str, Any]:
+        far = [EVERYWHERE] * 3
+        fence = {"lo": [-x for x in far], "hi": far}
+        named = json.loads((self._shared.root / self.robot.bundle / "settings.json").read_bytes()).get("monitors", {})
+        monitors = dict.fromkeys([*named, "default"], "log")  # what they find must not end the run
+        return {**super()._overrides(actor), "geofence": fence, "avoid": "", "monitors": monitors}
+
+    def _opened(self) -> Told:
+        return Marked(self.trace_file.open("ab"), self._shared.shares, self._guide.plan.kind)
+
+
+class Marked(Told):
+    """Says in the trace's header what was followed."""
+
+    def __init__(self, file: IO[bytes], shares: Shares, kind: str) -> None:
+        super().__init__(file, shares)
+        self._mark = HEADER + b',"followed":"' + kind.encode() + b'"'
+
+    def write(self, line: bytes) -> None:
+        """See Told."""
+        super().write(line.replace(HEADER, self._mark, 1) if line.startswith(HEADER) else line)
+
+
+class Unmoved:
+    """A Device, and its body, of a robot that a plan sets."""
+
+    overrides: ClassVar[Mapping[str, Any]] = {}
+
+    def step(self, now: float) -> None:
+        """See Device."""
+
+    def close(self) -> None:
+        """See Device."""
+
+
+class PlacedStage(Stage):
+    """A stage without physics: bodies are where the plan has them, and touch nothing."""
+
+    def __init__(self, scenario: Scenario, guide: Guide) -> None:
+        unmoved: Any = Unmoved()
+        self.actors = [Actor(robot, unmoved, unmoved, (), Upset()) for robot in scenario.robots]
+        self.watch = Watch(0.0)
+        self.spent = 0.0
+        self._guide = guide
+
+    def step(self, at: float) -> list[BodyState]:
+        """See Stage."""
+        states = [self._guide.body(pid, at) for pid in range(len(self.actors))]
+        self.watch.look(at, [state.position for state in states])
+        return states
+
+    def standing(self, pid: int) -> bool:
+        """See Stage."""
+        return True
+
+    def close(self) -> None:
+        """See Stage."""
