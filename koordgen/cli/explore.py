@@ -78,6 +78,7 @@ def _searched(options: Namespace, program: Program, robots: int, around: Environ
         search = Search(
             machine, Surroundings(machine, around), bounds, time.monotonic, show,
             symmetry=options.symmetry, independence=options.independence, deadlock=options.deadlock,
+            forgetting=options.forgetting,
         )  # fmt: skip
         return search.run()
     except CannotCall as error:
