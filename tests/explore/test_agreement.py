@@ -122,8 +122,10 @@ def compare_verdicts(seed: int, n_sys: int, number: int) -> None:
     program = compiled(random_text(seed))
     found = [explored(program, n_sys, LEVEL, number, **switches)[1] for switches in ({}, PLAIN)]
     assert len({r.violation and r.violation.moments[-1].round for r in found}) == 1
-    if not found[0].violation:
-        assert found[0].stopped == found[1].stopped and found[0].unseen == found[1].unseen
+    reduced, plain = found
+    if not reduced.violation:  # it may be through with fewer rounds
+        assert plain.stopped or not reduced.stopped
+        assert set(reduced.unseen) <= set(plain.unseen) and (plain.stopped or reduced.unseen == plain.unseen)
 
 
 @pytest.mark.parametrize("seed", range(20))
