@@ -113,7 +113,8 @@ class Monitors:
                 raise
 
     def _look(self, moment: Moment) -> None:
-        self._invariant_time.begin()
+        if not self._invariant_time.begin() and not self._is_urgent(self._invariants):
+            return
         changed = self._put(moment)
         old = moment.age(self._delta)
         due = []
@@ -128,6 +129,10 @@ class Monitors:
         if due:
             self._judge(due, self._known, self._invariant_time, moment.time, moment.round, old)
         self._invariant_time.end()
+
+    def _is_urgent(self, asked: list[Watched]) -> bool:
+        """Whether one cannot wait for the processor's time."""
+        return any(self._round - w.true >= LONGEST_WAIT or w.action != "log" for w in asked)
 
     def _wait(self, watched: Watched, moment: Moment) -> None:
         """What is not certain for too long is not known any more."""
@@ -171,7 +176,8 @@ class Monitors:
 
     def _assume(self, before: Record, after: Record, actuators: Mapping[str, Any]) -> None:
         """Of the round that `before` tells of: from right after its event to the sensors of the next round."""
-        self._assumption_time.begin()
+        if not self._assumption_time.begin() and not self._is_urgent(self._assumptions):
+            return
         commanded = before.effects.actuators if before.effects is not None else ()
         moved = {module for module, _, port in (name.rpartition(".") for name in commanded) if port in GOALS}
         for name, senses, first, then in self._ports:

@@ -156,9 +156,11 @@ def test_the_measure_of_a_union() -> None:
     assert tube.union(lower, upper) == pytest.approx(7 + 1)
 
 
-def test_the_picture_shows_them_at_one_scale(reached: list[tube.Reachset], tmp_path: Path) -> None:
-    file = draw.drawn(reached, tmp_path / "reachsets.png")
-    assert file.read_bytes().startswith(b"\x89PNG") and file.stat().st_size < 150_000
+def test_files_and_a_picture_are_written(reached: list[tube.Reachset], tmp_path: Path) -> None:
+    files = reach.written(reached, tmp_path)
+    assert [file.name for file in files] == ["quad-full.json", "car-full-dan.json", "reachsets.txt", "reachsets.png"]
+    assert tube.from_json(json.loads(files[1].read_text())).platform == "car full (dan)"
+    assert files[3].read_bytes().startswith(b"\x89PNG")
     with pytest.raises(ValueError, match="no reachset"):
         draw.drawn([], tmp_path / "none.png")
 
@@ -173,6 +175,7 @@ def test_simple_robots_are_probed(platforms: dict[str, probe.Platform], tmp_path
     assert np.abs(found.positions[:, -1] - np.array([0.5, 0.5, 0.0])).max() < 0.15
     steps = np.linalg.norm(np.diff(found.positions, axis=1), axis=2)
     assert steps.max() < 1.6 / 240 * 1.1, "every step of the world"
+    assert not list((tmp_path / "out").rglob("trace.jsonl")), "they are large"
 
 
 @pytest.mark.slow
