@@ -16,7 +16,10 @@ from koordgen.cli import main
 from koordgen.emit.program import program_hash
 from koordgen.pipeline import check_file
 from koordgen.prove.trace import About, run_trace
+from tests.explore.mutants import MUTANTS as ALL
+from tests.explore.mutants import Mutant
 from tests.explore.reference import LEVEL, explored, unjudged
+from tests.explore.test_mutants import edited
 from tests.explore.test_search import LOST, STALE
 from tests.prove.random_programs import program as random_text
 from tests.sim.following import DRIVER, Followed, fleet, follow, replays
@@ -125,6 +128,22 @@ def test_mutants_of_examples(tmp_path: Path, name: str) -> None:
     (tmp_path / "once.yaml").write_text("".join(line for line in world if not line.startswith(("  rest:", "  looks:"))))
     given = tuple(str(tmp_path / word) if word.endswith(".yaml") else word for word in more)
     same(tmp_path, found(tmp_path, text.replace(old, new), robots, given), robots)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mutant", ALL, ids=lambda mutant: mutant.name)
+def test_all_mutants_that_exploration_catches(tmp_path: Path, mutant: Mutant) -> None:
+    source, env = EXAMPLES / f"{mutant.program}.koord", (EXAMPLES / mutant.program).with_name(f"{mutant.env}.yaml")
+    functions = source.with_name(f"{source.stem}_functions.py")
+    if functions.is_file():
+        (tmp_path / "app_functions.py").write_text(functions.read_text())
+    more = ("--env", str(env)) if env.is_file() else ()
+    trace = found(tmp_path, edited(mutant), 3, more)
+    served = ""
+    if source.stem == "hvac":
+        (tmp_path / "hvac_driver.py").write_text(source.with_name("hvac_driver.py").read_text())
+        served = "modules: {HVAC: hvac_driver:Hvac}\n"
+    same(tmp_path, trace, 3, served)
 
 
 def random_run(folder: Path, seed: int, robots: int, rounds: int) -> Path:
