@@ -67,6 +67,8 @@ class Pairs:
 
     def hold(self, fleet: Packed) -> bool:
         """Whether all are true."""
+        if not self._one and not self._two:
+            return True
         n_sys, known, cells = self._n_sys, self._known, fleet[-1]
         pids = range(n_sys) if self._numbers else [0] * n_sys
         robots = list(zip(fleet[:n_sys], fleet[n_sys:-1], pids, strict=True))

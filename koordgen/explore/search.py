@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import product
 from typing import NamedTuple
 
 from koordgen.diagnostics import InternalError
@@ -99,6 +100,7 @@ class Search:
         self.known: dict[Packed, Packed | None] = {}  # states at rounds' ends, each with one that leads to it
         self.within: set[Packed] = set()  # states before the environment's step that were looked at
         self.begin: dict[Packed, Packed] = {}  # those after init, with those before
+        self._then: dict[Packed, tuple[int, ...]] = {}  # what stands for a robot's own after the environment's step
         self.lively: set[Packed] = set()  # where no event is enabled, but some will be
         self.stuck = 0
         self.steps = self.depth = 0
@@ -186,9 +188,9 @@ class Search:
             if self.machine.sensors and self.invariants.broken(end):
                 return self._broken(self._within(self._run_to(fleet), end))
             moves = 0
-            for moved in self.around.moved(end):
+            for moved in self._moved(end):
                 moves += 1
-                alike = self.alike(moved) if self.machine.sensors else moved
+                alike = self._sorted(moved)
                 if alike not in self.known:
                     self.known[alike] = fleet
                     following.append(alike)
@@ -201,6 +203,22 @@ class Search:
     def alike(self, fleet: Packed) -> Packed:
         """The one that stands for a fleet."""
         return self._sorted(self.forgetting.fleet(fleet) if self.forgetting else fleet)
+
+    def _moved(self, end: Packed) -> Iterator[Packed]:
+        """What stands for the fleets after the environment's step."""
+        if self.forgetting is None or not self.machine.sensors:
+            return self.around.moved(end)
+        n_sys, seen = self.machine.n_sys, end[self.machine.n_sys :]
+        return (owns + seen for owns in product(*[self._stands_then(pid, end[pid], seen) for pid in range(n_sys)]))
+
+    def _stands_then(self, pid: int, own: int, seen: Packed) -> tuple[int, ...]:
+        key = (pid, own, seen[pid])
+        found = self._then.get(key)
+        if found is None:
+            assert self.forgetting is not None
+            then = [self.forgetting.own(pid, new, seen) for new in self.around.moves(pid, own)]
+            found = self._then[key] = tuple(dict.fromkeys(then))
+        return found
 
     def _sorted(self, fleet: Packed) -> Packed:
         return fleet if self.apart else sorted_robots(fleet)

@@ -118,6 +118,26 @@ def test_compiled_invariants_say_what_the_semantics_says(seed: int) -> None:
         )
 
 
+def compare_verdicts(seed: int, n_sys: int, number: int) -> None:
+    program = compiled(random_text(seed))
+    found = [explored(program, n_sys, LEVEL, number, **switches)[1] for switches in ({}, PLAIN)]
+    assert len({r.violation and r.violation.moments[-1].round for r in found}) == 1
+    if not found[0].violation:
+        assert found[0].stopped == found[1].stopped and found[0].unseen == found[1].unseen
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_verdicts_are_those_of_the_plain_search(seed: int) -> None:
+    compare_verdicts(seed, 2, 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(300))
+def test_many_verdicts_are_those_of_the_plain_search(seed: int) -> None:
+    compare_verdicts(seed, 2, 4)
+    compare_verdicts(seed, 3, 1)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(300))
 def test_many_random_programs_do_what_the_semantics_does(seed: int) -> None:

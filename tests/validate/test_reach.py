@@ -180,15 +180,15 @@ def test_simple_robots_are_probed(platforms: dict[str, probe.Platform], tmp_path
 
 @pytest.mark.slow
 def test_the_quads_reachset_is_the_larger_one_because_it_overshoots(tmp_path: Path) -> None:
-    """The published picture, with the very bundles: from a set of starts, moving, to a target 0.8 m ahead."""
+    """The published picture, with the very bundles, and that of docs/validate.md: 12 runs of 30 robots."""
     fleet = str(Path(__file__).parents[2] / "examples" / "lineform" / "fleet.yaml")
-    asked = reach.Asked((0.8, 0.0, 0.0), epsilon=0.1, gamma=0.05, robots=30)
+    asked = reach.Asked((0.7, 0.4, 0.0), seed=1, robots=30)
     flying, driving = reach.reachsets(fleet, ["quad full", "car full"], asked, Local(2), tmp_path / "out")
     names = [file.name for file in reach.written([flying, driving], tmp_path / "left")]
     assert names == ["quad-full.json", "car-full.json", "reachsets.txt", "reachsets.png"]
     found = tube.compared(flying, driving)
-    assert flying.covered >= 0.9 and driving.covered >= 0.9
-    assert flying.observed.overshoot > 0.03 > driving.observed.overshoot
+    assert flying.covered >= 0.95 and driving.covered >= 0.95
+    assert flying.observed.overshoot > 0.05 > driving.observed.overshoot
     assert flying.overshoot > driving.overshoot + 0.05
     assert found.figures[0].area > found.figures[1].area
 
