@@ -20,7 +20,7 @@ from koordgen.runtime.told import told
 from koordgen.runtime.trace import LEFT, Record
 from koordgen.runtime.watched import FOR_GOOD, OWN, SENSED, SHARED, Change, Moment, Watched, usable
 
-SHARE = 0.05  # of the agent's processor time: what properties that are only logged may take
+SHARE = 0.03  # of the agent's processor time: what properties that are only logged may take
 LONGEST_WAIT = 50  # rounds, then one is evaluated whatever it takes
 BUDGET = 0.1  # of delta: what the properties of one round may take, all together
 MOST_OVERRUNS = 3  # a property that takes too long more often is not looked at any more

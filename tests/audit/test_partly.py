@@ -91,9 +91,9 @@ def checked(folder: Path, seed: int, seen: Counter[str]) -> None:
 
 def test_less_of_the_traces_is_less_knowledge(tmp_path: Path) -> None:
     seen: Counter[str] = Counter()
-    for seed in range(6):
+    for seed in range(3):
         checked(tmp_path / str(seed), seed, seen)
-    assert seen["unknown"] > 100 and seen["held"] > 100 and seen["violated"] > 20, seen
+    assert seen["unknown"] > 100 and seen["held"] > 100 and seen["violated"] > 10, seen
 
 
 @pytest.mark.slow

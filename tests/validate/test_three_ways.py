@@ -104,3 +104,31 @@ def test_the_suggestion_that_closes_is_kept_to(tmp_path: Path, monkeypatch: pyte
     assert validated(LINEFORM / "margin.koord", fleet, *words, status=0)
     kept = json.loads(Path("kept/validation.json").read_text())
     assert kept["verdict"] == "VALIDATED" and kept["needed"] == 3
+
+
+@pytest.mark.slow
+def test_reachsets_go_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("fleet.yaml").write_text(SIMPLE.replace("bert, target: car", "bert, target: quad"))
+    words = (
+        "--samples",
+        "1",
+        "--seconds",
+        "2",
+        "--epsilon",
+        "0.5",
+        "--gamma",
+        "0.5",
+        "--reachsets",
+        "--offset",
+        "3,0,0",
+    )
+    found = validated(GEOFENCE, Path("fleet.yaml"), *words)
+    (compared,) = found["reachsets"]["comparisons"]
+    assert found["reachsets"]["offset"] == [3.0, 0.0, 0.0] == compared["offset"]
+    assert sorted(compared["platforms"]) == ["car simple", "quad simple"]
+    assert {Path(file).name for file in found["reachsets"]["files"]} == {
+        "car-simple.json", "quad-simple.json", "reachsets.txt", "reachsets.png",
+    }  # fmt: skip
+    assert all(Path(file).exists() for file in found["reachsets"]["files"])
+    assert "beyond the target" in Path("validated/validation.txt").read_text()
