@@ -37,6 +37,7 @@ bench: $(STAMP)
 	$(PY) benchmarks/car_planning.py
 	$(PY) benchmarks/sim.py
 	$(PY) benchmarks/proof_tables.py
+	$(PY) benchmarks/explore.py
 
 # Parser tables and compiled templates are checked in, because building them at each start costs more than all else.
 generated: $(STAMP)

@@ -141,14 +141,15 @@ def sentence(blame: Blame, audit: Audit) -> str:
     """What a proof of the invariant has to do with its violation."""
     name = blame.invariant.name
     said = None if audit.proved is None else audit.proved.get(name, "nothing")
+    gone = _gone(blame, audit.mission)
     if blame.broke:
         told = [_broke(finding, audit.mission) for _, finding in blame.broke]
         verb = "rests" if said == PROVED else "would rest"
-        return f"the proof of {name} {verb} on {'; and on '.join(told)}"
-    seen = "no assumption that its proof rests on broke before"
+        return f"the proof of {name} {verb} on {'; and on '.join(told)}{gone}"
+    seen = f"no assumption that its proof rests on broke before{gone}"
     if blame.unseen:
         texts = ", ".join(f"{e.kind} in line {e.line}" for e in blame.unseen)
-        seen = f"no assumption that its proof rests on was seen to break before, but not all was seen: {texts}"
+        seen = f"no assumption that its proof rests on was seen to break before, but not all was seen: {texts}{gone}"
     bug = (
         "this is a bug of koordgen, or robots did something that no proof speaks of (`koordgen replay` compares what "
         "they did with the program): please report it, with these traces"
@@ -158,6 +159,18 @@ def sentence(blame: Blame, audit: Audit) -> str:
     if said != PROVED:
         return f"`koordgen prove` says {said} of {name} with these params: no proof says that it holds"
     return f"{name} is PROVED, and {seen}: {bug}"
+
+
+def _gone(blame: Blame, mission: Mission) -> str:
+    """Who had left the model by then, or told nothing for a while: of what its body does a proof says nothing."""
+    first = blame.invariant.first
+    assert first is not None
+    names = [
+        story.name
+        for story in mission.stories
+        if any(gap.since <= first.moment.round for gap in (*story.out, *story.away, *story.quiet))
+    ]
+    return f"; by then {', '.join(names)} had been out of the model, of which no proof speaks" if names else ""
 
 
 def _broke(finding: Finding, mission: Mission) -> str:

@@ -69,7 +69,8 @@ def _searched(options: Namespace, program: Program, robots: int, around: Environ
     line = Line(sys.stderr)
 
     def show(progress: Progress) -> None:
-        line.show(f"depth {progress.depth}: {told(progress)}")
+        rate = progress.states / max(progress.seconds, 1e-9)
+        line.show(f"depth {progress.depth}: {told(progress)}, {rate:,.0f} states/s")
 
     functions = options.functions or Path(options.program).with_name(f"{functions_module(program)}.py")
     bounds = Bounds(options.rounds, options.states, options.seconds)
@@ -78,6 +79,7 @@ def _searched(options: Namespace, program: Program, robots: int, around: Environ
         search = Search(
             machine, Surroundings(machine, around), bounds, time.monotonic, show,
             symmetry=options.symmetry, independence=options.independence, deadlock=options.deadlock,
+            forgetting=options.forgetting,
         )  # fmt: skip
         return search.run()
     except CannotCall as error:

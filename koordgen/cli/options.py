@@ -92,6 +92,8 @@ def _explore(command: argparse.ArgumentParser) -> None:
     command.add_argument("--no-symmetry", dest="symmetry", action="store_false", help=apart)
     orders = "try every order of robots, also where it makes no difference"
     command.add_argument("--no-independence", dest="independence", action="store_false", help=orders)
+    unread = "keep apart what differs only in what nobody reads any more"
+    command.add_argument("--no-forgetting", dest="forgetting", action="store_false", help=unread)
     quiet = "let robots wait for ever without `stop`"
     command.add_argument("--no-deadlock", dest="deadlock", action="store_false", help=quiet)
     command.add_argument("--fleet", metavar="FILE", help="a fleet file (YAML): values of params, how many robots")
@@ -225,6 +227,9 @@ def _validate(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument("--cluster", metavar="ADDRESS", help="hand the runs to this Dask scheduler")
     command.add_argument("--out", metavar="DIR", help="where runs, table and picture go (default: validate-<app>)")
+    command.add_argument("--reachsets", action="store_true", help="also where each platform can get to on its way")
+    offset = "of the target, for reachsets: metres, east, north, up (default: 4,0,0)"
+    command.add_argument("--offset", metavar="X,Y,Z", type=_offset, default=(4.0, 0.0, 0.0), help=offset)
     command.add_argument("--quiet", action="store_true", help="no progress")
     command.add_argument("--param", metavar="NAME=VALUE", action="append", default=[], help="a param's value")
     command.add_argument("--functions", metavar="FILE", help="Python of the extern functions")
@@ -236,6 +241,13 @@ def _part(text: str) -> float:
     if not 1e-6 <= value <= 0.999:
         raise argparse.ArgumentTypeError(f"{text} is no probability; give 0.000001 to 0.999")
     return value
+
+
+def _offset(text: str) -> tuple[float, float, float]:
+    x, y, z = (float(part) for part in text.split(","))
+    if not 0.1 <= (x * x + y * y + z * z) ** 0.5 <= 1000.0:
+        raise argparse.ArgumentTypeError(f"{text} is no offset; give 0.1 to 1000 m")
+    return x, y, z
 
 
 def _natural(text: str) -> int:

@@ -50,7 +50,8 @@ def validate(options: Namespace) -> int:
     try:
         kept, ended = _sampled(aside, harness, bundles[harness.name], app, count, out, line)
         found = _found(options, checked, bundles[harness.name], kept, count, ended is None, line)
-        _tell(options, found, out, ended is None)
+        reach = _reachsets(aside, out, line) if options.reachsets and ended is None else {}
+        _tell(options, found, out, ended is None, reach)
     except (store.Unusable, Unreachable) as error:
         raise cli.Failure(cli.SURROUNDINGS, str(error), error.help) from None
     except OSError as error:
@@ -152,13 +153,22 @@ def _suggested(
         return []
 
 
-def _tell(options: Namespace, found: table.Found, out: Path, whole: bool) -> None:
+def _reachsets(options: Namespace, out: Path, line: Line) -> dict[str, Any]:
+    from koordgen.cli.reachsets import made
+
+    return made(options, out, line)
+
+
+def _tell(options: Namespace, found: table.Found, out: Path, whole: bool, reach: Mapping[str, Any]) -> None:
     def commands(case: Case) -> tuple[str, str]:
         folder = out / store.RUNS / f"{case.run:04d}"
         return _command(options, case.seed, Path(f"{folder}-again")), shlex.join(["koordgen", "replay", str(folder)])
 
     document: dict[str, Any] = table.document(found, commands)
     text = table.as_text(found, commands)
+    if reach:
+        document["reachsets"] = {key: value for key, value in reach.items() if key != "text"}
+        text += f"\n{reach['text']}"
     try:
         store.replace(out / "validation.json", json.dumps(document, indent=2) + "\n")
         store.replace(out / "validation.txt", text)

@@ -53,6 +53,8 @@ def answering(environment: Environment, program: decl.Program, n_sys: int) -> An
     none of it."""
     params = initial(program, 1).params
     judges = {port: _judges(program, port) for port in environment.answers}
+    read = {port: _sensors(rules, port) for port, rules in judges.items()}
+    known: dict[Hashable, tuple[Any, ...]] = {}
 
     def allowed(pid: int, sensors: Mapping[str, Any], asked: Asked) -> bool:
         return all(
@@ -61,6 +63,12 @@ def answering(environment: Environment, program: decl.Program, n_sys: int) -> An
         )
 
     def answers(pid: int, sensors: Mapping[str, Any], port: str, args: tuple[Any, ...]) -> tuple[Any, ...]:
+        key = (pid, port, repr(args), repr([sensors.get(name) for name in read[port]]))
+        if key not in known:
+            known[key] = asked_anew(pid, sensors, port, args)
+        return known[key]
+
+    def asked_anew(pid: int, sensors: Mapping[str, Any], port: str, args: tuple[Any, ...]) -> tuple[Any, ...]:
         given = [
             (sensors[f"{port.partition('.')[0]}.position"], args[0]) if answer == STRAIGHT else answer
             for answer in environment.of(pid).answers[port]
@@ -85,6 +93,12 @@ def _judges(program: decl.Program, port: str) -> list[decl.Assumption]:
         ):
             found.append(assumption)
     return found
+
+
+def _sensors(rules: list[decl.Assumption], port: str) -> tuple[str, ...]:
+    """Those that answers depend on: what the assumptions read, and where a straight way begins."""
+    found = {f"{n.module}.{n.port}" for rule in rules for n in nodes(rule.formula) if isinstance(n, PortRead)}
+    return tuple(sorted(found | {f"{port.partition('.')[0]}.position"}))
 
 
 class Surroundings:
@@ -127,10 +141,11 @@ class Surroundings:
             return
         n_sys = self.machine.n_sys
         rest = fleet[n_sys:]
-        for owns in product(*[self._moved(pid, fleet[pid]) for pid in range(n_sys)]):
+        for owns in product(*[self.moves(pid, fleet[pid]) for pid in range(n_sys)]):
             yield owns + rest
 
-    def _moved(self, pid: int, own: int) -> tuple[int, ...]:
+    def moves(self, pid: int, own: int) -> tuple[int, ...]:
+        """What one robot's own may be after the step."""
         found = self._moves.get((pid, own))
         if found is None:
             robot = self.machine.owns.values[own]

@@ -7,6 +7,7 @@ from typing import Any
 
 from koordgen.emit import expr, library
 from koordgen.explore.machine import Interned, Machine, Packed
+from koordgen.explore.pairs import Pairs, spread
 from koordgen.ir import decl
 from koordgen.ir import expr as ir
 from koordgen.node import nodes
@@ -77,9 +78,15 @@ class Invariants:
             if property_.kind == "invariant":
                 meant[not _calls(property_.formula, specs)].append(property_)
         self.properties, self.unchecked = tuple(meant[True]), tuple([p.name for p in meant[False]])
-        self._views = [_View(property_.formula, machine) for property_ in self.properties]
+        spreads = [spread(property_.formula) for property_ in self.properties]
         self._holds = [self._compiled(property_) for property_ in self.properties]
+        self._whole = [
+            (_View(property_.formula, machine), holds)
+            for property_, holds, one in zip(self.properties, self._holds, spreads, strict=True)
+            if one is None
+        ]
         self._fleet = _Fleet(machine.n_sys)
+        self._pairs = Pairs(machine, [one for one in spreads if one], self._fleet, self._take)
         names, program = machine.names, machine.program
         self._each: dict[str, Each[Any]] = {}
         self._one: dict[str, One[Any]] = {}
@@ -95,8 +102,15 @@ class Invariants:
 
     def broken(self, fleet: Packed) -> decl.Property | None:
         """The first that does not hold; one that has no value (an index that names no robot) does not."""
+        if self._pairs.hold(fleet) and self._whole_hold(fleet):
+            return None
+        self._take(fleet)
+        return next(p for p, holds in zip(self.properties, self._holds, strict=True) if not self._true(holds))
+
+    def _whole_hold(self, fleet: Packed) -> bool:
+        """Whether those hold that are of no kind that Pairs knows."""
         taken = False
-        for property_, view, holds in zip(self.properties, self._views, self._holds, strict=True):
+        for view, holds in self._whole:
             seen = view.of(fleet)
             held = view.known.get(seen)
             if held is None:
@@ -105,8 +119,8 @@ class Invariants:
                     taken = True
                 held = view.known[seen] = self._true(holds)
             if not held:
-                return property_
-        return None
+                return False
+        return True
 
     def _true(self, holds: Callable[[_Fleet], bool]) -> bool:
         try:

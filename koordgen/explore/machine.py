@@ -26,6 +26,7 @@ from koordgen.semantics.step import initial
 
 T = TypeVar("T")
 Packed = tuple[int, ...]
+Call = Callable[[str, tuple[Any, ...]], Any]  # "Module.port", arguments -> the answer
 # pid, its sensors, "Module.port", arguments -> all that may be answered
 Answer = Callable[[int, Mapping[str, Any], str, tuple[Any, ...]], tuple[Any, ...]]
 _numbers = count()
@@ -132,6 +133,9 @@ class Machine:
         self.params = initial(program, 1).params
         self.discards: list[Discard] = []
         self.enabled: set[int] = set()
+        self.watched: dict[str, type[rt.Cell[Any]]] = {}  # locals whose cells tell when they are read
+        self._look: rt.Transaction | None = None
+        self._sensors = {f"{module}.{port}": self.names.ports[module, port] for module, port in self.names.sensors}
 
     def choices(self, events: Sequence[int], pid: int, own: int, seen: Packed) -> tuple[Choice, ...]:
         """What a robot may do of these events where it sees a store: all whose guards hold, but those discarded."""
@@ -139,12 +143,11 @@ class Machine:
         if robot.stopped:
             return ()
         asking = self._asking(pid, robot)
-        frame = self.frame(pid, robot, seen, asking.call)
-        looking = self.code.begin(frame)
+        looking = self._looking(pid, robot, seen, asking.call)
         found: dict[Choice, None] = {}
         for index in events:
             for _ in asking.ways():
-                done = self._run(self.code.events[index], frame, looking)
+                done = self._run(self.code.events[index], looking, lambda: self.frame(pid, robot, seen, asking.call))
                 if isinstance(done, rt.Fault):
                     self.discards.append(Discard(pid, index, own, seen, done.line, done.reason))
                 elif isinstance(done, rt.Effects):
@@ -155,14 +158,14 @@ class Machine:
     def _asking(self, pid: int, robot: Own) -> Asking:
         return Asking(lambda port, args: self.answer(pid, robot.sensors, port, args))
 
-    def _run(self, event: rt.Event, frame: rt.Frame, looking: Any) -> rt.Effects | rt.Fault | None:
+    def _run(self, event: rt.Event, looking: Any, frame: Callable[[], rt.Frame]) -> rt.Effects | rt.Fault | None:
         """What an event does; None where its guard does not hold."""
         try:
             if not event.guard(looking):
                 return None
-            return rt.run(self.code, event.effect, self.code.begin(frame), event.line)
+            return rt.run(self.code, event.effect, self.begin(frame()), event.line)
         except Exception:  # of a guard: the same again, told as of an effect
-            return rt.run(self.code, event.guard, self.code.begin(frame), event.line)  # type: ignore[arg-type]
+            return rt.run(self.code, event.guard, self.begin(frame()), event.line)  # type: ignore[arg-type]
 
     def begun(self, fleet: Packed) -> list[Packed]:
         """A fleet after every robot's init, each on the store before it, in every way that this can go."""
@@ -192,9 +195,44 @@ class Machine:
             made[-1] = self._cells(fleet[-1], choice.cells)
         return tuple(made)
 
-    def frame(
-        self, pid: int, robot: Own, seen: Packed, call: Callable[[str, tuple[Any, ...]], Any] = rt.no_ports
-    ) -> rt.Frame:
+    def begin(self, frame: rt.Frame) -> rt.Transaction:
+        """What an event works on."""
+        state = self.code.begin(frame)
+        for name, kind in self.watched.items():
+            state.written[name].__class__ = kind
+        return state
+
+    def watch(self, cells: Mapping[str, type[rt.Cell[Any]]]) -> None:
+        """Locals whose cells are of these classes from now on."""
+        self.watched = dict(cells)
+        self._look = None
+
+    def _looking(self, pid: int, robot: Own, seen: Packed, call: Call) -> Any:
+        """What guards look at. They write nothing, so that it is one object, of which only what differs is put in."""
+        if self._look is None:
+            self._look, self._looked = self.begin(self.frame(pid, robot, seen)), (robot, seen)
+        look: Any = self._look
+        known, store = self._looked
+        self._looked = robot, seen
+        if store is not seen:
+            columns = zip(*[self.slots.values[number] for number in seen[:-1]], strict=True)
+            for name, column in zip(self.allread, columns, strict=False):
+                look.written[name]._values = column
+            for name, value in zip(self.allwrite, self.cells.values[seen[-1]], strict=True):
+                look.written[name]._value = value
+        if known is not robot:
+            for name, value in robot.locals.items():
+                look.written[name]._value = value
+            for name, value in robot.actuators.items():
+                look.written[name]._value = value
+            for name, value in robot.sensors.items():
+                setattr(look, self._sensors[name], value)
+        look.pid, look.call = pid, call
+        for name in self.allread:
+            look.written[name]._pid = pid
+        return look
+
+    def frame(self, pid: int, robot: Own, seen: Packed, call: Call = rt.no_ports) -> rt.Frame:
         """What a robot knows at an event."""
         columns = zip(*[self.slots.values[number] for number in seen[:-1]], strict=True)
         shared = dict(zip(self.allread, columns, strict=True)) if self.allread else {}

@@ -9,7 +9,8 @@ order of a round can be sorted into this one by exchanging neighbours that commu
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable, Collection
+from typing import Any, NamedTuple
 
 from koordgen.explore.machine import Choice, Machine, Packed
 from koordgen.ir import decl, expr, stmt
@@ -20,20 +21,23 @@ Came = tuple[Node, int, int]  # from where, by which robot, by which event
 
 
 class Phase(NamedTuple):
-    """Events by index, the plain and the atomic ones; whether the order of robots makes a difference."""
+    """Events by index: those that read nothing shared but their robot's own slots, other plain ones, other atomic ones;
+    whether the order of robots makes a difference."""
 
+    alone: tuple[int, ...]
     plain: tuple[int, ...]
     atomic: tuple[int, ...]
     ordered: bool
 
 
-def phases(program: decl.Program, independence: bool) -> tuple[Phase, ...]:
-    """All events, by groups that commute with one another. Without `independence` one group in every order."""
-    events = range(len(program.events))
+def phases(program: decl.Program, independence: bool, idle: Collection[int] = ()) -> tuple[Phase, ...]:
+    """All events but `idle` ones, by groups that commute with one another. Without `independence` one group in every
+    order."""
+    events = [event for event in range(len(program.events)) if event not in idle]
     if not independence:
-        return (_phase(program, events, True),) if program.events else ()
+        return (_phase(program, events, True),) if events else ()
     allwrite = {v.name for v in program.shared if v.kind == "allwrite"}
-    access = [_access(event) for event in program.events]
+    access = {event: _access(program.events[event]) for event in events}
 
     def conflict(a: int, b: int) -> bool:
         (reads, writes), (others_reads, others_writes) = access[a], access[b]
@@ -52,9 +56,22 @@ def phases(program: decl.Program, independence: bool) -> tuple[Phase, ...]:
     return ((_phase(program, free, False),) if free else ()) + tuple(bound)
 
 
-def _phase(program: decl.Program, events: range | list[int], ordered: bool) -> Phase:
-    plain = tuple(e for e in events if program.events[e].lock is None)
-    return Phase(plain, tuple(e for e in events if e not in plain), ordered)
+def _phase(program: decl.Program, events: list[int], ordered: bool) -> Phase:
+    alone = tuple([e for e in events if _reads_alone(program.events[e])])
+    plain = tuple([e for e in events if e not in alone and program.events[e].lock is None])
+    return Phase(alone, plain, tuple([e for e in events if e not in alone and e not in plain]), ordered)
+
+
+def _reads_alone(event: decl.Event) -> bool:
+    for node in nodes((event.guard, event.effect)):
+        match node:
+            case expr.SlotRead(_, expr.Pid()):
+                pass
+            case expr.SlotRead() | expr.SlotsRead() | expr.SharedRead():
+                return False
+            case _:
+                pass
+    return True
 
 
 def _access(event: decl.Event) -> tuple[set[str], set[str]]:
@@ -72,16 +89,74 @@ def _access(event: decl.Event) -> tuple[set[str], set[str]]:
 
 
 class Rounds:
-    """The rounds of one machine. What a robot may do is computed once for each own and store."""
+    """The rounds of one machine. What a robot may do is computed once for each own and store; where robots are `alike`,
+    once for all orders of the others' slots. `stands` yields the own that stands for the one which a robot has after
+    its step, given its pid and the store: nobody looks at it before the round's end."""
 
-    def __init__(self, machine: Machine, independence: bool = True) -> None:
-        self.machine = machine
-        self.phases = phases(machine.program, independence)
+    def __init__(
+        self, machine: Machine, independence: bool = True, idle: Collection[int] = (), alike: bool = False,
+        stands: Callable[[int, int, Packed], int] | None = None,
+    ) -> None:  # fmt: skip
+        self.machine, self.alike, self.stands = machine, alike, stands
+        self.phases = phases(machine.program, independence, idle)
         self._known: dict[tuple[int, bool, int, int, Packed], tuple[Choice, ...]] = {}
+        self._alone: dict[Packed, tuple[Choice, ...]] = {}
 
-    def ends(self, fleet: Packed) -> dict[Node, Came | None]:
-        """Every fleet that the program's step may leave, skipping included, each with how it came about. Every fleet
-        within a round is among them: those who have not stepped yet may skip."""
+    def ends(self, fleet: Packed) -> Collection[Node]:
+        """Every fleet that the program's step may leave, skipping included, with who has stepped; the first is that of
+        which nobody has. Every fleet within a round is among them: those who have not stepped yet may skip."""
+        found: list[Node] = [(0, fleet)]
+        n_sys = self.machine.n_sys
+        begun = fleet[n_sys:]
+        for number, phase in enumerate(self.phases):
+            if phase.ordered:
+                found = list(self._every_order(found, number, begun))
+            elif phase.atomic:
+                for pid in range(n_sys):
+                    found += self._of_one(found, number, pid, begun)
+            else:
+                for pid in range(n_sys):  # who has not stepped is as at the round's start
+                    if choices := self._choices(number, pid, fleet, begun):
+                        found += self._all_of_one(found, pid, choices)
+        return found
+
+    def _of_one(self, found: list[Node], number: int, pid: int, begun: Packed) -> list[Node]:
+        return [
+            (mask | 1 << pid, self.machine.applied(at, pid, choice))
+            for mask, at in found
+            if not mask >> pid & 1
+            for choice in self._choices(number, pid, at, begun)
+        ]
+
+    def _all_of_one(self, found: list[Node], pid: int, choices: tuple[Choice, ...]) -> list[Node]:
+        bit, slot, machine = 1 << pid, self.machine.n_sys + pid, self.machine
+        new = []
+        for mask, at in found:
+            if not mask & bit:
+                for choice in choices:
+                    if choice.cells == machine.nothing:
+                        end = (*at[:pid], choice.own, *at[pid + 1 : slot], choice.slots, *at[slot + 1 :])
+                    else:
+                        end = machine.applied(at, pid, choice)
+                    new.append((mask | bit, end))
+        return new
+
+    def _every_order(self, found: list[Node], number: int, begun: Packed) -> Collection[Node]:
+        seen = dict.fromkeys(found)
+        pending = list(seen)
+        robots = range(self.machine.n_sys)
+        for mask, at in pending:  # grows meanwhile
+            for pid in robots:
+                if not mask >> pid & 1:
+                    for choice in self._choices(number, pid, at, begun):
+                        node = (mask | 1 << pid, self.machine.applied(at, pid, choice))
+                        if node not in seen:
+                            seen[node] = None
+                            pending.append(node)
+        return pending
+
+    def ways(self, fleet: Packed) -> dict[Node, Came | None]:
+        """The same, each with how it came about."""
         found: dict[Node, Came | None] = {(0, fleet): None}
         begun = fleet[self.machine.n_sys :]
         for number, phase in enumerate(self.phases):
@@ -110,10 +185,14 @@ class Rounds:
         return added
 
     def _choices(self, number: int, pid: int, fleet: Packed, begun: Packed) -> tuple[Choice, ...]:
-        phase = self.phases[number]
+        phase, slot = self.phases[number], self.machine.n_sys + pid
         found: tuple[Choice, ...] = ()
+        if phase.alone:
+            key = (number, pid, fleet[pid], fleet[slot])
+            known = self._alone.get(key)
+            found = self._found(self._alone, key, phase.alone, pid, fleet[pid], begun) if known is None else known
         if phase.plain:
-            found = self._of(number, False, phase.plain, pid, fleet[pid], begun)
+            found += self._of(number, False, phase.plain, pid, fleet[pid], begun)
         if phase.atomic:
             found += self._of(number, True, phase.atomic, pid, fleet[pid], fleet[self.machine.n_sys :])
         return found
@@ -124,11 +203,32 @@ class Rounds:
         key = (number, atomic, pid, own, seen)
         found = self._known.get(key)
         if found is None:
-            discards = len(self.machine.discards)
-            found = self.machine.choices(events, pid, own, seen)
-            if len(self.machine.discards) == discards:  # what is discarded is told anew each time
+            any_order = self._any_order(*key) if self.alike else key
+            found = self._known.get(any_order)
+            if found is None:
+                found = self._found(self._known, any_order, events, pid, own, seen)
+            if any_order in self._known:
                 self._known[key] = found
         return found
+
+    def _found(
+        self, known: dict[Any, tuple[Choice, ...]], key: Any, events: tuple[int, ...], pid: int, own: int, seen: Packed
+    ) -> tuple[Choice, ...]:
+        discards = len(self.machine.discards)
+        found = self.machine.choices(events, pid, own, seen)
+        if self.stands is not None:
+            found = tuple([c._replace(own=self.stands(pid, c.own, _with(seen, pid, c.slots))) for c in found])
+        if len(self.machine.discards) == discards:  # what is discarded is told anew each time
+            known[key] = found
+        return found
+
+    def _any_order(self, number: int, atomic: bool, pid: int, own: int, seen: Packed) -> Any:
+        others = sorted(seen[:pid] + seen[pid + 1 : -1])
+        return number, atomic, -1, own, (seen[pid], *others, seen[-1])
+
+
+def _with(seen: Packed, pid: int, slots: int) -> Packed:
+    return (*seen[:pid], slots, *seen[pid + 1 :])
 
 
 def steps(found: dict[Node, Came | None], node: Node) -> list[tuple[int, int, Packed]]:

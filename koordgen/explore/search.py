@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import product
 from typing import NamedTuple
 
 from koordgen.diagnostics import InternalError
 from koordgen.explore.environment import Surroundings
+from koordgen.explore.forget import Forgetting, Unread
 from koordgen.explore.invariants import Invariants
 from koordgen.explore.machine import Discard, Machine, Packed
 from koordgen.explore.rounds import Came, Node, Rounds, steps
@@ -55,7 +57,8 @@ class Violation(NamedTuple):
 
 class Result(NamedTuple):
     """`stopped` says what ended it before all was explored, empty where all was; `unseen` are the events that no robot
-    ever had enabled, `unchecked` the invariants that cannot be evaluated, `apart` why no robots are taken as alike."""
+    ever had enabled, `unchecked` the invariants that cannot be evaluated, `apart` why no robots are taken as alike,
+    `forgotten` the locals that nobody reads."""
 
     violation: Violation | None
     progress: Progress
@@ -63,6 +66,11 @@ class Result(NamedTuple):
     unseen: tuple[decl.Event, ...]
     unchecked: tuple[str, ...]
     apart: str
+    forgotten: tuple[str, ...]
+
+
+class _Anew(Exception):
+    """The search begins again, with less forgotten."""
 
 
 class _Over(Exception):
@@ -75,15 +83,24 @@ class Search:
     def __init__(
         self, machine: Machine, around: Surroundings, bounds: Bounds, clock: Callable[[], float],
         show: Callable[[Progress], None], symmetry: bool = True, independence: bool = True, deadlock: bool = True,
+        forgetting: bool = True,
     ) -> None:  # fmt: skip
         self.machine, self.around, self.bounds, self.clock, self.show = machine, around, bounds, clock, show
-        self.rounds = Rounds(machine, independence)
         self.invariants = Invariants(machine)
         self.apart = (around.apart or distinguishes(machine.program)) if symmetry else "it is switched off"
         self.independence, self.deadlock = independence, deadlock
+        self.forgetting = Forgetting(machine) if forgetting else None
+        self._fresh()
+
+    def _fresh(self) -> None:
+        """Nothing is explored yet."""
+        idle, stands = (self.forgetting.idle, self.forgetting.own) if self.forgetting else ((), None)
+        self.rounds = Rounds(self.machine, self.independence, idle, not self.apart, stands)
+        self.exact = Rounds(self.machine, self.independence, idle)  # of robots as they really are
         self.known: dict[Packed, Packed | None] = {}  # states at rounds' ends, each with one that leads to it
         self.within: set[Packed] = set()  # states before the environment's step that were looked at
         self.begin: dict[Packed, Packed] = {}  # those after init, with those before
+        self._then: dict[Packed, tuple[int, ...]] = {}  # what stands for a robot's own after the environment's step
         self.lively: set[Packed] = set()  # where no event is enabled, but some will be
         self.stuck = 0
         self.steps = self.depth = 0
@@ -94,7 +111,7 @@ class Search:
         self.started = self.shown = self.clock()
         violation, stopped = None, ""
         try:
-            violation, stopped = self._explored()
+            violation, stopped = self._settled()
         except _Over as over:
             stopped = str(over)
         except KeyboardInterrupt:
@@ -102,7 +119,23 @@ class Search:
         if not violation and not stopped and self.stuck:
             stopped = f"the assumptions leave sensors no value in {self.stuck} states"
         unseen = [e for i, e in enumerate(self.machine.program.events) if i not in self.machine.enabled]
-        return Result(violation, self.progress(), stopped, tuple(unseen), self.invariants.unchecked, self.apart)
+        forgotten = self.forgetting.locals if self.forgetting else ()
+        unchecked = self.invariants.unchecked
+        return Result(violation, self.progress(), stopped, tuple(unseen), unchecked, self.apart, forgotten)
+
+    def _settled(self) -> tuple[Violation | None, str]:
+        """A search that forgot nothing that matters."""
+        while True:
+            try:
+                return self._explored()
+            except Unread as read:
+                assert self.forgetting is not None
+                self.forgetting.keep(read.name)
+            except _Anew:
+                self.machine.watch({})
+                self.forgetting = None
+            self.machine.discards.clear()
+            self._fresh()
 
     def progress(self) -> Progress:
         return Progress(self.depth, len(self.known), self.waiting, self.steps, self.clock() - self.started)
@@ -144,18 +177,20 @@ class Search:
         if self.machine.discards:
             return self._discarded_in(fleet)
         if self.deadlock and len(found) == 1 and self._dead(fleet):
+            if self.forgetting:
+                raise _Anew
             return Violation(DEADLOCK, 0, tuple(self._run_to(fleet)), None, "no event is ever enabled again")
-        for node in found:
-            end = self.alike(node[1])
+        for _, fleet_then in found:
+            end = self._sorted(fleet_then)
             if end in self.within:
                 continue
             self.within.add(end)
             if self.machine.sensors and self.invariants.broken(end):
                 return self._broken(self._within(self._run_to(fleet), end))
             moves = 0
-            for moved in self.around.moved(end):
+            for moved in self._moved(end):
                 moves += 1
-                alike = self.alike(moved)
+                alike = self._sorted(moved)
                 if alike not in self.known:
                     self.known[alike] = fleet
                     following.append(alike)
@@ -167,6 +202,25 @@ class Search:
 
     def alike(self, fleet: Packed) -> Packed:
         """The one that stands for a fleet."""
+        return self._sorted(self.forgetting.fleet(fleet) if self.forgetting else fleet)
+
+    def _moved(self, end: Packed) -> Iterator[Packed]:
+        """What stands for the fleets after the environment's step."""
+        if self.forgetting is None or not self.machine.sensors:
+            return self.around.moved(end)
+        n_sys, seen = self.machine.n_sys, end[self.machine.n_sys :]
+        return (owns + seen for owns in product(*[self._stands_then(pid, end[pid], seen) for pid in range(n_sys)]))
+
+    def _stands_then(self, pid: int, own: int, seen: Packed) -> tuple[int, ...]:
+        key = (pid, own, seen[pid])
+        found = self._then.get(key)
+        if found is None:
+            assert self.forgetting is not None
+            then = [self.forgetting.own(pid, new, seen) for new in self.around.moves(pid, own)]
+            found = self._then[key] = tuple(dict.fromkeys(then))
+        return found
+
+    def _sorted(self, fleet: Packed) -> Packed:
         return fleet if self.apart else sorted_robots(fleet)
 
     def _starts(self) -> Iterator[tuple[Packed, Packed]]:
@@ -225,7 +279,7 @@ class Search:
 
     def _step_to(self, moments: list[Moment], at: Packed, target: Packed, number: int) -> Packed:
         """One round's moments, to a fleet that `target` stands for; yields that fleet."""
-        found = self.rounds.ends(at)
+        found = self.exact.ways(at)
         for node in sorted(found, key=lambda node: node[0].bit_count()):
             for moved in self.around.moved(node[1]):
                 if self.alike(moved) == target:
@@ -238,7 +292,7 @@ class Search:
     def _within(self, moments: list[Moment], end: Packed) -> list[Moment]:
         """A run that goes on to a fleet within the round, which `end` stands for."""
         number = moments[-1].round + 1
-        found = self.rounds.ends(self.machine.packed(moments[-1].state))
+        found = self.exact.ways(self.machine.packed(moments[-1].state))
         node = min((n for n in found if self.alike(n[1]) == end), key=lambda node: node[0].bit_count())
         return [*moments, *self._taken(found, node, number)]
 
@@ -260,7 +314,7 @@ class Search:
         moments = self._run_to(fleet)
         at = self.machine.packed(moments[-1].state)
         self.machine.discards.clear()
-        found = Rounds(self.machine, self.independence).ends(at)
+        found = self.exact.ways(at)
         discard, n_sys = self.machine.discards[0], self.machine.n_sys
         if self.machine.program.events[discard.event].lock is not None:  # it read what others wrote in this round
             there = [n for n in found if n[1][discard.pid] == discard.own and n[1][n_sys:] == discard.seen]

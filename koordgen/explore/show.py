@@ -88,6 +88,7 @@ def document(result: Result, program: decl.Program, n_sys: int) -> dict[str, Any
         "never_enabled": [{"event": e.name, "line": e.span.line} for e in result.unseen],
         "robots_alike": not result.apart,
         "told_apart_by": result.apart or None,
+        "forgotten": list(result.forgotten),
         "violation": _data(found) if found is not None else None,
     }
 

@@ -7,19 +7,15 @@ those not spoken of are left out, and the others renumbered.
 
 from __future__ import annotations
 
+from koordgen.ir import decl, stmt
 from koordgen.ir import expr as ir
-from koordgen.ir import stmt
 from koordgen.ir.types import INT
 from koordgen.prove.encode.tree import nodes
-from koordgen.prove.moment import Setting
 
 
-def complete(setting: Setting) -> bool:
+def complete(program: decl.Program) -> bool:
     """Whether a model of the instances is a model of the formulas."""
-    program = setting.program
     formulas = [p.formula for p in program.properties if p.kind != "axiom"]
-    if setting.unrolled:
-        return True
     loops = [n for f in program.functions for n in nodes(f.block) if type(n).__name__ in ("For", "While")]
     if not loops and all(_one_at_a_time(formula) for formula in formulas):
         return True

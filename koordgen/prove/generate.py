@@ -16,7 +16,6 @@ from koordgen.prove.begin import Ready, ended, launched
 from koordgen.prove.encode.state import Begun, Free, Moved, State, Written
 from koordgen.prove.encode.stmt import Cut, Frame
 from koordgen.prove.encode.values import Val
-from koordgen.prove.fragment import complete
 from koordgen.prove.goal import goal
 from koordgen.prove.moment import Setting, Stage, Told, temps_of
 from koordgen.prove.obligation import Cell, Fact, Kind, Moment, Obligation
@@ -184,7 +183,7 @@ class _Output:
         self.traits = 0
         for fact in facts:
             self.traits |= fact.term.traits
-        self.complete = complete(stage.setting) and not stage.room.partial
+        self.complete = stage.setting.complete and not stage.room.partial
 
     def all(
         self,

@@ -18,6 +18,7 @@ from koordgen.prove.encode.stmt import Cut
 from koordgen.prove.encode.tree import nodes
 from koordgen.prove.encode.types import build, shape
 from koordgen.prove.encode.values import Val
+from koordgen.prove.fragment import complete
 from koordgen.prove.obligation import Cell, Fact, Moment
 from koordgen.prove.term import Term
 
@@ -43,6 +44,7 @@ class Setting:
         self.invariants = [p for p in program.properties if p.kind == "invariant"]
         self.axioms = [(p, *_triggers(p.formula)) for p in program.properties if p.kind == "axiom"]
         self.initially = [p for p in program.properties if p.kind == "initially"]
+        self.complete = self.unrolled or complete(program)
         self.mentions = {p.name: frozenset(mentioned(p.formula)) for p in self.invariants}
 
     def touched(self, keys: Collection[Key]) -> list[decl.Property]:

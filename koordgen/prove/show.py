@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -57,9 +56,18 @@ def _verdict(verdict: Verdict) -> Iterator[str]:
 
 def wrapped(text: str) -> list[str]:
     """A sentence over as many lines as it takes."""
-    return textwrap.wrap(
-        text, WIDTH, initial_indent="  ", subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
-    )
+    return filled(text, "  ", "  ")
+
+
+def filled(text: str, first: str, rest: str) -> list[str]:
+    """Words in lines, with what the first begins with, and the others. To import textwrap takes 0.7 ms."""
+    lines, line = [], ""
+    for word in text.split():
+        if line and len(line) + 1 + len(word) > WIDTH:
+            lines.append(line)
+            line = ""
+        line = f"{line} {word}" if line else (rest if lines else first) + word
+    return [*lines, line]
 
 
 def suggestion(verdict: Verdict) -> str:
@@ -91,9 +99,7 @@ def _ledger(verdicts: Iterable[Verdict]) -> Iterator[str]:
     for entry in entries:
         place = f" ({entry.file}:{entry.line})" if entry.line else ""
         checked = f"checked: {entry.checked}" if entry.checked else "unchecked"
-        yield from textwrap.wrap(
-            f"{entry.kind}: {entry.text}{place}; {checked}", WIDTH, initial_indent="  - ", subsequent_indent="    "
-        )
+        yield from filled(f"{entry.kind}: {entry.text}{place}; {checked}", "  - ", "    ")
 
 
 def document(verdicts: Sequence[Verdict]) -> dict[str, Any]:

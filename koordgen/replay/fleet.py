@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from koordgen.ir import decl
-from koordgen.replay.robot import Counts, Difference, Replay
+from koordgen.replay.robot import Counts, Difference, Replay, Unreplayable
 from koordgen.replay.store import Shown, Writes
 from koordgen.replay.trace import Line, Trace
 from koordgen.replay.values import plain
@@ -19,8 +19,14 @@ def replayed(
     n_sys = len(trace.robots)
     robots = [Replay(program, externs, pid, n_sys, counts, trace.followed) for pid in range(n_sys)]
     stores = None if trace.own else Stores(program, n_sys, trace)
+    views: dict[int, tuple[int, Any]] = {}
     last = 0
     for line in trace.lines():
+        if line.record["kind"] == "view":
+            yield from _view(line, views)
+            continue
+        if line.record["kind"] == "init":
+            views.clear()  # of an earlier mission
         robot = robots[line.pid]
         yield from robot.line(line)
         if robot.saw is not None and stores is not None:
@@ -29,6 +35,18 @@ def replayed(
     if not trace.cut:
         for robot in robots:
             yield from robot.end(last)
+
+
+def _view(line: Line, views: dict[int, tuple[int, Any]]) -> Iterator[Difference]:
+    """There is one view of each number: `views` are those that were told until now, by number."""
+    try:
+        number, since, members = int(line.record["number"]), int(line.record["since"]), line.record["members"]
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise Unreplayable(f"line {line.number}: a broken record: {error!r}") from None
+    meant = views.setdefault(number, (since, members))
+    if (since, members) != meant:
+        told = [f"{who} from round {begins} on" for begins, who in ((since, members), meant)]
+        yield Difference(line.number, since, line.pid, f"view {number}", *told)
 
 
 class Stores:
@@ -42,7 +60,7 @@ class Stores:
         until = float("inf")
         for line in trace.lines():
             record = line.record
-            if record["kind"] == "stream":
+            if record["kind"] in ("stream", "view"):
                 continue
             round_ = int(record.get("round", 0))
             restored = record.get("restored")

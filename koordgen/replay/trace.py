@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 FORMAT = "koord-trace/1"
-KINDS = ("init", "round", "stream")
+KINDS = ("init", "round", "stream", "view")
 
 
 class BadTrace(Exception):

@@ -18,10 +18,14 @@ class Allowance:
         self._left = 0.0
         self._began = self._ended = 0.0 if cpu is None else cpu()
 
-    def begin(self) -> None:
-        if self._cpu is not None:
-            self._began = self._cpu()
-            self._left = min(MOST, self._left + self._share * (self._began - self._ended))
+    def begin(self) -> bool:
+        """Whether something is left. Who does nothing then need not say `end`."""
+        if self._cpu is None:
+            return True
+        self._began = self._cpu()
+        self._left = min(MOST, self._left + self._share * (self._began - self._ended))
+        self._ended = self._began
+        return self._left > 0.0
 
     @property
     def spent(self) -> bool:

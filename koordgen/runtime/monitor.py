@@ -20,7 +20,7 @@ from koordgen.runtime.told import told
 from koordgen.runtime.trace import LEFT, Record
 from koordgen.runtime.watched import FOR_GOOD, OWN, SENSED, SHARED, Change, Moment, Watched, usable
 
-SHARE = 0.05  # of the agent's processor time: what properties that are only logged may take
+SHARE = 0.03  # of the agent's processor time: what properties that are only logged may take
 LONGEST_WAIT = 50  # rounds, then one is evaluated whatever it takes
 BUDGET = 0.1  # of delta: what the properties of one round may take, all together
 MOST_OVERRUNS = 3  # a property that takes too long more often is not looked at any more
@@ -113,7 +113,8 @@ class Monitors:
                 raise
 
     def _look(self, moment: Moment) -> None:
-        self._invariant_time.begin()
+        if not self._invariant_time.begin() and not self._is_urgent(self._invariants):
+            return
         changed = self._put(moment)
         old = moment.age(self._delta)
         due = []
@@ -128,6 +129,10 @@ class Monitors:
         if due:
             self._judge(due, self._known, self._invariant_time, moment.time, moment.round, old)
         self._invariant_time.end()
+
+    def _is_urgent(self, asked: list[Watched]) -> bool:
+        """Whether one cannot wait for the processor's time."""
+        return any(self._round - w.true >= LONGEST_WAIT or w.action != "log" for w in asked)
 
     def _wait(self, watched: Watched, moment: Moment) -> None:
         """What is not certain for too long is not known any more."""
@@ -171,7 +176,8 @@ class Monitors:
 
     def _assume(self, before: Record, after: Record, actuators: Mapping[str, Any]) -> None:
         """Of the round that `before` tells of: from right after its event to the sensors of the next round."""
-        self._assumption_time.begin()
+        if not self._assumption_time.begin() and not self._is_urgent(self._assumptions):
+            return
         commanded = before.effects.actuators if before.effects is not None else ()
         moved = {module for module, _, port in (name.rpartition(".") for name in commanded) if port in GOALS}
         for name, senses, first, then in self._ports:

@@ -242,8 +242,8 @@ def sampled(
     tell: Callable[[str], None] = lambda _: None,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> list[Samples]:
-    """Carry all of their runs out in a new folder, which then holds them as a campaign's does. Raises BadProbe for
-    what cannot be probed or did not run, and what `drive.carry_out` raises."""
+    """Carry all of their runs out in a new folder, as a campaign's. What a run left, some 10 MB, goes when its samples
+    are taken. Raises BadProbe for what cannot be probed or did not run, and what `drive.carry_out` raises."""
     for probe in probes:
         check(probe)
     runs: list[Run] = []
@@ -277,7 +277,10 @@ def _told(offset: Vector) -> str:
 
 def _gathered(probe: Probe, runs: Sequence[Run], kept: store.Store) -> Samples:
     times = np.arange(round(probe.seconds * RATE) + 1) / RATE
-    found = [one for run in runs for one in _seen(kept.run_folder(run.name) / "trace.jsonl", probe, times)]
+    found: list[tuple[Array, Array]] = []
+    for run in runs:
+        found += _seen(kept.run_folder(run.name) / "trace.jsonl", probe, times)
+        shutil.rmtree(kept.run_folder(run.name), ignore_errors=True)
     return Samples(probe, times, np.array([p for p, _ in found]), np.array([s for _, s in found]))
 
 

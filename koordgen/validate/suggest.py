@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from textwrap import shorten
 
 from koordgen.check import check
 from koordgen.check.params import Value, with_params
@@ -20,12 +21,13 @@ from koordgen.syntax.parse import parse
 from koordgen.validate.samples import Sample, margin
 
 STEP = 0.01  # metres: margins are rounded up to it
+MOST_SAID = 140  # characters of a reason
 
 
 @dataclass(frozen=True)
 class Proved:
-    """An invariant's verdict under some assumption; `closing` says with what more it would be PROVED, "" if that is
-    not known."""
+    """An invariant's verdict under some assumption; `closing` says with what more it would be PROVED, or why it is not;
+    "" where neither is known."""
 
     invariant: str
     verdict: str
@@ -101,7 +103,8 @@ def _up(metres: float) -> float:
 def _proved(program: decl.Program, params: Mapping[str, Value], solver: Solver | Both) -> list[Proved]:
     """With the params as they are built: it is this fleet that was sampled."""
     fixed = {p.name: p.default for p in with_params(program, params).params}
-    return [Proved(v.invariant, v.verdict, closing(v)) for v in prove(Question(program, None, fixed), solver)]
+    found = prove(Question(program, None, fixed), solver)
+    return [Proved(v.invariant, v.verdict, closing(v) or shorten(v.reason, MOST_SAID)) for v in found]
 
 
 def _with(source: Source, span: Span, formula: str) -> decl.Program:

@@ -79,6 +79,9 @@ def _claim(found: Found) -> str:
     says = f"a run from these starts violates with a probability below {bound.epsilon:g}"
     if found.verdict == "VALIDATED":
         return f"with confidence {1 - bound.gamma:g} {says} ({bound.needed} runs or more without a violation)"
+    if found.verdict == "VIOLATED":
+        platforms = ", ".join(dict.fromkeys(v.platform for v in found.verdicts if v.verdict == "VIOLATED"))
+        return f"a proof that rests on what is assumed says nothing of {platforms}"
     asked = f"to say that with confidence {1 - bound.gamma:g} {says} takes {bound.needed} runs without a violation"
     return f"{asked} (ln(1/{bound.gamma:g})/{bound.epsilon:g})"
 

@@ -41,9 +41,9 @@ def compared(folder: Path, seed: int, seen: Counter[str]) -> None:
 
 def test_small_fleets_are_judged_as_the_simulator_judges_them(tmp_path: Path) -> None:
     seen: Counter[str] = Counter()
-    for seed in range(12):
+    for seed in range(7):
         compared(tmp_path / str(seed), seed, seen)
-    assert seen["violated"] >= 5 and seen["held"] >= 20 and seen["out of model"] >= 3 and seen["same round"] >= 4, seen
+    assert seen["violated"] and seen["same round"] >= 2 and seen["held"] >= 15 and seen["out of model"], seen
 
 
 @pytest.mark.slow

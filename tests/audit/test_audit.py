@@ -154,6 +154,17 @@ def test_without_a_broken_assumption_it_is_the_tools_mistake_where_it_is_proved(
     assert "no proof says that it holds" in told["says"]
 
 
+def test_who_had_left_the_model_before_is_named(tmp_path: Path) -> None:
+    fleet = watched(tmp_path, WHOLE).run(2.0)
+    fleet.fleet.robots[1].agent.end("landing")
+    fleet.run(2.0)
+    found = by_name(audited(saved(tmp_path, fleet, WHOLE))[1])
+    assert (
+        found["Sum"]["verdict"] == "violated"
+        and "by then bert had been out of the model" in found["Sum"]["proof"]["says"]
+    )
+
+
 def killed(folder: Path) -> Run:
     """Bert's process is killed, and began anew a second later."""
     run = Run(folder, HOLDS.replace("  assume reached or", "  assume True or"), conditions=conditions(0.05)).run(2.5)

@@ -196,7 +196,7 @@ _FIELDS = ("kind", "time", "round", "event", "skipped", "sensors", "locals", "sh
 
 
 @given(st.lists(st.tuples(st.integers(0, 200), st.sampled_from(_FIELDS), _JSON), min_size=1, max_size=4), st.data())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_records_with_other_fields_never_raise(flown: Path, changes: list[tuple[int, str, Any]], data: Any) -> None:
     """The whole command, on a trace some of whose records say something else in a field: a verdict or a refusal."""
     lines = [json.loads(line) for line in (flown / "bert.jsonl").read_text().splitlines()]

@@ -91,9 +91,9 @@ def checked(folder: Path, seed: int, seen: Counter[str]) -> None:
 
 def test_less_of_the_traces_is_less_knowledge(tmp_path: Path) -> None:
     seen: Counter[str] = Counter()
-    for seed in range(6):
+    for seed in range(3):
         checked(tmp_path / str(seed), seed, seen)
-    assert seen["unknown"] > 100 and seen["held"] > 100 and seen["violated"] > 20, seen
+    assert seen["unknown"] > 100 and seen["held"] > 100 and seen["violated"] > 10, seen
 
 
 @pytest.mark.slow
@@ -102,3 +102,32 @@ def test_less_of_150_fleets_traces_is_less_knowledge(tmp_path: Path) -> None:
     for seed in range(100, 250):
         checked(tmp_path / str(seed), seed, seen)
     print(dict(seen))
+
+
+COUNTING = """\
+using Motion:
+  sensors: Point position
+  actuators: Point target
+allread: int turns[N_SYS]
+Go:
+  pre: pid == 1 and turns[pid] < 4
+  eff: turns[pid] += 1
+Look:
+  pre: pid == 0
+  eff: pass
+invariant Few: forall i in ID: turns[i] < 4
+"""
+
+
+def test_what_another_robots_broken_line_said_of_the_store_is_not_known(tmp_path: Path) -> None:
+    home = Run(tmp_path, COUNTING).run(4.0).save() / "robots"
+    program = tmp_path / "source/app.koord"
+    assert audited(home / "alice", "--program", program)[0] == 3, "alice saw it"
+    path = home / "alice/trace.jsonl"
+    lines = path.read_text().splitlines(keepends=True)
+    last = max(k for k, line in enumerate(lines) if '"copy":{"turns":{"1":4}}' in line)
+    path.write_text("".join([*lines[:last], "?\n", *lines[last + 1 :]]))
+    status, document = audited(path, "--program", program)
+    (few,) = [p for p in document["properties"] if p["name"] == "Few"]
+    assert status == 4 and [s["outcome"] for s in few["spans"]] == ["held", "unknown"]
+    assert few["spans"][1]["since"] == json.loads(lines[last])["round"] - 1

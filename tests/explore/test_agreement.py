@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from koordgen.explore.search import Search
 from koordgen.explore.symmetry import distinguishes, sorted_robots
 from koordgen.ir.decl import Program
 from koordgen.pipeline import check_file
@@ -28,6 +29,8 @@ from tests.semantics.programs import compiled
 EXAMPLES = Path(__file__).parents[2] / "examples"
 FINITE = ("election/election", "atomicsum/atomicsum", "atomicsum/mutex")
 SYMMETRIC = (2, 36, 85, 123, 133, 144, 160, 161)  # of the random programs, those that treat all robots alike
+
+PLAIN = {"symmetry": False, "independence": False, "forgetting": False}
 
 ALIKE = """
 allread: bool ready[N_SYS]
@@ -65,22 +68,31 @@ def example(request: pytest.FixtureRequest) -> Program:
 
 @pytest.mark.parametrize("n_sys", [1, 2, 3])
 def test_examples_reach_what_the_semantics_reaches(example: Program, n_sys: int) -> None:
-    made, result = explored(example, n_sys)
+    made, result = explored(example, n_sys, forgetting=False)
     assert result.violation is None and not result.stopped
     assert {key(made.machine.state(fleet)) for fleet in made.known} == reached(example, n_sys, 6)
 
 
 def test_examples_do_in_a_round_what_the_semantics_does(example: Program) -> None:
     for independence in (True, False):
-        made, _ = explored(example, 3, independence=independence)
+        made, _ = explored(example, 3, independence=independence, forgetting=False)
         for fleet in islice(made.known, 0, None, 5):
             assert after_explored(made, fleet) == after_round(example, made.machine.state(fleet))
 
 
+def compare_forgetting(program: Program, n_sys: int, number: int, plain: Search) -> None:
+    """With what is forgotten the search comes to the states that stand for those of the plain one, no others."""
+    made, _ = explored(program, n_sys, LEVEL, number, symmetry=False, deadlock=False)
+    every = [made.machine.packed(plain.machine.state(fleet)) for fleet in plain.known]
+    assert {made.alike(fleet) for fleet in every} == set(made.known)
+    assert made.machine.enabled == plain.machine.enabled
+
+
 def compare_random(seed: int, n_sys: int, number: int, states: int) -> None:
     program = unjudged(compiled(random_text(seed)))
-    made, _ = explored(program, n_sys, LEVEL, number, symmetry=False, deadlock=False)
-    plain, _ = explored(program, n_sys, LEVEL, number, symmetry=False, independence=False, deadlock=False)
+    made, _ = explored(program, n_sys, LEVEL, number, symmetry=False, deadlock=False, forgetting=False)
+    plain, _ = explored(program, n_sys, LEVEL, number, deadlock=False, **PLAIN)
+    compare_forgetting(program, n_sys, number, plain)
     fleets = list(made.known)
     assert {key(made.machine.state(f)) for f in fleets} == {key(plain.machine.state(f)) for f in plain.known}
     for fleet in fleets[:: max(1, len(fleets) // states)][:states]:
@@ -97,13 +109,35 @@ def test_random_programs_do_what_the_semantics_does(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(12))
 def test_compiled_invariants_say_what_the_semantics_says(seed: int) -> None:
     program = compiled(random_text(seed))
-    made, _ = explored(unjudged(program), 2, LEVEL, 2, symmetry=False, deadlock=False)
+    made, _ = explored(unjudged(program), 2, LEVEL, 2, symmetry=False, deadlock=False, forgetting=False)
     judge, wanted = search(program, 2, LEVEL), [p for p in program.properties if p.kind == "invariant"]
     for fleet in made.known:
         state = made.machine.state(fleet)
         assert judge.invariants.broken(judge.machine.packed(state)) == next(
             (p for p in wanted if not true(p, program, state)), None
         )
+
+
+def compare_verdicts(seed: int, n_sys: int, number: int) -> None:
+    program = compiled(random_text(seed))
+    found = [explored(program, n_sys, LEVEL, number, **switches)[1] for switches in ({}, PLAIN)]
+    assert len({r.violation and r.violation.moments[-1].round for r in found}) == 1
+    reduced, plain = found
+    if not reduced.violation:  # it may be through with fewer rounds
+        assert plain.stopped or not reduced.stopped
+        assert set(reduced.unseen) <= set(plain.unseen) and (plain.stopped or reduced.unseen == plain.unseen)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_verdicts_are_those_of_the_plain_search(seed: int) -> None:
+    compare_verdicts(seed, 2, 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(300))
+def test_many_verdicts_are_those_of_the_plain_search(seed: int) -> None:
+    compare_verdicts(seed, 2, 4)
+    compare_verdicts(seed, 3, 1)
 
 
 @pytest.mark.slow
@@ -117,8 +151,8 @@ def compare_alike(program: Program, n_sys: int, around: object, number: int | No
     """With symmetry one state stands for all of its permutations, and the verdict is the same. Yields the states."""
     bare = unjudged(program)
     assert not distinguishes(program)
-    alike, _ = explored(bare, n_sys, around, number, deadlock=False)  # type: ignore[arg-type]
-    plain, _ = explored(bare, n_sys, around, number, symmetry=False, deadlock=False)  # type: ignore[arg-type]
+    alike, _ = explored(bare, n_sys, around, number, deadlock=False, forgetting=False)  # type: ignore[arg-type]
+    plain, _ = explored(bare, n_sys, around, number, symmetry=False, deadlock=False, forgetting=False)  # type: ignore[arg-type]
     stand_for = {key(alike.machine.state(fleet)) for fleet in alike.known}
     every = {alike.machine.packed(plain.machine.state(fleet)) for fleet in plain.known}
     assert stand_for == {key(alike.machine.state(sorted_robots(fleet))) for fleet in every}

@@ -167,7 +167,7 @@ def test_what_a_lidar_sees_follows_from_where_it_is() -> None:
     program = compiled(SCANS)
     wall = "{lo: [2, 0, 0], hi: [3, 1, 1]}"
     text = f"M.position: [[0, 0.5, 0], [1, 0.5, 0]]\nM.pscan: {{lidar: {{rays: 4, range: 5, walls: [{wall}]}}}}\n"
-    made, result = explored(program, 1, around(program, text))
+    made, result = explored(program, 1, around(program, text), forgetting=False)
     assert result.violation is None
     assert {made.machine.state(f).robots[0].locals["r"] for f in made.known} == {0.0, 1.0, 2.0}
 

@@ -19,17 +19,19 @@ from tests.explore.mutants import EXAMPLES, MUTANTS, Mutant
 N_SYS = 3
 
 
-def surrounded(path: Path, env: str, name: str) -> tuple[Program, Environment]:
+def surrounded(path: Path, env: str, name: str, n_sys: int = N_SYS) -> tuple[Program, Environment]:
     """A program with the environment of an example, and the params that it asks for."""
     program, file = check_file(str(path)).program, EXAMPLES / name
     source = read_source(str(file.with_name(f"{env}.yaml"))) if file.with_name(f"{env}.yaml").is_file() else None
-    around = environment(program, N_SYS, source, lambda *mistake: pytest.fail(str(mistake)))
+    around = environment(program, n_sys, source, lambda *mistake: pytest.fail(str(mistake)))
     assert around is not None
     return with_params(program, around.params), around
 
 
-def searched(program: Program, around: Environment, functions: Path, rounds: int | None, **switches: Any) -> Result:
-    machine = Machine(program, N_SYS, answering(around, program, N_SYS), functions)
+def searched(
+    program: Program, around: Environment, functions: Path, rounds: int | None, n_sys: int = N_SYS, **switches: Any
+) -> Result:
+    machine = Machine(program, n_sys, answering(around, program, n_sys), functions)
     surroundings = Surroundings(machine, around)
     return Search(machine, surroundings, Bounds(rounds), lambda: 0.0, lambda _: None, **switches).run()
 

@@ -25,7 +25,7 @@ def lively(first: int, number: int) -> Iterator[tuple[int, decl.Program, list[St
     first rounds, by the explorer."""
     for seed in count(first):
         program = unjudged(compiled(random_text(seed)))
-        made, result = explored(program, N_SYS, LEVEL, ROUNDS, symmetry=False, deadlock=False)
+        made, result = explored(program, N_SYS, LEVEL, ROUNDS, symmetry=False, deadlock=False, forgetting=False)
         assert result.violation is None
         states = [made.machine.state(fleet) for fleet in made.known]
         if len({stored(state.store) for state in states}) >= LIVELY:

@@ -183,6 +183,23 @@ def test_robots_that_die_and_come_back_and_bad_networks_are_replayed(tmp_path: P
     assert replay(folder / "robots/bert/trace.jsonl") == 0
 
 
+def test_robots_that_do_not_agree_who_counts_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = example(tmp_path, "lineform", n=3).run(1.0)
+    run.fleet.network._queues.pop(1, None)
+    run.fleet.robots[1].wake = 1e9
+    folder = run.run(2.0).save()
+    assert replay(folder) == 0
+    path = folder / "trace.jsonl"
+    lines = path.read_text().splitlines()
+    k = next(k for k, line in reversed(list(enumerate(lines))) if '"number":1' in line and '"view"' in line)
+    view = json.loads(lines[k])
+    lines[k] = json.dumps(view | {"since": view["since"] + 1})
+    path.write_text("\n".join(lines) + "\n")
+    assert replay(folder) == 3
+    assert f"{path}:{k + 1}: round {view['since'] + 1}, robot" in (told := capsys.readouterr().err)
+    assert f"view 1 is [0, -1, 0] from round {view['since'] + 1} on in the trace, [0, -1, 0] from round" in told
+
+
 def test_a_trace_that_is_cut_off_is_replayed_as_far_as_it_goes(
     copied: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

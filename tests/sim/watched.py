@@ -14,6 +14,7 @@ from targets.sim import trace, watch
 from targets.sim.bodies import BodyState
 from targets.sim.crew import Companion
 from targets.sim.trace import Mark, Phase, Record, Round, Verdict, Violation
+from targets.sim.windows import Windows
 from tests.runtime.fleet import NAMES, Fleet
 from tests.sim.fake_fleet import beside
 
@@ -54,15 +55,21 @@ class Run:
 
 
 class Watched:
-    """`run` goes on for so many seconds; `moved` may put bodies elsewhere than the robots believe."""
+    """`run` goes on for so many seconds; `moved` may put bodies elsewhere than the robots believe; `told`: of all
+    windows."""
 
-    def __init__(self, root: Path, text: str, n: int = 3, seed: int = 1, conditions: Conditions | None = None) -> None:
+    def __init__(
+        self, root: Path, text: str, n: int = 3, seed: int = 1, conditions: Conditions | None = None, told: bool = False
+    ) -> None:
         beside(root, text)
         self.found = watch.load(root)
         program = self.found.program
         self.fleet = Fleet(n, seed, conditions, program, clocks=lambda pid, base: base).boot_all()
         self.files = {pid: robot.file for pid, robot in self.fleet.robots.items()}
-        self.watcher = watch.Watcher(self.found, NAMES[:n], self.fleet.delta)
+        robots = [SimpleNamespace(name=name, target="none", sim=SimpleNamespace(fidelity="made")) for name in NAMES[:n]]
+        scenario: Any = SimpleNamespace(app="a", program_hash="0", delta=self.fleet.delta, robots=robots)
+        self.windows = Windows(self.found, scenario, seed) if told else None
+        self.watcher = watch.Watcher(self.found, NAMES[:n], self.fleet.delta, self.windows)
         agents = [Agent(SimpleNamespace(pid=pid, name=NAMES[pid])) for pid in range(n)]
         self.run_ = Run(agents, self.fleet)
         self.companions: list[Companion] = [self.watcher]

@@ -17,6 +17,7 @@ import pytest
 from koordgen import cli
 from koordgen.campaign import store
 from koordgen.cli import campaign as campaigns
+from koordgen.validate import picture
 from tests.validate import fake
 
 PLANNED = {"SHA256SUMS": b"sums", "scenario.json": b'{"harness": {"start_noise": 0.3}}'}
@@ -41,6 +42,9 @@ def faked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(cli, "_require_packages", lambda: None)
     monkeypatch.setattr(campaigns, "_builder", lambda options, harness: fake.build)
     monkeypatch.setattr("koordgen.cli.validate.fleet_params", lambda *_: {})
+    monkeypatch.setattr(
+        picture, "draw", lambda found, title, path: bool(path.write_bytes(b"")) or True
+    )  # it takes long
     monkeypatch.chdir(tmp_path)
     Path("app.koord").write_text(PROGRAM)
 

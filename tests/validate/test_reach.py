@@ -156,9 +156,11 @@ def test_the_measure_of_a_union() -> None:
     assert tube.union(lower, upper) == pytest.approx(7 + 1)
 
 
-def test_the_picture_shows_them_at_one_scale(reached: list[tube.Reachset], tmp_path: Path) -> None:
-    file = draw.drawn(reached, tmp_path / "reachsets.png")
-    assert file.read_bytes().startswith(b"\x89PNG") and file.stat().st_size < 150_000
+def test_files_and_a_picture_are_written(reached: list[tube.Reachset], tmp_path: Path) -> None:
+    files = reach.written(reached, tmp_path)
+    assert [file.name for file in files] == ["quad-full.json", "car-full-dan.json", "reachsets.txt", "reachsets.png"]
+    assert tube.from_json(json.loads(files[1].read_text())).platform == "car full (dan)"
+    assert files[3].read_bytes().startswith(b"\x89PNG")
     with pytest.raises(ValueError, match="no reachset"):
         draw.drawn([], tmp_path / "none.png")
 
@@ -173,19 +175,20 @@ def test_simple_robots_are_probed(platforms: dict[str, probe.Platform], tmp_path
     assert np.abs(found.positions[:, -1] - np.array([0.5, 0.5, 0.0])).max() < 0.15
     steps = np.linalg.norm(np.diff(found.positions, axis=1), axis=2)
     assert steps.max() < 1.6 / 240 * 1.1, "every step of the world"
+    assert not list((tmp_path / "out").rglob("trace.jsonl")), "they are large"
 
 
 @pytest.mark.slow
 def test_the_quads_reachset_is_the_larger_one_because_it_overshoots(tmp_path: Path) -> None:
-    """The published picture, with the very bundles: from a set of starts, moving, to a target 0.8 m ahead."""
+    """The published picture, with the very bundles, and that of docs/validate.md: 12 runs of 30 robots."""
     fleet = str(Path(__file__).parents[2] / "examples" / "lineform" / "fleet.yaml")
-    asked = reach.Asked((0.8, 0.0, 0.0), epsilon=0.1, gamma=0.05, robots=30)
+    asked = reach.Asked((0.7, 0.4, 0.0), seed=1, robots=30)
     flying, driving = reach.reachsets(fleet, ["quad full", "car full"], asked, Local(2), tmp_path / "out")
     names = [file.name for file in reach.written([flying, driving], tmp_path / "left")]
     assert names == ["quad-full.json", "car-full.json", "reachsets.txt", "reachsets.png"]
     found = tube.compared(flying, driving)
-    assert flying.covered >= 0.9 and driving.covered >= 0.9
-    assert flying.observed.overshoot > 0.03 > driving.observed.overshoot
+    assert flying.covered >= 0.95 and driving.covered >= 0.95
+    assert flying.observed.overshoot > 0.05 > driving.observed.overshoot
     assert flying.overshoot > driving.overshoot + 0.05
     assert found.figures[0].area > found.figures[1].area
 

@@ -45,6 +45,7 @@ def test_the_weaker_assumption_closes_the_proof_where_there_is_room(tmp_path: Pa
     assert {p.invariant for p in found[0].proved} == {"Targets", "Geofence", "(well-defined)"}
 
 
+@pytest.mark.slow
 def test_more_than_there_is_room_for_does_not(tmp_path: Path, solver: Solver) -> None:
     checked, line = boxed(tmp_path)
     runs = [sample(tmp_path, [window(1, 0, "v", (0.0, 0.1, 0.0), far=0.4)], lines=(line,))]

@@ -1,0 +1,156 @@
+"""Exploration beside Spin: `python benchmarks/explore.py [--quick] [--json FILE]`.
+
+Leader election, explored whole for 2 to 7 robots, beside two equivalent Promela models (tests/explore/spin.py says how
+they differ; tests/explore/test_spin.py compares the states at rounds' ends): `plain` as one would write it down,
+`tight` the best for Spin that we know. Seconds are of CPU, the least of a few runs: `search` is the search alone (of
+Spin, the compiled verifier's process; ours, the Search on a machine that is made), `whole` with all that comes before
+it (Spin's generator and gcc; ours, reading and compiling the program). Spin's verifiers: gcc -O2 -DSAFETY, partial
+order reduction on, states not collapsed. `bare` is ours with every reduction off. Then other examples, ours alone: with
+the environments that stand beside them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from koordgen.check.params import with_params
+from koordgen.explore.envfile import environment
+from koordgen.explore.environment import Environment, Surroundings, answering
+from koordgen.explore.machine import Machine
+from koordgen.explore.search import Bounds, Search
+from koordgen.ir.decl import Program
+from koordgen.pipeline import check_file, read_source
+from tests.explore import spin
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+ELECTION = EXAMPLES / "election/election.koord"
+SALT = 7
+BARE = {"symmetry": False, "independence": False, "forgetting": False}  # every reduction off
+OTHERS = ("atomicsum/atomicsum", "patrol/patrol", "task/task", "mapping/mapping")
+BOUND = 120.0  # seconds of one exploration
+
+
+class Row(NamedTuple):
+    """One exploration: CPU seconds; steps are transitions of Spin's."""
+
+    what: str
+    robots: int
+    how: str
+    states: int
+    steps: int
+    search: float
+    whole: float
+    note: str = ""
+
+
+def ours(path: Path, robots: int, how: str, repeats: int, **switches: bool) -> Row:
+    rows = []
+    for _ in range(repeats):
+        gc.collect()
+        began = time.process_time()
+        program, around = _surrounded(path, robots)
+        functions = path.with_name(f"{path.stem}_functions.py")
+        machine = Machine(program, robots, answering(around, program, robots), functions)
+        search = Search(
+            machine, Surroundings(machine, around), Bounds(seconds=BOUND), time.process_time, lambda _: None, **switches
+        )
+        before = time.process_time()
+        result = search.run()
+        ended = time.process_time()
+        note = result.violation.name if result.violation else result.stopped
+        progress = result.progress
+        rows.append(Row(path.stem, robots, how, progress.states, progress.steps, ended - before, ended - began, note))
+    return min(rows, key=lambda row: row.search)
+
+
+def _surrounded(path: Path, robots: int) -> tuple[Program, Environment]:
+    """The program, with the params of the environment that stands beside it."""
+    program, file = check_file(str(path)).program, path.with_name("explore.yaml")
+    around = environment(program, robots, read_source(str(file)), lambda *_: None)
+    assert around is not None, f"{file} has a mistake"
+    return with_params(program, around.params), around
+
+
+def of_spin(robots: int, tight: bool, repeats: int) -> Row:
+    with tempfile.TemporaryDirectory() as folder:
+        ran = spin.ran(spin.election(robots, SALT, tight), Path(folder), repeats=repeats)
+    how = "Spin, tight" if tight else "Spin, plain"
+    return Row("election", robots, how, ran.states, ran.transitions, ran.search, ran.search + ran.making)
+
+
+def show(row: Row) -> None:
+    rate = row.states / row.search if row.search else 0.0
+    figures = f"{row.states:>9,} {row.steps:>11,} {row.search:>9.4f} {rate:>11,.0f} {row.whole:>8.2f}"
+    print(f"{row.what:<10} {row.robots:>6}  {row.how:<17} {figures}  {row.note}".rstrip(), flush=True)
+
+
+def election(quick: bool) -> list[Row]:
+    rows = []
+    for robots in (2, 4, 6) if quick else (2, 3, 4, 5, 6, 7):
+        rows.append(ours(ELECTION, robots, "koordgen", 5))
+        rows.append(ours(ELECTION, robots, "koordgen, bare", 1, **BARE))
+        if spin.installed():
+            rows += [of_spin(robots, tight, 5) for tight in (False, True)]
+        for row in rows[-4 if spin.installed() else -2 :]:
+            show(row)
+    return rows
+
+
+def ratios(rows: list[Row]) -> dict[str, dict[str, float]]:
+    """Spin's figures by ours, of the same number of robots."""
+    mine = {row.robots: row for row in rows if row.how == "koordgen"}
+    return {
+        f"{row.how}, {row.robots} robots": {
+            "states": row.states / mine[row.robots].states,
+            "search": row.search / mine[row.robots].search,
+            "whole": row.whole / mine[row.robots].whole,
+        }
+        for row in rows
+        if row.how.startswith("Spin")
+    }
+
+
+def others(quick: bool) -> list[Row]:
+    """Other examples in their environments."""
+    rows = []
+    for name in OTHERS[:2] if quick else OTHERS:
+        path = EXAMPLES / f"{name}.koord"
+        for robots in (3, 4):
+            rows.append(ours(path, robots, "koordgen", 1))
+            show(rows[-1])
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else "")
+    parser.add_argument("--quick", action="store_true", help="few rows, under a minute")
+    parser.add_argument("--json", metavar="FILE")
+    options = parser.parse_args()
+    print(f"peer: {spin.version()}" if spin.installed() else spin.MISSING)
+    print(
+        f"{'program':<10} {'robots':>6}  {'':<17} {'states':>9} {'steps':>11} {'search s':>9} {'states/s':>11} whole s"
+    )
+    rows = election(options.quick)
+    by = ratios(rows)
+    if by:
+        print("\nSpin by koordgen                states   search    whole")
+    for name, ratio in by.items():
+        print(f"{name:<28} {ratio['states']:>9.1f} {ratio['search']:>8.2f} {ratio['whole']:>8.1f}")
+    print()
+    rows += others(options.quick)
+    if options.json:
+        found: dict[str, Any] = {"rows": [row._asdict() for row in rows], "ratios": by}
+        Path(options.json).write_text(json.dumps(found, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()
