@@ -250,9 +250,20 @@ def _open_trace(path: str | None) -> Trace:
     if path is None:
         return Trace(None, warn)
     try:
+        _set_aside(Path(path))
         return Trace(Path(path).open("wb"), warn)  # lives as long as the run
     except OSError as error:
         raise CannotOpen(f"trace: {path}: {error.strerror or error}") from None
+
+
+def _set_aside(path: Path) -> None:
+    """What an earlier life wrote there gets a name of its own: trace-1.jsonl and so on. Raises OSError."""
+    if not path.is_file() or path.stat().st_size == 0:
+        return
+    number = 1
+    while (kept := path.with_stem(f"{path.stem}-{number}")).exists():
+        number += 1
+    path.rename(kept)
 
 
 def _fail(message: str, hint: str, status: int) -> int:

@@ -303,3 +303,18 @@ def test_an_internal_error_is_status_70(bundles: list[Path], capsys: pytest.Capt
 
     assert agent.main(PROGRAM, broken, bundles[0], ["--check"]) == 70
     assert "internal error, please report it" in capsys.readouterr().err
+
+
+def test_the_trace_of_an_earlier_life_is_set_aside(bundles: list[Path], started: list[subprocess.Popen[str]]) -> None:
+    folder = bundles[0]
+    for life in ("first", "second"):
+        (folder / "trace.jsonl").write_text(life)
+        process = start(folder, started)
+        limit = time.monotonic() + 20
+        while time.monotonic() < limit and '"joining"' not in (folder / "trace.jsonl").read_text():
+            time.sleep(0.05)
+        process.terminate()
+        process.communicate(timeout=10)
+    assert (folder / "trace-1.jsonl").read_text() == "first"
+    assert '"joining"' in (folder / "trace.jsonl").read_text()
+    assert (folder / "trace-2.jsonl").read_text() == "second"
