@@ -39,7 +39,7 @@ class CannotFollow(Exception):
 
 
 class ModelOnly(CannotFollow):
-    """The trace is a behaviour of the language that no agents have."""
+    """The trace is, or may be, a behaviour of the language that agents do not have."""
 
 
 class Round(NamedTuple):
@@ -182,6 +182,13 @@ class _Planner:
                     return found
         names = ", ".join(f"{step.event} of robot {step.pid}" for step in acts)
         place = f"{self.given.path}:{acts[0].line}: round {acts[0].round}"
+        if not self.given.initial and self.events[acts[0].event].lock is None:
+            raise ModelOnly(
+                f"{place}: {names} does not come to what the trace says ({nearest})" if nearest
+                else f"{place}: {names} has no result in the trace's first state",
+                "a plain event reads the store of its round's start, and a proof's step may begin amid a round, when "
+                "others have written since; robots begin with a round",
+            )  # fmt: skip
         after = self.stepped(acts, state, world)
         kind = CannotFollow if after is None or self.differs(acts[-1], after) else ModelOnly
         raise kind(

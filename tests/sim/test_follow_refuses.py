@@ -115,6 +115,20 @@ def test_a_step_from_any_state(tmp_path: Path) -> None:
     assert main(["replay", str(done.folder)]) == 0
 
 
+def test_a_step_amid_a_round(tmp_path: Path) -> None:
+    text = "allwrite: int a\nallwrite: int b\nCopy:\n  pre: a < 3\n  eff: b = a\nRaise:\n  pre: True\n  eff: atomic:\n"
+    text += "    a += 1\n    if a > 5: a = 5\ninvariant Near: b <= a\n"
+    trace = found(tmp_path, text, 2, command="prove")
+    header, *_ = [json.loads(line) for line in trace.read_text().splitlines()]
+    assert header["counterexample"] == "step"  # Copy read another `a` than the one with which the step begins
+    said = refused(tmp_path, trace, status=4)
+    assert (
+        "round 1: Copy of robot " in said
+        and "b of robot 0 is " in said
+        and "reads the store of its round's start" in said
+    )
+
+
 @pytest.mark.parametrize("option", ["--duration=3", "--loss=0.1", "--gui", "--scenario=x.yaml"])
 def test_what_does_not_go_with_it(tmp_path: Path, option: str) -> None:
     trace = found(tmp_path, LOST, 2)
