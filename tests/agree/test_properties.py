@@ -105,10 +105,10 @@ def _assumptions(
 
 def test_properties_mean_the_same_as_generated_code() -> None:
     seen: Counter[str] = Counter()
-    for seed in range(60):
+    for seed in range(25):
         agree(seed, seen)
     for outcome in ("held", "violated", "no value"):
-        assert seen[outcome] >= 40 and seen[f"assumption {outcome}"] >= 20, seen
+        assert seen[outcome] >= 20 and seen[f"assumption {outcome}"] >= 8, seen
 
 
 @pytest.mark.slow

@@ -64,8 +64,8 @@ def run(seeds: Iterable[int]) -> Counter[str]:
 
 
 def test_text_means_what_its_ir_means() -> None:
-    seen = run(range(60))
-    assert seen["right"] > 45 and seen["proved"] > 500, seen
+    seen = run(range(30))
+    assert seen["right"] > 20 and seen["proved"] > 250, seen
 
 
 @pytest.mark.slow

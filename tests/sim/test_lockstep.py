@@ -12,7 +12,7 @@ import pytest
 
 from tests.sim.lockstep import built, digest, ran, summary
 
-SECONDS = 2.5
+SECONDS = 1.5
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def test_twenty_repetitions_are_one_trace(lineform: Path, tmp_path: Path) -> Non
     assert len(repeated(lineform, tmp_path, 20)) == 1
 
 
-@pytest.mark.parametrize("app", ["hvac", "mapping", "task"])
+@pytest.mark.parametrize("app", ["hvac", "mapping", pytest.param("task", marks=pytest.mark.slow)])
 def test_drivers_functions_scans_and_planners_run_in_it_and_repeat(tmp_path: Path, app: str) -> None:
     bundle = built(tmp_path, app)
     for k in range(2):
@@ -88,11 +88,12 @@ robots:
 """
 
 
+@pytest.mark.slow
 def test_every_kind_of_link_is_in_memory_and_repeats(tmp_path: Path) -> None:
     """Feeds to autopilots, rovers and their own estimates, and robots without any device."""
     bundle = built(tmp_path, "lineform", EVERY_LINK)
     for k in range(2):
-        assert ran(bundle, tmp_path / str(k), SECONDS, "--loss=0.05", "--jitter=0.01", hashing=str(k)) == 0
+        assert ran(bundle, tmp_path / str(k), 2.5, "--loss=0.05", "--jitter=0.01", hashing=str(k)) == 0
     assert digest(tmp_path / "0") == digest(tmp_path / "1")
     moved = {robot["name"]: robot["path_length"] for robot in summary(tmp_path / "0")["robots"]}
     assert all(moved[name] > 0.5 for name in "bcdef"), moved

@@ -51,6 +51,7 @@ def test_the_report_plays_the_run(tmp_path: Path) -> None:
         assert page.complaints == []
 
 
+@pytest.mark.slow
 def test_a_page_of_sixteen_robots_and_three_minutes_is_drawn_quickly_enough(tmp_path: Path) -> None:
     report.write(tmp_path / "report.html", big(tmp_path / "trace.jsonl", 16, 180))
     with Browser(tmp_path / "profile") as page:

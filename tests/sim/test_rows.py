@@ -188,6 +188,7 @@ def big(path: Path, robots: int, seconds: int) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_the_report_of_sixteen_robots_and_three_minutes_stays_below_five_megabytes(tmp_path: Path) -> None:
     path = big(tmp_path / "trace.jsonl", 16, 180)
     report.write(tmp_path / "report.html", path)

@@ -248,7 +248,7 @@ def test_a_mixed_fleet_of_both_fidelities_runs_in_lockstep_and_repeats(tmp_path:
         robot["sim"] = {"fidelity": "simple"}
     file.write_text(json.dumps(scenario))
     for k in range(2):
-        assert ran(bundle, tmp_path / str(k), 5.0, hashing=str(k)) == 0
+        assert ran(bundle, tmp_path / str(k), 2.0, hashing=str(k)) == 0
     assert digest(tmp_path / "0") == digest(tmp_path / "1")
     assert summary(tmp_path / "0")["verdict"] == "held"
 
