@@ -51,16 +51,17 @@ def explore(options: Namespace) -> int:
         raise Failure(USAGE, str(error)) from None
     except Lacking as error:
         raise Failure(USAGE, str(error), "docs/explore.md tells how such a file is written") from None
-    if result.violation is not None:
+    if options.format == "json":
+        print(json.dumps(document(result, program, robots), indent=2), flush=True)
+    else:
+        sys.stdout.write(report(result, program, options.program, robots))
+        sys.stdout.flush()
+    if result.violation is not None:  # told before: a file that cannot be written costs nothing of a long search
         if options.trace:
             about = _about(options, program, robots, around, given)
             save(options.trace, trace(result.violation, program, about))
         if options.itf:
             save(options.itf, itf(result.violation, program))
-    if options.format == "json":
-        print(json.dumps(document(result, program, robots), indent=2), flush=True)
-    else:
-        sys.stdout.write(report(result, program, options.program, robots))
     return _status(result)
 
 

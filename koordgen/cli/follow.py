@@ -49,8 +49,9 @@ def _program(options: Namespace, given: Counterexample) -> tuple[Program, dict[s
     targets = {name: manifest.load(name) for name in manifest.available()}
     fleet, from_file = read_fleet(options.fleet, targets, checked.program, options.program)
     if len(fleet.robots) != given.n_sys:
+        robots = f"{given.n_sys} robot{'s' * (given.n_sys != 1)}"
         raise Failure(
-            WRONG, f"{given.path} is of {given.n_sys} robots, {options.fleet} has {len(fleet.robots)}",
+            WRONG, f"{given.path} is of {robots}, {options.fleet} has {len(fleet.robots)}",
             f"name a fleet of {given.n_sys}, or look for a counterexample with --robots {len(fleet.robots)}",
         )  # fmt: skip
     try:

@@ -162,7 +162,7 @@ class Search:
             return None, "no state satisfies `initially`"
         while layer:
             if self.depth == self.bounds.rounds:
-                return None, f"the bound of {self.depth} rounds"
+                return None, f"the bound of {self.depth} round{'s' * (self.depth != 1)}"
             following: list[Packed] = []
             for number, fleet in enumerate(layer):
                 self.waiting = len(layer) - number + len(following)
@@ -251,7 +251,7 @@ class Search:
         if self.bounds.seconds is not None and now - self.started > self.bounds.seconds:
             raise _Over(f"the bound of {self.bounds.seconds:g} s")
         if self.bounds.states is not None and len(self.known) > self.bounds.states:
-            raise _Over(f"the bound of {self.bounds.states} states")
+            raise _Over(f"the bound of {self.bounds.states} state{'s' * (self.bounds.states != 1)}")
 
     def _dead(self, fleet: Packed) -> bool:
         """Whether nothing will ever be enabled, however the environment goes on, though some robot has not stopped."""
