@@ -69,7 +69,7 @@ class Reader:
             if key not in known:
                 guess = _nearest(str(key), known)
                 meant.add(guess)
-                help = f"did you mean {guess!r}?" if guess else f"known here: {', '.join(sorted(known))}"
+                help = f"did you mean {guess!r}?" if guess else f"known here: {', '.join(sorted(known)) or 'nothing'}"
                 self.report("F002", f"unknown key {key!r} in {what}", key_node, help)
             elif key in found:
                 self.report("F006", f"{key!r} stands twice in {what}", key_node)

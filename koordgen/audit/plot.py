@@ -11,7 +11,7 @@ COLOURS: dict[Outcome, str] = {"held": "#2a7f3f", "violated": "#c0392b", "no val
 
 
 def draw(audit: Audit, path: Path) -> None:
-    """Raises OSError, and ValueError where the file's ending names no format."""
+    """The file's ending says how. Raises OSError."""
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 

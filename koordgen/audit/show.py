@@ -80,6 +80,7 @@ def _details(finding: Finding, audit: Audit) -> Iterator[str]:
         yield from _violation(finding, finding.first, audit)
         for blame in audit.blames:
             if blame.invariant is finding:
+                yield from [""] if finding.first.rows else []
                 yield from wrapped(sentence(blame, audit))
     if finding.unchecked and finding.verdict == "unchecked":
         yield from ("", *wrapped(f"{finding.title}: {finding.unchecked}"))
@@ -120,7 +121,6 @@ def _violation(finding: Finding, first: Violation, audit: Audit) -> Iterator[str
     if first.rows:
         yield ""
         yield from _rows(first)
-        yield ""
 
 
 def _rows(violation: Violation) -> Iterator[str]:

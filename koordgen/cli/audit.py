@@ -15,18 +15,21 @@ from koordgen.audit.meaning import Meaning
 from koordgen.audit.reading import found, opened
 from koordgen.audit.show import Audit, document, report
 from koordgen.audit.story import Mission, mission
-from koordgen.cli import HOLDS, INCONCLUSIVE, SURROUNDINGS, VIOLATED, WRONG, Failure
+from koordgen.cli import HOLDS, INCONCLUSIVE, SURROUNDINGS, USAGE, VIOLATED, WRONG, Failure
 from koordgen.cli.terminal import Line
 from koordgen.cli.traced import program_of
 from koordgen.ir.decl import Program
 from koordgen.replay.functions import CannotCall
 from koordgen.replay.trace import BadTrace
 
+PICTURES = (".png", ".svg", ".pdf")
 QUERY, ALL_QUERIES = 10.0, 60.0  # seconds that a solver has
 
 
 def audit(options: Namespace) -> int:
     """The whole command."""
+    if options.plot and Path(options.plot).suffix not in PICTURES:
+        raise Failure(USAGE, f"--plot {options.plot}: a name that ends in {', '.join(PICTURES)} is expected")
     try:
         paths = list(dict.fromkeys(path for given in options.traces for path in found(Path(given))))
         logs = [opened(path) for path in paths]
@@ -45,12 +48,13 @@ def audit(options: Namespace) -> int:
     proved = _proved(program, [each.invariant for each in blames]) if options.prove and blames else None
     made = Audit(program.path, whole, judged, blames, _notes(judged, whole), proved)
     status = VIOLATED if made.violated else INCONCLUSIVE if made.doubtful else HOLDS
-    if options.plot:
-        _draw(made, Path(options.plot))
     if options.format == "json":
         print(json.dumps(document(made, status), indent=2), flush=True)
     else:
         sys.stdout.write(report(made))
+        sys.stdout.flush()
+    if options.plot:
+        _draw(made, Path(options.plot))
     return status
 
 
@@ -93,5 +97,5 @@ def _draw(made: Audit, path: Path) -> None:
     except ModuleNotFoundError as error:
         hint = f"{sys.executable} -m pip install 'koordgen[sim]'"
         raise Failure(SURROUNDINGS, f"the package {error.name} is missing", hint) from None
-    except (OSError, ValueError) as error:
-        raise Failure(SURROUNDINGS, f"{path}: {error}", "a name that ends in .png, .svg or .pdf is expected") from None
+    except OSError as error:
+        raise Failure(SURROUNDINGS, f"{path}: {error.strerror or error}") from None

@@ -219,7 +219,7 @@ def _ended(
     except drive.DiskFull:
         line.end()
         said = f"the disk is full; {resumable(len(kept.results), planned)}"
-        return cli.Failure(cli.SURROUNDINGS, f"{kept.folder}: {said}", f"make room; {again} goes on")
+        return cli.Failure(cli.SURROUNDINGS, f"{kept.folder}: {said}", "make room")
     except crew.Unreachable as lost:
         line.end()
         return cli.Failure(cli.SURROUNDINGS, f"{lost}; {resumable(len(kept.results), planned)}", lost.help)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import sys
+import tempfile
 import time
 from argparse import Namespace
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,15 +21,19 @@ from koordgen.emit.program import functions_module
 from koordgen.explore.envfile import environment
 from koordgen.explore.environment import Environment, Lacking, Surroundings, answering
 from koordgen.explore.machine import Machine
-from koordgen.explore.search import Bounds, Progress, Result, Search
+from koordgen.explore.search import DEADLOCK, Bounds, Progress, Result, Search, Violation
 from koordgen.explore.show import document, itf, report, told, trace
+from koordgen.follow.plan import CannotFollow, ModelOnly, planned
+from koordgen.follow.read import read
 from koordgen.ir.decl import Program
 from koordgen.pipeline import Checked, Rejected, check_file, read_fleet, read_source
 from koordgen.prove.trace import About
 from koordgen.replay.functions import CannotCall, externs
+from koordgen.replay.trace import BadTrace
 from koordgen.source import Source, Span
 
 ROBOTS = 3  # where neither --robots nor a fleet says how many
+MORE = 10_000  # states, or as many as there are, that are looked at for a run that agents can do
 
 
 def explore(options: Namespace) -> int:
@@ -41,21 +46,22 @@ def explore(options: Namespace) -> int:
         around = _environment(options, checked.program, robots)
         given = {**from_fleet, **around.params, **_params(options.param)}
         program = with_params(checked.program, given)
-        result = _searched(options, program, robots, around)
+        result = _searched(options, program, robots, around, lambda: _about(options, program, robots, around, given))
     except BadParam as error:
         raise Failure(USAGE, str(error)) from None
     except Lacking as error:
         raise Failure(USAGE, str(error), "docs/explore.md tells how such a file is written") from None
-    if result.violation is not None:
+    if options.format == "json":
+        print(json.dumps(document(result, program, robots), indent=2), flush=True)
+    else:
+        sys.stdout.write(report(result, program, options.program, robots))
+        sys.stdout.flush()
+    if result.violation is not None:  # told before: a file that cannot be written costs nothing of a long search
         if options.trace:
             about = _about(options, program, robots, around, given)
             save(options.trace, trace(result.violation, program, about))
         if options.itf:
             save(options.itf, itf(result.violation, program))
-    if options.format == "json":
-        print(json.dumps(document(result, program, robots), indent=2), flush=True)
-    else:
-        sys.stdout.write(report(result, program, options.program, robots))
     return _status(result)
 
 
@@ -65,7 +71,9 @@ def _about(options: Namespace, program: Program, robots: int, around: Environmen
     return About(hashed, tuple(given), answering(around, program, robots), externs(program, functions))
 
 
-def _searched(options: Namespace, program: Program, robots: int, around: Environment) -> Result:
+def _searched(
+    options: Namespace, program: Program, robots: int, around: Environment, about: Callable[[], About]
+) -> Result:
     line = Line(sys.stderr)
 
     def show(progress: Progress) -> None:
@@ -76,16 +84,50 @@ def _searched(options: Namespace, program: Program, robots: int, around: Environ
     bounds = Bounds(options.rounds, options.states, options.seconds)
     try:
         machine = Machine(program, robots, answering(around, program, robots), Path(functions))
+        surroundings = Surroundings(machine, around)
         search = Search(
-            machine, Surroundings(machine, around), bounds, time.monotonic, show,
+            machine, surroundings, bounds, time.monotonic, show,
             symmetry=options.symmetry, independence=options.independence, deadlock=options.deadlock,
             forgetting=options.forgetting,
         )  # fmt: skip
-        return search.run()
+        result = search.run()
+        found = result.violation
+        if found is None or _of_agents(found, program, about()):
+            return result
+        machine.discards.clear()
+        again = Search(
+            machine, surroundings, _further(bounds, found, result.progress), time.monotonic, show, symmetry=False,
+            independence=options.independence, deadlock=found.name == DEADLOCK, forgetting=options.forgetting,
+            as_agents=True,
+        ).run().violation  # fmt: skip
+        if again is None or again.name != found.name or not _of_agents(again, program, about()):
+            again = found._replace(of_agents=False)
+        return result._replace(violation=again)
     except CannotCall as error:
         raise Failure(WRONG, str(error), "name it with --functions") from None
     finally:
         line.end()
+
+
+def _further(bounds: Bounds, found: Violation, progress: Progress) -> Bounds:
+    """How far a run of no more rounds than the one found is looked for among those that agents can do."""
+    states = max(MORE, progress.states)
+    seconds = None if bounds.seconds is None else max(0.0, bounds.seconds - progress.seconds)
+    return Bounds(found.moments[-1].round, min(states, bounds.states or states), seconds)
+
+
+def _of_agents(found: Violation, program: Program, about: About) -> bool:
+    """Whether agents can do all orders of a run, as far as `koordgen sim --follow` can tell."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "run.jsonl"
+        path.write_text(trace(found, program, about))
+        try:
+            planned(program, read(path), about.externs)
+        except ModelOnly:
+            return False
+        except (CannotFollow, BadTrace):
+            pass  # `--follow` says why
+    return True
 
 
 def _fleet(options: Namespace, checked: Checked) -> tuple[int, Mapping[str, Any]]:

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from koordgen.check.params import BadParam, Value, as_given, with_params
-from koordgen.cli import USAGE, WRONG, Failure, _params
+from koordgen.cli import INCONCLUSIVE, USAGE, WRONG, Failure, _params
 from koordgen.cli.prove import hash_of
-from koordgen.follow.plan import CannotFollow, agree, document, planned
+from koordgen.follow.plan import CannotFollow, ModelOnly, agree, document, planned
 from koordgen.follow.read import Counterexample, read
 from koordgen.ir.decl import Program
 from koordgen.pipeline import check_file, read_fleet
@@ -36,7 +36,7 @@ def following(options: Namespace) -> tuple[dict[str, Value], dict[str, Any]]:
     try:
         return more, document(planned(program, given, externs(program, functions)), program_hash)
     except CannotFollow as error:
-        raise Failure(WRONG, str(error), error.help) from None
+        raise Failure(INCONCLUSIVE if isinstance(error, ModelOnly) else WRONG, str(error), error.help) from None
     except CannotCall as error:
         raise Failure(WRONG, str(error), "name it with --functions") from None
 
@@ -49,8 +49,9 @@ def _program(options: Namespace, given: Counterexample) -> tuple[Program, dict[s
     targets = {name: manifest.load(name) for name in manifest.available()}
     fleet, from_file = read_fleet(options.fleet, targets, checked.program, options.program)
     if len(fleet.robots) != given.n_sys:
+        robots = f"{given.n_sys} robot{'s' * (given.n_sys != 1)}"
         raise Failure(
-            WRONG, f"{given.path} is of {given.n_sys} robots, {options.fleet} has {len(fleet.robots)}",
+            WRONG, f"{given.path} is of {robots}, {options.fleet} has {len(fleet.robots)}",
             f"name a fleet of {given.n_sys}, or look for a counterexample with --robots {len(fleet.robots)}",
         )  # fmt: skip
     try:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Callable
 from typing import Any
 
 from koordgen import __version__
+
+MOST_ROBOTS = 128  # of a fleet, as the wire format has it
 
 
 class _Parser(argparse.ArgumentParser):
@@ -38,8 +41,8 @@ def parsed(arguments: list[str]) -> argparse.Namespace:
     for name, (summary, fill) in _COMMANDS.items():
         if asked == name or asked not in _COMMANDS:
             fill(commands.add_parser(name, help=summary))
-    for name, summary in _harnesses() if asked not in _COMMANDS else ():
-        _harness(commands.add_parser(name, help=f"build and run: {summary}"))
+        for harness, what in _harnesses() if name == "build" and asked not in _COMMANDS else ():
+            _harness(commands.add_parser(harness, help=f"build and run: {what}"))
     return parser.parse_args(arguments)
 
 
@@ -83,7 +86,7 @@ def _prove(command: argparse.ArgumentParser) -> None:
 
 def _explore(command: argparse.ArgumentParser) -> None:
     command.add_argument("program", metavar="APP.koord")
-    command.add_argument("--robots", metavar="N", type=_count, help="how many (default: the fleet file's, or 3)")
+    command.add_argument("--robots", metavar="N", type=_fleet_size, help="how many (default: the fleet file's, or 3)")
     command.add_argument("--rounds", metavar="R", type=_count, help="go no farther (default: to the end)")
     command.add_argument("--env", metavar="FILE", help="the values of sensors, what callable ports may answer (YAML)")
     command.add_argument("--states", metavar="K", type=_count, help="end after so many states")
@@ -105,10 +108,7 @@ def _explore(command: argparse.ArgumentParser) -> None:
 
 
 def _seconds(text: str) -> float:
-    value = float(text)
-    if not 0.01 <= value <= 86400.0:
-        raise ValueError
-    return value
+    return _number(text, 0.01, 86400.0, "time in seconds")
 
 
 def _fmt(command: argparse.ArgumentParser) -> None:
@@ -141,10 +141,7 @@ def _basestation(command: argparse.ArgumentParser) -> None:
 
 
 def _rate(text: str) -> float:
-    value = float(text)
-    if not 1.0 <= value <= 1000.0:
-        raise ValueError
-    return value
+    return _number(text, 1.0, 1000.0, "rate in Hz")
 
 
 def _doctor(command: argparse.ArgumentParser) -> None:
@@ -228,8 +225,8 @@ def _validate(command: argparse.ArgumentParser) -> None:
     command.add_argument("--cluster", metavar="ADDRESS", help="hand the runs to this Dask scheduler")
     command.add_argument("--out", metavar="DIR", help="where runs, table and picture go (default: validate-<app>)")
     command.add_argument("--reachsets", action="store_true", help="also where each platform can get to on its way")
-    offset = "of the target, for reachsets: metres, east, north, up (default: 4,0,0)"
-    command.add_argument("--offset", metavar="X,Y,Z", type=_offset, default=(4.0, 0.0, 0.0), help=offset)
+    offset = "of the target, for reachsets: metres, east, north, up (default: 0.7,0.4,0)"
+    command.add_argument("--offset", metavar="X,Y,Z", type=_offset, default=(0.7, 0.4, 0.0), help=offset)
     command.add_argument("--quiet", action="store_true", help="no progress")
     command.add_argument("--param", metavar="NAME=VALUE", action="append", default=[], help="a param's value")
     command.add_argument("--functions", metavar="FILE", help="Python of the extern functions")
@@ -237,24 +234,32 @@ def _validate(command: argparse.ArgumentParser) -> None:
 
 
 def _part(text: str) -> float:
-    value = float(text)
-    if not 1e-6 <= value <= 0.999:
-        raise argparse.ArgumentTypeError(f"{text} is no probability; give 0.000001 to 0.999")
+    return _number(text, 0.000001, 0.999, "probability")
+
+
+def _number(text: str, least: float, most: float, what: str) -> float:
+    """Raises ArgumentTypeError, whose message argparse tells as it is."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not least <= value <= most:
+        raise argparse.ArgumentTypeError(f"{text} is no {what}; give {least:g} to {most:g}")
     return value
 
 
 def _offset(text: str) -> tuple[float, float, float]:
-    x, y, z = (float(part) for part in text.split(","))
-    if not 0.1 <= (x * x + y * y + z * z) ** 0.5 <= 1000.0:
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text} is no offset; give X,Y,Z in metres, such as 0.7,0.4,0") from None
+    if not 0.1 <= math.hypot(x, y, z) <= 1000.0:
         raise argparse.ArgumentTypeError(f"{text} is no offset; give 0.1 to 1000 m")
     return x, y, z
 
 
 def _natural(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise ValueError
-    return value
+    return _whole(text, 0)
 
 
 def _replay(command: argparse.ArgumentParser) -> None:
@@ -277,9 +282,19 @@ def _audit(command: argparse.ArgumentParser) -> None:
 
 
 def _count(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise ValueError
+    return _whole(text, 1)
+
+
+def _fleet_size(text: str) -> int:
+    return _whole(text, 1, MOST_ROBOTS)
+
+
+def _whole(text: str, least: int, most: float = math.inf) -> int:
+    """Raises ArgumentTypeError."""
+    value = int(text) if text.strip().isdecimal() else -1
+    if not least <= value <= most:
+        end = "or more" if most == math.inf else f"to {most}"
+        raise argparse.ArgumentTypeError(f"{text} is no number that fits; give a whole one, {least} {end}")
     return value
 
 
@@ -312,22 +327,22 @@ def _format(command: argparse.ArgumentParser) -> None:
 
 _COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "check": ("check a program", _check),
-    "dump": ("show a program as it stands after a pass", _dump),
     "build": ("write a bundle for each target, or for each robot of a fleet", _build),
     "prove": ("prove a program's invariants, or show why they do not hold", _prove),
     "explore": ("try all that a fleet can do, and show the shortest way to what must not be", _explore),
-    "fmt": ("format programs in place", _fmt),
-    "explain": ("tell more of a code, with a wrong and a right example", _explain),
-    "estop": ("emergency stop: bring all robots of a fleet to rest at once", _estop),
-    "basestation": ("pass the poses of a motion capture system on to the robots of a fleet", _basestation),
-    "doctor": ("look whether a robot is ready for a mission, on its own computer; nothing moves", _doctor),
-    "key": ("make a fleet's key", _key),
+    "validate": ("hold what a program assumes of its ports to simulated platforms, many times", _validate),
+    "campaign": ("run a fleet many times, and tell what came of it", _campaign),
     "replay": ("run a trace's program again on what its robots saw, and compare what they did", _replay),
     "audit": ("judge a program's properties by the traces of a whole fleet", _audit),
-    "campaign": ("run a fleet many times, and tell what came of it", _campaign),
-    "validate": ("hold what a program assumes of its ports to simulated platforms, many times", _validate),
     "report": ("make the page that shows a run: moving pictures, rounds, shared variables, network", _report),
     "export": ("write a run's trace as MCAP, CSV, pictures or a film", _export),
+    "doctor": ("look whether a robot is ready for a mission, on its own computer; nothing moves", _doctor),
+    "key": ("make a fleet's key", _key),
+    "basestation": ("pass the poses of a motion capture system on to the robots of a fleet", _basestation),
+    "estop": ("emergency stop: bring all robots of a fleet to rest at once", _estop),
+    "fmt": ("format programs in place", _fmt),
+    "explain": ("tell more of a code, with a wrong and a right example", _explain),
+    "dump": ("show a program as it stands after a pass", _dump),
 }
 
 

@@ -111,8 +111,6 @@ class Surroundings:
         self.apart = "" if own is None else f"the environment's values for robot {own}"
         self._moves: dict[tuple[int, int], tuple[int, ...]] = {}
         self._news: dict[Hashable, list[dict[str, Value]]] = {}
-        commanded = {name.rpartition(".")[0] for name in machine.actuators if name.endswith((".target", ".path"))}
-        self._reached = {f"{module}.reached" for module in commanded}  # where nothing was commanded yet all is reached
 
     def starts(self) -> Iterator[tuple[dict[str, Value], ...]]:
         """What all robots' sensors may say when a mission begins, `initially` aside."""
@@ -122,7 +120,7 @@ class Surroundings:
         pools: list[tuple[Value, ...]] = []
         for name in self.machine.sensors:
             values, _, starts, _ = domains[name]
-            pools.append((True,) if name in self._reached else values if starts is None else starts)
+            pools.append((True,) if name in self.machine.unset else values if starts is None else starts)
         return [self._looked(domains, values) for values in product(*pools)]
 
     def _looked(self, domains: Mapping[str, Domain], values: tuple[Value, ...]) -> dict[str, Value]:
@@ -152,7 +150,10 @@ class Surroundings:
             key = (pid, self.machine.ports_key(robot))  # no assumption reads anything else
             if key not in self._news:
                 domains = self.domains[pid]
-                pools = [self._nearby(domains[name], robot.sensors[name]) for name in self.machine.sensors]
+                pools = [
+                    [True] if name in robot.unset else self._nearby(domains[name], robot.sensors[name])
+                    for name in self.machine.sensors
+                ]
                 news = [self._looked(domains, values) for values in product(*pools)]
                 self._news[key] = [new for new in news if self._allowed(pid, robot, new)]
             moved = [self.machine.own(robot._replace(sensors=new)) for new in self._news[key]]

@@ -33,12 +33,14 @@ _numbers = count()
 
 
 class Own(NamedTuple):
-    """What is one robot's alone; ports by "Module.port"."""
+    """What is one robot's alone; ports by "Module.port". `unset`: the sensors `reached` of modules that were commanded
+    nothing yet; they stay true until then."""
 
     locals: Mapping[str, Any]
     sensors: Mapping[str, Any]
     actuators: Mapping[str, Any]
     stopped: bool
+    unset: frozenset[str] = frozenset()
 
 
 class Choice(NamedTuple):
@@ -122,6 +124,8 @@ class Machine:
         self.types = declared(program)
         self.sensors = tuple(name for name, port in ports if port.direction == "sensor")
         self.actuators = tuple(name for name, port in ports if port.direction == "actuator")
+        goals = {name.rpartition(".")[0] for name in self.actuators if name.endswith((".target", ".path"))}
+        self.unset = frozenset({f"{module}.reached" for module in goals} & set(self.sensors))
         self.allread = tuple(v.name for v in program.shared if v.kind == "allread")
         self.allwrite = tuple(v.name for v in program.shared if v.kind == "allwrite")
         self.owns: Interned[Own] = Interned()
@@ -247,10 +251,10 @@ class Machine:
     def ports_key(self, robot: Own) -> Hashable:
         """What tells a robot's ports apart."""
         sensors = [self.key(name, robot.sensors[name]) for name in self.sensors]
-        return (*sensors, *[self.key(name, robot.actuators[name]) for name in self.actuators])
+        return (*sensors, *[self.key(name, robot.actuators[name]) for name in self.actuators], robot.unset)
 
     def packed(self, state: State) -> Packed:
-        """A state of the semantics."""
+        """A state of the semantics, in which nothing was commanded yet."""
         robots = [self.own(self._own(robot)) for robot in state.robots]
         slots = [
             self._slots(tuple([self._taken(name, state.store.slots[name][pid]) for name in self.allread]))
@@ -279,7 +283,7 @@ class Machine:
         cleared = {f"{m}.reached": False for m in sent if f"{m}.reached" in robot.sensors}
         sensors = {**robot.sensors, **cleared} if cleared else robot.sensors
         actuators = {**robot.actuators, **done.actuators} if done.actuators else robot.actuators
-        own = self.own(Own(done.locals, sensors, actuators, done.stopped))
+        own = self.own(Own(done.locals, sensors, actuators, done.stopped, robot.unset.difference(cleared)))
         slots = seen[pid]
         if any(name in done.shared for name in self.allread):
             held = zip(self.allread, self.slots.values[slots], strict=True)
@@ -312,7 +316,7 @@ class Machine:
         ports = {name: self._taken(name, value) for name, value in robot.ports.items()}
         locals_ = {name: self._taken(name, value) for name, value in robot.locals.items()}
         sensors = {name: ports[name] for name in self.sensors}
-        return Own(locals_, sensors, {name: ports[name] for name in self.actuators}, robot.stopped)
+        return Own(locals_, sensors, {name: ports[name] for name in self.actuators}, robot.stopped, self.unset)
 
     def _taken(self, name: str, value: Any) -> Any:
         return python_value(value, self.types[name], self.scope, self.names)

@@ -10,7 +10,7 @@ order of a round can be sorted into this one by exchanging neighbours that commu
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from koordgen.explore.machine import Choice, Machine, Packed
 from koordgen.ir import decl, expr, stmt
@@ -18,6 +18,10 @@ from koordgen.node import nodes
 
 Node = tuple[int, Packed]  # who has stepped, as bits; the fleet then
 Came = tuple[Node, int, int]  # from where, by which robot, by which event
+Turn = tuple[bool | None, bool]  # atomic events, plain ones, or all; whether in every order, or by ascending pid
+EVERY_ORDER: Final[tuple[Turn, ...]] = ((None, True),)
+NO_ORDER: Final[tuple[Turn, ...]] = ((None, False),)
+AGENTS_ORDER: Final[tuple[Turn, ...]] = ((True, True), (False, False), (True, True))
 
 
 class Phase(NamedTuple):
@@ -91,13 +95,14 @@ def _access(event: decl.Event) -> tuple[set[str], set[str]]:
 class Rounds:
     """The rounds of one machine. What a robot may do is computed once for each own and store; where robots are `alike`,
     once for all orders of the others' slots. `stands` yields the own that stands for the one which a robot has after
-    its step, given its pid and the store: nobody looks at it before the round's end."""
+    its step, given its pid and the store: nobody looks at it before the round's end. `as_agents`: plain events come by
+    ascending pid, one after another, atomic ones in every order before and behind them."""
 
     def __init__(
         self, machine: Machine, independence: bool = True, idle: Collection[int] = (), alike: bool = False,
-        stands: Callable[[int, int, Packed], int] | None = None,
+        stands: Callable[[int, int, Packed], int] | None = None, as_agents: bool = False,
     ) -> None:  # fmt: skip
-        self.machine, self.alike, self.stands = machine, alike, stands
+        self.machine, self.alike, self.stands, self.as_agents = machine, alike, stands, as_agents
         self.phases = phases(machine.program, independence, idle)
         self._known: dict[tuple[int, bool, int, int, Packed], tuple[Choice, ...]] = {}
         self._alone: dict[Packed, tuple[Choice, ...]] = {}
@@ -105,6 +110,8 @@ class Rounds:
     def ends(self, fleet: Packed) -> Collection[Node]:
         """Every fleet that the program's step may leave, skipping included, with who has stepped; the first is that of
         which nobody has. Every fleet within a round is among them: those who have not stepped yet may skip."""
+        if self.as_agents:
+            return self.ways(fleet)
         found: list[Node] = [(0, fleet)]
         n_sys = self.machine.n_sys
         begun = fleet[n_sys:]
@@ -160,24 +167,30 @@ class Rounds:
         found: dict[Node, Came | None] = {(0, fleet): None}
         begun = fleet[self.machine.n_sys :]
         for number, phase in enumerate(self.phases):
-            if phase.ordered:
-                pending = list(found)
-                for node in pending:  # grows meanwhile
+            turns = NO_ORDER if not phase.ordered else AGENTS_ORDER if self.as_agents else EVERY_ORDER
+            for atomic, every_order in turns:
+                if every_order:
+                    pending = list(found)
+                    for node in pending:  # grows meanwhile
+                        for pid in range(self.machine.n_sys):
+                            pending += self._stepped(found, number, atomic, pid, node, begun)
+                else:
                     for pid in range(self.machine.n_sys):
-                        pending += self._stepped(found, number, pid, node, begun)
-            else:
-                for pid in range(self.machine.n_sys):
-                    for node in list(found):
-                        self._stepped(found, number, pid, node, begun)
+                        for node in list(found):
+                            self._stepped(found, number, atomic, pid, node, begun)
         return found
 
-    def _stepped(self, found: dict[Node, Came | None], number: int, pid: int, node: Node, begun: Packed) -> list[Node]:
+    def _stepped(
+        self, found: dict[Node, Came | None], number: int, atomic: bool | None, pid: int, node: Node, begun: Packed
+    ) -> list[Node]:
         """What one robot's step adds, if it has taken none."""
         mask, fleet = node
         if mask >> pid & 1:
             return []
         added = []
         for choice in self._choices(number, pid, fleet, begun):
+            if atomic is not None and atomic != (self.machine.program.events[choice.event].lock is not None):
+                continue
             following = (mask | 1 << pid, self.machine.applied(fleet, pid, choice))
             if following not in found:
                 found[following] = (node, pid, choice.event)

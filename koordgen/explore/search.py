@@ -45,7 +45,8 @@ class Progress(NamedTuple):
 
 class Violation(NamedTuple):
     """`name`: of the invariant, WELL_DEFINED or DEADLOCK. `failed` is what is false at the last moment; where nothing
-    is, `reason` says what is wrong, and `culprit` which robot's event (or init) has no result."""
+    is, `reason` says what is wrong, and `culprit` which robot's event (or init) has no result. `of_agents`: no order of
+    its steps is known to be one that agents do not have."""
 
     name: str
     line: int
@@ -53,6 +54,7 @@ class Violation(NamedTuple):
     failed: Conjunct | None
     reason: str
     culprit: tuple[int, str] | None = None
+    of_agents: bool = True
 
 
 class Result(NamedTuple):
@@ -78,25 +80,27 @@ class _Over(Exception):
 
 
 class Search:
-    """One exploration. `clock` yields seconds, `show` is told of the progress now and then. `run` raises Lacking."""
+    """One exploration. `clock` yields seconds, `show` is told of the progress now and then. `as_agents`: only rounds
+    whose plain events come by ascending pid; who is who counts then. `run` raises Lacking."""
 
     def __init__(
         self, machine: Machine, around: Surroundings, bounds: Bounds, clock: Callable[[], float],
         show: Callable[[Progress], None], symmetry: bool = True, independence: bool = True, deadlock: bool = True,
-        forgetting: bool = True,
+        forgetting: bool = True, as_agents: bool = False,
     ) -> None:  # fmt: skip
         self.machine, self.around, self.bounds, self.clock, self.show = machine, around, bounds, clock, show
         self.invariants = Invariants(machine)
         self.apart = (around.apart or distinguishes(machine.program)) if symmetry else "it is switched off"
-        self.independence, self.deadlock = independence, deadlock
+        self.independence, self.deadlock, self.as_agents = independence, deadlock, as_agents
         self.forgetting = Forgetting(machine) if forgetting else None
         self._fresh()
 
     def _fresh(self) -> None:
         """Nothing is explored yet."""
         idle, stands = (self.forgetting.idle, self.forgetting.own) if self.forgetting else ((), None)
-        self.rounds = Rounds(self.machine, self.independence, idle, not self.apart, stands)
-        self.exact = Rounds(self.machine, self.independence, idle)  # of robots as they really are
+        self.rounds = Rounds(self.machine, self.independence, idle, not self.apart, stands, self.as_agents)
+        # of robots as they really are
+        self.exact = Rounds(self.machine, self.independence, idle, as_agents=self.as_agents)
         self.known: dict[Packed, Packed | None] = {}  # states at rounds' ends, each with one that leads to it
         self.within: set[Packed] = set()  # states before the environment's step that were looked at
         self.begin: dict[Packed, Packed] = {}  # those after init, with those before
@@ -158,7 +162,7 @@ class Search:
             return None, "no state satisfies `initially`"
         while layer:
             if self.depth == self.bounds.rounds:
-                return None, f"the bound of {self.depth} rounds"
+                return None, f"the bound of {self.depth} round{'s' * (self.depth != 1)}"
             following: list[Packed] = []
             for number, fleet in enumerate(layer):
                 self.waiting = len(layer) - number + len(following)
@@ -186,7 +190,7 @@ class Search:
                 continue
             self.within.add(end)
             if self.machine.sensors and self.invariants.broken(end):
-                return self._broken(self._within(self._run_to(fleet), end))
+                return self._broken(self._within(fleet, end))
             moves = 0
             for moved in self._moved(end):
                 moves += 1
@@ -247,7 +251,7 @@ class Search:
         if self.bounds.seconds is not None and now - self.started > self.bounds.seconds:
             raise _Over(f"the bound of {self.bounds.seconds:g} s")
         if self.bounds.states is not None and len(self.known) > self.bounds.states:
-            raise _Over(f"the bound of {self.bounds.states} states")
+            raise _Over(f"the bound of {self.bounds.states} state{'s' * (self.bounds.states != 1)}")
 
     def _dead(self, fleet: Packed) -> bool:
         """Whether nothing will ever be enabled, however the environment goes on, though some robot has not stopped."""
@@ -267,6 +271,10 @@ class Search:
 
     def _run_to(self, fleet: Packed) -> list[Moment]:
         """How a state at a round's end came about, by the robots that really took the steps."""
+        return self._way_to(fleet)[0]
+
+    def _way_to(self, fleet: Packed) -> tuple[list[Moment], Packed]:
+        """The same, with the fleet to which it leads."""
         chain = [fleet]
         while (parent := self.known[chain[-1]]) is not None:
             chain.append(parent)
@@ -275,7 +283,7 @@ class Search:
         moments = [Moment(self.machine.state(before, 0), "", None, 0), Moment(self.machine.state(at), "init", None, 0)]
         for number, target in enumerate(reversed(chain[:-1]), 1):
             at = self._step_to(moments, at, target, number)
-        return moments
+        return moments, at
 
     def _step_to(self, moments: list[Moment], at: Packed, target: Packed, number: int) -> Packed:
         """One round's moments, to a fleet that `target` stands for; yields that fleet."""
@@ -289,10 +297,11 @@ class Search:
                     return moved
         raise InternalError("a state that was explored has no parent that leads to it")
 
-    def _within(self, moments: list[Moment], end: Packed) -> list[Moment]:
-        """A run that goes on to a fleet within the round, which `end` stands for."""
+    def _within(self, fleet: Packed, end: Packed) -> list[Moment]:
+        """A run to a state that goes on to a fleet within the round, which `end` stands for."""
+        moments, at = self._way_to(fleet)
         number = moments[-1].round + 1
-        found = self.exact.ways(self.machine.packed(moments[-1].state))
+        found = self.exact.ways(at)
         node = min((n for n in found if self.alike(n[1]) == end), key=lambda node: node[0].bit_count())
         return [*moments, *self._taken(found, node, number)]
 
@@ -311,8 +320,7 @@ class Search:
     def _discarded_in(self, fleet: Packed) -> Violation:
         """An event without a result, in a round from `fleet`: looked for once more, by the robots that really took the
         steps before it."""
-        moments = self._run_to(fleet)
-        at = self.machine.packed(moments[-1].state)
+        moments, at = self._way_to(fleet)
         self.machine.discards.clear()
         found = self.exact.ways(at)
         discard, n_sys = self.machine.discards[0], self.machine.n_sys

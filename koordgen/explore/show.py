@@ -66,6 +66,11 @@ def _violation(found: Violation, program: decl.Program) -> Iterator[str]:
     else:
         place = f"  ({program.path}:{found.line})" if found.line else ""
         yield from _wrapped(f"  {found.reason}{place}")
+    if not found.of_agents:
+        yield from _wrapped(
+            "agents apply the plain events of a round by ascending pid: no robots do this order; it is a behaviour of "
+            "the language"
+        )
 
 
 def _wrapped(text: str) -> list[str]:
@@ -99,6 +104,7 @@ def _data(found: Violation) -> dict[str, Any]:
         "line": found.failed.formula.span.line if found.failed else found.line,
         "conjunct": spelled(found.failed.formula) if found.failed else found.reason,
         "rounds": found.moments[-1].round,
+        "order_of_agents": found.of_agents,
         "run": moments_data(found.moments),
     }
 

@@ -38,6 +38,10 @@ class CannotFollow(Exception):
         self.help = help
 
 
+class ModelOnly(CannotFollow):
+    """The trace is, or may be, a behaviour of the language that agents do not have."""
+
+
 class Round(NamedTuple):
     """A round of the agents: what it is part of, what each robot is to try (`free`: what it wants), and how all stands
     when it begins. `calls` by pid."""
@@ -178,12 +182,32 @@ class _Planner:
                     return found
         names = ", ".join(f"{step.event} of robot {step.pid}" for step in acts)
         place = f"{self.given.path}:{acts[0].line}: round {acts[0].round}"
-        raise CannotFollow(
+        if not self.given.initial and self.events[acts[0].event].lock is None:
+            raise ModelOnly(
+                f"{place}: {names} does not come to what the trace says ({nearest})" if nearest
+                else f"{place}: {names} has no result in the trace's first state",
+                "a plain event reads the store of its round's start, and a proof's step may begin amid a round, when "
+                "others have written since; robots begin with a round",
+            )  # fmt: skip
+        after = self.stepped(acts, state, world)
+        kind = CannotFollow if after is None or self.differs(acts[-1], after) else ModelOnly
+        raise kind(
             f"{place}: {names}, in this order: no rounds of agents come to what the trace says"
             + (f" ({nearest})" if nearest else ""),
             "agents apply the commits of a round first, one for each lock, then plain events by ascending pid: what "
             "needs another order happens in the model only",
         )
+
+    def stepped(self, acts: list[Step], state: State, world: World) -> State | None:
+        """Where the language's round leads, in the very order of the steps; None where one of them has no result."""
+        at = state
+        for step in acts:
+            seen = at if self.events[step.event].lock is not None else at._replace(store=state.store)
+            done = self.done([step], seen, world)
+            if done is None:
+                return None
+            at = applied(at, done[0])
+        return at
 
     def splits(self, acts: list[Step]) -> Iterator[list[list[Step]]]:
         """Ways to spread a round's events over agents' rounds, the fewest first: all at once; the plain ones at once
@@ -279,8 +303,8 @@ class _Planner:
                 self.commanded |= {(step.pid, module) for module, _, port in written if port in ("target", "path")}
 
     def unset(self, pid: int) -> set[str]:
-        """The sensors `reached` of a robot that was commanded nothing yet: on robots they are true then, whatever the
-        environment of an exploration says."""
+        """The sensors `reached` of a robot that was commanded nothing yet: on robots they are true then, whatever a
+        proof's counterexample says."""
         goals = [name.rpartition(".") for name in self.actuators if name.endswith((".target", ".path"))]
         modules = {module for module, _, _ in goals if (pid, module) not in self.commanded}
         return {f"{module}.reached" for module in modules} & self.sensors

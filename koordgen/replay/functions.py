@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Mapping
 from importlib import util
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -37,7 +38,7 @@ def externs(program: decl.Program, file: Path | None) -> Mapping[str, Callable[.
 def load(program: decl.Program, file: Path) -> None:
     """Imports the file, under the name by which generated code asks for it. Raises CannotCall."""
     name = functions_module(program)
-    spec = util.spec_from_file_location(name, file)
+    spec = util.spec_from_file_location(name, file, loader=SourceFileLoader(name, str(file)))  # whatever its ending
     assert spec is not None and spec.loader is not None
     module = sys.modules[name] = util.module_from_spec(spec)
     sys.path.insert(0, str(file.parent))

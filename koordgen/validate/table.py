@@ -156,8 +156,9 @@ def _case(verdict: Verdict, case: Case, commands: Commands) -> Iterator[str]:
 def _suggestions(found: Found) -> Iterator[str]:
     seen = max((v.runs for v in found.verdicts), default=0)
     epsilon = max((v.epsilon for v in found.verdicts), default=1.0)
+    kept = f"all of these {seen} runs" if seen > 1 else "this one run"
     yield (
-        f"weaker, and kept in all of these {seen} runs: with confidence {1 - found.bound.gamma:g} a further run needs "
+        f"weaker, and kept in {kept}: with confidence {1 - found.bound.gamma:g} a further run needs "
         f"more than its platform's margin with a probability below {epsilon:.3g}"
     )
     for line in dict.fromkeys(s.line for s in found.suggestions):

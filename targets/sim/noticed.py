@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 import msgspec
@@ -9,6 +10,8 @@ import msgspec
 from targets.sim.trace import Monitor, Verdict
 
 MOST = 200  # changes that pages show
+OF_ONE = 6  # of one property and robot, where nothing is done about it: an exact box is left again and again
+ACTS = {"hold": ", holds", "land": ", lands", "stop": ", comes to rest"}
 SOON = 2  # rounds within which a robot that can tell has looked
 
 Key = tuple[str, str, str]  # of, name, line
@@ -31,6 +34,7 @@ class Notable:
 
     def __init__(self) -> None:
         self._violated: set[tuple[int, Key]] = set()
+        self._of_one: Counter[tuple[int, Key]] = Counter()
         self._count = 0
 
     def take(self, record: Monitor) -> bool:
@@ -42,13 +46,16 @@ class Notable:
             return False
         else:
             self._violated.discard(key)
-        self._count += 1
-        return self._count <= MOST
+        self._of_one[key] += 1
+        shown = self._of_one[key] <= (MOST if record.action in ACTS else OF_ONE) and self._count < MOST
+        self._count += shown
+        return shown
 
 
 def said(record: Monitor) -> str:
-    """The property and its outcome, in a few words."""
-    return f"{record.of} {record.name}".strip() + f": {record.outcome}"
+    """The property, its outcome and what the robot does then, in a few words."""
+    does = ACTS.get(record.action, "") if record.outcome == "violated" else ""
+    return f"{record.of} {record.name}".strip() + f": {record.outcome}{does}"
 
 
 class Monitored:

@@ -215,11 +215,11 @@ def seconds(t: float) -> str:
 
 def told(violation: Violation) -> str:
     """A violation in one sentence."""
-    who = " and ".join(violation.robots)
+    who = " ".join([f"at {seconds(violation.t)} s", *filter(None, [" and ".join(violation.robots)])])
     if violation.line:
-        return f"at {seconds(violation.t)} s {who}: {violation.detail} ({violation.line})"
+        return f"{who}: {violation.detail} ({violation.line})"
     verb = " " if violation.what in ("ended", "unrest") else f": {violation.what}, "
-    return f"at {seconds(violation.t)} s {who}{verb}{violation.detail}"
+    return f"{who}{verb}{violation.detail}"
 
 
 def _brought(cause: Cause) -> str:

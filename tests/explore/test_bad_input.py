@@ -139,3 +139,28 @@ def test_the_command_line_has_the_last_word_on_params(folder: Path, capsys: pyte
     assert main(["explore", election, "--env", str(env), "--param", "salt=x", "--trace", str(trace)]) == 2
     assert "salt" in capsys.readouterr().err
     assert main(["explore", election, "--env", str(env), "--param", "salt=3"]) == 0
+
+
+def test_a_file_of_functions_with_another_ending(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = folder / "functions.txt"
+    file.write_bytes(b"\x00\xff\xfe")
+    status, said = told(capsys, str(folder / "extern.koord"), "--functions", str(file))
+    assert status == 1 and "functions.txt cannot be imported: " in said
+
+
+def test_a_trace_that_cannot_be_written_costs_nothing_of_what_was_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lost = tmp_path / "lost.koord"
+    lost.write_text((EXAMPLES / "atomicsum/atomicsum.koord").read_text().replace("  eff: atomic:", "  eff:", 1))
+    assert main(["explore", str(lost), "--robots", "2", "--trace", str(tmp_path / "none/t.jsonl")]) == 5
+    captured = capsys.readouterr()
+    assert "Counted is violated after 1 round" in captured.out and "none/t.jsonl: No such file" in captured.err
+
+
+@pytest.mark.parametrize("robots", ["0", "129", "two"])
+def test_fleets_of_no_size_that_robots_have(robots: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(["explore", str(EXAMPLES / "election/election.koord"), "--robots", robots])
+    said = capsys.readouterr().err
+    assert left.value.code == 2 and f"{robots} is no number that fits; give a whole one, 1 to 128" in said

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -67,3 +68,48 @@ def test_a_port_without_values_is_2_and_a_wrong_file_is_1(tmp_path: Path, capsys
     env.write_text("Motion.position: [[0, 0, 0]]\nMotion.planner: straight\n")
     assert main(["explore", str(path), "--env", str(env), "--no-deadlock"]) == 0
     assert main(["explore", str(path), "--param", "none=3"]) == 2
+
+
+# Robots tell once; the last one's number stays. Agents tell by ascending pid.
+ORDER = """
+allwrite: int last
+allread: bool done[N_SYS]
+Tell:
+  pre: not done[pid]
+  eff:
+    last = (pid + 1) * (1 + last)
+    done[pid] = True
+Finish:
+  pre: done[pid]
+  eff: stop
+invariant No: {}
+"""
+
+
+def explored(path: Path, robots: int, wrong: str, capsys: pytest.CaptureFixture[str], *more: str) -> dict[str, Any]:
+    path.write_text(ORDER.format(wrong))
+    assert main(["explore", str(path), "--robots", str(robots), "--format", "json", *more]) == 3
+    found = json.loads(capsys.readouterr().out)["violation"]
+    assert isinstance(found, dict)
+    return found
+
+
+def test_an_order_that_agents_do_not_have_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "app.koord"
+    found = explored(path, 2, "last != 1 or done.count(True) < 2", capsys)
+    assert found["order_of_agents"] is False and found["rounds"] == 1
+    assert main(["explore", str(path), "--robots", "2"]) == 3
+    assert "no robots do this order" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize("more", [(), ("--no-independence",), ("--no-symmetry", "--no-forgetting"), ("--seconds=100",)])
+def test_of_runs_of_equally_many_rounds_one_that_agents_can_do_is_shown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], more: tuple[str, ...]
+) -> None:
+    # Robots 1 and 0 in this order are found first, then 1 and 2.
+    wrong = "last == 2 or done.count(True) < 2 or not (exists i in ID: done[i] and i == 1)"
+    found = explored(tmp_path / "app.koord", 3, wrong, capsys, *more)
+    assert found["order_of_agents"] is True and found["rounds"] == 1
+    assert [step["robot"] for step in found["run"] if step["event"] == "Tell"] == [1, 2]
+    assert main(["explore", str(tmp_path / "app.koord"), *more]) == 3
+    assert "order" not in capsys.readouterr().out

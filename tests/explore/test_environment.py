@@ -219,3 +219,43 @@ def test_values_are_what_their_decimals_say() -> None:
         compiled(PLAN), "Motion.position: {grid: {lo: [0, 0, 0], hi: [0.3, 0, 0], step: 0.1}}\nMotion.planner: none\n"
     )
     assert found.domains["Motion.position"].values == tuple([Point(x, 0.0, 0.0) for x in (0.0, 0.1, 0.2, 0.3)])
+
+
+COMMANDED = """
+using Motion:
+  sensors:
+    Point position
+    bool reached
+  actuators: Point target
+local: int n
+Back:
+  pre: n == 0
+  eff:
+    n = 1
+    Motion.target = Motion.position
+Wait:
+  pre: n == 1 and Motion.reached
+  eff: n = 2
+"""
+
+
+def test_reached_stays_true_until_something_is_commanded() -> None:
+    program = compiled(COMMANDED + "invariant Here: forall i in ID: Motion.reached[i] or n[i] > 0\n")
+    found = around(program, "Motion.position: [[0, 0, 0]]\n")
+    for forgetting in (True, False):
+        made, result = explored(program, 2, found, forgetting=forgetting, symmetry=False, deadlock=False)
+        assert result.violation is None and not result.stopped
+        robots = {(r.locals["n"], r.ports["Motion.reached"]) for f in made.known for r in made.machine.state(f).robots}
+        # Where it was commanded, to the very place where it began, it may say anything.
+        assert robots == {(0, True), (1, False), (1, True), (2, False), (2, True)}
+
+
+def test_what_was_commanded_in_an_earlier_round_is_known_where_a_run_is_shown() -> None:
+    program = compiled(COMMANDED + "invariant No: forall i in ID: n[i] < 2 or Motion.reached[i]\n")
+    found = explored(program, 2, around(program, "Motion.position: [[0, 0, 0]]\n"), deadlock=False)[1].violation
+    assert (
+        found is not None
+        and found.name == "No"
+        and not all(r.ports["Motion.reached"] for r in found.moments[-1].state.robots)
+    )
+    assert [m.round for m in found.moments if m.event == "Wait"] == [2]

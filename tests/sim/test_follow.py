@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
@@ -79,6 +81,23 @@ def test_a_lost_update(tmp_path: Path) -> None:
 def test_an_event_without_a_result_after_commits_of_other_rounds(tmp_path: Path) -> None:
     done = same(tmp_path, found(tmp_path, STALE, 3), 3)
     assert "Bad of r" in done.said and "has no result" in done.said
+
+
+def test_init_without_a_result(tmp_path: Path) -> None:
+    text = "local: int n\ninit:\n  n = 2 ** (40 * pid + 40)\nUp:\n  pre: n < 1\n  eff: stop\n"
+    done = same(tmp_path, found(tmp_path, text, 2), 2)
+    ending = records(tmp_path / "cx.jsonl", "violation")[0]
+    assert (ending["pid"], ending["event"]) == (1, "init") and "init of r1 has no result" in done.said
+
+
+def test_the_command_itself(tmp_path: Path) -> None:
+    trace = found(tmp_path, LOST, 2)
+    command = [sys.executable, "-m", "koordgen", "sim", str(tmp_path / "app.koord"), "--fleet", str(fleet(tmp_path, 2))]
+    command += ["--follow", str(trace), "--no-report", "--out", str(tmp_path / "run")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 3, done.stderr
+    assert done.stdout.splitlines()[-1].endswith("Counted is violated after the same round, as the trace says")
+    replays(tmp_path / "run")
 
 
 MOVED = """
@@ -167,7 +186,7 @@ def follow_random(folder: Path, seed: int, robots: int, rounds: int) -> str:
     that agents do not have."""
     trace = random_run(folder, seed, robots, rounds)
     done = follow(folder / "app.koord", fleet(folder, robots, SERVED), trace)
-    if done.status == 1:
+    if done.status == 4:
         assert "no rounds of agents come to what the trace says" in done.said
         return "another order"
     assert done.status == 0 and "which did the same" in done.said, done

@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from koordgen.cli import main
-from targets.sim.noticed import MOST, Monitored, Notable, Noticed, as_text
-from targets.sim.trace import Monitor, Verdict
+from targets.sim.noticed import MOST, OF_ONE, Monitored, Notable, Noticed, as_text, said
+from targets.sim.summary import told as in_words
+from targets.sim.trace import Monitor, Verdict, Violation
 from tests.sim.lockstep import digest, ran, summary
 
 NAMES = {0: "alice", 1: "bert", 2: "cleo"}
@@ -46,7 +48,20 @@ def test_pages_show_violations_and_their_ends_but_not_without_end() -> None:
     notable = Notable()
     outcomes = ["held", "violated", "unknown", "held", "violated", "held"]
     assert [notable.take(told(0, 0.0, outcome)) for outcome in outcomes] == [False, True, True, False, True, True]
-    assert sum(notable.take(told(0, 0.0, "violated")) for _ in range(MOST + 9)) == MOST - 4
+    assert sum(notable.take(told(0, 0.0, "violated")) for _ in range(9)) == OF_ONE - 4, "the others have room"
+    held = [notable.take(replace(told(1, 0.0, "violated"), action="hold")) for _ in range(MOST + 9)]
+    assert sum(held) == MOST - OF_ONE, "what a robot does is shown, each time"
+
+
+def test_what_a_robot_does_is_said() -> None:
+    assert said(replace(told(0, 0.0, "violated"), action="hold")) == "invariant Near: violated, holds"
+    assert said(replace(told(0, 0.0, "held"), action="hold")) == "invariant Near: held"
+    assert said(told(0, 0.0, "violated")) == "invariant Near: violated"
+
+
+def test_a_violation_of_nobody_is_one_sentence() -> None:
+    nobody = Violation(1.0, "property", (), "invariant Near does not hold", name="Near", line="a.koord:7")
+    assert in_words(nobody) == "at 1.00 s: invariant Near does not hold (a.koord:7)"
 
 
 # Robot 0 leaves its yard: the bound on its target is missing.

@@ -127,8 +127,11 @@ def test_a_program_that_assumes_nothing(capsys: pytest.CaptureFixture[str]) -> N
     ("words", "said"),
     [
         (["--epsilon", "0"], "0 is no probability"), (["--gamma", "1"], "1 is no probability"),
-        (["--epsilon", "nan"], "nan is no probability"), (["--gamma", "x"], "invalid"), (["--samples", "0"], "invalid"),
-        (["--seconds", "0"], "invalid"), (["--seed", "-1"], "invalid"), (["--jobs", "0"], "invalid"),
+        (["--epsilon", "nan"], "nan is no probability"), (["--gamma", "x"], "x is no probability"),
+        (["--samples", "0"], "0 is no number that fits"),
+        (["--seconds", "0"], "0 is no time in seconds; give 0.01 to 86400"),
+        (["--seed", "-1"], "a whole one, 0 or more"),
+        (["--jobs", "1.5"], "a whole one, 1 or more"), (["--offset", "1,2"], "1,2 is no offset; give X,Y,Z in metres"),
     ],
 )  # fmt: skip
 def test_wrong_calls(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -180,7 +180,8 @@ class Guide:
         """The exit status of a run that came to its end, and what to say."""
         plan, ending = self.plan, self.plan.ending
         if ending is not None and ending.event == "init" and not outcome.started:
-            return self._told(outcome, "init" if "(in init)" in self._run.conduct.agents[ending.pid].last_error else "")
+            self._discarded = "(in init)" in self._run.conduct.agents[ending.pid].last_error
+            return self._told(outcome, self._shown(outcome))
         late = [pid for pid, seen in enumerate(self._seen) if seen < len(plan.rounds)]
         if not self._differences and late:
             pid = late[0]

@@ -88,8 +88,9 @@ class Rows:
                 what = f"{f'{record.of} {record.name}'.strip()}: {record.outcome}"
                 detail = ", ".join(filter(None, (record.line, record.detail)))
                 self._add("marks", [t, "verdict", what, list(record.robots), detail])
-            case Monitor(why=why) if 0 <= record.pid < self._count and self._notable.take(record):
-                self._add("marks", [t, "monitor", said(record), [self._names[record.pid]], f"{record.line}: {why}"])
+            case Monitor() if 0 <= record.pid < self._count and self._notable.take(record):
+                detail = ": ".join(filter(None, (record.line, record.why)))
+                self._add("marks", [t, "monitor", said(record), [self._names[record.pid]], detail])
             case Pose() | Phase() | Init() | Round() | Log() | Stream() | Metrics() if 0 <= record.pid < self._count:
                 self._of_robot(record, t)
             case _:

@@ -4,7 +4,7 @@
 // Okabe and Ito, Color Universal Design (2008), without the yellow that vanishes on white; then dashes tell apart.
 const COLOURS = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000"];
 const DASHES = [[], [9, 4], [3, 3], [10, 3, 3, 3]];
-const RED = "#B00020", INK = "#1d1d1f", DIM = "#5f6368", LINE = "#e4e4e7", STONE = "#cfcfd3", STONE_EDGE = "#8a8a90";
+const RED = "#B00020", INK = "#1d1d1f", DIM = "#5f6368", AMBER = "#b36b00", LINE = "#e4e4e7", STONE = "#cfcfd3", STONE_EDGE = "#8a8a90";
 const STATES = [["#B00020", "to do"], ["#E69F00", "taken"], ["#1B7F4B", "done"]];
 const FONT = "12px system-ui, 'DejaVu Sans', sans-serif";
 
@@ -104,7 +104,9 @@ function overTime(chart, model, now) {
   for (const [t, kind, , , , lasts] of model.marks)
     if (kind === "cause" && lasts) ctx.fillRect(chart.x(t), top, chart.x(t + lasts) - chart.x(t), height - bottom - top);
   line(0, STONE_EDGE, [3, 3], 1);
-  for (const [t, kind] of model.marks) line(t, kind === "violation" ? RED : kind === "cause" ? "#7a3db8" : STONE_EDGE, [3, 3], 1);
+  const inks = { violation: RED, cause: "#7a3db8", monitor: AMBER };
+  for (const [t, kind, what] of model.marks)
+    if (kind !== "monitor" || what.includes(": violated")) line(t, inks[kind] || STONE_EDGE, [3, 3], 1);
   line(now, INK, [], 1.2);
 }
 
