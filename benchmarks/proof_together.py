@@ -1,0 +1,41 @@
+"""One process that proves programs for any number of robots, one after the other: prints the wall and CPU seconds that
+this takes beyond the start of Python and the front end. `proof_tables.py` runs it: `proof_together.py APP.koord...`."""
+
+from __future__ import annotations
+
+import gc
+import resource
+import sys
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from koordgen.pipeline import check_file
+
+
+def _cpu() -> float:
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + children.ru_utime + children.ru_stime
+
+
+def main(paths: list[str]) -> None:
+    gc.disable()  # as the command does
+    programs = [check_file(path).program for path in paths]
+    began, before = time.perf_counter(), _cpu()
+    from koordgen.prove.solve import Limits, solver_of
+
+    with solver_of("z3", Limits()) as solver:
+        solver.start()
+        from koordgen.prove.verdict import Question, prove  # while the solver loads, as the command does
+
+        verdicts = [verdict for program in programs for verdict in prove(Question(program, None, {}), solver)]
+        solver.stop()
+    print(time.perf_counter() - began, _cpu() - before)
+    left = [verdict.invariant for verdict in verdicts if verdict.verdict != "PROVED"]
+    if left:
+        sys.exit(f"not proved: {', '.join(left)}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
