@@ -88,6 +88,11 @@ class Rrt:
     def _point(self, state: Any) -> Point:
         return Point(state[0], state[1], self._low.z if self._flat else state[2])
 
+    def _holds(self, p: Point) -> bool:
+        """Whether a place is in the arena."""
+        low, high = self._low, self._high
+        return low.x <= p.x <= high.x and low.y <= p.y <= high.y and low.z <= p.z <= high.z
+
     def _state(self, p: Point) -> Any:
         """A position's noise can put the start outside: from there, the robot may come back in."""
         state = self._space.allocState()
@@ -106,12 +111,12 @@ class RrtSmoothed(Rrt):
         best = self._search(geometric.RRTConnect, here, start, goal, over, 0)
         if not best:
             return ()
-        best = shortened(best, here, dice, over)
+        best = shortened(best, here, dice, over, self._holds)
         turn = 1
         while length(best) > ENOUGH * straight and not over.spent(turn):
             another = self._search(geometric.RRTConnect, here, start, goal, over, turn)
             if another:
-                best = min(best, shortened(another, here, dice, over), key=length)
+                best = min(best, shortened(another, here, dice, over, self._holds), key=length)
             turn += 1
         return best
 
@@ -151,8 +156,9 @@ def length(path: Path) -> float:
     return sum(distance(p, q) for p, q in pairwise(path))
 
 
-def shortened(path: Path, here: Room, dice: random.Random, over: Limit) -> Path:
-    """The path with corners left out and cut off, as far as the lines instead are clear."""
+def shortened(path: Path, here: Room, dice: random.Random, over: Limit, holds: Callable[[Point], bool]) -> Path:
+    """The path with corners left out and cut off, as far as the lines instead are clear. Every place of it but the
+    start is held by a convex arena; where the start is not, its line into the arena gets no new corner outside."""
     points = _reduced(list(path), here)
     for _ in range(TRIES * len(points)):
         if len(points) < 3 or over.late:
@@ -161,7 +167,7 @@ def shortened(path: Path, here: Room, dice: random.Random, over: Limit) -> Path:
         whole = sum(lengths)
         ends = sorted(dice.uniform(0.0, whole) for _ in range(2))
         (i, p), (j, q) = (_at(points, lengths, along) for along in ends)
-        if i < j and here.clear(p, q):
+        if i < j and holds(p) and here.clear(p, q):
             points = _reduced([*points[: i + 1], p, q, *points[j + 1 :]], here)
     return tuple(points)
 

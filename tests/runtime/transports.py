@@ -118,12 +118,14 @@ def zenoh(stack: ExitStack, n: int) -> Opened:
             if sender != pid:
                 meet(found, pid, lambda s=sender, p=pid: found.transports[s].send([p], b""))  # type: ignore[misc]
                 meet(found, pid, lambda s=sender: found.transports[s].send(range(n), b""))  # type: ignore[misc]
-    for pid in range(n):  # what is still under way comes before these
-        ends = {b"end%d" % sender for sender in range(n) if sender != pid} | {b"end"}
+    for pid in range(n):  # what is still under way, to one and to all, comes before these
         inject(pid, b"end", False)
-        for sender in range(n):
-            if sender != pid:
-                found.transports[sender].send([pid], b"end%d" % sender)
+        found.transports[pid].send(range(n), b"all%d" % pid)
+        for other in range(n):
+            if other != pid:
+                found.transports[pid].send([other], b"end%d" % pid)
+    for pid in range(n):
+        ends = {kind % sender for kind in (b"end%d", b"all%d") for sender in range(n) if sender != pid} | {b"end"}
         while ends:
             ends -= set(found.collect(pid, 1))
     return found
