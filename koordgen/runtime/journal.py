@@ -114,11 +114,17 @@ class Journal:
         if view.number:
             self.warn(described(view, names))
 
+    @property
+    def traces(self) -> bool:
+        """Whether counters go anywhere."""
+        return self._trace.open
+
     def observe(self, record: Record, counters: Mapping[str, int]) -> None:
-        """A round's record, now that it is certain; `counters` is everything counted so far."""
-        changed = {k: v for k, v in counters.items() if k != "rounds" and self._counted.get(k, 0) != v}
-        self._counted = counters
-        self._trace.round(record, self._fleet_clock.bound(record.time), changed)
+        """A round's record, now that it is certain; `counters` is everything counted so far, if it `traces`."""
+        if self._trace.open:
+            changed = {k: v for k, v in counters.items() if k != "rounds" and self._counted.get(k, 0) != v}
+            self._counted = counters
+            self._trace.round(record, self._fleet_clock.bound(record.time), changed)
         if record.effects is not None:
             self.streams(record.effects.streams, record.round, record.time)
         fault = str(record.fault) if record.fault is not None else ""

@@ -6,6 +6,7 @@ a clock of its own.
 
 from __future__ import annotations
 
+import math
 import traceback
 from collections.abc import Sequence
 
@@ -32,7 +33,7 @@ from koordgen.runtime.store import Keeper
 from koordgen.runtime.trace import Observe, Record, Trace
 from koordgen.runtime.transport import Transport
 from koordgen.runtime.views import Vote
-from koordgen.runtime.wire import Closing, Hello, View, encoder
+from koordgen.runtime.wire import Closing, Hello, Message, View, encoder
 
 OK, WRONG_PROGRAM, VIOLATED, SURROUNDINGS, INTERNAL = 0, 1, 3, 5, 70
 LOST_BODY = 10.0  # seconds that a body which is lost for good is still tried to be brought to rest
@@ -165,42 +166,54 @@ class Agent:
         if self._broken:
             self._transport.receive()
             return wake
-        rounds = self._rounds
+        rounds, due = self._rounds, math.inf
         acted = rounds is not None and rounds.ripe(now)
         if rounds is not None and acted:  # before what has arrived is looked at: all others wait for this closing
-            wake = min(wake, self._poll_rounds(rounds, now))
-        fleet = self._fleet_clock.read(now) if self._fleet_clock.known else None
+            due = self._poll_rounds(rounds, now)
+        if self._rounds is None:
+            return min(wake, due, self._join(now))
         messages = self._link.receive()
+        if messages:
+            self._hear(messages, None)
+        rounds = self._rounds
+        if messages or not acted:
+            due = self._poll_rounds(rounds, now)
+        calm = rounds.calm
+        if calm:
+            self._monitor(rounds, now)
+        if self._untold and (calm or len(self._untold) >= MOST_UNTOLD):
+            self._tell()
+        if rounds.over and self.phase == "running":
+            self._asked_to_end = True
+            self._rest("all robots have stopped", OK)
+        return min(wake, due, self._joining.meet(now))
+
+    def _join(self, now: float) -> float:
+        """Before the rounds: hear who is there, and begin them when it is time."""
+        fleet = self._fleet_clock.read(now) if self._fleet_clock.known else None
+        self._hear(self._link.receive(), fleet)
+        if inside := self._joining.inside:
+            self._fleet_clock.follow(min(inside), now)  # who keeps the time is not known before the view
+        if self.phase not in ("starting", "joining"):
+            return math.inf
+        if self._init is not None:
+            self._keeping.mission(self._link.epoch, self._init)
+        wake = self._joining.poll(now, fleet)
+        if self._joining.lost and self.phase == "joining":
+            self._journal.warn("no robot is in the mission that this one comes back to: a new one begins")
+            self._run_init(now)
+        self._begin_rounds(now)
+        return wake
+
+    def _hear(self, messages: Sequence[Message], fleet: float | None) -> None:
+        """Take what has arrived; `fleet` is the fleet time, which nobody asks for once the rounds have begun."""
         for message in messages:
             if isinstance(message, Hello):
                 self._joining.take(message, fleet)
             elif self._rounds is not None:
                 self._rounds.take(message)
-        if self._rounds is None and self._joining.inside:
-            self._fleet_clock.follow(min(self._joining.inside), now)  # who keeps the time is not known before the view
         if names := self._joining.began_anew():
             self._journal.error(f"{names} began anew during the mission and cannot come back: end all and start again")
-        rounds = self._rounds
-        if rounds is not None:
-            if messages or not acted:
-                wake = min(wake, self._poll_rounds(rounds, now))
-            wake = min(wake, self._joining.poll(now, fleet))
-            if rounds.calm:
-                self._monitor(rounds, now)
-            if self._untold and (rounds.calm or len(self._untold) >= MOST_UNTOLD):
-                self._tell()
-            if rounds.over and self.phase == "running":
-                self._asked_to_end = True
-                self._rest("all robots have stopped", OK)
-        elif self.phase in ("starting", "joining"):
-            if self._init is not None:
-                self._keeping.mission(self._link.epoch, self._init)
-            wake = min(wake, self._joining.poll(now, fleet))
-            if self._joining.lost and self.phase == "joining":
-                self._journal.warn("no robot is in the mission that this one comes back to: a new one begins")
-                self._run_init(now)
-            self._begin_rounds(now)
-        return wake
 
     def _poll_rounds(self, rounds: Rounds, now: float) -> float:
         replica = self._replica
@@ -212,7 +225,8 @@ class Agent:
             self._rest("cannot come back", SURROUNDINGS)
             self._rounds = None
             return now + self._platform.period
-        self._judge_missed(rounds)
+        if rounds.counters.in_a_row != self._missed:
+            self._judge_missed(rounds)
         if replica.emergency and self.phase == "running":
             self._journal.error("emergency stop, heard from another robot")
             self.end("emergency stop")
@@ -377,7 +391,7 @@ class Agent:
 
     def _tell(self) -> None:
         """Tell of the rounds that have become certain; not while the others' closings are still coming in."""
-        counters = self.counters()
+        counters = self.counters() if self._journal.traces else {}
         for record in self._untold:
             self._journal.observe(record, counters)
         self._journal.measure(self._link.rejected, self._untold[-1].time)
@@ -388,7 +402,8 @@ class Agent:
 
     def _monitor(self, rounds: Rounds, now: float) -> None:
         """What the properties demand, as far as this robot can tell."""
-        self._journal.attempt(self.monitors.look, rounds.moment)
+        if rounds.moment is not None:
+            self._journal.attempt(self.monitors.look, rounds.moment)
         verdict = self.monitors.verdict
         self._body.hold("monitor", verdict.action == "hold", now)
         if verdict.action == "rest" and self.phase == "running":

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
+
+from msgspec.structs import replace
 
 from koordgen.runtime.body import Body, unusable
 from koordgen.runtime.clock import FleetClock
@@ -175,16 +177,19 @@ class Rounds:
             if memory.view.number != self._view:  # words in the new view are wanted before events can go on
                 self._view = memory.view.number
                 self._replica.tell(present.round)
-            self._settle(now)
+            if self._outbox.pressing:
+                self._settle(now)
         else:
             for record in self._outbox.ready(None):
                 self._observe(record)
         if present.open:
             self._decide(now, into, current, unready)
-        if memory is not None and not present.open:
-            memory.advance(present.round + 1)
+        if memory is not None:
+            if not present.open:
+                memory.advance(present.round + 1)
             self._settle(now)
-            self._confirm(memory.applied)
+            if not present.open:
+                self._confirm(memory.applied)
         if ripe:  # only now: all others wait for the closing
             self._replica.poll((present.round - 1) * SLOTS + slot, present.round)
         self._wake = self._ask(slot, fresh, timely)
