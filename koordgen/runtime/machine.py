@@ -27,17 +27,16 @@ from koordgen.runtime.property import Properties
 from koordgen.runtime.replica import Replica
 from koordgen.runtime.rounds import Lost, Rounds
 from koordgen.runtime.runner import Limit, Runner, unlimited
-from koordgen.runtime.safety import Guard, Verdict
+from koordgen.runtime.safety import Guard
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.store import Keeper
-from koordgen.runtime.trace import Observe, Record, Trace
+from koordgen.runtime.trace import Observe, Trace
 from koordgen.runtime.transport import Transport
 from koordgen.runtime.views import Vote
 from koordgen.runtime.wire import Closing, Hello, Message, View, encoder
 
 OK, WRONG_PROGRAM, VIOLATED, SURROUNDINGS, INTERNAL = 0, 1, 3, 5, 70
 LOST_BODY = 10.0  # seconds that a body which is lost for good is still tried to be brought to rest
-MOST_UNTOLD = 8  # records of rounds that wait to be told
 MOST_FAILURES = 100  # of the platform in a row after an internal error, then it is given up
 
 
@@ -84,10 +83,9 @@ class Agent:
         self._body = Body(program, platform, fence, budget, self._journal.warn, settings.avoid, settings.pid, clock.now)
         self._runner = Runner(program, settings.pid, len(self._names), clock, limit)
         self._guard = Guard(settings.safety, settings.geofence)
-        self._verdict = Verdict("go")
+        self._unready: str | None = None  # why no event may run as far as the body goes
         self._rounds: Rounds | None = None
         self._replica: Replica | None = None
-        self._untold: list[Record] = []
         self._view = -1
         self._next_body = 0.0
         self._missed = self._failures = 0
@@ -99,9 +97,7 @@ class Agent:
         self.phase = ""
         self.status = OK
         self.done = False
-        slots = [v.name for v in program.shared if v.kind == "allread"]
-        n_sys = len(self._names)
-        trace.header(program.name, settings.robot, settings.pid, n_sys, settings.delta, program.program_hash, slots)
+        trace.header(program, settings.robot, settings.pid, len(self._names), settings.delta)
 
     @property
     def round(self) -> int:
@@ -136,7 +132,7 @@ class Agent:
         arrives). Never raises: what goes wrong brings the robot to rest and sets `status`."""
         try:
             wake = self._poll(now)
-            if self.done and self._untold:
+            if self.done and self._journal.untold:
                 self._tell()
             return wake
         except Unready as lost:
@@ -181,7 +177,7 @@ class Agent:
         calm = rounds.calm
         if calm:
             self._monitor(rounds, now)
-        if self._untold and (calm or len(self._untold) >= MOST_UNTOLD):
+        if self._journal.full or (calm and self._journal.untold):
             self._tell()
         if rounds.over and self.phase == "running":
             self._asked_to_end = True
@@ -219,7 +215,7 @@ class Agent:
         replica = self._replica
         assert replica is not None
         try:
-            wake = rounds.poll(now, self._platform.sense, self._unready())
+            wake = rounds.poll(now, self._platform.sense, self._unready)
         except Lost as lost:
             self._journal.error(str(lost))
             self._rest("cannot come back", SURROUNDINGS)
@@ -336,17 +332,9 @@ class Agent:
         self._fleet_clock.lock()
         self._replica = Replica(self._link, self._layout, memory, view, vote, applied, timeout, self._keeping.announce)
         self._rounds = Rounds(
-            self._runner,
-            self._body,
-            self._replica,
-            self._fleet_clock,
-            self._names,
-            start,
-            self._settings.delta,
-            lives,
-            self._untold.append,
-            self._keeping.life,
-        )
+            self._runner, self._body, self._replica, self._fleet_clock, self._names, start, self._settings.delta,
+            lives, self._journal.untold.append, self._keeping.life,
+        )  # fmt: skip
         self._rounds.watched = self.monitors.wanted
         self._enter("running", f"mission {epoch.hex()}, round 1 at {start:.3f} s of fleet time")
         if self._rounds.stopped:
@@ -360,12 +348,9 @@ class Agent:
             self._rest(told, SURROUNDINGS)
         elif self._body.hold("position", verdict.action == "hold", now):
             self._journal.warn(told if verdict.action == "hold" else "own position is fresh again")
-        self._verdict = verdict
+        self._unready = verdict.reason if verdict.action != "go" else None
         if self.phase == "running" and self.round > 0:
             self._body.hold("joining", False, now)
-
-    def _unready(self) -> str | None:
-        return self._verdict.reason if self._verdict.action != "go" else None
 
     def _rest(self, why: str, status: int) -> None:
         self.status = self.status or status
@@ -391,11 +376,7 @@ class Agent:
 
     def _tell(self) -> None:
         """Tell of the rounds that have become certain; not while the others' closings are still coming in."""
-        counters = self.counters() if self._journal.traces else {}
-        for record in self._untold:
-            self._journal.observe(record, counters)
-        self._journal.measure(self._link.rejected, self._untold[-1].time)
-        self._untold.clear()
+        self._journal.tell(self.counters() if self._journal.traces else {}, self._link.rejected)
         memory = self._replica.memory if self._replica is not None else None
         for pid, held in enumerate(memory.held if memory is not None else ()):
             self.metrics.closed(pid, held)

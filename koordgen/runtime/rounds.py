@@ -80,6 +80,7 @@ class Rounds:
         self._delta = delta
         self._observe = observe
         self._keep = keep
+        self.round = 0  # the present one; 0 before the first
         self._present = _Present()
         self._published = 0
         self._wake = 0.0
@@ -95,11 +96,6 @@ class Rounds:
         self.reason: str | None = None  # why the last round that was closed had no event
         self.watched = False  # by monitors
         self.moment: Moment | None = None  # at the start of that round, when it is watched
-
-    @property
-    def round(self) -> int:
-        """The present round; 0 before the first."""
-        return self._present.round
 
     @property
     def lacking(self) -> list[str]:
@@ -212,7 +208,7 @@ class Rounds:
             if memory.held[self._replica.pid] < round_ - 1:
                 memory.close(round_ - 1, {}, stopped=self.stopped)
             self.counters.missed += slept
-        self._present = _Present(round_, True, sensed)
+        self.round, self._present = round_, _Present(round_, True, sensed)
         self.counters.rounds += 1
 
     def _come_back(self, now: float) -> None:

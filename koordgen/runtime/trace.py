@@ -13,7 +13,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 import msgspec
 
-from koordgen.runtime.program import Effects, Fault, Frame, Life
+from koordgen.runtime.program import Effects, Fault, Frame, Life, Program
 
 if TYPE_CHECKING:  # it is made of what this module has
     from koordgen.runtime.watched import Change
@@ -59,22 +59,20 @@ class Trace:
         """Whether what is told is written anywhere."""
         return self._file is not None
 
-    def header(
-        self, app: str, robot: str, pid: int, n_sys: int, delta: float, program_hash: str, slots: Collection[str] = ()
-    ) -> None:
-        """First of all. `slots` are the allread variables."""
-        self._slots = slots
+    def header(self, program: Program, robot: str, pid: int, n_sys: int, delta: float) -> None:
+        """First of all."""
+        self._slots = [v.name for v in program.shared if v.kind == "allread"]
         self._pid = pid
         self._write(
             {
                 "kind": "header",
                 "format": FORMAT,
-                "app": app,
+                "app": program.name,
                 "robot": robot,
                 "pid": pid,
                 "n_sys": n_sys,
                 "delta": delta,
-                "program_hash": program_hash,
+                "program_hash": program.program_hash,
             }
         )
 
