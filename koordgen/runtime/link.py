@@ -16,6 +16,7 @@ from koordgen.runtime.clock import Clock, FleetClock
 from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.pieces import cut, lacking
 from koordgen.runtime.program import Program
+from koordgen.runtime.seal import MEMORY, unseal_all
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.transport import Transport
 from koordgen.runtime.wire import (
@@ -29,9 +30,9 @@ from koordgen.runtime.wire import (
     Partly,
     Piece,
     Round,
-    decode,
     encode,
     encoder,
+    opened,
     overhead,
 )
 
@@ -140,9 +141,9 @@ class Link:
             return []
         local = self._clock.now()  # all of them have arrived by now
         fleet = self._fleet_clock.read(local) if self._fleet_clock.known else None
-        key, accepted = self._key, []
-        for datagram in datagrams:
-            message = decode(datagram, key)
+        accepted = []
+        for datagram, payload in zip(datagrams, unseal_all(self._key, MEMORY, datagrams), strict=True):
+            message = opened(len(datagram), payload)
             if isinstance(message, str):
                 self.reject(message)
             elif self._admit(message, local, fleet):

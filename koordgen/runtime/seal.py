@@ -7,13 +7,15 @@ played into another that has the same key.
 from __future__ import annotations
 
 import stat
+from collections.abc import Sequence
 from functools import lru_cache
 from hashlib import blake2s
 from hmac import compare_digest
 from pathlib import Path
 
+from koordgen.runtime.courier import MAC_SIZE
+
 KEY_SIZE = 32
-MAC_SIZE = 16
 MEMORY = b"k-memory"  # shared memory between agents
 POSITION = b"k-pose"  # position feed from a base station
 SCAN = b"k-scan"  # scans from a lidar
@@ -52,6 +54,17 @@ def unseal(key: bytes | None, purpose: bytes, datagram: bytes) -> bytes | None:
     state = _keyed(key or b"", purpose).copy()
     state.update(payload)
     return payload if payload and compare_digest(datagram[-MAC_SIZE:], state.digest()) else None
+
+
+def unseal_all(key: bytes | None, purpose: bytes, datagrams: Sequence[bytes]) -> list[bytes | None]:
+    """`unseal` of each."""
+    keyed, found = _keyed(key or b"", purpose).copy, list[bytes | None]()
+    for datagram in datagrams:
+        payload = datagram[:-MAC_SIZE]
+        state = keyed()
+        state.update(payload)
+        found.append(payload if payload and compare_digest(datagram[-MAC_SIZE:], state.digest()) else None)
+    return found
 
 
 def _digest(key: bytes | None, purpose: bytes, payload: bytes) -> bytes:
