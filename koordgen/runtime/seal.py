@@ -13,9 +13,8 @@ from hashlib import blake2s
 from hmac import compare_digest
 from pathlib import Path
 
-from koordgen.runtime.courier import MAC_SIZE
-
 KEY_SIZE = 32
+MAC_SIZE = 16
 MEMORY = b"k-memory"  # shared memory between agents
 POSITION = b"k-pose"  # position feed from a base station
 SCAN = b"k-scan"  # scans from a lidar
