@@ -27,7 +27,7 @@ KINDS: dict[str, Callable[[ExitStack, int], Opened]] = {
 }
 NEEDS = {
     "zenoh": [transports.needs_zenoh],
-    **dict.fromkeys(("unicast", "multicast", "broadcast"), [transports.needs_courier]),
+    **{kind: [transports.needs_courier] for kind in ("unicast", "multicast", "broadcast")},
 }
 ALL = [pytest.param(kind, marks=NEEDS.get(kind, [])) for kind in KINDS]
 
