@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from koordgen.runtime.native import NotCompiled
 from targets.car.bicycle import State
 from targets.car.solver import compiled
 from targets.car.solver.fallback import CasadiSolver
@@ -38,7 +39,7 @@ def choose(limits: Limits, cache: Path | None = None) -> tuple[Solver, str]:
     """The solver as C, or CasADi's and why: a line for the log. May compile: seconds, at the first start on a robot."""
     try:
         return compiled.load(limits, cache), ""
-    except compiled.NotCompiled as error:
+    except NotCompiled as error:
         return CasadiSolver(limits), f"the controller runs in CasADi, which takes several times longer: {error}"
 
 
