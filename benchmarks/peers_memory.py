@@ -9,11 +9,11 @@ sensors, events, the robot's own variables and what leaves the robot, monitors, 
 from __future__ import annotations
 
 import math
-import os
 
 from peers_agents import KEY, program, settings
 from peers_exchange import Heard, Place
 
+from koordgen.runtime import courier
 from koordgen.runtime.clock import Clock, FleetClock, SystemClock
 from koordgen.runtime.keeping import Keeping
 from koordgen.runtime.layout import Layout
@@ -32,12 +32,19 @@ from koordgen.runtime.views import Vote
 from koordgen.runtime.wire import Closing, Hello, View
 
 
-def open_memory(place: Place, network: str = "multicast") -> SharedMemory:
+def open_memory(place: Place, network: str = "multicast", native: bool = True) -> SharedMemory:
     """On real sockets of this host, and with a real file."""
+    if not native:
+        without_courier()
     given = settings(place.pid, place.ports, place.delta, network)
-    path = place.folder / f"{place.pid}-{os.getpid()}.state"
+    path = place.folder / f"{place.pid}.state"
     store = Store.open(path, program(place.size), given.robot, place.pid, len(given.peers), print)
     return SharedMemory(given, place.size, open_transport(given), store, SystemClock())
+
+
+def without_courier() -> None:
+    """From now on this process does everything in plain Python, as where there is no compiler."""
+    courier._loaded = lambda: "not wanted"  # type: ignore[assignment]
 
 
 class SharedMemory:
@@ -50,9 +57,10 @@ class SharedMemory:
         boots = [bytes([p] * 8) for p in range(n)]
         view, layout = View(0, 1, (0,) * n), Layout(ours.shared, n)
         self._pid, self._delta, self._size = pid, given.delta, size
-        self._transport, self._clock, self._fleet_clock = transport, clock, FleetClock(pid)
-        self._fleet_clock.lock()
-        self._link = Link(ours, given, KEY, transport, clock, self._fleet_clock, boots[pid], print, Metrics(pid, n))
+        self._transport, self._clock = transport, clock
+        fleet_clock = FleetClock(pid)  # it learns; the harness goes by the host's clock, with ours and peers
+        fleet_clock.lock()
+        self._link = Link(ours, given, KEY, transport, clock, fleet_clock, boots[pid], print, Metrics(pid, n))
         self._link.epoch = bytes(8)
         self._link.sessions = {p: Session(boots[p]) for p in range(n) if p != pid}
         keeping = Keeping(store, ours, n)
@@ -64,7 +72,7 @@ class SharedMemory:
         self._start = math.inf  # of round 1: no round was published before its beginning
         self._wake = math.inf
         self._open = False  # the present round is not closed yet
-        self._complete = False  # all of the present round is applied
+        self._complete = True  # all of the present round is applied
         self._view = self._returns = 0
         self._told = [0] * n  # up to which each robot's rounds were found
         self._found: Heard = []  # and not returned yet
@@ -76,8 +84,11 @@ class SharedMemory:
             return
         if self._open:
             self._close(current=False)
-        now = self._fleet_clock.read(self._clock.now())
+        now = self._clock.now()
         self._start = min(self._start, now - (round_ - 1) * self._delta)
+        if now >= self._start + round_ * self._delta:  # slept through: it is closed with the next one
+            self.missed.append(round_)
+            return
         self._round, self._slot, self._open, self._complete, self._wake = round_, -1, True, False, -math.inf
         if not self._current():
             self._hear()  # what is lacking may be here, not yet looked at
@@ -91,10 +102,11 @@ class SharedMemory:
 
     def _step(self, seconds: float) -> None:
         """Do what is due, then wait for something to arrive, then do what follows from that."""
+        self._apply()
         self._poll()
         rest = min(seconds, self._wake - self._clock.now())
         if rest > 0:
-            self._transport.wait(rest, self._gather)
+            self._transport.wait(rest, *self._expects)
         self._hear()
         self._apply()
 
@@ -118,12 +130,12 @@ class SharedMemory:
         self._published = round_
 
     @property
-    def _gather(self) -> float:
+    def _expects(self) -> tuple[int, float]:
         """As Rounds says."""
         memory = self._replica.memory
-        if memory is None or self._open or memory.applied >= self._round or memory.lacking < 2:
-            return 0.0
-        return min(GATHER * memory.lacking, MOST_GATHER * self._delta)
+        if memory is None or self._open or memory.applied >= self._round or not memory.lacking:
+            return 1, 0.0
+        return memory.lacking, min(GATHER * memory.lacking, MOST_GATHER * self._delta)
 
     def _hear(self) -> None:
         """Take what has come, and note what is held without a gap since; in round 0 who can be heard."""
@@ -176,10 +188,9 @@ class SharedMemory:
 
     def _poll(self) -> None:
         """What is due at the slots of a round; the last round's go on until nothing is missing."""
-        local = self._clock.now()
-        if local < self._wake or self._round == 0:
+        now = self._clock.now()
+        if now < self._wake or self._round == 0:
             return
-        now = self._fleet_clock.read(local)
         slots = (now - self._start - (self._round - 1) * self._delta) / self._delta * SLOTS
         slot = math.floor(slots + 1e-6)
         fresh = slot > self._slot
@@ -211,5 +222,5 @@ class SharedMemory:
             self._wake = math.inf
 
     def _moment(self, slot: float) -> float:
-        """The local time of a slot of the present round."""
-        return self._fleet_clock.local(self._start + (self._round - 1 + slot / SLOTS) * self._delta)
+        """The time of a slot of the present round."""
+        return self._start + (self._round - 1 + slot / SLOTS) * self._delta

@@ -45,10 +45,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import peers_agents
 import peers_exchange
 from peers_exchange import PEERS, Make, Place, Polled, Raw, keep_rounds, meet, ping
-from peers_memory import open_memory
+from peers_memory import open_memory, without_courier
 
-KOORDGEN, AGENTS, RAW, POLLED = "koordgen", "koordgen, whole agents", "raw", "raw, both sides polling"
-NOT_JUDGED = "  (not judged)"
+from koordgen.runtime import courier
+
+KOORDGEN, UNICAST, PLAIN, AGENTS = "koordgen", "koordgen, unicast", "koordgen, plain Python", "koordgen, whole agents"
+RAW, POLLED = "raw", "raw, both sides polling"
+BESIDE = {UNICAST, PLAIN, AGENTS, POLLED}  # what is printed and not judged
 WARM_UP = 10  # rounds before those that count
 LONG = 5.0  # seconds of each run of part 3
 SIZE = 230  # bytes of a robot's update
@@ -117,7 +120,7 @@ def round_trip(make: Make, count: int, size: int = SIZE) -> float:
     def work(pid: int, ports: Sequence[int], barrier: Any, start: Any) -> list[float]:
         cores = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {cores[pid % len(cores)]})
-        exchange = make(Place(pid, ports, size, 0.01, Path(folder)))
+        exchange = make(Place(pid, ports, size, 1.0, Path(folder)))
         if not isinstance(exchange, Raw):
             meet(exchange, 2)
             barrier.wait()
@@ -195,7 +198,8 @@ def whole_agents(network: str, n: int, delta: float, count: int, patience: float
 
 Measure = Callable[[int, float, int], Rounds]  # of n robots, rounds of delta seconds, so many
 OURS: dict[str, Measure] = {KOORDGEN: partial(rounds, open_memory)}
-OURS["koordgen, unicast"] = partial(rounds, partial(open_memory, network="unicast"))
+OURS[UNICAST] = partial(rounds, partial(open_memory, network="unicast"))
+OURS[PLAIN] = partial(rounds, partial(open_memory, native=False))
 WHOLE: Measure = partial(whole_agents, "multicast")
 
 
@@ -249,11 +253,12 @@ def part_round_trip(peers: Sequence[str], quick: bool) -> Figures:
     ours = partial(open_memory, network="unicast")
     measured = {RAW: partial(round_trip, Raw, count, size), KOORDGEN: partial(round_trip, ours, count)}
     measured |= {name: partial(round_trip, PEERS[name], count) for name in peers}
+    measured[PLAIN] = partial(round_trip, partial(ours, native=False), count)
     measured[POLLED] = partial(round_trip, Polled, count, size)
     found = in_turn(runs, measured)
     print(f"\n1. Round trip of an update of {SIZE} bytes, two processes, {runs} x {count}")
     for name, seconds in found.items():
-        print(f"  {name:24} {seconds * 1e6:8.1f} us{NOT_JUDGED if name == POLLED else ''}")
+        print(f"  {name:24} {seconds * 1e6:8.1f} us{beside(name)}")
     tell(f"{KOORDGEN} / {RAW}", found[KOORDGEN] / found[RAW], "at most", 1.6)
     for name in peers:
         tell(f"{name} / {KOORDGEN}", found[name] / found[KOORDGEN], "at least", 5.0)
@@ -269,7 +274,7 @@ def part_consistency(peers: Sequence[str], quick: bool) -> Figures:
         f"\n2. Time to consistency, {n} robots, delta {delta * 1e3:.0f} ms, {SIZE} bytes each, {runs} x {count} rounds"
     )
     for name, seconds in found.items():
-        print(f"  {name:24} {seconds * 1e3:8.2f} ms{NOT_JUDGED if name == AGENTS else ''}")
+        print(f"  {name:24} {seconds * 1e3:8.2f} ms{beside(name)}")
     for name, least in (("cyclonedds", 2.0), ("zenoh", 3.0)):
         if name in peers:
             tell(f"{name} / {KOORDGEN}", found[name] / found[KOORDGEN], "at least", least)
@@ -312,6 +317,10 @@ def part_late(quick: bool) -> Figures:
     return figures
 
 
+def beside(name: str) -> str:
+    return "  (not judged)" if name in BESIDE else ""
+
+
 def tell(what: str, figure: float, how: str, target: float) -> None:
     good = figure >= target if how == "at least" else figure <= target
     said = f"{figure:8.2f}" if math.isfinite(figure) else "    none"
@@ -330,7 +339,12 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="under a minute: one run of each, few rounds")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there, too")
     parser.add_argument("--only", type=int, choices=(1, 2, 3, 4), action="append", help="only this part")
+    parser.add_argument("--plain", action="store_true", help="all of ours in plain Python, without the courier")
     arguments = parser.parse_args()
+    if arguments.plain:
+        without_courier()
+    if courier.library() is None:  # else it is compiled by now, for all processes
+        print(f"ours is plain Python: {courier.why()}")
     absent = peers_exchange.missing()
     for text in absent.values():
         print(text)
