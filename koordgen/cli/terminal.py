@@ -16,9 +16,9 @@ class Line:
     def show(self, text: str) -> None:
         if self._stream.isatty():
             width = shutil.get_terminal_size().columns
+            self._shown = True  # before it is: an interrupt may come in between
             self._stream.write(f"\r\x1b[K{text[: max(20, width - 1)]}")
             self._stream.flush()
-            self._shown = True
 
     def end(self) -> None:
         """What comes next is another line."""

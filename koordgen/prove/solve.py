@@ -13,6 +13,7 @@ import re
 import sys
 import time
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from typing import Literal, NamedTuple, Self
 
 from koordgen.diagnostics import InternalError
@@ -104,7 +105,8 @@ class Solver:
             raise SolverMissing(f"{self.command[0]}: {error.strerror}") from None
         self._left, self._timeout = "", 0
         self._process.unsent = WARM.encode() if self.name == "z3" else b""
-        self._process.exchange(0.0)
+        with suppress(Ended):  # who asks it is told how it ended
+            self._process.exchange(0.0)
         self._warming = self.name == "z3"
 
     def stop(self) -> None:

@@ -180,7 +180,7 @@ def _run(
                     agent.end(f"{signals.name}: coming to rest")
                 else:
                     _say("warning", "still coming to rest; one more signal ends the process at once")
-            transport.wait(min(wake - clock.now(), LONGEST_WAIT), agent.gather)
+            transport.wait(min(wake - clock.now(), LONGEST_WAIT), *agent.expects)
         while control.lingers(clock.now()):
             control.poll(clock.now(), agent.phase, report)
             time.sleep(0.01)

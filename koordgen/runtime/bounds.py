@@ -57,7 +57,7 @@ class Text:
             length = len(value) if value.isascii() else len(value.encode())
         except UnicodeEncodeError:
             return "a text that is not Unicode"
-        return _excess(f"a text of {length} bytes", length, self.capacity)
+        return _excess("text", length, "bytes", self.capacity)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ class Cells:
 
     def flaw(self, value: GridMap) -> str:
         count = value.width * value.height
-        return _excess(f"a map of {count} cells", count, self.capacity) or ("" if sound(value) else "a broken map")
+        return _excess("map", count, "cells", self.capacity) or ("" if sound(value) else "a broken map")
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +88,7 @@ class Rays:
 
     def flaw(self, value: Scan) -> str:
         count = max(len(value.angles), len(value.ranges))
-        return _excess(f"a scan of {count} rays", count, self.capacity)
+        return _excess("scan", count, "rays", self.capacity)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +103,7 @@ class Blob:
         return 1 + _head(self.capacity, 0, 256) + self.capacity
 
     def flaw(self, value: Opaque) -> str:
-        return _excess(f"a {self.name} of {len(value.data)} bytes", len(value.data), self.capacity)
+        return _excess(self.name, len(value.data), "bytes", self.capacity)
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,12 +179,12 @@ def _head(count: int, shortest: int, short: int) -> int:
     return 1 if count < shortest else 2 if count < short else 3 if count < 1 << 16 else 5
 
 
-def _excess(what: str, count: int, capacity: int) -> str:
-    return f"{what}, beyond its `max {capacity}`" if count > capacity else ""
+def _excess(what: str, count: int, unit: str, capacity: int) -> str:
+    return f"a {what} of {count} {unit}, beyond its `max {capacity}`" if count > capacity else ""
 
 
 def _elements(what: str, value: tuple[Any, ...], capacity: int, element: Bound) -> str:
-    excess = _excess(f"a {what} of {len(value)} elements", len(value), capacity)
+    excess = _excess(what, len(value), "elements", capacity)
     return excess or _first(element.flaw(v) for v in value)
 
 

@@ -240,7 +240,8 @@ class FleetClock:
     def read(self, now: float) -> float:
         """Fleet time at local time `now`; never decreases once locked, as long as `now` does not."""
         if 0.0 <= now - self._estimated < FRESH:
-            self._last = max(self._last, now)
+            if now > self._last:
+                self._last = now
             return now + self._offset
         self._estimated = now
         estimate = self._estimate(now)

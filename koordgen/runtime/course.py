@@ -12,12 +12,12 @@ FAR = 2**53  # a round that never comes
 
 
 class Course:
-    """`first` is the view of the next round to be applied, `single` whether none comes after it."""
+    """`first` is the view of the next round to be applied, `members` who counts in it, `single` whether none comes
+    after it."""
 
     def __init__(self, view: View) -> None:
         self._views = [view]
-        self.first = view
-        self.single = True
+        self.drop(view.since - 1)
 
     def append(self, view: View) -> None:
         """The next view."""
@@ -29,6 +29,7 @@ class Course:
         while len(self._views) > 1 and self._views[1].since <= applied + 1:
             del self._views[0]
         self.first, self.single = self._views[0], len(self._views) == 1
+        self.members = [pid for pid, incarnation in enumerate(self.first.members) if incarnation >= 0]
 
     def at(self, round_: int) -> View:
         """The view of a round not before the next one to be applied."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 from typing import Any
 
 import msgspec
@@ -19,7 +18,7 @@ PATCH_FROM = 256  # bytes: a shorter value goes whole; to find the difference wo
 
 _CLOSING = 1 + 1 + 3 * 9 + 3 + 3 + 3  # array, author, incarnation, first, round, three bools, lock, array of writes
 _WRITE = 1 + 3 + 1  # array, index, bool
-_NONE: Mapping[str, Any] = MappingProxyType({})
+_PLAIN = str, int, float, bool  # types whose values any encoding gives back as they were
 _parts = msgspec.msgpack.Decoder(list[msgspec.Raw])
 
 
@@ -44,6 +43,8 @@ class Layout:
         self._shared = tuple(shared)
         self._index = {v.name: i for i, v in enumerate(shared)}
         self._decoders = tuple(msgspec.msgpack.Decoder(v.type) for v in shared)
+        self._plain = tuple(v.type if v.type in _PLAIN else None for v in shared)
+        self._flaws = tuple(v.bound.flaw for v in shared)
         self._encoded: dict[int, tuple[Any, bytes]] = {}
         if n_sys > MAX_ROBOTS:
             raise TooLarge(f"a fleet of {n_sys} robots; at most {MAX_ROBOTS} are supported")
@@ -82,10 +83,10 @@ class Layout:
             for (name, value), slots in zip(values.items(), self.is_slots, strict=True)
         }
 
-    def bases(self, store: Mapping[str, Any], author: int) -> dict[str, Any]:
-        """What an author's writes take the place of: the variables' values, of allread ones the author's slot."""
-        pairs = zip(self.names, self.is_slots, strict=True)
-        return {name: store[name][author] if slots else store[name] for name, slots in pairs}
+    def base(self, index: int, store: Mapping[str, Any], author: int) -> Any:
+        """What an author's write takes the place of: the variable's value, of an allread one the author's slot."""
+        value = store[self.names[index]]
+        return value[author] if self.is_slots[index] else value
 
     def pack(self, store: Mapping[str, Any]) -> tuple[msgspec.Raw, ...]:
         """The whole store as it goes over the wire, for one who comes in."""
@@ -107,44 +108,75 @@ class Layout:
             store[name] = found if slots else found[0]
         return store
 
-    def writes(self, shared: Mapping[str, Any], bases: Mapping[str, Any] = _NONE) -> tuple[Write, ...]:
-        """What an event wrote, as it goes over the wire. A large value that differs little from that in `bases`, of the
-        store that its round began with, goes as a patch."""
-        indexed = sorted((self._index[name], name) for name in shared)
-        return tuple(self._write(i, shared[name], bases.get(name)) for i, name in indexed)
+    def writes(
+        self, shared: Mapping[str, Any], store: Mapping[str, Any] | None = None, author: int = 0
+    ) -> tuple[Write, ...]:
+        """What an event of the author's wrote, as it goes over the wire. A large value that differs little from that in
+        `store`, which its round began with, goes as a patch."""
+        return tuple([self._write(i, shared[self.names[i]], store, author) for i in self._indices(shared)])
 
-    def read(self, closing: Closing) -> list[tuple[int, Any]] | None:
-        """What a closing carries, by index: values, and patches as Unpatched; None when anything in it does not fit
-        this program."""
-        if closing.author >= self.n_sys or closing.first > closing.round:
-            return None
-        if closing.first != closing.round and (closing.writes or closing.acted or closing.lock >= 0):
-            return None
+    def kept(self, shared: Mapping[str, Any], writes: Sequence[Write]) -> list[tuple[int, Any]] | None:
+        """What `read` would give of a closing with these `writes` of `shared`. A number or text of just the variable's
+        type is what its encoding yields, so it is not decoded."""
         values: list[tuple[int, Any]] = []
-        before = -1
-        for write in closing.writes:
-            if not before < write.index < len(self._decoders):
-                return None
-            item = Unpatched(bytes(write.value)) if write.patch else self._value(write.index, write.value)
+        for write in writes:
+            index = write.index
+            item = shared[self.names[index]]
+            if write.patch or type(item) is not self._plain[index]:
+                item = self._item(write)
+            elif not self._fits(index, item):
+                item = None
             if item is None:
                 return None
-            values.append((write.index, item))
-            before = write.index
+            values.append((index, item))
+        return values
+
+    def read(self, closing: Closing) -> Sequence[tuple[int, Any]] | None:
+        """What a closing carries, by index: values, and patches as Unpatched; None when anything in it does not fit
+        this program."""
+        first, round_, writes = closing.first, closing.round, closing.writes
+        if closing.author >= self.n_sys or first > round_:
+            return None
+        if first != round_ and (writes or closing.acted or closing.lock >= 0):
+            return None
+        if not writes:
+            return ()
+        values: list[tuple[int, Any]] = []
+        before, count = -1, len(self._decoders)
+        for write in writes:
+            index = write.index
+            if not before < index < count:
+                return None
+            item = self._item(write)
+            if item is None:
+                return None
+            values.append((index, item))
+            before = index
         return values
 
     def resolve(self, index: int, item: Any, base: Any) -> Any | None:
-        """The value of what `read` gave, where the round began with `base` (as in `bases`); None for a patch that does
-        not fit it. That depends on nothing else, so all robots take the write, or none does."""
+        """The value of what `read` gave, where the round began with `base` (see there); None for a patch that does not
+        fit it. That depends on nothing else, so all robots take the write, or none does."""
         if not isinstance(item, Unpatched):
             return item
         data = patched(self._encoding(index, base), item.patch, self._shared[index].bound.bytes)
         return None if data is None else self._value(index, data)
 
-    def _write(self, index: int, value: Any, base: Any | None) -> Write:
+    def _indices(self, shared: Mapping[str, Any]) -> list[int]:
+        indices = [self._index[name] for name in shared]
+        indices.sort()
+        return indices
+
+    def _write(self, index: int, value: Any, store: Mapping[str, Any] | None, author: int) -> Write:
         whole = encoder.encode(value)
-        small = base is None or len(whole) <= PATCH_FROM
-        patch = None if small else difference(self._encoding(index, base), whole)
-        return Write(index, msgspec.Raw(whole if patch is None else patch), patch is not None)
+        if store is not None and len(whole) > PATCH_FROM:
+            patch = difference(self._encoding(index, self.base(index, store, author)), whole)
+            if patch is not None:
+                return Write(index, msgspec.Raw(patch), True)
+        return Write(index, msgspec.Raw(whole))
+
+    def _item(self, write: Write) -> Any | None:
+        return Unpatched(bytes(write.value)) if write.patch else self._value(write.index, write.value)
 
     def _value(self, index: int, data: bytes | msgspec.Raw) -> Any | None:
         """The value in an encoding; None when it is none that this program can write."""
@@ -152,7 +184,10 @@ class Layout:
             value = self._decoders[index].decode(data)
         except (ValueError, RecursionError):
             return None
-        return value if transmissible(value) and not self._shared[index].bound.flaw(value) else None
+        return value if self._fits(index, value) else None
+
+    def _fits(self, index: int, value: Any) -> bool:
+        return transmissible(value) and not self._flaws[index](value)
 
     def _encoding(self, index: int, value: Any) -> bytes:
         """The encoding of a value that several robots may patch in one round: kept until there is another."""

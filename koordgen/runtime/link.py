@@ -16,11 +16,13 @@ from koordgen.runtime.clock import Clock, FleetClock
 from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.pieces import cut, lacking
 from koordgen.runtime.program import Program
+from koordgen.runtime.seal import MEMORY, seal, unseal_all
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.transport import Transport
 from koordgen.runtime.wire import (
     LIMIT,
     MAX_ECHOES,
+    MOST_PAYLOAD,
     Closing,
     Echo,
     Head,
@@ -29,10 +31,11 @@ from koordgen.runtime.wire import (
     Partly,
     Piece,
     Round,
-    decode,
     encode,
     encoder,
+    opened,
     overhead,
+    pack,
 )
 
 REPLAY_WINDOW = 1024  # datagrams that may arrive out of order
@@ -48,13 +51,14 @@ Fields = tuple[int, int, int, int, bool, tuple[int, ...]]  # of Round, between i
 
 @dataclass(slots=True)
 class Session:
-    """One boot of a peer: the newest sequence number, a bit for each of the last ones that arrived, and the stamp
-    of the newest datagram with its time of arrival here (microseconds)."""
+    """One boot of a peer: the newest sequence number, a bit for each of the last ones that arrived, and when the newest
+    datagram was `sent`, -1 for none, and `arrived` here (microseconds)."""
 
     boot: bytes
     newest: int = 0
     seen: int = 0
-    heard: tuple[int, int] | None = None
+    sent: int = -1
+    arrived: int = 0
     timed: float = float("-inf")  # when the clock last learned from it
     round: int = 0  # the latest in which it said to be
 
@@ -124,14 +128,24 @@ class Link:
         asked for. Of a closing that is longer than a datagram go those pieces that are not in `partly`, by author."""
         if not to:
             return
+        head = self._head(to)
+        payload = pack(Round(head, *word, tuple(closings)))
+        if len(payload) <= MOST_PAYLOAD:
+            self._transport.send(list(to), seal(self._key, MEMORY, payload))
+            return
+        self._divided(to, head, word, closings, partly)
+
+    def _divided(self, to: Collection[int], head: Head, word: Fields, closings: Sequence[Closing],
+                 partly: Mapping[int, Partly]) -> None:  # fmt: skip
+        """The same for what is too long for one datagram."""
         small = []
         for closing in closings:
             if len(closing.writes) and len(blob := encoder.encode(closing)) > self.room:
                 self._pieces(to, closing, blob, partly.get(closing.author))
             else:
                 small.append(closing)
-        for batch in self._batches(small):
-            self._send(to, Round(self._head(to), *word, batch))
+        for index, batch in enumerate(self._batches(small)):
+            self._send(to, Round(self._head(to) if index else head, *word, batch))
 
     def receive(self) -> list[Message]:
         """What arrived and may be listened to. A Hello of a boot that was not adopted is among it: `joining` judges."""
@@ -139,13 +153,13 @@ class Link:
         if not datagrams:
             return []
         local = self._clock.now()  # all of them have arrived by now
-        fleet = self._fleet_clock.read(local) if self._fleet_clock.known else None
-        key, accepted = self._key, []
-        for datagram in datagrams:
-            message = decode(datagram, key)
+        stamp, fleet = _microseconds(local), self._fleet_clock.read(local) if self._fleet_clock.known else None
+        accepted = []
+        for datagram, payload in zip(datagrams, unseal_all(self._key, MEMORY, datagrams), strict=True):
+            message = opened(len(datagram), payload)
             if isinstance(message, str):
                 self.reject(message)
-            elif self._admit(message, local, fleet):
+            elif self._admit(message, local, stamp, fleet):
                 accepted.append(message)
         return accepted
 
@@ -153,7 +167,7 @@ class Link:
         """From now on this boot of the peer is the one that counts."""
         head, now = hello.head, _microseconds(self._clock.now())
         # What it sent before is old news, perhaps recorded.
-        self.sessions[head.pid] = Session(head.boot, head.sequence, _WINDOW_MASK, (head.sent, now))
+        self.sessions[head.pid] = Session(head.boot, head.sequence, _WINDOW_MASK, head.sent, now)
 
     def is_adopted(self, hello: Hello) -> bool:
         session = self.sessions.get(hello.head.pid)
@@ -162,31 +176,45 @@ class Link:
     def reject(self, reason: str) -> None:
         self.rejected[reason] = self.rejected.get(reason, 0) + 1
 
-    def _admit(self, message: Message, local: float, fleet: float | None) -> bool:
+    def _admit(self, message: Message, local: float, stamp: int, fleet: float | None) -> bool:
         """Whether it may be listened to; if so, its stamps have been learned from."""
         head = message.head
         session = self.sessions.get(head.pid)
-        adopted = session is not None and session.boot == head.boot
-        ours = head.program == self._program and head.interface == self._interface
-        reason = None if ours and adopted and head.application == self._application else self._foreign(head)
-        if reason is None:
-            if isinstance(message, Hello):
-                if message.to != self.pid:
-                    reason = "for another robot"
-            elif not self.epoch or head.epoch != self.epoch:
-                reason = "another mission"
-            elif not adopted:
-                reason = "another boot"
-                self.strangers.add(head.pid)
-            if reason is None and adopted and session is not None:
-                if session.fresh(head.sequence):
-                    self._stamps(session, message, local, fleet)
-                else:
-                    reason = "replayed"
+        if session is not None and session.boot != head.boot:
+            session = None
+        reason = None if session is not None and self._is_usual(message) else self._strange(message, session)
+        if reason is None and session is not None:
+            if session.fresh(head.sequence):
+                self._stamps(session, message, local, stamp, fleet)
+            else:
+                reason = "replayed"
         if reason is None:
             return True
         self.reject(reason)
         return False
+
+    def _is_usual(self, message: Message) -> bool:
+        """Whether it is, if its boot is adopted, what nearly all datagrams are; `_strange` finds nothing wrong with
+        these."""
+        head, epoch = message.head, self.epoch
+        ours = head.program == self._program and head.interface == self._interface
+        same = ours and head.application == self._application and head.epoch == epoch
+        return same and epoch != b"" and not isinstance(message, Hello)
+
+    def _strange(self, message: Message, session: Session | None) -> str | None:
+        """Why it is not listened to; `session` is that of its boot, if that is adopted."""
+        head = message.head
+        reason = self._foreign(head)
+        if reason is not None:
+            return reason
+        if isinstance(message, Hello):
+            return None if message.to == self.pid else "for another robot"
+        if not self.epoch or head.epoch != self.epoch:
+            return "another mission"
+        if session is None:
+            self.strangers.add(head.pid)
+            return "another boot"
+        return None
 
     def _foreign(self, head: Head) -> str | None:
         if head.application != self._application:
@@ -208,25 +236,26 @@ class Link:
             )
         return what
 
-    def _stamps(self, session: Session, message: Message, local: float, fleet: float | None) -> None:
-        """Learn from a datagram that was here at `local`, or at `fleet` by the fleet's clock."""
+    def _stamps(self, session: Session, message: Message, local: float, stamp: int, fleet: float | None) -> None:
+        """Learn from a datagram that was here at `local`, which is `stamp` in microseconds and `fleet` by the fleet's
+        clock."""
         head = message.head
-        heard, sent = session.heard, head.sent
-        if heard is None or sent > heard[0]:
-            session.heard = (sent, _microseconds(local))
+        sent = head.sent
+        if sent > session.sent:
+            session.sent, session.arrived = sent, stamp
         if head.echoes:
-            self._learn(session, head, local)
+            self._learn(session, head, local, stamp)
         if isinstance(message, Round) and message.round > session.round:
             ahead = message.round - session.round if session.round else 1
             session.round = message.round
-            delay = None if fleet is None or head.fleet is None else fleet - (head.sent + head.fleet) / 1e6
+            delay = None if fleet is None or head.fleet is None else fleet - (sent + head.fleet) / 1e6
             self.metrics.heard(head.pid, ahead, delay, local)
 
-    def _learn(self, session: Session, head: Head, local: float) -> None:
+    def _learn(self, session: Session, head: Head, local: float, stamp: int) -> None:
         clock = self._fleet_clock
         if local - session.timed < (REFERENCE_EVERY if head.pid == clock.reference else OTHERS_EVERY):
             return
-        now, fleet = _microseconds(local) / 1e6, None if head.fleet is None else head.fleet / 1e6
+        now, fleet = stamp / 1e6, None if head.fleet is None else head.fleet / 1e6
         for echo in head.echoes:
             if echo.pid == self.pid:
                 session.timed = local
@@ -236,6 +265,7 @@ class Link:
         self._sequence += 1
         now = self._clock.now()
         offset = self._fleet_clock.offset(now)
+        echoes = () if every is None and now < self._next_echo else self._echoes(to, now, every)
         return Head(
             self._application,
             self._interface,
@@ -246,14 +276,12 @@ class Link:
             self._sequence,
             _microseconds(now),
             None if offset is None else round(offset * 1e6),
-            self._echoes(to, now, every),
+            echoes,
         )
 
-    def _echoes(self, to: Collection[int], now: float, every: float | None = None) -> tuple[Echo, ...]:
+    def _echoes(self, to: Collection[int], now: float, every: float | None) -> tuple[Echo, ...]:
         """Of those whose turn it is: as often as they learn from it, which from the reference they do most."""
         if every is None:
-            if now < self._next_echo:
-                return ()
             reference = self._fleet_clock.reference == self.pid
             every = (REFERENCE_EVERY if reference else OTHERS_EVERY) / ECHOES_A_LESSON
         sessions, echoed = self.sessions, self._echoed
@@ -263,7 +291,7 @@ class Link:
         if len(due) > MAX_ECHOES:
             due = sorted(due, key=lambda p: (echoed.get(p, -math.inf), p))[:MAX_ECHOES]
         echoed.update(dict.fromkeys(due, now))
-        return tuple([Echo(p, *heard) for p in due if (heard := sessions[p].heard) is not None])
+        return tuple([Echo(p, s.sent, s.arrived) for p in due if (s := sessions[p]).sent >= 0])
 
     def _pieces(self, to: Collection[int], closing: Closing, blob: bytes, known: Partly | None) -> None:
         pieces = cut(blob, self.room)
@@ -293,4 +321,4 @@ class Link:
 
 
 def _microseconds(seconds: float) -> int:
-    return max(0, round(seconds * 1e6))
+    return round(seconds * 1e6) if seconds > 0.0 else 0

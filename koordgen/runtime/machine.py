@@ -108,9 +108,9 @@ class Agent:
         return self._rounds.round if self._rounds is not None else 0
 
     @property
-    def gather(self) -> float:
+    def expects(self) -> tuple[int, float]:
         """See Rounds."""
-        return self._rounds.gather if self._rounds is not None else 0.0
+        return self._rounds.expects if self._rounds is not None else (1, 0.0)
 
     def counters(self) -> dict[str, int]:
         """Everything counted so far, by its name."""

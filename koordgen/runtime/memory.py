@@ -19,6 +19,7 @@ from koordgen.runtime.wire import Closing, State, View
 AHEAD = 8  # rounds that a peer's clock may be ahead of ours
 RECENT = 8  # so many closings of one author may keep the datagrams that they came in: most are soon forgotten
 FORGET_EVERY = 4  # rounds: to go through all logs costs more than to keep some closings a little longer
+SETTLE_AFTER = 3  # rounds: so far may be behind what is known of what all hold
 WINDOW = 256  # closings of one author that not everyone holds; its author writes no more then
 
 
@@ -72,7 +73,7 @@ class Memory:
         self.unanswered: set[int] = set()  # peers that by their last word lack something, and were not sent it yet
         self.unfit = 0  # patches that fitted no value: a fault of their author's, dropped by everyone alike
         # Store and `acted` after a round and the silent ones behind it; the first is of a stable round.
-        self._past: list[tuple[int, Mapping[str, Any], list[int]]] = [(applied, shared, list(self.acted))]
+        self._past: list[tuple[int, Mapping[str, Any], list[int]]] = [(applied, shared, self.acted)]
         self._watched, self._reached = -1, 0  # a round, and how many others have said to have applied it
         self.prompt: tuple[int, ...] = ()  # who waits to hear that the last applied round was applied
         self._look()
@@ -171,37 +172,40 @@ class Memory:
         if round_ > log.held + 1 and single:
             log.append(Entry(Closing(self._pid, incarnation, log.held + 1, round_ - 1, stopped), ()))
         first = round_ if single else log.held + 1
-        writes = self._layout.writes(shared, self._layout.bases(self.shared, self._pid)) if shared else ()
+        writes = self._layout.writes(shared, self.shared, self._pid) if shared else ()
         closing = Closing(self._pid, incarnation, first, round_, stopped, acted, prompt, lock, writes)
-        log.append(Entry(closing, self._layout.read(closing) or ()))
+        log.take(Entry(closing, self._layout.kept(shared, writes) or ()))
         self._lacking.discard(self._pid)
 
     def take(self, closing: Closing, present: int) -> str | None:
         """Take a closing heard in round `present`; None, or why it is refused. A known one is no news, no error."""
-        log = self._logs[closing.author] if closing.author < self._n else None
-        if log is not None and closing.round <= log.held:
-            return None
-        if log is None or closing.first < 1 or closing.first > closing.round:
+        author, round_ = closing.author, closing.round
+        if author >= self._n:
             return "closing does not fit"
-        if closing.round > present + AHEAD:
+        log = self._logs[author]
+        if round_ <= log.held:
+            return None
+        if not 1 <= closing.first <= round_:
+            return "closing does not fit"
+        if round_ > present + AHEAD:
             return "closing too far ahead"
-        course = self._course
-        simple = course.single and self.view.members[closing.author] == closing.incarnation
-        fitting = closing if simple else course.of_this_life(closing)
-        if fitting is None:
-            return "closing of another view"
-        if closing.author == self._pid:
+        if not self._course.single or self.view.members[author] != closing.incarnation:
+            fitting = self._course.of_this_life(closing)
+            if fitting is None:
+                return "closing of another view"
+            closing = fitting
+        if author == self._pid:
             return "closing of ours that we did not write"
-        values = self._layout.read(fitting)
+        values = self._layout.read(closing)
         if values is None:
             return "closing does not fit"
-        count, next_ = len(log.entries), fitting.first <= log.held + 1
+        count, next_ = len(log.entries), closing.first <= log.held + 1
         if count >= 2 * WINDOW or (not next_ and len(log.later) >= GAPS):
             return "no room for a closing"
         few = count < RECENT and next_
-        log.take(Entry(fitting if few else detached(fitting), values))
+        log.take(Entry(closing if few else detached(closing), values))
         if log.held > self.applied:
-            self._lacking.discard(closing.author)
+            self._lacking.discard(author)
         return None
 
     def holds(self, through: int) -> bool:
@@ -219,17 +223,20 @@ class Memory:
         last = present + AHEAD
         if through > last or settled > last or applied > last or (held and (len(held) != self._n or max(held) > last)):
             return "word does not fit"
-        word = self._words[pid]
+        word, ours = self._words[pid], view == self.view.number
         if view >= word.view and applied >= word.applied:
-            before = word.applied if word.view == view else -1
+            if ours and applied >= self._watched > (word.applied if word.view == view else -1):
+                self._reached += 1
             word.view, word.applied = view, applied
-            self._reached += view == self.view.number and before < self._watched <= applied
         if through > word.through or (asks and through == word.through):
-            word.through, word.answered = through, (min(held) if held else applied) >= through
-            (self.unanswered.discard if word.answered else self.unanswered.add)(pid)
-            if not word.answered:
-                word.held = held or (applied,) * self._n
-        if view == self.view.number and settled > self.settled:
+            word.through = through
+            if (min(held) if held else applied) < through:
+                word.answered, word.held = False, held or (applied,) * self._n
+                self.unanswered.add(pid)
+            elif not word.answered:
+                word.answered = True
+                self.unanswered.discard(pid)
+        if ours and settled > self.settled:
             self._settle(min(settled, self.applied))
         return None
 
@@ -239,11 +246,10 @@ class Memory:
         while self.applied < round_ - 1 and not self._lacking:
             if self.frozen and self.applied >= self.view.since - 1:
                 break
-            members = [p for p, m in enumerate(self._course.first.members) if m >= 0]
-            entries = [self._logs[p].at(self.applied + 1) for p in members]
-            through = self.applied + 1
-            if all(not e.closing.writes and not e.closing.acted and e.closing.lock < 0 for e in entries):
-                through = min(round_ - 1, self._course.end(through), min(e.closing.round for e in entries))
+            through, logs = self.applied + 1, self._logs
+            entries = [logs[p].at(through) for p in self._course.members]
+            if not entries[0].closing.acted and not any(e.single for e in entries):
+                through = min(round_ - 1, self._course.end(through), min([e.closing.round for e in entries]))
             self._apply(entries, through)
         return self.applied == round_ - 1 and not self.frozen and self.member()
 
@@ -302,11 +308,6 @@ class Memory:
             made = self._snapshot = self.applied, State(view, self.applied, values, stopped, tuple(self.acted))
         return made
 
-    def _base(self, index: int, author: int) -> Any:
-        """A variable's value (of an allread variable, the author's slot) in the round after the last applied one."""
-        value = self.shared[self._layout.names[index]]
-        return value[author] if self._layout.is_slots[index] else value
-
     def _settle(self, through: int) -> None:
         """Forget what everyone holds."""
         if through > self.settled:
@@ -324,13 +325,11 @@ class Memory:
                     if begins <= log.held + 1 <= ends:
                         log.skip(ends)
             self._course.drop(self.applied)
-        members = self._course.first.members
-        self._lacking = {p for p, log in enumerate(self._logs) if members[p] >= 0 and log.held <= self.applied}
+        applied, logs = self.applied, self._logs
+        self._lacking = {p for p in self._course.members if logs[p].held <= applied}
 
     def _counting(self, entries: Sequence[Entry], round_: int) -> Sequence[Entry]:
         """Those whose event counts, in the order in which they take effect."""
-        if max([e.closing.lock for e in entries], default=-1) < 0:
-            return entries
         contenders: dict[int, list[int]] = {}
         for entry in entries:
             if entry.closing.lock >= 0:
@@ -342,48 +341,58 @@ class Memory:
     def _apply(self, entries: Sequence[Entry], through: int) -> None:
         """Apply one closing of each member, given in ascending pid: first the commits, then the plain writes, so that
         the highest pid wins a plain conflict, also over that round's commit."""
-        changed: dict[int, Any] = {}
-        for entry in self._counting(entries, through):
+        plain = max([e.closing.lock for e in entries], default=-1) < 0
+        counting = entries if plain else self._counting(entries, through)
+        shared, acted = self._written(counting), list(self.acted)
+        for entry in counting:
             closing = entry.closing
-            author = closing.author
-            if entry.values:
-                self._write(changed, entry)
-            if closing.stopped:
-                self.stopped.setdefault(author, max(closing.first, self.applied + 1) if through else 0)
             if closing.acted:
-                self.acted[author] = closing.round
-            if author == self._pid and closing.lock >= 0:
+                acted[closing.author] = closing.round
+            if closing.stopped:
+                first = max(closing.first, self.applied + 1) if through else 0
+                self.stopped.setdefault(closing.author, first)
+            if closing.lock >= 0 and closing.author == self._pid:
                 self.won = closing.round
-        if changed:
-            names, slots = self._layout.names, self._layout.is_slots
-            self.shared = {**self.shared, **{names[i]: tuple(v) if slots[i] else v for i, v in changed.items()}}
         self.prompt = tuple([e.closing.author for e in entries if e.closing.prompt and e.closing.round == through])
         self.applied = through
-        _, shared, acted = self._past[-1]
         if shared is not self.shared or acted != self.acted:
-            # Without stable rounds no event runs for long, so this is short.
-            while len(self._past) > 1 and self.stable(self._past[1][0]):
-                del self._past[0]
-            self._past.append((through, self.shared, list(self.acted)))
+            self.shared, self.acted = shared, acted
+            if len(self._past) >= FORGET_EVERY:
+                self._forget_past()
+            self._past.append((through, shared, acted))
         self._look()
-        number, members = self.view.number, self.view.members
-        words = [w.applied if w.view == number else 0 for p, w in self._words.items() if members[p] >= 0]
-        self._settle(min(through, *words) if words else through)
+        if through >= self.settled + SETTLE_AFTER:
+            number, members = self.view.number, self.view.members
+            words = [w.applied if w.view == number else 0 for p, w in self._words.items() if members[p] >= 0]
+            self._settle(min(through, *words) if words else through)
 
-    def _write(self, changed: dict[int, Any], entry: Entry) -> None:
-        """One robot's writes of a round."""
-        layout, author = self._layout, entry.closing.author
-        for index, item in entry.values:
-            value = item
-            if isinstance(item, Unpatched):
-                value = layout.resolve(index, item, self._base(index, author))
-                if value is None:
-                    self.unfit += 1
-                    continue
-            if not layout.is_slots[index]:
-                changed[index] = value
-                continue
-            slots = changed.get(index)
-            if slots is None:
-                slots = changed[index] = list(self.shared[layout.names[index]])
-            slots[author] = value
+    def _forget_past(self) -> None:
+        """Drop what is before the last stable round. Without them no event runs for long, so not much stays."""
+        for index in range(len(self._past) - 1, 0, -1):
+            if self.stable(self._past[index][0]):
+                del self._past[:index]
+                return
+
+    def _written(self, entries: Sequence[Entry]) -> Mapping[str, Any]:
+        """The store with what these closings wrote, in their order."""
+        layout, shared = self._layout, self.shared
+        is_slots = layout.is_slots
+        changed: dict[int, Any] = {}
+        for entry in entries:
+            for index, item in entry.values:
+                author = entry.closing.author
+                if isinstance(item, Unpatched):
+                    item = layout.resolve(index, item, layout.base(index, shared, author))
+                    if item is None:
+                        self.unfit += 1
+                        continue
+                if is_slots[index]:
+                    slots = changed.get(index)
+                    if slots is None:
+                        slots = changed[index] = list(shared[layout.names[index]])
+                    slots[author] = item
+                else:
+                    changed[index] = item
+        if not changed:
+            return shared
+        return {**shared, **{layout.names[i]: tuple(v) if is_slots[i] else v for i, v in changed.items()}}

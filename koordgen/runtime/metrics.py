@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 _PER_OCTAVE = 8  # buckets: a quantile is right within 9 %
@@ -16,6 +16,8 @@ _RECENT = 512  # datagrams after which older ones count half
 
 class Histogram:
     """Durations in seconds; what is below a microsecond counts as one."""
+
+    __slots__ = ("_buckets", "count", "most")
 
     def __init__(self) -> None:
         self.count = 0
@@ -48,17 +50,17 @@ class Histogram:
         return {name: round(seconds * 1e3, 3) for name, seconds in found.items()}
 
 
+@dataclass(slots=True)
 class _Peer:
     """What is known of one peer's datagrams."""
 
-    def __init__(self) -> None:
-        self.expected = 0
-        self.received = 0
-        self.delay = Histogram()
-        self.heard: float | None = None
-        self.longest = 0.0  # seconds between two datagrams
-        self.closed = 0
-        self.repeats = 0
+    expected: int = 0
+    received: int = 0
+    delay: Histogram = field(default_factory=Histogram)
+    heard: float | None = None
+    longest: float = 0.0  # seconds between two datagrams
+    closed: int = 0
+    repeats: int = 0
 
 
 @dataclass(slots=True)
@@ -107,14 +109,14 @@ class Metrics:
         peer.received += 1
         if ahead > 0:
             peer.expected += ahead
-        if peer.expected > _RECENT:
-            peer.expected //= 2
-            peer.received //= 2
+            if peer.expected > _RECENT:
+                peer.expected //= 2
+                peer.received //= 2
         if delay is not None:
             peer.delay.add(delay)
-        if peer.heard is not None and now - peer.heard > peer.longest:
-            peer.longest = now - peer.heard
-        peer.heard = now
+        before, peer.heard = peer.heard, now
+        if before is not None and now - before > peer.longest:
+            peer.longest = now - before
 
     def closed(self, pid: int, round_: int) -> None:
         """All closings of a peer up to this round are here."""

@@ -175,11 +175,11 @@ class Replica:
     def take(self, message: Talk, present: int) -> None:
         """A message of this mission, heard in round `present`."""
         sender = message.head.pid
-        peer = self._peers[sender]
-        peer.heard = self._tick
+        self._peers[sender].heard = self._tick
+        if isinstance(message, Round):  # nearly all
+            self._round(sender, message, present)
+            return
         match message:
-            case Round():
-                self._round(sender, message, present)
             case Need():
                 self._need(sender, message, present)
             case Piece():
@@ -270,7 +270,7 @@ class Replica:
                 self._link.reject(refused)
         through = message.round - 1 if message.round else 0
         refused = memory.heard(
-            sender, message.view, message.applied, message.held, through, message.settled, present, asks=False
+            sender, message.view, message.applied, message.held, through, message.settled, present, False
         )
         if refused is not None:
             self._link.reject(refused)

@@ -28,8 +28,8 @@ PUBLISH = 0.5  # of delta: when a round's closing leaves at the latest
 FIRST_SLOT = 3  # the first of a round's SLOTS in which its own closings are asked for, before it the last round's
 PUNCTUAL = 0.5  # of a slot: who wakes later is late
 PATIENCE = 1  # rounds for which who is late asks for nothing
-GATHER = 20e-6  # seconds that the closing of one more robot may take to come after another's
-MOST_GATHER = 0.03  # of a round, for all of them
+GATHER = 150e-6  # seconds that the closing of one more robot may take to come after another's
+MOST_GATHER = 0.2  # of a round, for all of them: one of its SLOTS
 LINGER = 20  # rounds after all have stopped
 WOKE_LATE = "woke after the publish deadline"
 
@@ -126,13 +126,15 @@ class Rounds:
         return not present.open and (memory is None or memory.applied >= present.round or present.slot >= FIRST_SLOT)
 
     @property
-    def gather(self) -> float:
-        """Seconds for which it pays to let more arrive before what has come is looked at: to wake for each of many
-        closings alone costs more than all else."""
+    def expects(self) -> tuple[int, float]:
+        """How many closings the round that this robot has closed still lacks, and seconds for which it pays to let
+        them arrive before what has come is looked at: to wake for each of many alone costs more than all else. Else 1
+        and no time."""
         memory, present = self._replica.memory, self._present
-        if memory is None or present.open or memory.applied >= present.round:
-            return 0.0
-        return min(GATHER * memory.lacking, MOST_GATHER * self._delta)
+        if memory is None or present.open or memory.applied >= present.round or not memory.lacking:
+            return 1, 0.0
+        lacking = memory.lacking
+        return lacking, min(GATHER * lacking, MOST_GATHER * self._delta)
 
     def leave(self) -> None:
         self._left = True

@@ -16,6 +16,7 @@ from koordgen.runtime.seal import MAC_SIZE, MEMORY, seal, unseal
 
 WIRE_FORMAT = 3  # raised whenever the meaning of a datagram changes; part of every interface hash
 LIMIT = 1200  # bytes of a sealed datagram: what every path carries without IP fragments
+MOST_PAYLOAD = LIMIT - MAC_SIZE
 MAX_ROBOTS = 128
 MAX_ECHOES = 8
 MOST_PIECES = 256  # of one blob
@@ -35,8 +36,8 @@ Mask = Annotated[bytes, msgspec.Meta(max_length=MOST_PIECES // 8)]  # bit i of b
 Data = Annotated[bytes, msgspec.Meta(max_length=LIMIT)]
 
 
-class Wired(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """What travels: immutable, an array without names, nothing beyond its fields."""
+class Wired(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
+    """What travels: immutable (so it never refers to itself), an array without names, nothing beyond its fields."""
 
 
 class Echo(Wired, frozen=True):
@@ -254,16 +255,26 @@ _states: msgspec.msgpack.Decoder[State] = msgspec.msgpack.Decoder(State)
 _FORMAT = bytes([WIRE_FORMAT])
 
 
+def pack(message: Message) -> bytes:
+    """What of a datagram is sealed."""
+    return _FORMAT + encoder.encode(message)
+
+
 def encode(message: Message, key: bytes | None) -> bytes:
     """A sealed datagram; the caller sees to its length."""
-    return seal(key, MEMORY, _FORMAT + encoder.encode(message))
+    return seal(key, MEMORY, pack(message))
 
 
 def decode(datagram: bytes, key: bytes | None) -> Message | str:
     """The message, or why there is none. Nothing is looked at before the MAC was found right. Never raises."""
-    if len(datagram) > LIMIT:
+    return opened(len(datagram), unseal(key, MEMORY, datagram))
+
+
+def opened(length: int, payload: bytes | None) -> Message | str:
+    """The message in a datagram of `length` bytes of which this is the payload (None: it is not genuine), or why there
+    is none. Never raises."""
+    if length > LIMIT:
         return "oversize"
-    payload = unseal(key, MEMORY, datagram)
     if payload is None:
         return "not authentic"
     if payload[:1] != _FORMAT:

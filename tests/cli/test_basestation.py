@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import os
 import signal
 import socket
 import subprocess
@@ -27,9 +29,11 @@ from koordgen.basestation import (
     station,
 )
 from koordgen.cli import main
+from koordgen.cli.terminal import Line
 from koordgen.mocap import Mocap
 from koordgen.pipeline import read_fleet
 from koordgen.runtime.feed import Feed
+from tests.terminal import terminal
 
 KEY = bytes(range(32))
 FLEET = """
@@ -242,14 +246,40 @@ def test_old_frames_are_not_kept() -> None:
     assert not isinstance(first, Exception) and first[1]["alice"][0][0] > 0.005
 
 
+def test_an_interrupt_while_the_line_is_shown_leaves_it_a_line_of_its_own() -> None:
+    class Interrupted(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+        def flush(self) -> None:
+            raise KeyboardInterrupt
+
+    stream = Interrupted()
+    line = Line(stream)
+    with pytest.raises(KeyboardInterrupt):
+        line.show("alice 50/s")
+    line.end()
+    assert stream.getvalue() == "\r\x1b[Kalice 50/s\n"
+
+
 @pytest.mark.parametrize("system", ["mock", "vrpn"])
 def test_it_ends_in_order_when_interrupted(system: str, tmp_path: Path) -> None:
-    """With the real package; vrpn waits within its library for what never comes."""
+    """With the real package; vrpn waits within its library for what never comes. It serves when its line stands on the
+    terminal: who interrupts a Python that still loads gets Python's own words."""
     pytest.importorskip("motioncapture")
     options = [str(written(tmp_path)), "--system", system, "--host", "127.0.0.1"]
     command = [sys.executable, "-m", "koordgen", "basestation", *options]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    time.sleep(1.0)
-    process.send_signal(signal.SIGINT)
-    _, told = process.communicate(timeout=10.0)
-    assert process.returncode == 130 and "interrupted" in told and "Traceback" not in told
+    with terminal() as (ours, device), open(device, "wb") as theirs:
+        process = subprocess.Popen(command, stderr=theirs)
+        try:
+            told = b""
+            while b"NOT SEEN" not in told:
+                told += os.read(ours, 4096)
+            process.send_signal(signal.SIGINT)
+            while b"\ninterrupted\n" not in told:
+                told += os.read(ours, 4096)
+            assert process.wait() == 130
+        finally:
+            process.kill()
+            process.wait()
+    assert b"Traceback" not in told

@@ -184,6 +184,17 @@ def test_a_solver_that_ends_or_says_nothing_proves_nothing(
     assert why in said
 
 
+def test_a_solver_that_is_gone_before_it_is_asked_proves_nothing(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where it finds no memory to load its libraries, and we come to look only then."""
+    stand_in(folder, monkeypatch, "#!/bin/sh\nexit 127\n")
+    monkeypatch.setattr("resource.prlimit", lambda pid, *_: os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT))
+    assert main(["prove", written(STRONG)]) == 4
+    said = " ".join(capsys.readouterr().out.split())
+    assert "PROVED" not in said and "z3 ended with status 127" in said
+
+
 def test_a_solver_without_memory_proves_nothing(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -8,6 +8,7 @@ from random import Random
 from typing import Any
 
 import pytest
+from msgspec import Raw
 
 from koordgen.runtime import wire
 from koordgen.runtime.bounds import Cells
@@ -16,6 +17,7 @@ from koordgen.runtime.network import Conditions
 from koordgen.runtime.program import Event, Frame, Transaction, Variable
 from koordgen.runtime.settings import Safety
 from koordgen.runtime.values import Grid, Point
+from koordgen.runtime.wire import LIMIT, Closing, Round, Write
 from tests.runtime.fleet import KEY, Fleet, Robot
 from tests.runtime.lineform import PROGRAM
 
@@ -108,6 +110,26 @@ def finish(fleet: Fleet) -> None:
         replica = robot.agent._replica
         assert replica is not None and replica.memory is not None and replica.memory.unfit == 0
         assert not any("does not fit" in reason for reason in robot.agent._link.rejected), robot.agent._link.rejected
+
+
+@pytest.mark.parametrize("length", [1, 30, 300, 700, 5000])
+def test_words_with_closings_go_in_as_few_datagrams_as_they_fit_in(length: int) -> None:
+    """Where all fit into one they need no other way than those that do not; no echo is lost on the way."""
+    fleet = Fleet(n=3).boot_all()
+    fleet.run_rounds(3)
+    link, sent = fleet.robots[0].agent._link, list[bytes]()
+    fleet.network.send = lambda sender, receiver, datagram: sent.append(datagram)  # type: ignore[method-assign]
+    value = Raw(wire.encoder.encode("x" * length))
+    closings = [Closing(0, 0, r, r, acted=True, writes=(Write(0, value),)) for r in range(1, 5)]
+    link._next_echo = float("-inf")
+    link._echoed.clear()
+    link.round([1], (0, 5, 4, 3, False, ()), closings)
+    messages = [wire.decode(d, KEY) for d in sent]
+    rounds = [m for m in messages if isinstance(m, Round)]
+    assert all(len(d) <= LIMIT for d in sent) and len(messages) == {1: 1, 30: 1, 300: 2, 700: 4, 5000: 25}[length]
+    assert [c for m in rounds for c in m.closings] == (closings if length < LIMIT else [])
+    assert sum(len(m.head.echoes) for m in messages if not isinstance(m, str)) == 1
+    assert len({m.head.sequence for m in messages if not isinstance(m, str)}) == len(messages)
 
 
 def tapped(fleet: Fleet) -> Counter[str]:

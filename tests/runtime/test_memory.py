@@ -123,6 +123,52 @@ def test_the_order_and_number_in_which_closings_come_makes_no_difference(seed: i
     assert all(r == results[0] for r in results)
 
 
+def random_closing(rng: Random, author: int, round_: int, locks: int) -> Closing:
+    if rng.random() < 0.3:
+        return silence(author, round_, round_, stopped=rng.random() < 0.1)
+    writes = [write(index, round_ * 10 + author) for index in range(2) if rng.random() < 0.5]
+    lock = rng.randrange(-1, locks)
+    return one(author, round_, *writes, lock=lock, prompt=rng.random() < 0.3, stopped=rng.random() < 0.1)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_rounds_of_any_closings_come_to_what_the_rule_says(seed: int) -> None:
+    """Also for one who goes back to any round that is not stable."""
+    rng, alice, n = Random(seed), fleet(4)[0], 4
+    store: dict[str, Any] = {"x": (0,) * n, "last": -1}
+    stopped, acted, won, past = dict[int, int](), [0] * n, 0, [(store, [0] * n)]
+    for round_ in range(1, 40):
+        closings = [random_closing(rng, author, round_, locks=rng.choice((0, 0, 2))) for author in range(n)]
+        own = closings[0]
+        shared = {("x", "last")[w.index]: round_ * 10 for w in own.writes}
+        alice.close(round_, shared, stopped=own.stopped, acted=own.acted, prompt=own.prompt, lock=own.lock)
+        assert give(alice, *closings[1:], present=round_) == [None] * (n - 1)
+        assert alice.advance(round_ + 1)
+        best = [
+            min((c.author for c in closings if c.lock == lock), key=lambda p: (p - round_ - lock) % n, default=-1)
+            for lock in range(2)
+        ]
+        commits = [c for c in closings if c.lock >= 0 and best[c.lock] == c.author]
+        for closing in (*commits, *[c for c in closings if c.lock < 0]):
+            author, value = closing.author, round_ * 10 + closing.author
+            for index in [w.index for w in closing.writes]:
+                slots = (*store["x"][:author], value, *store["x"][author + 1 :])
+                store = {**store, "x": slots} if index == 0 else {**store, "last": value}
+            if closing.stopped:
+                stopped.setdefault(author, round_)
+            if closing.acted:
+                acted[author] = round_
+                won = round_ if author == 0 and closing.lock >= 0 else won
+        past.append((store, list(acted)))
+        assert everything(alice) == (round_, store, stopped, acted) and alice.won == won
+        assert alice.prompt == tuple(c.author for c in closings if c.prompt)
+        for pid in rng.sample(range(1, n), rng.randrange(3)):
+            said(alice, pid, round_ - rng.randrange(2))
+    back = rng.randrange(max(r for r in range(40) if alice.stable(r) or not r), 40)
+    before = alice.rewound(View(1, back + 1, (0,) * n))
+    assert before is not None and (before.shared, before.acted) == past[back]
+
+
 def test_a_long_silence_is_one_closing_and_is_applied_at_once() -> None:
     alice = fleet()[0]
     for round_ in range(1, 101):
@@ -357,6 +403,18 @@ def test_a_log_joins_silence_and_keeps_what_lies_beyond_a_gap() -> None:
     assert log.held == 20
     log.forget(20)
     assert log.entries == []
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_closings_between_two_rounds_are_found_wherever_they_lie(seed: int) -> None:
+    rng, log, held = Random(seed), Log(), 0
+    while held < 60:
+        first, held = held + 1, held + rng.randrange(1, 4)
+        log.take(Entry(one(1, first) if first == held else silence(1, first, held), ()))
+    for low in range(1, held + 2):
+        for high in range(low - 1, held + 2):
+            wanted = [e.closing for e in log.entries if e.closing.round >= low and e.closing.first <= high]
+            assert log.between(low, high) == [msgspec.structs.replace(c, first=max(c.first, low)) for c in wanted]
 
 
 def test_a_stopped_robot_tells_it_with_each_silence() -> None:
