@@ -81,7 +81,7 @@ def main(
         if program.library is not None:
             program.library.load()  # importing may take longer than a round
         if courier.library() is None:  # and so may compiling
-            _say("warning", f"the shared memory takes more of the processor than it could: {courier.why()}")
+            _say("warning", f"updates take longer to arrive than they could: {courier.why()}")
         platform = platform_type(settings, key)
         platform = with_drivers(platform, program, drivers)
         return _run(program, settings, key, platform, root, properties, quiet=arguments.quiet)

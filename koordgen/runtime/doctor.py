@@ -71,7 +71,7 @@ def _courier() -> Finding:
     library = courier.library()
     took = 1e3 * (time.perf_counter() - began)
     if library is None:
-        why = "all works, and takes more of the processor: install a C compiler (`apt install gcc`)"
+        why = "all works, and updates take longer to arrive: install a C compiler (`apt install gcc`)"
         return Finding("courier", "warn", courier.why(), "compiled C", why)
     return Finding("courier", "ok", f"compiled C, loaded in {took:.0f} ms")
 

@@ -13,7 +13,6 @@ import random
 import time
 from pathlib import Path
 
-from koordgen.runtime import courier
 from koordgen.runtime.network import MemoryNetwork
 from koordgen.runtime.runner import Interrupting
 from targets.sim.crew import Step
@@ -69,7 +68,6 @@ class Lockstep:
         return self._stage
 
     def launch(self, stage: Stage) -> None:
-        courier.library()  # as each agent's process does: to compile takes no time of the run
         for agent, actor in zip(self._agents, stage.actors, strict=True):
             agent.launch(actor)
         self._began = time.perf_counter()
