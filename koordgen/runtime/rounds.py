@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
+
+from msgspec.structs import replace
 
 from koordgen.runtime.body import Body, unusable
 from koordgen.runtime.clock import FleetClock
@@ -78,6 +80,7 @@ class Rounds:
         self._delta = delta
         self._observe = observe
         self._keep = keep
+        self.round = 0  # the present one; 0 before the first
         self._present = _Present()
         self._published = 0
         self._wake = 0.0
@@ -93,11 +96,6 @@ class Rounds:
         self.reason: str | None = None  # why the last round that was closed had no event
         self.watched = False  # by monitors
         self.moment: Moment | None = None  # at the start of that round, when it is watched
-
-    @property
-    def round(self) -> int:
-        """The present round; 0 before the first."""
-        return self._present.round
 
     @property
     def lacking(self) -> list[str]:
@@ -177,16 +175,19 @@ class Rounds:
             if memory.view.number != self._view:  # words in the new view are wanted before events can go on
                 self._view = memory.view.number
                 self._replica.tell(present.round)
-            self._settle(now)
+            if self._outbox.pressing:
+                self._settle(now)
         else:
             for record in self._outbox.ready(None):
                 self._observe(record)
         if present.open:
             self._decide(now, into, current, unready)
-        if memory is not None and not present.open:
-            memory.advance(present.round + 1)
+        if memory is not None:
+            if not present.open:
+                memory.advance(present.round + 1)
             self._settle(now)
-            self._confirm(memory.applied)
+            if not present.open:
+                self._confirm(memory.applied)
         if ripe:  # only now: all others wait for the closing
             self._replica.poll((present.round - 1) * SLOTS + slot, present.round)
         self._wake = self._ask(slot, fresh, timely)
@@ -209,7 +210,7 @@ class Rounds:
             if memory.held[self._replica.pid] < round_ - 1:
                 memory.close(round_ - 1, {}, stopped=self.stopped)
             self.counters.missed += slept
-        self._present = _Present(round_, True, sensed)
+        self.round, self._present = round_, _Present(round_, True, sensed)
         self.counters.rounds += 1
 
     def _come_back(self, now: float) -> None:
