@@ -158,7 +158,7 @@ class Agent:
             self._platform.start(now)
             self._started = True
         self._journal.round = self.round
-        wake = self._poll_body(now)
+        wake = self._poll_body(now) if now >= self._next_body - 1e-9 else self._next_body
         if self._broken:
             self._transport.receive()
             return wake
@@ -244,8 +244,6 @@ class Agent:
                 self._rest("the shared memory is gone", SURROUNDINGS)
 
     def _poll_body(self, now: float) -> float:
-        if now < self._next_body - 1e-9:
-            return self._next_body
         self._next_body = max(self._next_body + self._platform.period, now)
         if self.phase in ("resting", "rested"):
             self._platform.rest(now)
