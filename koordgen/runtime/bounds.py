@@ -42,7 +42,7 @@ class Fixed:
             fits = INT_MIN <= value <= INT_MAX
         else:
             fits = not isinstance(value, Grid) or (
-                INT_MIN <= min(value.x, value.y) and max(value.x, value.y) <= INT_MAX
+                min(value.x, value.y) >= INT_MIN and max(value.x, value.y) <= INT_MAX
             )
         return "" if fits else "an int beyond 64 bits, which no robot may use"
 

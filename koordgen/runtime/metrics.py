@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -118,11 +118,11 @@ class Metrics:
         if before is not None and now - before > peer.longest:
             peer.longest = now - before
 
-    def closed(self, pid: int, round_: int) -> None:
-        """All closings of a peer up to this round are here."""
-        peer = self._peers.get(pid)
-        if peer is not None and round_ > peer.closed:
-            peer.closed = round_
+    def held(self, rounds: Sequence[int]) -> None:
+        """All closings of each robot are here up to these rounds, by pid."""
+        for pid, peer in self._peers.items():
+            if rounds[pid] > peer.closed:
+                peer.closed = rounds[pid]
 
     def repeated(self, pid: int) -> None:
         """A peer was asked for something again."""

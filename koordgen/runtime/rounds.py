@@ -8,7 +8,7 @@ present round, and closes those it missed as empty.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,8 +34,6 @@ GATHER = 150e-6  # seconds that the closing of one more robot may take to come a
 MOST_GATHER = 0.2  # of a round, for all of them: one of its SLOTS
 LINGER = 20  # rounds after all have stopped
 WOKE_LATE = "woke after the publish deadline"
-
-Keep = Callable[[Life, int], None]
 
 
 @dataclass(slots=True)
@@ -68,7 +66,7 @@ class Rounds:
         delta: float,
         lives: list[Life],
         observe: Observe,
-        keep: Keep,
+        keep: Callable[[Life, int], None],
     ) -> None:
         self._runner = runner
         self._body = body
@@ -85,6 +83,7 @@ class Rounds:
         self._wake = 0.0
         self._asked = 0  # the last round in which this robot asked
         self._left = False
+        self._sure = 0  # the last round that is known to be stable
         self._restored: Life | None = None  # to be told with the next record
         self._outbox = Outbox(lives[0])
         self._outbox.lives = list(lives)
@@ -136,9 +135,11 @@ class Rounds:
     def leave(self) -> None:
         self._left = True
 
-    def take(self, message: Talk) -> None:
-        """A message of this mission."""
-        self._replica.take(message, max(self.round, 1))
+    def take(self, messages: Sequence[Talk]) -> None:
+        """Messages of this mission."""
+        take, present = self._replica.take, max(self.round, 1)
+        for message in messages:
+            take(message, present)
 
     def poll(self, now: float, sense: Callable[[float], Sensed], unready: str | None) -> float:
         """Do what is due at local time `now`; returns when to be called again at the latest. `sense` samples the
@@ -187,6 +188,7 @@ class Rounds:
                 memory.advance(self.round + 1)
             self._settle(now)
             if not present.open:
+                self._replica.keep()  # the next closing says so, and should not have to wait for it
                 self._confirm(memory.applied)
         if ripe:  # only now: all others wait for the closing
             self._replica.poll((self.round - 1) * SLOTS + slot, self.round)
@@ -252,6 +254,7 @@ class Rounds:
                 self._replica.keep()  # our own word is one of the majority's
                 self._body.command(effects.actuators, now)
                 self._body.hold("stopped", effects.stopped or self.stopped, now)
+                self._sure = record.round
             self._observe(record)
         if outbox.first is None:
             self._body.hold("not confirmed", False, now)
@@ -312,7 +315,7 @@ class Rounds:
         if self._outbox.first is not None or self._outbox.undecided:
             unaware = memory.unaware(self._outbox.first or round_ - 1)
             return f"not confirmed: waits for the word of a majority, not heard from {self._named(unaware)}"
-        if round_ > AHEAD and not memory.stable(round_ - AHEAD):
+        if round_ - AHEAD > self._sure and not memory.stable(round_ - AHEAD):
             return f"not confirmed: not heard from {self._named(memory.unaware(round_ - AHEAD))}"
         if memory.crowded:
             return f"not current: {self._names[memory.laggard]} lags behind"
@@ -354,8 +357,8 @@ class Rounds:
         if memory is not None:
             stopped = self.stopped or self._left or (life is not None and life.stopped)
             shared = effects.shared if effects else {}
-            prompt = has_outputs(effects)
-            memory.close(round_, shared, stopped=stopped, acted=life is not None, prompt=prompt, lock=lock)
+            acted, prompt = life is not None, has_outputs(effects)
+            memory.close(round_, shared, stopped=stopped, acted=acted, prompt=prompt, lock=lock)
         else:
             self.counters.out += 1
         self._replica.publish(self._published + 1, round_)
@@ -363,9 +366,8 @@ class Rounds:
 
     def _confirm(self, applied: int) -> None:
         """Tell those who wait for it that this robot has applied the round they closed."""
-        present = self._present
-        if applied >= self.round and not present.confirmed:
-            present.confirmed = True
+        if applied >= self.round and not self._present.confirmed:
+            self._present.confirmed = True
             self._replica.confirm(self.round)
 
     def _ask(self, slot: int, fresh: bool, timely: bool) -> float:
