@@ -182,7 +182,7 @@ def run_agent(
             spent = time.process_time()
         if agent.round == 0 and now > limit:
             raise TimeoutError(f"no round within {patience:.0f} s")
-        tapped.wait(min(wake - clock.now(), 0.1), agent.gather)
+        tapped.wait(min(wake - clock.now(), 0.1), *agent.expects)
     spent = (time.process_time() - spent) / (agent.round - WARM_UP)
     tapped.close()
     store.close()

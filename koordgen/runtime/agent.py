@@ -22,6 +22,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, TextIO
 
+from koordgen.runtime import courier
 from koordgen.runtime.clock import SystemClock
 from koordgen.runtime.control import Control
 from koordgen.runtime.doctor import PlatformType, examine
@@ -79,6 +80,8 @@ def main(
         Layout(program.shared, len(settings.peers))
         if program.library is not None:
             program.library.load()  # importing may take longer than a round
+        if courier.library() is None:  # and so may compiling
+            _say("warning", f"updates take longer to arrive than they could: {courier.why()}")
         platform = platform_type(settings, key)
         platform = with_drivers(platform, program, drivers)
         return _run(program, settings, key, platform, root, properties, quiet=arguments.quiet)
@@ -177,7 +180,7 @@ def _run(
                     agent.end(f"{signals.name}: coming to rest")
                 else:
                     _say("warning", "still coming to rest; one more signal ends the process at once")
-            transport.wait(min(wake - clock.now(), LONGEST_WAIT), agent.gather)
+            transport.wait(min(wake - clock.now(), LONGEST_WAIT), *agent.expects)
         while control.lingers(clock.now()):
             control.poll(clock.now(), agent.phase, report)
             time.sleep(0.01)

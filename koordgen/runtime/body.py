@@ -14,7 +14,7 @@ from koordgen.runtime.safety import clamped
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point, transmissible
 
-_GOALS = ("target", "path")
+_GOALS, _REACHED = ("target", "path"), ".reached"
 
 
 class Body:
@@ -36,11 +36,13 @@ class Body:
     ) -> None:
         self._platform = platform
         self._avoid, self._pid, self._clock = avoid, pid, clock
-        self._published: dict[int, tuple[Point, ...]] = {}  # what `others` has handed on
+        self._slots: tuple[Any, ...] = ()  # of `avoid`, as `others` saw them last
+        self._published: dict[int, tuple[Point, ...]] = {}  # what it has handed on
         self._fence = fence
         self._budget = budget
         self._warn = warn
         self._sensors = tuple(p.name for p in program.ports if p.direction == "sensor")
+        self._reached = tuple((name, name[: -len(_REACHED)]) for name in self._sensors if name.endswith(_REACHED))
         self._actuators = tuple(p for p in program.ports if p.direction == "actuator")
         self._callables = {p.name: p.type for p in program.ports if p.direction == "callable"}
         self._commanded: dict[str, float] = {}  # module -> when its target or path was written last
@@ -68,21 +70,24 @@ class Body:
         """The program's sensor ports. `reached` is true before any command, and after one false until the platform
         judged by a position that is younger than the command."""
         values = {name: sensed.values[name] for name in self._sensors}
-        for name in self._sensors:
-            module, _, port = name.rpartition(".")
-            if port == "reached":
-                since = self._commanded.get(module)
-                if since is None:
-                    values[name] = True
-                elif sensed.time is None or sensed.time <= since:
-                    values[name] = False
+        for name, module in self._reached:
+            since = self._commanded.get(module)
+            if since is None:
+                values[name] = True
+            elif sensed.time is None or sensed.time <= since:
+                values[name] = False
         return values
 
     def others(self, shared: Mapping[str, Any]) -> None:
         """Before an event: hand the other robots' published paths, as they stand in the shared store, to the platform,
         if they have changed."""
-        slots = enumerate(shared.get(self._avoid, ()))
-        paths = ((pid, (slot,) if isinstance(slot, Point) else slot) for pid, slot in slots if pid != self._pid)
+        slots = shared.get(self._avoid, ())
+        if slots is self._slots:
+            return
+        self._slots = slots
+        paths = (
+            (pid, (slot,) if isinstance(slot, Point) else slot) for pid, slot in enumerate(slots) if pid != self._pid
+        )
         published = {pid: path for pid, path in paths if path}
         if published != self._published:
             self._published = published

@@ -121,7 +121,7 @@ class Joining:
     def poll(self, now: float, fleet: float | None) -> float:
         """Send what is due at local time `now`; `fleet` is the fleet time, if known. When to be called again."""
         if self._start is not None:
-            return self._meet(now)
+            return self.meet(now)
         agreed = self._link.epoch and all(o.epoch == self._link.epoch for o in self._others.values())
         if agreed and self._pid == 0 and fleet is not None:
             self._start = round((fleet + LEAD * self._period) * 1e6) / 1e6
@@ -131,8 +131,9 @@ class Joining:
             self.tell()
         return self._next
 
-    def _meet(self, now: float) -> float:
-        """During the mission: Hellos to those whose present boot is not known, or who may not know ours."""
+    def meet(self, now: float) -> float:
+        """During the mission: Hellos to those whose present boot is not known, or who may not know ours. When to be
+        called again."""
         if now >= self._next:
             self._next = now + self._period
             for pid in self._link.strangers if self.met else self._others:

@@ -16,6 +16,7 @@ from koordgen.runtime.wire import View
 
 _ACTING = {"off": "", "log": "", "hold": ", the robot holds", "land": ", it lands", "stop": ", it comes to rest"}
 MOST_CHANGES, OFTEN = 6, 10.0  # lines for people about one property within so many seconds
+MOST_UNTOLD = 8  # records of rounds that wait to be told
 METRICS_EVERY = 10.0  # seconds between two of them in the trace
 
 T = TypeVar("T")
@@ -48,6 +49,7 @@ class Journal:
         self._phase = ""
         self._said = ""
         self._measured = 0.0
+        self.untold: list[Record] = []  # of rounds that have become certain
         self.round = 0
 
     def phase(self, phase: str, detail: str) -> None:
@@ -114,11 +116,29 @@ class Journal:
         if view.number:
             self.warn(described(view, names))
 
+    @property
+    def traces(self) -> bool:
+        """Whether counters go anywhere."""
+        return self._trace.open
+
+    @property
+    def full(self) -> bool:
+        """Whether what is untold can wait no longer."""
+        return len(self.untold) >= MOST_UNTOLD
+
+    def tell(self, counters: Mapping[str, int], rejected: Mapping[str, int]) -> None:
+        """Tell of all records that wait to be told, and put the metrics into the trace, if it is time."""
+        for record in self.untold:
+            self.observe(record, counters)
+        self.measure(rejected, self.untold[-1].time)
+        self.untold.clear()
+
     def observe(self, record: Record, counters: Mapping[str, int]) -> None:
-        """A round's record, now that it is certain; `counters` is everything counted so far."""
-        changed = {k: v for k, v in counters.items() if k != "rounds" and self._counted.get(k, 0) != v}
-        self._counted = counters
-        self._trace.round(record, self._fleet_clock.bound(record.time), changed)
+        """A round's record, now that it is certain; `counters` is everything counted so far, if it `traces`."""
+        if self._trace.open:
+            changed = {k: v for k, v in counters.items() if k != "rounds" and self._counted.get(k, 0) != v}
+            self._counted = counters
+            self._trace.round(record, self._fleet_clock.bound(record.time), changed)
         if record.effects is not None:
             self.streams(record.effects.streams, record.round, record.time)
         fault = str(record.fault) if record.fault is not None else ""

@@ -16,7 +16,7 @@ from koordgen.runtime.clock import Clock, FleetClock
 from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.pieces import cut, lacking
 from koordgen.runtime.program import Program
-from koordgen.runtime.seal import MEMORY, seal
+from koordgen.runtime.seal import MEMORY, seal, unseal_all
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.transport import Transport
 from koordgen.runtime.wire import (
@@ -31,9 +31,9 @@ from koordgen.runtime.wire import (
     Partly,
     Piece,
     Round,
-    decode,
     encode,
     encoder,
+    opened,
     overhead,
     pack,
 )
@@ -154,9 +154,9 @@ class Link:
             return []
         local = self._clock.now()  # all of them have arrived by now
         stamp, fleet = _microseconds(local), self._fleet_clock.read(local) if self._fleet_clock.known else None
-        key, accepted = self._key, []
-        for datagram in datagrams:
-            message = decode(datagram, key)
+        accepted = []
+        for datagram, payload in zip(datagrams, unseal_all(self._key, MEMORY, datagrams), strict=True):
+            message = opened(len(datagram), payload)
             if isinstance(message, str):
                 self.reject(message)
             elif self._admit(message, local, stamp, fleet):

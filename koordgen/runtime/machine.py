@@ -6,6 +6,7 @@ a clock of its own.
 
 from __future__ import annotations
 
+import math
 import traceback
 from collections.abc import Sequence
 
@@ -26,17 +27,16 @@ from koordgen.runtime.property import Properties
 from koordgen.runtime.replica import Replica
 from koordgen.runtime.rounds import Lost, Rounds
 from koordgen.runtime.runner import Limit, Runner, unlimited
-from koordgen.runtime.safety import Guard, Verdict
+from koordgen.runtime.safety import Guard
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.store import Keeper
-from koordgen.runtime.trace import Observe, Record, Trace
+from koordgen.runtime.trace import Observe, Trace
 from koordgen.runtime.transport import Transport
 from koordgen.runtime.views import Vote
-from koordgen.runtime.wire import Closing, Hello, View, encoder
+from koordgen.runtime.wire import Closing, Hello, Message, View, encoder
 
 OK, WRONG_PROGRAM, VIOLATED, SURROUNDINGS, INTERNAL = 0, 1, 3, 5, 70
 LOST_BODY = 10.0  # seconds that a body which is lost for good is still tried to be brought to rest
-MOST_UNTOLD = 8  # records of rounds that wait to be told
 MOST_FAILURES = 100  # of the platform in a row after an internal error, then it is given up
 
 
@@ -83,10 +83,9 @@ class Agent:
         self._body = Body(program, platform, fence, budget, self._journal.warn, settings.avoid, settings.pid, clock.now)
         self._runner = Runner(program, settings.pid, len(self._names), clock, limit)
         self._guard = Guard(settings.safety, settings.geofence)
-        self._verdict = Verdict("go")
+        self._unready: str | None = None  # why no event may run as far as the body goes
         self._rounds: Rounds | None = None
         self._replica: Replica | None = None
-        self._untold: list[Record] = []
         self._view = -1
         self._next_body = 0.0
         self._missed = self._failures = 0
@@ -98,9 +97,7 @@ class Agent:
         self.phase = ""
         self.status = OK
         self.done = False
-        slots = [v.name for v in program.shared if v.kind == "allread"]
-        n_sys = len(self._names)
-        trace.header(program.name, settings.robot, settings.pid, n_sys, settings.delta, program.program_hash, slots)
+        trace.header(program, settings.robot, settings.pid, len(self._names), settings.delta)
 
     @property
     def round(self) -> int:
@@ -108,9 +105,9 @@ class Agent:
         return self._rounds.round if self._rounds is not None else 0
 
     @property
-    def gather(self) -> float:
+    def expects(self) -> tuple[int, float]:
         """See Rounds."""
-        return self._rounds.gather if self._rounds is not None else 0.0
+        return self._rounds.expects if self._rounds is not None else (1, 0.0)
 
     def counters(self) -> dict[str, int]:
         """Everything counted so far, by its name."""
@@ -135,7 +132,7 @@ class Agent:
         arrives). Never raises: what goes wrong brings the robot to rest and sets `status`."""
         try:
             wake = self._poll(now)
-            if self.done and self._untold:
+            if self.done and self._journal.untold:
                 self._tell()
             return wake
         except Unready as lost:
@@ -165,54 +162,67 @@ class Agent:
         if self._broken:
             self._transport.receive()
             return wake
-        rounds = self._rounds
+        rounds, due = self._rounds, math.inf
         acted = rounds is not None and rounds.ripe(now)
         if rounds is not None and acted:  # before what has arrived is looked at: all others wait for this closing
-            wake = min(wake, self._poll_rounds(rounds, now))
-        fleet = self._fleet_clock.read(now) if self._fleet_clock.known else None
+            due = self._poll_rounds(rounds, now)
+        if self._rounds is None:
+            return min(wake, due, self._join(now))
         messages = self._link.receive()
+        if messages:
+            self._hear(messages, None)
+        rounds = self._rounds
+        if messages or not acted:
+            due = self._poll_rounds(rounds, now)
+        calm = rounds.calm
+        if calm:
+            self._monitor(rounds, now)
+        if self._journal.full or (calm and self._journal.untold):
+            self._tell()
+        if rounds.over and self.phase == "running":
+            self._asked_to_end = True
+            self._rest("all robots have stopped", OK)
+        return min(wake, due, self._joining.meet(now))
+
+    def _join(self, now: float) -> float:
+        """Before the rounds: hear who is there, and begin them when it is time."""
+        fleet = self._fleet_clock.read(now) if self._fleet_clock.known else None
+        self._hear(self._link.receive(), fleet)
+        if inside := self._joining.inside:
+            self._fleet_clock.follow(min(inside), now)  # who keeps the time is not known before the view
+        if self.phase not in ("starting", "joining"):
+            return math.inf
+        if self._init is not None:
+            self._keeping.mission(self._link.epoch, self._init)
+        wake = self._joining.poll(now, fleet)
+        if self._joining.lost and self.phase == "joining":
+            self._journal.warn("no robot is in the mission that this one comes back to: a new one begins")
+            self._run_init(now)
+        self._begin_rounds(now)
+        return wake
+
+    def _hear(self, messages: Sequence[Message], fleet: float | None) -> None:
+        """Take what has arrived; `fleet` is the fleet time, which nobody asks for once the rounds have begun."""
         for message in messages:
             if isinstance(message, Hello):
                 self._joining.take(message, fleet)
             elif self._rounds is not None:
                 self._rounds.take(message)
-        if self._rounds is None and self._joining.inside:
-            self._fleet_clock.follow(min(self._joining.inside), now)  # who keeps the time is not known before the view
         if names := self._joining.began_anew():
             self._journal.error(f"{names} began anew during the mission and cannot come back: end all and start again")
-        rounds = self._rounds
-        if rounds is not None:
-            if messages or not acted:
-                wake = min(wake, self._poll_rounds(rounds, now))
-            wake = min(wake, self._joining.poll(now, fleet))
-            if rounds.calm:
-                self._monitor(rounds, now)
-            if self._untold and (rounds.calm or len(self._untold) >= MOST_UNTOLD):
-                self._tell()
-            if rounds.over and self.phase == "running":
-                self._asked_to_end = True
-                self._rest("all robots have stopped", OK)
-        elif self.phase in ("starting", "joining"):
-            if self._init is not None:
-                self._keeping.mission(self._link.epoch, self._init)
-            wake = min(wake, self._joining.poll(now, fleet))
-            if self._joining.lost and self.phase == "joining":
-                self._journal.warn("no robot is in the mission that this one comes back to: a new one begins")
-                self._run_init(now)
-            self._begin_rounds(now)
-        return wake
 
     def _poll_rounds(self, rounds: Rounds, now: float) -> float:
         replica = self._replica
         assert replica is not None
         try:
-            wake = rounds.poll(now, self._platform.sense, self._unready())
+            wake = rounds.poll(now, self._platform.sense, self._unready)
         except Lost as lost:
             self._journal.error(str(lost))
             self._rest("cannot come back", SURROUNDINGS)
             self._rounds = None
             return now + self._platform.period
-        self._judge_missed(rounds)
+        if rounds.counters.in_a_row != self._missed:
+            self._judge_missed(rounds)
         if replica.emergency and self.phase == "running":
             self._journal.error("emergency stop, heard from another robot")
             self.end("emergency stop")
@@ -322,17 +332,9 @@ class Agent:
         self._fleet_clock.lock()
         self._replica = Replica(self._link, self._layout, memory, view, vote, applied, timeout, self._keeping.announce)
         self._rounds = Rounds(
-            self._runner,
-            self._body,
-            self._replica,
-            self._fleet_clock,
-            self._names,
-            start,
-            self._settings.delta,
-            lives,
-            self._untold.append,
-            self._keeping.life,
-        )
+            self._runner, self._body, self._replica, self._fleet_clock, self._names, start, self._settings.delta,
+            lives, self._journal.untold.append, self._keeping.life,
+        )  # fmt: skip
         self._rounds.watched = self.monitors.wanted
         self._enter("running", f"mission {epoch.hex()}, round 1 at {start:.3f} s of fleet time")
         if self._rounds.stopped:
@@ -346,12 +348,9 @@ class Agent:
             self._rest(told, SURROUNDINGS)
         elif self._body.hold("position", verdict.action == "hold", now):
             self._journal.warn(told if verdict.action == "hold" else "own position is fresh again")
-        self._verdict = verdict
+        self._unready = verdict.reason if verdict.action != "go" else None
         if self.phase == "running" and self.round > 0:
             self._body.hold("joining", False, now)
-
-    def _unready(self) -> str | None:
-        return self._verdict.reason if self._verdict.action != "go" else None
 
     def _rest(self, why: str, status: int) -> None:
         self.status = self.status or status
@@ -377,18 +376,15 @@ class Agent:
 
     def _tell(self) -> None:
         """Tell of the rounds that have become certain; not while the others' closings are still coming in."""
-        counters = self.counters()
-        for record in self._untold:
-            self._journal.observe(record, counters)
-        self._journal.measure(self._link.rejected, self._untold[-1].time)
-        self._untold.clear()
+        self._journal.tell(self.counters() if self._journal.traces else {}, self._link.rejected)
         memory = self._replica.memory if self._replica is not None else None
         for pid, held in enumerate(memory.held if memory is not None else ()):
             self.metrics.closed(pid, held)
 
     def _monitor(self, rounds: Rounds, now: float) -> None:
         """What the properties demand, as far as this robot can tell."""
-        self._journal.attempt(self.monitors.look, rounds.moment)
+        if rounds.moment is not None:
+            self._journal.attempt(self.monitors.look, rounds.moment)
         verdict = self.monitors.verdict
         self._body.hold("monitor", verdict.action == "hold", now)
         if verdict.action == "rest" and self.phase == "running":

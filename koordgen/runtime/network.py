@@ -79,10 +79,12 @@ class MemoryNetwork:
             taken.append(heapq.heappop(queue)[2])
         return taken
 
-    def next_arrival(self, pid: int) -> float:
-        """When the next datagram arrives at a robot, by the network's clock."""
-        queue = self._queues.get(pid)
-        return queue[0][0] if queue else float("inf")
+    def next_arrival(self, pid: int, count: int = 1) -> float:
+        """When the next datagram has arrived at a robot, or so many have, by the network's clock."""
+        queue = self._queues.get(pid, [])
+        if len(queue) < count:
+            return float("inf")
+        return queue[0][0] if count == 1 else heapq.nsmallest(count, queue)[-1][0]
 
     def leave(self, pid: int, queue: Queue) -> None:
         queue.clear()
@@ -110,7 +112,7 @@ class MemoryTransport:
     def receive(self) -> Sequence[bytes]:
         return self._network.arrived(self._queue)
 
-    def wait(self, seconds: float, gather: float = 0.0) -> None:
+    def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
         """Simulated time is moved by its owner, not by waiting."""
 
     def close(self) -> None:

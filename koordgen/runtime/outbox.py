@@ -7,7 +7,9 @@ waits until the round is stable: nothing that the fleet does not count ever move
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+
+from msgspec.structs import replace
 
 from koordgen.runtime.memory import Memory
 from koordgen.runtime.program import Effects, Life
@@ -25,12 +27,14 @@ class _Waiting:
 
 
 class Outbox:
-    """In order of the rounds. `lives` are those that may have to be gone back to; the first is certain."""
+    """In order of the rounds. `lives` are those that may have to be gone back to; the first is certain. `first` is the
+    first round whose outputs wait, None: none do."""
 
     def __init__(self, life: Life) -> None:
         self._waiting: deque[_Waiting] = deque()
         self._commit: _Waiting | None = None  # of which it is not known whether it has won
         self.lives = [life]
+        self.first: int | None = None
 
     @property
     def life(self) -> Life:
@@ -38,20 +42,23 @@ class Outbox:
         return self.lives[-1]
 
     @property
-    def first(self) -> int | None:
-        """The first round whose outputs wait."""
-        return next((w.record.round for w in self._waiting if has_outputs(w.record.effects)), None)
-
-    @property
     def undecided(self) -> bool:
         """Whether an atomic event waits to hear whether its commit has won."""
         return self._commit is not None
+
+    @property
+    def pressing(self) -> bool:
+        """Whether what waits must be looked at before the next event: it may change this robot's variables, or what it
+        commands, or there is no room for more. All else has time until that event's closing has left."""
+        return self.first is not None or self._commit is not None or len(self._waiting) >= MOST_WAITING
 
     def add(self, record: Record, lock: int = -1, life: Life | None = None) -> None:
         """A round's record; with the life that its event leads to, if it had one."""
         waiting = _Waiting(record, lock, life)
         if len(self._waiting) < MOST_WAITING or life is not None:
             self._waiting.append(waiting)
+        if self.first is None and has_outputs(record.effects):
+            self.first = record.round
         if lock >= 0:
             self._commit = waiting
         elif life is not None:
@@ -71,6 +78,7 @@ class Outbox:
         why = f"{waiting.record.event} gave way to another robot's transaction"
         waiting.record = replace(waiting.record, event=None, effects=None, frame=None, skipped=why)
         waiting.life = None
+        self._look()
         return False
 
     def can_settle(self, memory: Memory) -> bool:
@@ -91,6 +99,8 @@ class Outbox:
                 break
             self._waiting.popleft()
             found.append(waiting.record)
+            if waiting.record.round == self.first:
+                self._look()
             while waiting.life is not None and self.lives[0] is not waiting.life:
                 del self.lives[0]
         return found
@@ -109,10 +119,13 @@ class Outbox:
                 )
             found.append(record)
         self._waiting.clear()
-        self._commit = None
+        self._commit = self.first = None
         if life is not None:
             self.lives = [life]
         return life, found
+
+    def _look(self) -> None:
+        self.first = next((w.record.round for w in self._waiting if has_outputs(w.record.effects)), None)
 
 
 def _is_certain(record: Record, memory: Memory | None) -> bool:

@@ -9,9 +9,11 @@ from __future__ import annotations
 import reprlib
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
+
+import msgspec
 
 from koordgen.runtime.bounds import Bound
 from koordgen.runtime.containers import Missing, OutOfRange
@@ -27,8 +29,7 @@ def no_ports(port: str, args: tuple[Any, ...]) -> Any:
     raise LookupError(f"nothing serves {port}")
 
 
-@dataclass(frozen=True, slots=True)
-class Frame:
+class Frame(msgspec.Struct, frozen=True):
     """What a robot knows when it evaluates an event. Keys of `sensors` and `actuators` are "Module.port";
     `shared` maps an allread variable to its slots by pid and an allwrite variable to its value; `call` answers a
     callable port, by its name and arguments."""
@@ -42,8 +43,7 @@ class Frame:
     call: Callable[[str, tuple[Any, ...]], Any] = no_ports
 
 
-@dataclass(frozen=True, slots=True)
-class Effects:
+class Effects(msgspec.Struct, frozen=True):
     """What an event did: all locals as they are afterwards, only those shared variables and actuators that it
     wrote (an equal value counts as written), and the lines it put out, as (port, line) in order."""
 
@@ -54,8 +54,7 @@ class Effects:
     streams: tuple[tuple[str, str], ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Life:
+class Life(msgspec.Struct, frozen=True):
     """A robot's own variables after its event of a round; of round 0, after `init`."""
 
     round: int
@@ -239,6 +238,11 @@ class Program:
     lines: Mapping[int, int]
     locks: tuple[tuple[str, ...], ...] = ()
     library: Library | None = None
+    bounds: Mapping[str, Bound] = field(init=False, repr=False, compare=False)  # by name, of all that has one
+
+    def __post_init__(self) -> None:
+        targets: tuple[Variable | Port, ...] = (*self.locals, *self.shared, *self.ports)
+        object.__setattr__(self, "bounds", {t.name: t.bound for t in targets if t.bound is not None})
 
 
 def choose(program: Program, state: Transaction) -> Event | Fault | None:
@@ -269,17 +273,16 @@ def run(program: Program, effect: Callable[[Any], None], state: Transaction, lin
 
 def _refused(program: Program, state: Transaction, effects: Effects, line: int) -> Fault | None:
     """Why what was written does not count, at the line of its last write."""
-    targets: tuple[Variable | Port, ...] = (*program.locals, *program.shared, *program.ports)
-    for target in targets:
-        place = state.written.get(target.name)
-        if place is None or not place.line or target.bound is None:
+    for name, bound in program.bounds.items():
+        place = state.written.get(name)
+        if place is None or not place.line:
             continue
         value = content(place)
-        flaw = target.bound.flaw(value)  # also of locals: an int squared every round would soon hang the robot
-        if not flaw and target.name not in effects.locals and not transmissible(value):
+        flaw = bound.flaw(value)  # also of locals: an int squared every round would soon hang the robot
+        if not flaw and name not in effects.locals and not transmissible(value):
             flaw = f"{reprlib.repr(value)}, which no robot may use"
         if flaw:
-            return Fault(program.source, program.lines.get(place.line, line), f"{target.name} would become {flaw}")
+            return Fault(program.source, program.lines.get(place.line, line), f"{name} would become {flaw}")
     for port, text in effects.streams:
         if not transmissible(text):
             return Fault(program.source, line, f"{port} would get a text that is not Unicode")

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
+
+from msgspec.structs import replace
 
 from koordgen.runtime.body import Body, unusable
 from koordgen.runtime.clock import FleetClock
@@ -28,8 +30,8 @@ PUBLISH = 0.5  # of delta: when a round's closing leaves at the latest
 FIRST_SLOT = 3  # the first of a round's SLOTS in which its own closings are asked for, before it the last round's
 PUNCTUAL = 0.5  # of a slot: who wakes later is late
 PATIENCE = 1  # rounds for which who is late asks for nothing
-GATHER = 20e-6  # seconds that the closing of one more robot may take to come after another's
-MOST_GATHER = 0.03  # of a round, for all of them
+GATHER = 150e-6  # seconds that the closing of one more robot may take to come after another's
+MOST_GATHER = 0.2  # of a round, for all of them: one of its SLOTS
 LINGER = 20  # rounds after all have stopped
 WOKE_LATE = "woke after the publish deadline"
 
@@ -78,6 +80,7 @@ class Rounds:
         self._delta = delta
         self._observe = observe
         self._keep = keep
+        self.round = 0  # the present one; 0 before the first
         self._present = _Present()
         self._published = 0
         self._wake = 0.0
@@ -93,11 +96,6 @@ class Rounds:
         self.reason: str | None = None  # why the last round that was closed had no event
         self.watched = False  # by monitors
         self.moment: Moment | None = None  # at the start of that round, when it is watched
-
-    @property
-    def round(self) -> int:
-        """The present round; 0 before the first."""
-        return self._present.round
 
     @property
     def lacking(self) -> list[str]:
@@ -126,13 +124,15 @@ class Rounds:
         return not present.open and (memory is None or memory.applied >= present.round or present.slot >= FIRST_SLOT)
 
     @property
-    def gather(self) -> float:
-        """Seconds for which it pays to let more arrive before what has come is looked at: to wake for each of many
-        closings alone costs more than all else."""
+    def expects(self) -> tuple[int, float]:
+        """How many closings the round that this robot has closed still lacks, and seconds for which it pays to let
+        them arrive before what has come is looked at: to wake for each of many alone costs more than all else. Else 1
+        and no time."""
         memory, present = self._replica.memory, self._present
-        if memory is None or present.open or memory.applied >= present.round:
-            return 0.0
-        return min(GATHER * memory.lacking, MOST_GATHER * self._delta)
+        if memory is None or present.open or memory.applied >= present.round or not memory.lacking:
+            return 1, 0.0
+        lacking = memory.lacking
+        return lacking, min(GATHER * lacking, MOST_GATHER * self._delta)
 
     def leave(self) -> None:
         self._left = True
@@ -175,16 +175,19 @@ class Rounds:
             if memory.view.number != self._view:  # words in the new view are wanted before events can go on
                 self._view = memory.view.number
                 self._replica.tell(present.round)
-            self._settle(now)
+            if self._outbox.pressing:
+                self._settle(now)
         else:
             for record in self._outbox.ready(None):
                 self._observe(record)
         if present.open:
             self._decide(now, into, current, unready)
-        if memory is not None and not present.open:
-            memory.advance(present.round + 1)
+        if memory is not None:
+            if not present.open:
+                memory.advance(present.round + 1)
             self._settle(now)
-            self._confirm(memory.applied)
+            if not present.open:
+                self._confirm(memory.applied)
         if ripe:  # only now: all others wait for the closing
             self._replica.poll((present.round - 1) * SLOTS + slot, present.round)
         self._wake = self._ask(slot, fresh, timely)
@@ -207,7 +210,7 @@ class Rounds:
             if memory.held[self._replica.pid] < round_ - 1:
                 memory.close(round_ - 1, {}, stopped=self.stopped)
             self.counters.missed += slept
-        self._present = _Present(round_, True, sensed)
+        self.round, self._present = round_, _Present(round_, True, sensed)
         self.counters.rounds += 1
 
     def _come_back(self, now: float) -> None:

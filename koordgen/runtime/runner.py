@@ -5,9 +5,10 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
 from types import FrameType
 from typing import Any
+
+import msgspec
 
 from koordgen.runtime.clock import Clock
 from koordgen.runtime.program import Effects, Event, Fault, Frame, Program, choose, run
@@ -66,8 +67,7 @@ class Interrupting:
             raise Overrun("out of time")
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
+class Outcome(msgspec.Struct, frozen=True):
     """What a round's attempt came to: no event enabled (all None), an event's effects, or a fault with none. `lock`: of
     an atomic event; its effects are there once the fleet has found that its commit counts. -1: of a plain one."""
 

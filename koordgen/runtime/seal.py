@@ -7,6 +7,7 @@ played into another that has the same key.
 from __future__ import annotations
 
 import stat
+from collections.abc import Sequence
 from functools import lru_cache
 from hashlib import blake2s
 from hmac import compare_digest
@@ -52,6 +53,17 @@ def unseal(key: bytes | None, purpose: bytes, datagram: bytes) -> bytes | None:
     state = _keyed(key or b"", purpose).copy()
     state.update(payload)
     return payload if payload and compare_digest(datagram[-MAC_SIZE:], state.digest()) else None
+
+
+def unseal_all(key: bytes | None, purpose: bytes, datagrams: Sequence[bytes]) -> list[bytes | None]:
+    """`unseal` of each."""
+    keyed, found = _keyed(key or b"", purpose).copy, list[bytes | None]()
+    for datagram in datagrams:
+        payload = datagram[:-MAC_SIZE]
+        state = keyed()
+        state.update(payload)
+        found.append(payload if payload and compare_digest(datagram[-MAC_SIZE:], state.digest()) else None)
+    return found
 
 
 def _digest(key: bytes | None, purpose: bytes, payload: bytes) -> bytes:

@@ -9,12 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING, Any
 
 import msgspec
 
-from koordgen.runtime.program import Effects, Fault, Frame, Life
+from koordgen.runtime.program import Effects, Fault, Frame, Life, Program
 
 if TYPE_CHECKING:  # it is made of what this module has
     from koordgen.runtime.watched import Change
@@ -25,8 +24,7 @@ LEFT = "left the mission"  # why a robot that comes to rest skips
 Calls = tuple[tuple[str, tuple[Any, ...], Any], ...]  # of callable ports: port, arguments, answer
 
 
-@dataclass(frozen=True, slots=True)
-class Record:
+class Record(msgspec.Struct, frozen=True):
     """What happened in a round, for the trace and for monitors. Times in seconds of the local clock."""
 
     round: int
@@ -56,22 +54,25 @@ class Trace:
         self._slots: Collection[str] = ()
         self._told: dict[str, Any] = {}  # of the shared store, as this trace has told it
 
-    def header(
-        self, app: str, robot: str, pid: int, n_sys: int, delta: float, program_hash: str, slots: Collection[str] = ()
-    ) -> None:
-        """First of all. `slots` are the allread variables."""
-        self._slots = slots
+    @property
+    def open(self) -> bool:
+        """Whether what is told is written anywhere."""
+        return self._file is not None
+
+    def header(self, program: Program, robot: str, pid: int, n_sys: int, delta: float) -> None:
+        """First of all."""
+        self._slots = [v.name for v in program.shared if v.kind == "allread"]
         self._pid = pid
         self._write(
             {
                 "kind": "header",
                 "format": FORMAT,
-                "app": app,
+                "app": program.name,
                 "robot": robot,
                 "pid": pid,
                 "n_sys": n_sys,
                 "delta": delta,
-                "program_hash": program_hash,
+                "program_hash": program.program_hash,
             }
         )
 
@@ -118,8 +119,6 @@ class Trace:
         """One round; `clock_bound` is how far fleet time may be off (s), `counters` those that changed. Of its
         locals those that the event wrote. `copy` is what has changed in this robot's copy of the shared store since it
         was told last, of an allread variable by pid."""
-        if self._file is None:
-            return
         fault, effects, restored = record.fault, record.effects, record.restored
         line = {
             "kind": "round",
@@ -138,7 +137,7 @@ class Trace:
             "locals": _written(record),
             "copy": self._changed(record),
             "stopped": effects is not None and effects.stopped,
-            "restored": restored and {name: getattr(restored, name) for name in Life.__slots__},
+            "restored": restored and {name: getattr(restored, name) for name in Life.__struct_fields__},
             "counters": counters,
             "calls": record.calls,
         }

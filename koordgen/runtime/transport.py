@@ -21,9 +21,12 @@ class Transport(Protocol):
         bytes: more than LIMIT tells that it was too long."""
         ...
 
-    def wait(self, seconds: float, gather: float = 0.0) -> None:
-        """Wait until something has arrived, at most so long; then `gather` seconds, but not longer than that in all,
-        for what comes with it."""
+    def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
+        """Wait until something has arrived, at most so long; then until `expected` datagrams have, at most `gather`
+        seconds more, but not longer than `seconds` in all. What the robot itself sent to a group does not count.
+
+        `gather` above 0 says that datagrams are under way now: it may be spent on looking for them without sleep. Ends
+        early when the process gets a signal."""
         ...
 
     @property

@@ -3,89 +3,67 @@
 from __future__ import annotations
 
 import errno
-import select
 import socket
 import struct
-import time
-from collections import deque
 from collections.abc import Sequence
 from ipaddress import AddressValueError, IPv4Address
 
+from koordgen.runtime.inbox import open_inbox
 from koordgen.runtime.settings import Network, Peer
-from koordgen.runtime.transport import MOST_AT_ONCE, CannotOpen
-from koordgen.runtime.wire import LIMIT
+from koordgen.runtime.transport import CannotOpen
 
 RECEIVE_BUFFER = 1 << 20
-IN_TURN = 64  # datagrams taken from one socket before another is looked at
-MOST_ECHOES = 16  # own datagrams under way back from the group; more than one round sends
 
 
 class UnicastTransport:
-    """One socket, on the robot's own address. Raises CannotOpen."""
+    """One socket, on the robot's own address. `native`: with the courier, where it can be compiled. Raises
+    CannotOpen."""
 
     def __init__(
-        self, peers: Sequence[Peer], pid: int, bind: str = "", family: socket.AddressFamily = socket.AF_UNSPEC
+        self,
+        peers: Sequence[Peer],
+        pid: int,
+        bind: str = "",
+        family: socket.AddressFamily = socket.AF_UNSPEC,
+        native: bool = True,
     ) -> None:
         own = peers[pid]
         family, address = _resolve(Peer(own.name, bind or own.host, own.port), family)
         self._addresses = [_resolve(peer, family)[1] for peer in peers]
         self.troubles: dict[str, int] = {}
-        self._poll = select.poll()
-        self._sockets: dict[int, socket.socket] = {}
+        self._native = native
+        self._sockets: list[socket.socket] = []
         self._own = self._listen(family, address, f"{bind or own.host}:{own.port}, where robot {own.name} listens")
+        self._open_inbox()
 
     def send(self, to: Sequence[int], datagram: bytes) -> None:
         for pid in to:
             self._send(datagram, self._addresses[pid])
 
     def receive(self) -> Sequence[bytes]:
-        arrived: list[bytes] = []
-        while len(arrived) < MOST_AT_ONCE:
-            ready = self._poll.poll(0)
-            if not ready:
-                break
-            for number, _ in ready:
-                self._drain(self._sockets[number], arrived)
-        return arrived
+        return self._inbox.receive()
 
-    def _drain(self, source: socket.socket, arrived: list[bytes]) -> None:
-        """What waits there, until it is the turn of others."""
-        receive, take = source.recv, arrived.append
-        try:
-            for _ in range(IN_TURN):
-                take(receive(LIMIT + 1))
-        except BlockingIOError:
-            pass
-        except OSError as error:  # an earlier send's echo, nothing about what waits
-            self._count("receive", error)
-
-    def wait(self, seconds: float, gather: float = 0.0) -> None:
-        end = time.monotonic() + seconds
-        # poll takes milliseconds and rounds up: the last of them is select's, or rounds would begin late.
-        if seconds < 0.001 or not self._poll.poll(int(seconds * 1000)):
-            rest = end - time.monotonic()
-            if rest <= 0 or not select.select(tuple(self._sockets), (), (), rest)[0]:
-                return
-        rest = min(gather, end - time.monotonic())
-        if rest > 0:
-            time.sleep(rest)
+    def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
+        self._inbox.wait(seconds, expected, gather)
 
     def close(self) -> None:
-        for number, each in self._sockets.items():
-            self._poll.unregister(number)
-            each.close()
-        self._sockets = {}
+        self._inbox.close()
+        self._close_sockets()
+
+    def _open_inbox(self) -> None:
+        """One for all sockets."""
+        self._inbox = open_inbox(self._sockets, self._received_badly, self._native)
 
     def _send(self, datagram: bytes, address: tuple[str, int]) -> None:
         try:
             self._own.sendto(datagram, address)
         except OSError as error:
-            self._count("send", error)
+            self._count("send", error.errno or 0)
 
     def _listen(
         self, family: socket.AddressFamily, address: tuple[str, int], what: str, shared: bool = False
     ) -> socket.socket:
-        """A socket that `receive` and `wait` look at; `shared`: other robots of this host listen there too."""
+        """A socket that the inbox will look at; `shared`: other robots of this host listen there too."""
         opened = socket.socket(family, socket.SOCK_DGRAM)
         try:
             opened.setblocking(False)
@@ -95,14 +73,21 @@ class UnicastTransport:
             opened.bind(address)
         except OSError as error:
             opened.close()
-            self.close()
+            self._close_sockets()
             raise CannotOpen(f"{what}{_reason(error, shared)}") from None
-        self._sockets[opened.fileno()] = opened
-        self._poll.register(opened, select.POLLIN)
+        self._sockets.append(opened)
         return opened
 
-    def _count(self, what: str, error: OSError) -> None:
-        reason = f"{what}: {errno.errorcode.get(error.errno or 0, 'error')}"
+    def _close_sockets(self) -> None:
+        for each in self._sockets:
+            each.close()
+        self._sockets = []
+
+    def _received_badly(self, number: int) -> None:
+        self._count("receive", number)
+
+    def _count(self, what: str, number: int) -> None:
+        reason = f"{what}: {errno.errorcode.get(number, 'error')}"
         self.troubles[reason] = self.troubles.get(reason, 0) + 1
 
 
@@ -111,13 +96,12 @@ class GroupTransport(UnicastTransport):
     broadcast address, on a port that all robots share; what goes to one goes to it alone. Robots of one host hear each
     other too, and a robot's own datagrams, which come back to it, are dropped. IPv4 only. Raises CannotOpen."""
 
-    def __init__(self, peers: Sequence[Peer], pid: int, bind: str, network: Network) -> None:
+    def __init__(self, peers: Sequence[Peer], pid: int, bind: str, network: Network, native: bool = True) -> None:
         multicast = network.transport == "multicast"
         place = f"{network.group}:{network.port}, the {network.transport} group of robot {peers[pid].name}"
         _check_group(network, place)
-        super().__init__(peers, pid, bind, socket.AF_INET)
+        super().__init__(peers, pid, bind, socket.AF_INET, native)
         self._group = (network.group, network.port)
-        self._echoes: deque[bytes] = deque(maxlen=MOST_ECHOES)
         group = self._listen(socket.AF_INET, self._group, place, shared=True)
         try:
             if multicast:
@@ -130,24 +114,14 @@ class GroupTransport(UnicastTransport):
                 f"{place}: {error.strerror or error}: set `interface` to the address or name of the network interface "
                 "that leads to the other robots"
             ) from None
+        self._open_inbox()
 
     def send(self, to: Sequence[int], datagram: bytes) -> None:
         if len(to) > 1:
-            self._echoes.append(datagram)
+            self._inbox.sent(datagram)
             self._send(datagram, self._group)
         else:
             super().send(to, datagram)
-
-    def receive(self) -> Sequence[bytes]:
-        arrived = super().receive()
-        return [datagram for datagram in arrived if not self._is_echo(datagram)] if self._echoes else arrived
-
-    def _is_echo(self, datagram: bytes) -> bool:
-        """Whether it is our own: each comes back once, and its sequence number makes it unlike all others."""
-        if datagram not in self._echoes:
-            return False
-        self._echoes.remove(datagram)
-        return True
 
     def _join(self, group: socket.socket, interface: str) -> None:
         """Listen and send on one interface, given by its address or its name. Raises OSError."""

@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import msgspec
+
 from koordgen.runtime.property import UNKNOWN, Assumption, Known, Outcome, Property
 from koordgen.runtime.settings import Action
 from koordgen.runtime.values import transmissible
@@ -17,8 +19,7 @@ FOR_GOOD = ("land", "stop")
 SENSED, OWN, SHARED = range(3)
 
 
-@dataclass(frozen=True, slots=True)
-class Moment:
+class Moment(msgspec.Struct, frozen=True):
     """What a robot knows at the start of a round, before its event; `certain` says what of it. `sensed`: when the
     position was true (local time, None: never)."""
 

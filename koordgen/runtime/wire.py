@@ -267,9 +267,14 @@ def encode(message: Message, key: bytes | None) -> bytes:
 
 def decode(datagram: bytes, key: bytes | None) -> Message | str:
     """The message, or why there is none. Nothing is looked at before the MAC was found right. Never raises."""
-    if len(datagram) > LIMIT:
+    return opened(len(datagram), unseal(key, MEMORY, datagram))
+
+
+def opened(length: int, payload: bytes | None) -> Message | str:
+    """The message in a datagram of `length` bytes of which this is the payload (None: it is not genuine), or why there
+    is none. Never raises."""
+    if length > LIMIT:
         return "oversize"
-    payload = unseal(key, MEMORY, datagram)
     if payload is None:
         return "not authentic"
     if payload[:1] != _FORMAT:

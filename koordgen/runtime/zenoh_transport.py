@@ -17,6 +17,7 @@ from koordgen.runtime.wire import LIMIT
 
 MOST_WAITING = 4096  # datagrams; what comes beyond is dropped, as by a socket's buffer
 QUEUE = 16  # datagrams to one peer that wait for the network
+NAP = 20e-6  # seconds for each datagram that is missing
 WAIT_BEFORE_DROP = 100  # microseconds that a send to a full queue may take
 
 
@@ -54,10 +55,13 @@ class ZenohTransport:
             self._some.set()
         return taken
 
-    def wait(self, seconds: float, gather: float = 0.0) -> None:
+    def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
         end = time.monotonic() + seconds
-        if self._some.wait(max(0.0, seconds)) and gather > 0:
-            time.sleep(max(0.0, min(gather, end - time.monotonic())))
+        if not self._some.wait(max(0.0, seconds)):
+            return
+        end = min(end, time.monotonic() + gather)
+        while (missing := expected - len(self._arrived)) > 0 and (rest := end - time.monotonic()) > 0:
+            time.sleep(min(NAP * missing, rest))
 
     @property
     def troubles(self) -> dict[str, int]:

@@ -229,8 +229,8 @@ class BusyNetwork(MemoryNetwork):
         self._clock = self.busy[sender]
         super().send(sender, receiver, datagram)
 
-    def next_arrival(self, pid: int) -> float:
-        return max(super().next_arrival(pid), self.busy[pid].until)
+    def next_arrival(self, pid: int, count: int = 1) -> float:
+        return max(super().next_arrival(pid, count), self.busy[pid].until)
 
 
 _chance = Random()

@@ -247,14 +247,17 @@ def test_a_host_that_nobody_knows_keeps_nobody_waiting(
     assert [(r.phase, r.note) for r in results] == [("", "no answer"), ("resting", "")]
 
 
-def test_it_needs_no_package_beside_yaml(fleet: Path) -> None:
+def test_it_needs_no_package_beside_yaml_and_waits_for_no_compiler(fleet: Path, tmp_path: Path) -> None:
     code = (
         "import sys; sys.modules.update(dict.fromkeys(['msgspec', 'numpy', 'jinja2']))\n"
         "from koordgen import estop; estop.PATIENCE = 0.05\n"
         "from koordgen.cli import main; sys.exit(main(['estop', sys.argv[1]]))"
     )
-    done = subprocess.run([sys.executable, "-c", code, str(fleet)], capture_output=True, text=True, cwd=ROOT)
+    cache = tmp_path / "cache"
+    env = {**os.environ, "XDG_CACHE_HOME": str(cache)}
+    done = subprocess.run([sys.executable, "-c", code, str(fleet)], capture_output=True, text=True, cwd=ROOT, env=env)
     assert done.returncode == 5 and "3 of 3 robots did not answer" in done.stderr, done.stderr
+    assert not cache.exists(), "nothing was compiled"
 
 
 # --- status

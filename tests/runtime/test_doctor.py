@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import socket
 import threading
 from collections.abc import Callable
@@ -12,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from koordgen.runtime import agent, doctor
+from koordgen.runtime import agent, courier, doctor
 from koordgen.runtime.doctor import examine, unknown
 from koordgen.runtime.layout import TooLarge
 from koordgen.runtime.platform import Finding, Unready
@@ -41,8 +42,8 @@ def test_all_that_is_looked_at(bundles: list[Path], capsys: pytest.CaptureFixtur
     done, found = examined(bundles[1], capsys)
     assert done == 0
     assert list(found) == [
-        "python", "processor", "packages", "files", "settings", "program", "disk", "key", "peers", "port", "control",
-        "fake", "clock",
+        "python", "processor", "packages", "files", "settings", "program", "courier", "disk", "key", "peers", "port",
+        "control", "fake", "clock",
     ]  # fmt: skip
     assert "robot bert, pid 1 of 3" in found["settings"]["found"]
     assert {name for name, f in found.items() if f["state"] == "warn"} <= {"packages", "files", "processor", "clock"}
@@ -165,3 +166,21 @@ def test_a_driver_that_cannot_be_made(bundles: list[Path]) -> None:
 
     found = {f.name: f for f in examine(PROGRAM, bundles[0], None, None, body, {"HVAC": make_driver})}
     assert found["drivers"].state == "fail" and "no bus" in found["drivers"].found
+
+
+def test_the_courier_is_compiled_so_that_no_mission_waits_for_it(
+    bundles: list[Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    done, found = examined(bundles[0], capsys)
+    assert done == 0 and found["courier"]["state"] == "ok"
+    assert re.fullmatch(r"compiled C, loaded in \d+ ms", found["courier"]["found"])
+
+
+def test_a_computer_without_a_compiler(
+    bundles: list[Path], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(courier, "library", lambda: None)
+    monkeypatch.setattr(courier, "why", lambda: "there is no C compiler")
+    done, found = examined(bundles[0], capsys)
+    assert done == 0 and (found["courier"]["state"], found["courier"]["found"]) == ("warn", "there is no C compiler")
+    assert "apt install gcc" in found["courier"]["why"]

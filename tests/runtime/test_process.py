@@ -18,9 +18,10 @@ from typing import Any
 import msgspec
 import pytest
 
-from koordgen.runtime import agent
+from koordgen.runtime import agent, courier
 from koordgen.runtime.platform import Finding
 from koordgen.runtime.settings import Peer
+from koordgen.runtime.transport import CannotOpen
 from tests.runtime.fleet import NAMES, FakePlatform, settings
 from tests.runtime.lineform import PROGRAM
 from tests.runtime.robot_main import body
@@ -223,6 +224,20 @@ def test_a_port_in_use_names_robot_and_address(bundles: list[Path], capsys: pyte
             assert run(bundles[1], *arguments) == 5
             said = capsys.readouterr().err
             assert re.search(rf"error: .*127\.0\.0\.1:{port}, where robot bert listens, is in use", said)
+
+
+def test_what_is_not_compiled_is_told_before_a_link_is_open(
+    bundles: list[Path], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*given: Any) -> Any:
+        raise CannotOpen("no link")
+
+    monkeypatch.setattr(agent, "open_transport", refused)
+    monkeypatch.setattr(courier, "library", lambda: None)
+    monkeypatch.setattr(courier, "why", lambda: "there is no C compiler")
+    assert run(bundles[1]) == 5
+    told = "warning: updates take longer to arrive than they could: there is no C compiler\nerror: no link\n"
+    assert capsys.readouterr().err == told
 
 
 @pytest.mark.parametrize(

@@ -18,12 +18,18 @@ N = 3
 PATIENCE = transports.PATIENCE
 KINDS: dict[str, Callable[[ExitStack, int], Opened]] = {
     "memory": transports.memory,
-    "unicast": partial(transports.udp, kind="unicast"),
-    "multicast": partial(transports.udp, kind="multicast"),
-    "broadcast": partial(transports.udp, kind="broadcast"),
+    **{
+        f"{kind}{body}": partial(transports.udp, kind=kind, native=not body)
+        for kind in ("unicast", "multicast", "broadcast")
+        for body in ("", " plain")
+    },
     "zenoh": transports.zenoh,
 }
-ALL = [pytest.param(kind, marks=transports.needs_zenoh if kind == "zenoh" else ()) for kind in KINDS]
+NEEDS = {
+    "zenoh": [transports.needs_zenoh],
+    **{kind: [transports.needs_courier] for kind in ("unicast", "multicast", "broadcast")},
+}
+ALL = [pytest.param(kind, marks=NEEDS.get(kind, [])) for kind in KINDS]
 
 
 @pytest.fixture(params=ALL)
@@ -134,3 +140,42 @@ def test_waiting_ends_at_its_time(net: Opened) -> None:
         start = time.monotonic()
         net.transports[1].wait(seconds)
         assert time.monotonic() - start < seconds + PATIENCE / 2
+
+
+def test_what_is_expected_is_waited_for(net: Opened) -> None:
+    for datagram in (b"1", b"2", b"3"):
+        net.transports[0].send([1], datagram)
+        net.transports[2].send([0, 1], b"from another")
+    net.tick()
+    start = time.monotonic()
+    net.transports[1].wait(PATIENCE, 6, PATIENCE)
+    assert time.monotonic() - start < PATIENCE / 2
+    found = list(net.transports[1].receive())
+    assert len(found) == 6
+    assert [datagram for datagram in found if datagram.isdigit()] == [b"1", b"2", b"3"]
+
+
+def test_waiting_for_more_than_comes_ends(net: Opened) -> None:
+    net.transports[0].send([1], b"all there is")
+    net.tick()
+    for seconds, gather in ((PATIENCE, 0.01), (PATIENCE, 0.0), (0.01, PATIENCE)):
+        start = time.monotonic()
+        net.transports[1].wait(seconds, 100, gather)
+        assert time.monotonic() - start < PATIENCE / 2
+    assert net.collect(1, 1) == [b"all there is"]
+
+
+def test_what_was_not_taken_stays(net: Opened) -> None:
+    for i in range(5):
+        net.transports[0].send([1], b"%d" % i)
+        net.tick()
+        net.transports[1].wait(PATIENCE, i + 1, PATIENCE)
+    assert net.collect(1, 5) == [b"%d" % i for i in range(5)]
+
+
+def test_own_datagrams_end_no_waiting(net: Opened) -> None:
+    net.transports[1].send([0, 2], b"from me")
+    net.transports[1].wait(0.005, 2, 0.005)
+    assert net.transports[1].receive() == []
+    net.transports[0].send([1], b"from another")
+    assert net.collect(1, 1) == [b"from another"]

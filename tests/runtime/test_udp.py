@@ -13,7 +13,7 @@ from koordgen.runtime import udp
 from koordgen.runtime.opening import open_transport
 from koordgen.runtime.settings import Network
 from koordgen.runtime.transport import CannotOpen, Transport
-from tests.runtime.transports import BROADCAST, MULTICAST, free_ports, opened, settings
+from tests.runtime.transports import BODIES, BROADCAST, MULTICAST, free_ports, opened, settings
 
 UNICAST = Network()
 
@@ -50,10 +50,11 @@ def test_a_group_port_in_use_by_something_else(network: Network) -> None:
             open_one(free_ports(2), network)
 
 
+@pytest.mark.parametrize("native", BODIES)
 @pytest.mark.parametrize("network", groups())
-def test_robots_of_one_host_share_a_group(network: Network) -> None:
+def test_robots_of_one_host_share_a_group(network: Network, native: bool) -> None:
     with ExitStack() as stack:
-        transports = opened(stack, free_ports(3), network)
+        transports = opened(stack, free_ports(3), network, native=native)
         transports[2].send([0, 1], b"x")
         for transport in transports[:2]:
             transport.wait(5)
@@ -123,8 +124,9 @@ def test_a_group_takes_one_datagram_for_all(monkeypatch: pytest.MonkeyPatch) -> 
     transport.close()
 
 
-def test_waiting_is_finer_than_a_millisecond() -> None:
-    transport = open_one(free_ports(2))
+@pytest.mark.parametrize("native", BODIES)
+def test_waiting_is_finer_than_a_millisecond(native: bool) -> None:
+    transport = open_transport(settings(0, free_ports(2), UNICAST), native)
     late = []
     for _ in range(10):
         start = time.monotonic()

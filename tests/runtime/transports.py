@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from koordgen.runtime import courier
 from koordgen.runtime.clock import SimulatedClock
 from koordgen.runtime.network import Conditions, MemoryNetwork
 from koordgen.runtime.opening import open_transport
@@ -19,6 +20,9 @@ from koordgen.runtime.settings import Box, Network, Origin, Peer, Settings
 from koordgen.runtime.transport import Transport
 
 NO_ZENOH = importlib.util.find_spec("zenoh") is None
+NO_COURIER = courier.why()
+needs_courier = pytest.mark.skipif(bool(NO_COURIER), reason=NO_COURIER)
+BODIES = [pytest.param(True, marks=needs_courier, id="compiled"), pytest.param(False, id="plain")]
 needs_zenoh = pytest.mark.skipif(NO_ZENOH, reason="the package eclipse-zenoh is not installed")
 PATIENCE = 5.0  # seconds until a test gives up; never waited for when all is well
 MULTICAST = "239.255.71.1"
@@ -82,11 +86,11 @@ def memory(stack: ExitStack, n: int) -> Opened:
     return Opened(transports, lambda pid, data, several: network.send(-1, pid, data), tick)
 
 
-def udp(stack: ExitStack, n: int, kind: str) -> Opened:
+def udp(stack: ExitStack, n: int, kind: str, native: bool) -> Opened:
     *ports, port = free_ports(n + 1)
     group = {"unicast": "", "multicast": MULTICAST, "broadcast": BROADCAST}[kind]
     network = Network(transport=kind, group=group, port=port)  # type: ignore[arg-type]
-    transports = opened(stack, ports, network)
+    transports = opened(stack, ports, network, native=native)
     out = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
     out.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
     out.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
@@ -142,11 +146,11 @@ def meet(found: Opened, pid: int, send: Callable[[], None]) -> None:
         heard = bool(found.transports[pid].receive())
 
 
-def opened(stack: ExitStack, ports: Sequence[int], *networks: Network) -> list[Transport]:
+def opened(stack: ExitStack, ports: Sequence[int], *networks: Network, native: bool = True) -> list[Transport]:
     """One for each port; all of one network, or each of its own."""
     transports = []
     for pid in range(len(ports)):
-        transport = open_transport(settings(pid, ports, networks[pid % len(networks)]))
+        transport = open_transport(settings(pid, ports, networks[pid % len(networks)]), native)
         stack.callback(transport.close)
         transports.append(transport)
     return transports

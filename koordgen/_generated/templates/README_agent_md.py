@@ -30,7 +30,7 @@ def root(context, missing=missing):
     yield str((undefined(name='target') if l_0_target is missing else l_0_target))
     yield '`: '
     yield str((undefined(name='summary') if l_0_summary is missing else l_0_summary))
-    yield '.\nThis folder is all the robot needs beside Python 3.10 or later.\n\n```\npython3 -m pip install -r requirements.txt      # once\npython3 . --doctor                              # looks at settings, packages and devices; moves nothing\npython3 .                                       # runs; Ctrl-C brings the robot to a safe rest\npython3 . --status                              # while it runs: whom it hears how well, why it skips\n```\n\n'
+    yield '.\nThis folder is all the robot needs beside Python 3.10 or later and, to be quickest, a C compiler (`apt install gcc`).\n\n```\npython3 -m pip install -r requirements.txt      # once\npython3 . --doctor                              # looks at settings, packages and devices; moves nothing\npython3 .                                       # runs; Ctrl-C brings the robot to a safe rest\npython3 . --status                              # while it runs: whom it hears how well, why it skips\n```\n\n'
     if (undefined(name='robot') if l_0_robot is missing else l_0_robot):
         pass
         yield '`settings.json` is robot '

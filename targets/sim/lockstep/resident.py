@@ -180,10 +180,13 @@ class Resident(Agent):
         machine = self._machine
         if machine is None:
             return math.inf
-        arrival = self._shared.network.next_arrival(self.robot.pid)
+        network, pid = self._shared.network, self.robot.pid
+        arrival = network.next_arrival(pid)
         due = self._wake
         if arrival < due:
-            due = min(due, max(arrival, self._polled) + machine.gather)
+            expected, gather = machine.expects
+            complete = max(network.next_arrival(pid, expected), self._polled)
+            due = min(due, complete, max(arrival, self._polled) + gather)
         return max(due, self._thawed)
 
     def poll(self, now: float) -> None:

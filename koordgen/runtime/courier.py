@@ -1,0 +1,166 @@
+"""The courier: what waits, drains sockets and checks MACs as C (courier.c), and how Python calls it.
+
+It is compiled at the process's first use of it, kept in a cache, and loaded by ctypes: see `native`. Without a compiler
+`inbox` and `seal` do the same in Python, slower.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import mmap
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+
+from koordgen.runtime.native import NotCompiled, load
+from koordgen.runtime.transport import MOST_AT_ONCE
+
+SOURCE = Path(__file__).with_name("courier.c")
+LARGEST = 1201  # bytes of a datagram that are taken: one more than wire.LIMIT, which tells that it was too long
+IN_TURN = 64  # datagrams taken from one socket before another is looked at
+MOST_ECHOES = 16  # own datagrams under way back from the group; more than one round sends
+MAC_SIZE = 16
+PURPOSE_SIZE = 8
+FLAGS = (
+    "-std=c99",
+    "-O2",
+    "-shared",
+    "-fPIC",
+    f"-DLARGEST={LARGEST}",
+    f"-DMOST_AT_ONCE={MOST_AT_ONCE}",
+    f"-DIN_TURN={IN_TURN}",
+    f"-DMOST_ECHOES={MOST_ECHOES}",
+    f"-DMAC_SIZE={MAC_SIZE}",
+)
+_MOST_ERRORS = 16
+
+# keyed BLAKE2s of bytes 0 to 99, key bytes 0 to 31, purpose b"k-memory"
+_PROBE = bytes.fromhex("daaa02efaf8524a45ff81661cd788441")
+
+
+class Shown(ctypes.Structure):
+    """What C tells of an inbox: see Shown in courier.c."""
+
+    _fields_ = (
+        ("errors", ctypes.c_int32),
+        ("error", ctypes.c_int32 * _MOST_ERRORS),
+        ("length", ctypes.c_int32 * MOST_AT_ONCE),
+        ("spins", ctypes.c_int64),
+        ("failed", ctypes.c_int64),
+    )
+
+
+def library() -> ctypes.CDLL | None:
+    """The compiled courier, or None. Compiles at its first call in a process, if need be: not in a control loop."""
+    found = _loaded()
+    return found if isinstance(found, ctypes.CDLL) else None
+
+
+def why() -> str:
+    """Why there is no library; empty when there is one."""
+    found = _loaded()
+    return found if isinstance(found, str) else ""
+
+
+@cache
+def _loaded() -> ctypes.CDLL | str:
+    try:
+        return load(SOURCE, FLAGS, prove)
+    except NotCompiled as error:
+        return str(error)
+
+
+def prove(found: ctypes.CDLL) -> None:
+    """Declares the functions, and raises NotCompiled where the library is not the one that this module goes with."""
+    _declare(found)
+    if found.courier_shown_size() != ctypes.sizeof(Shown):
+        raise NotCompiled("the compiled courier lays its memory out otherwise than Python reads it")
+    if CompiledKey(found, bytes(range(32)), b"k-memory").mac(bytes(range(100))) != _PROBE:
+        raise NotCompiled("the compiled courier computes a wrong MAC")
+
+
+def _declare(found: ctypes.CDLL) -> None:
+    address, text, number, seconds = ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int32, ctypes.c_double
+    size = ctypes.c_size_t
+    for name, result, arguments in (
+        ("key_size", size, ()),
+        ("key", None, (address, text, number, text)),
+        ("mac", None, (address, text, size, address)),
+        ("genuine", None, (address, text, address, number, address)),
+        ("inbox_size", size, ()),
+        ("shown_size", size, ()),
+        ("open", None, (address, address, address, number)),
+        ("close", None, (address,)),
+        ("sent", None, (address, text, number)),
+        ("wait", number, (address, seconds, number, seconds, number)),
+        ("receive", number, (address,)),
+    ):
+        function = getattr(found, f"courier_{name}")
+        function.restype, function.argtypes = result, arguments
+
+
+class CompiledKey:
+    """BLAKE2s with this key and purpose already in it; `key` as hashlib takes it, empty: none."""
+
+    def __init__(self, found: ctypes.CDLL, key: bytes, purpose: bytes) -> None:
+        self._state = ctypes.create_string_buffer(found.courier_key_size())
+        self._at = ctypes.addressof(self._state)
+        self._mac, self._genuine = found.courier_mac, found.courier_genuine
+        found.courier_key(self._at, key, len(key), purpose.ljust(PURPOSE_SIZE, b"\0"))
+
+    def mac(self, data: bytes) -> bytes:
+        made = ctypes.create_string_buffer(MAC_SIZE)
+        self._mac(self._at, data, len(data), made)
+        return made.raw
+
+    def genuine(self, datagrams: Sequence[bytes]) -> Sequence[int]:
+        """For each datagram, 1 where its end is the MAC of the rest, and there is a rest; else 0."""
+        count = len(datagrams)
+        right = (ctypes.c_ubyte * count)()
+        lengths = (ctypes.c_uint32 * count)(*map(len, datagrams))
+        self._genuine(self._at, b"".join(datagrams), lengths, count, right)
+        return bytes(right)
+
+
+class CompiledInbox:
+    """See inbox.Inbox. Its memory is Python's own, so nothing is to be given back."""
+
+    def __init__(self, found: ctypes.CDLL, sockets: Sequence[int], trouble: Callable[[int], None]) -> None:
+        self._trouble = trouble
+        self._slots = mmap.mmap(-1, MOST_AT_ONCE * LARGEST)  # the system makes its pages when they are used
+        self._state = ctypes.create_string_buffer(found.courier_inbox_size())
+        self.shown = Shown.from_buffer(self._state)
+        self._length = self.shown.length
+        self._at = ctypes.addressof(self._state)
+        self._used = -1  # slots that hold what was not taken; -1: nobody has looked
+        self._wait, self._receive = found.courier_wait, found.courier_receive
+        self._sent, self._close = found.courier_sent, found.courier_close
+        slots = ctypes.addressof(ctypes.c_char.from_buffer(self._slots))
+        found.courier_open(self._at, slots, (ctypes.c_int32 * len(sockets))(*sockets), len(sockets))
+
+    def sent(self, datagram: bytes) -> None:
+        self._sent(self._at, datagram, len(datagram))
+
+    def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
+        self._used = self._wait(self._at, seconds, expected, gather, self._used > 0)
+
+    def receive(self) -> list[bytes]:
+        count = self._used if self._used >= 0 else self._receive(self._at)  # waiting has looked already
+        self._used = -1
+        shown = self.shown
+        if shown.errors:
+            for number in shown.error[: shown.errors]:
+                self._trouble(number)
+            shown.errors = 0
+        slots = self._slots
+        at = 0
+        taken = []
+        for length in self._length[:count]:
+            if length >= 0:  # else an echo
+                taken.append(slots[at : at + length])
+            at += LARGEST
+        return taken
+
+    def close(self) -> None:
+        self._used = -1
+        self._close(self._at)

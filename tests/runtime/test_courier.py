@@ -1,0 +1,185 @@
+"""The courier in C against the same in Python, and what only C does: adaptive spinning."""
+
+from __future__ import annotations
+
+import errno
+import random
+import signal
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from hashlib import blake2s
+from types import FrameType
+
+import pytest
+
+from koordgen.runtime import courier
+from koordgen.runtime.courier import CompiledInbox, CompiledKey
+from koordgen.runtime.inbox import Inbox, PlainInbox
+from koordgen.runtime.transport import MOST_AT_ONCE
+from koordgen.runtime.wire import LIMIT
+from tests.runtime.transports import BODIES, PATIENCE, needs_courier
+
+Pair = tuple[Inbox, list[socket.socket], list[socket.socket], list[int]]
+
+
+@contextmanager
+def inbox(native: bool, count: int = 1) -> Iterator[Pair]:
+    """An inbox with so many sockets, those sockets, one that is connected to each, and the errors that it told."""
+    receiving = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
+    sending = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
+    troubles: list[int] = []
+    for source, target in zip(sending, receiving, strict=True):
+        target.bind(("127.0.0.1", 0))
+        target.setblocking(False)
+        target.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+        source.connect(target.getsockname())
+    found = courier.library()
+    made: Inbox = PlainInbox(receiving, troubles.append)
+    if native:
+        assert found is not None
+        made = CompiledInbox(found, [s.fileno() for s in receiving], troubles.append)
+    try:
+        yield made, receiving, sending, troubles
+    finally:
+        made.close()
+        for each in (*receiving, *sending):
+            each.close()
+
+
+def test_the_largest_datagram_is_one_more_than_the_limit() -> None:
+    assert courier.LARGEST == LIMIT + 1
+
+
+@needs_courier
+def test_macs_are_those_of_hashlib() -> None:
+    found, chance = courier.library(), random.Random(1)
+    assert found is not None
+    for length in range(1301):
+        key, purpose = chance.randbytes(chance.choice([0, 1, 16, 31, 32])), chance.randbytes(chance.randint(0, 8))
+        data = chance.randbytes(length)
+        assert (
+            CompiledKey(found, key, purpose).mac(data)
+            == blake2s(data, digest_size=courier.MAC_SIZE, key=key, person=purpose).digest()
+        )
+
+
+def test_both_bodies_take_the_same() -> None:
+    """What arrives at two sockets, with own echoes among it, in any lengths; in the order of each socket."""
+    chance = random.Random(2)
+    for _ in range(20):
+        own = [chance.randbytes(chance.choice([0, 1, 15, 16, 17, 300, 1200, 1201, 1300])) for _ in range(18)]
+        sent = [
+            (i, chance.choice([chance.choice(own), chance.randbytes(chance.randint(0, 1500)), b"", b"\0" * 1201]))
+            for i in [chance.randrange(2) for _ in range(chance.randint(0, 150))]
+        ]
+        found = []
+        for native in (True, False) if courier.library() else (False,):
+            with inbox(native, 2) as (made, _, sending, troubles):
+                for datagram in own:
+                    made.sent(datagram)
+                for i, datagram in sent:
+                    sending[i].send(datagram)
+                made.wait(0.0, 500, 0.0)
+                found.append((made.receive(), troubles))
+        assert found[0] == found[-1]
+        assert len(found[0][0]) <= len(sent)
+
+
+@pytest.mark.parametrize("native", BODIES)
+def test_an_echo_is_dropped_once_and_only_of_the_last_sent(native: bool) -> None:
+    with inbox(native) as (made, _, sending, _):
+        for i in range(courier.MOST_ECHOES + 1):
+            made.sent(b"%d, and its MAC of 16" % i)
+        for i in (0, 5, 5, courier.MOST_ECHOES):
+            sending[0].send(b"%d, and its MAC of 16" % i)
+        sending[0].send(b"5, like its MAC of 16")
+        assert made.receive() == [b"%d, and its MAC of 16" % i for i in (0, 5)] + [b"5, like its MAC of 16"]
+
+
+@pytest.mark.parametrize("native", BODIES)
+def test_a_flood_at_one_socket_leaves_the_other_its_turn(native: bool) -> None:
+    with inbox(native, 2) as (made, _, sending, _):
+        for i in range(1500):
+            sending[0].send(b"%d" % i)
+        sending[1].send(b"other")
+        taken = made.receive()
+        assert len(taken) == MOST_AT_ONCE
+        assert taken.index(b"other") == courier.IN_TURN
+        assert len(made.receive()) == 1501 - MOST_AT_ONCE
+
+
+@pytest.mark.parametrize("native", BODIES)
+def test_errors_are_told_and_end_nothing(native: bool) -> None:
+    with inbox(native) as (made, receiving, sending, troubles):
+        receiving[0].connect(("127.0.0.1", 9))  # nobody is there: the echo of what is sent is an error
+        receiving[0].send(b"x")
+        made.wait(PATIENCE)
+        assert made.receive() == []
+        receiving[0].connect(sending[0].getsockname())
+        sending[0].send(b"still")
+        made.wait(PATIENCE)
+        assert made.receive() == [b"still"]
+        assert troubles == [errno.ECONNREFUSED]
+
+
+@pytest.mark.parametrize("native", BODIES)
+def test_a_signal_is_seen_while_waiting(native: bool) -> None:
+    seen: list[int] = []
+
+    def take(number: int, frame: FrameType | None) -> None:
+        seen.append(number)
+
+    before = signal.signal(signal.SIGALRM, take)
+    try:
+        with inbox(native) as (made, _, sending, _):
+            for datagram, expected, gather in ((None, 1, 0.0), (b"one", 2, PATIENCE), (b"", 9, PATIENCE)):
+                if datagram is not None:
+                    sending[0].send(datagram)
+                signal.setitimer(signal.ITIMER_REAL, 0.01)
+                start = time.monotonic()
+                made.wait(PATIENCE if native else 0.05, expected, gather)  # Python's own goes on after the handler
+                assert time.monotonic() - start < PATIENCE / 2
+                assert seen == [signal.SIGALRM]
+                seen.clear()
+                made.receive()
+    finally:
+        signal.signal(signal.SIGALRM, before)
+
+
+@needs_courier
+def test_spinning_that_fails_backs_off() -> None:
+    with inbox(True) as (made, _, _, _):
+        assert isinstance(made, CompiledInbox)
+        for _ in range(199):
+            made.wait(0.0002, 1, 0.0002)
+        # the 1st, and those after 1, 2, 4, 8, 16, 32 and 64 that did not try; the 200th would be the next
+        assert (made.shown.spins, made.shown.failed) == (8, 8)
+        made.wait(0.001)  # nothing is under way: it does not even count
+        assert made.shown.spins == 8
+
+
+@needs_courier
+def test_spinning_that_succeeds_goes_on() -> None:
+    """What is there already when it looks the first time is found by spinning too."""
+    with inbox(True) as (made, _, sending, _):
+        assert isinstance(made, CompiledInbox)
+        for i in range(1, 4):
+            made.wait(0.0002, 1, 0.0002)  # fails
+            for _ in range(50):
+                sending[0].send(b"x")
+                made.wait(PATIENCE, 1, 0.0002)
+                assert made.receive() == [b"x"]
+            assert made.shown.failed == i
+        assert made.shown.spins == 3 * 50
+
+
+@needs_courier
+def test_an_idle_robot_costs_little() -> None:
+    with inbox(True) as (made, _, _, _):
+        began, end = time.process_time(), time.monotonic() + 1.0
+        while time.monotonic() < end:
+            made.wait(0.01, 15, 0.002)
+            made.receive()
+        assert time.process_time() - began < 0.05
