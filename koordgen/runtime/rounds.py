@@ -123,9 +123,8 @@ class Rounds:
 
     @property
     def expects(self) -> tuple[int, float]:
-        """How many closings the round that this robot has closed still lacks, and seconds for which it pays to let
-        them arrive before what has come is looked at: to wake for each of many alone costs more than all else. Else 1
-        and no time."""
+        """How many closings the round that this robot has closed still lacks, and seconds that it pays to gather them:
+        to wake for each of many alone costs more than all else. Nothing outstanding: 1, and no time."""
         memory, present = self._replica.memory, self._present
         if memory is None or present.open or memory.applied >= self.round or not memory.lacking:
             return 1, 0.0
