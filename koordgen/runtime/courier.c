@@ -20,7 +20,7 @@
 enum { MOST_SOCKETS = 2, MOST_ERRORS = 16, ECHO = -1 };
 
 static const int64_t SECOND = 1000000000; /* ns, as all that follows */
-static const int64_t SPIN = 100000;       /* that a wait may look for a datagram without sleeping */
+static const int64_t SPIN = 200000;       /* that a wait may look without sleep: a peer that must wake has answered by then */
 static const int64_t YIELDED = 5000;      /* a yield that took longer gave the core to somebody who needs it */
 static const int64_t NAP = 20000;         /* for each datagram that is missing */
 static const unsigned long SLACK = 1000;  /* by which a sleep may end later than asked; the system's own is 50000 */
