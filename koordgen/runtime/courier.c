@@ -284,23 +284,30 @@ static int spin(Inbox *inbox, int64_t until) {
     return 0;
 }
 
+/* Let what is expected come, without waking for each datagram. -1: a signal came. */
+static int gather(Inbox *inbox, int32_t expected, int64_t until) {
+    int64_t missing, left;
+    for (drain(inbox); (missing = expected - inbox->arrived) > 0 && inbox->used < MOST_AT_ONCE; drain(inbox)) {
+        if ((left = until - now()) <= 0) break;
+        if (rest(inbox, missing > 1 ? least(NAP * missing, left) : left, missing == 1) < 0) return -1;
+    }
+    return 0;
+}
+
 /* See Transport.wait; both times in seconds. `keep`: what the last call left was not taken, and counts. Ends early when
    a signal comes. Returns how many slots are used, from the first on. */
-int32_t courier_wait(Inbox *inbox, double seconds, int32_t expected, double gather, int32_t keep) {
-    int64_t end = now() + nanoseconds(seconds);
-    if (keep)
+int32_t courier_wait(Inbox *inbox, double seconds, int32_t expected, double gathering, int32_t keep) {
+    int64_t begin = now(), end = begin + nanoseconds(seconds);
+    if (!keep) inbox->used = inbox->arrived = 0;
+    if (expected > 1 && gathering > 0) {
+        if (gather(inbox, expected, least(end, begin + nanoseconds(gathering))) < 0) return inbox->used;
+    } else if (keep) {
         drain(inbox);
-    else
-        inbox->used = inbox->arrived = 0;
-    if (gather > 0 && !some(inbox)) spin(inbox, end);
-    for (; !some(inbox); drain(inbox))
-        if (rest(inbox, end - now(), 1) <= 0) return inbox->used;
-    end = least(end, now() + nanoseconds(gather));
-    while (inbox->arrived < expected && inbox->used < MOST_AT_ONCE && now() < end) {
-        int64_t missing = expected - inbox->arrived;
-        if (rest(inbox, missing > 1 ? least(NAP * missing, end - now()) : end - now(), missing == 1) < 0) break;
-        drain(inbox);
+    } else if (gathering > 0) {
+        spin(inbox, end);
     }
+    for (; !some(inbox); drain(inbox))
+        if (rest(inbox, end - now(), 1) <= 0) break;
     return inbox->used;
 }
 
