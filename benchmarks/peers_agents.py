@@ -1,6 +1,6 @@
-"""Our side: whole agents on real UDP, each in a process of its own, and the bare stack under them.
+"""Our side as a whole: agents on real UDP, each in a process of its own.
 
-What looks inside an agent stands in `Inside` and `Stack`, and nowhere else.
+What looks inside an agent stands in `Inside`, and nowhere else.
 """
 
 from __future__ import annotations
@@ -11,15 +11,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from peers_exchange import Heard
-
 from koordgen.runtime.bounds import Fixed, Text
-from koordgen.runtime.clock import FleetClock, SystemClock
-from koordgen.runtime.layout import Layout
-from koordgen.runtime.link import Link, Session
+from koordgen.runtime.clock import SystemClock
 from koordgen.runtime.machine import Agent
-from koordgen.runtime.memory import Memory
-from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.opening import open_transport
 from koordgen.runtime.platform import Finding, Sensed
 from koordgen.runtime.program import Cell, Event, Frame, Program, Slots, Transaction, Variable
@@ -29,7 +23,7 @@ from koordgen.runtime.store import Store
 from koordgen.runtime.trace import Record, Trace
 from koordgen.runtime.transport import Transport
 from koordgen.runtime.values import Point
-from koordgen.runtime.wire import Closing, Round, View, decode
+from koordgen.runtime.wire import Round, decode
 
 KEY = bytes(range(32))
 WARM_UP = 20  # rounds before those that count
@@ -216,39 +210,3 @@ def closings(sent: Sequence[tuple[float, bytes]], pid: int) -> dict[int, float]:
 
 def _tell(level: str, line: str) -> None:
     """What is wrong shows in the figures."""
-
-
-class Stack:
-    """Link and memory of one of two robots, without the machine around them, as an Exchange."""
-
-    def __init__(self, pid: int, ports: Sequence[int], size: int) -> None:
-        ours, given, clock = program(size), settings(pid, ports, 0.01, "unicast"), SystemClock()
-        layout = Layout(ours.shared, 2)
-        self._pid, self._other, self._text = pid, 1 - pid, "0" * size
-        self._transport = open_transport(given)
-        boots = [bytes([p] * 8) for p in range(2)]
-        self._link = Link(ours, given, KEY, self._transport, clock, FleetClock(pid), boots[pid], print, Metrics(pid, 2))
-        self._link.epoch = bytes(8)
-        self._link.sessions[self._other] = Session(boots[self._other])
-        self._memory = Memory.begin(layout, pid, View(0, 1, (0, 0)), [Closing(p, 0, 0, 0) for p in range(2)])
-        self._closed = 0
-        self.size = 0
-
-    def publish(self, round_: int) -> None:
-        memory = self._memory
-        self._closed = round_
-        memory.close(round_, {"report": self._text}, stopped=False, acted=True)
-        word = (0, round_, memory.applied, memory.settled, False, memory.held)
-        self._link.round([self._other], word, memory.own(round_))
-        memory.advance(round_ + 1)
-
-    def take(self, seconds: float) -> Heard:
-        self._transport.wait(seconds)
-        memory, before = self._memory, self._memory.held[self._other]
-        for m in self._link.receive():
-            if isinstance(m, Round):
-                for closing in m.closings:
-                    memory.take(closing, self._closed)
-                memory.heard(self._other, m.view, m.applied, m.held, m.round - 1, m.settled, self._closed, False)
-        memory.advance(self._closed + 1)
-        return [(self._other, r) for r in range(before + 1, memory.held[self._other] + 1)]

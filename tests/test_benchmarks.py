@@ -1,0 +1,68 @@
+"""What the benchmarks measure of ours works as they say: all updates arrive, also where datagrams are lost."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "benchmarks"))
+
+from peers_agents import settings
+from peers_memory import SharedMemory
+
+from koordgen.runtime.clock import SimulatedClock
+from koordgen.runtime.network import Conditions, MemoryNetwork
+from tests.runtime.fleet import Kept
+
+N, DELTA, COUNT, STEPS = 3, 0.01, 20, 20
+
+
+class Robots:
+    """A fleet of the benchmark's shared memories in simulated time, and what each has heard."""
+
+    def __init__(self, loss: float) -> None:
+        self.clock = SimulatedClock()
+        network = MemoryNetwork(self.clock, 1, Conditions(loss, delay=0.0002), group=True)
+        given = [settings(pid, range(9000, 9001 + N), DELTA, "multicast") for pid in range(N)]
+        self.each = [SharedMemory(g, 230, network.transport(g.pid), Kept(), self.clock) for g in given]
+        self.heard: list[list[tuple[int, int]]] = [[] for _ in given]
+
+    def run(self, rounds: range) -> None:
+        """Publish each of these rounds, and then hear for its length."""
+        for round_ in rounds:
+            for robot in self.each:
+                robot.publish(round_)
+            self.hear()
+
+    def hear(self) -> None:
+        for _ in range(STEPS):
+            self.clock.time += DELTA / STEPS
+            for robot, heard in zip(self.each, self.heard, strict=True):
+                heard += robot.take(0.0)
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.1])
+def test_all_updates_of_the_benchmarks_shared_memory_arrive(loss: float) -> None:
+    robots = Robots(loss)
+    robots.run(range(1, COUNT + 1))
+    robots.hear()  # what the last round lacks is asked for, too
+    for pid, heard in enumerate(robots.heard):
+        assert sorted(heard) == [(other, r) for other in range(N) if other != pid for r in range(1, COUNT + 1)]
+    missed = [robot.missed for robot in robots.each]
+    assert sum(map(len, missed)) <= 20 * loss * N  # hardly ever is it not made good before the next round
+
+
+def test_a_robot_without_news_closes_its_rounds_empty_and_comes_back() -> None:
+    robots = Robots(0.0)
+    robots.run(range(3))
+    assert {pid for pid, r in robots.heard[0] if r == 0} == {1, 2}  # round 0 tells who can be heard
+    lost = robots.each.pop(), robots.heard.pop()
+    robots.run(range(3, 7))
+    assert robots.each[0].missed == [4, 5, 6]  # without the closing of round 3 nobody writes
+    robots.each.append(lost[0])
+    robots.heard.append(lost[1])
+    robots.run(range(7, 10))
+    assert all(9 not in robot.missed for robot in robots.each)
+    assert sorted(r for pid, r in robots.heard[0] if pid == 2) == list(range(10))
