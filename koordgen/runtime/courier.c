@@ -303,7 +303,7 @@ int32_t courier_wait(Inbox *inbox, double seconds, int32_t expected, double gath
         if (gather(inbox, expected, least(end, begin + nanoseconds(gathering))) < 0) return inbox->used;
     } else if (keep) {
         drain(inbox);
-    } else if (gathering > 0) {
+    } else {
         spin(inbox, end);
     }
     for (; !some(inbox); drain(inbox))
