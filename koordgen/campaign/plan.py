@@ -9,6 +9,7 @@ from typing import Any
 from koordgen.campaign import vary
 
 FORMAT = "koord-campaign/1"
+CAMPAIGN, VALIDATION, PROBES = "campaign", "validation", "probing of a platform"
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,8 @@ class Run:
 @dataclass(frozen=True)
 class Plan:
     """What a campaign is made of. `bundle` is the digest of the bundle as it is built without varied params, `verdict`
-    that of the script that judges runs, "" without one; `fixed` are flags of every run."""
+    that of the script that judges runs, "" without one; `fixed` are flags of every run; `what`, what they
+    are made for."""
 
     app: str
     bundle: str
@@ -39,6 +41,7 @@ class Plan:
     fixed: tuple[str, ...]
     vary: tuple[str, ...]
     runs: int
+    what: str = CAMPAIGN
 
     def json(self) -> dict[str, Any]:
         """As it is stored."""
@@ -67,14 +70,21 @@ _CHANGED = {
 }
 
 
+def made_for(stored: Mapping[str, Any]) -> str:
+    """What the runs of a stored plan are made for."""
+    what = stored.get("what")
+    return what if what in (VALIDATION, PROBES) else CAMPAIGN
+
+
 def difference(stored: Mapping[str, Any], wanted: Plan) -> str:
     """Why a stored plan is not the wanted one; "" when it is."""
     if stored.get("format") != FORMAT:
         return f"its plan has not the format {FORMAT}"
-    for key, value in wanted.json().items():
-        if stored.get(key) != value:
+    asked = wanted.json()
+    for key, meaning in _CHANGED.items():
+        if (value := asked[key]) != stored.get(key):
             shown = "" if key in ("bundle", "verdict") else f": {_told(stored.get(key))}, not {_told(value)}"
-            return f"{_CHANGED[key]}{shown}"
+            return f"{meaning}{shown}"
     return ""
 
 

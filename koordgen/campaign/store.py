@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from koordgen.campaign.plan import Plan, difference
+from koordgen.campaign.plan import Plan, difference, made_for
 
 PLAN, RESULTS, RUNS, LOCK = "plan.json", "results.jsonl", "runs", ".koord-campaign"
 FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -91,28 +91,31 @@ class Store:
 def claimed(folder: Path, plan: Plan, resume: bool) -> Iterator[Store]:
     """The campaign's folder, new, or with what was finished of the same plan. Raises Unusable, OSError."""
     if not folder.exists() and resume:
-        raise Unusable(f"{folder}: there is no campaign to go on with", "leave out --resume")
+        raise Unusable(f"{folder}: there is no {plan.what} to go on with", "leave out --resume")
     if folder.exists() and not folder.is_dir():
         raise Unusable(f"{folder}: in the way, and no folder", "choose another with --out")
     if folder.is_dir() and any(folder.iterdir()) and not (folder / LOCK).exists():
-        raise Unusable(f"{folder}: holds files, and they are not of a campaign", "choose another with --out")
+        raise Unusable(f"{folder}: holds files, and they are not of a {plan.what}", "choose another with --out")
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / LOCK).open("ab") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise Unusable(f"{folder}: another campaign is writing there", "wait, or choose another --out") from None
+            raise Unusable(f"{folder}: another call is writing there", "wait, or choose another --out") from None
         yield _opened(folder, plan, resume)
 
 
 def _opened(folder: Path, plan: Plan, resume: bool) -> Store:
     store = Store(folder)
     if (folder / PLAN).exists():
+        stored = _object(folder / PLAN)
+        if (what := made_for(stored)) != plan.what:
+            raise Unusable(f"{folder}: holds a {what}, not a {plan.what}", "choose another with --out")
         if not resume:
             way = "--resume goes on with it; or choose another with --out"
-            raise Unusable(f"{folder}: holds a campaign already", way)
-        if why := difference(_object(folder / PLAN), plan):
-            raise Unusable(f"{folder}: holds another campaign: {why}", "choose another with --out")
+            raise Unusable(f"{folder}: holds a {what} already", way)
+        if why := difference(stored, plan):
+            raise Unusable(f"{folder}: holds another {what}: {why}", "choose another with --out")
         store.results = _finished(folder / RESULTS)
     else:
         replace(folder / PLAN, json.dumps(plan.json(), indent=2) + "\n")

@@ -9,7 +9,7 @@ from typing import Any
 
 from koordgen import __version__
 
-MOST_ROBOTS = 128  # of a fleet, as the wire format has it
+MOST_ROBOTS = 128  # of a fleet, as koordgen/runtime/wire.py allows (a test compares them)
 
 
 class _Parser(argparse.ArgumentParser):

@@ -39,14 +39,18 @@ def replay(options: Namespace) -> int:
         _say(f"... and {len(found) - MOST_TOLD} more")
     late = f", {counts.late} that overran left aside" if counts.late else ""
     robots = 1 if trace.own else len(trace.robots)
-    what = f"{robots} robot{'s' if robots != 1 else ''}, {counts.rounds} rounds, {counts.events} events{late}"
+    what = f"{_count(robots, 'robot')}, {_count(counts.rounds, 'round')}, {_count(counts.events, 'event')}{late}"
     if trace.cut:
         _say(f"note: {path}:{trace.cut}: the trace is cut off here; what stands before was replayed")
     if found:
-        print(f"{path}: {what}: {len(found)} difference{'s' if len(found) != 1 else ''}")
+        print(f"{path}: {what}: {_count(len(found), 'difference')}")
         return VIOLATED
     print(f"{path}: {what}: as the program means")
     return HOLDS
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'s' * (number != 1)}"
 
 
 def _told(found: Difference, trace: Trace) -> str:

@@ -16,7 +16,7 @@ from typing import Any
 from koordgen import cli, manifest
 from koordgen.campaign import drive, store
 from koordgen.campaign.crew import Unreachable
-from koordgen.campaign.plan import Plan, Run
+from koordgen.campaign.plan import VALIDATION, Plan, Run
 from koordgen.campaign.task import Job
 from koordgen.check.params import Value
 from koordgen.cli import campaign as campaigns
@@ -97,7 +97,7 @@ def _sampled(
     seeds = [str(options.seed + k) for k in range(count)]
     runs = [Run(k, {"seed": seed}, {}, {}, {"seed": seed}) for k, seed in enumerate(seeds)]
     sums = campaigns._digest(bundle[campaigns.SUMS])
-    plan = Plan(app, sums, "", tuple(fixed), (f"seed={options.seed}:",), 0)
+    plan = Plan(app, sums, "", tuple(fixed), (f"seed={options.seed}:",), 0, VALIDATION)
     show = (lambda _: None) if options.quiet else line.show
 
     def job(run: Run) -> Job:

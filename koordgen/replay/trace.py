@@ -77,11 +77,11 @@ def records(trace: Trace) -> Iterator[tuple[int, dict[str, Any]]]:
             for number, line in enumerate(file, 1):
                 try:
                     record = json.loads(line)
-                except (ValueError, RecursionError) as error:
+                except (ValueError, RecursionError):
                     if not line.endswith(b"\n"):
                         trace.cut = number
                         return
-                    raise BadTrace(f"{trace.path}:{number}: {error}") from None
+                    raise BadTrace(f"{trace.path}:{number}: no line of JSON, as traces have them") from None
                 if not isinstance(record, dict):
                     raise BadTrace(f"{trace.path}:{number}: no record")
                 yield number, record

@@ -11,10 +11,10 @@ from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.program import Effects, Life
 from koordgen.runtime.trace import Calls, Observe, Record, Trace
 from koordgen.runtime.views import described
-from koordgen.runtime.watched import Change
+from koordgen.runtime.watched import FOR_GOOD, Change
 from koordgen.runtime.wire import View
 
-_ACTING = {"off": "", "log": "", "hold": ", the robot holds", "land": ", it lands", "stop": ", it comes to rest"}
+_ACTING = {"off": "", "log": "", "hold": "; the robot holds", "land": "; it lands", "stop": "; it comes to rest"}
 MOST_CHANGES, OFTEN = 6, 10.0  # lines for people about one property within so many seconds
 MOST_UNTOLD = 8  # records of rounds that wait to be told
 METRICS_EVERY = 10.0  # seconds between two of them in the trace
@@ -48,15 +48,16 @@ class Journal:
         self._faulty = ""
         self._phase = ""
         self._said = ""
+        self._last = ""  # line
         self._measured = 0.0
         self.untold: list[Record] = []  # of rounds that have become certain
         self.round = 0
 
     def phase(self, phase: str, detail: str) -> None:
-        """Another phase begins."""
+        """Another phase begins. Where the line before tells why, that is not told again."""
         self._phase, self._said = phase, ""
         self._trace.phase(self._clock.now(), phase, detail)
-        self._line("info", f"{phase}: {detail}" if detail else phase)
+        self._line("info", f"{phase}: {detail}" if detail and not self._last.startswith(detail) else phase)
 
     def progress(self, text: str) -> None:
         """What the robot waits for or does; the same is told once."""
@@ -83,10 +84,12 @@ class Journal:
         if change.time - since > OFTEN:
             since, count = change.time, 0
         self._changes[change.word] = since, count + 1
-        if count >= MOST_CHANGES:
+        ends = change.outcome == "violated" and change.action in FOR_GOOD
+        if count >= MOST_CHANGES and not ends:
             return
         if change.outcome == "violated":
-            self._line("warning", f"{change.word} is violated{_ACTING[change.action]}: {change.why}")
+            text = f"{change.word} is violated: {change.why}{_ACTING[change.action]}"
+            self._line("error" if ends else "warning", text)
         elif change.before is not None:
             self._line("info", f"{change.word}: {change.outcome}" + (f": {change.why}" if change.why else ""))
 
@@ -166,6 +169,7 @@ class Journal:
             self._trace.metrics(now, self._metrics.snapshot(now, rejected))
 
     def _line(self, level: str, text: str) -> None:
+        self._last = text
         now = self._clock.now()
         time = f"{self._fleet_clock.read(now):.3f}" if self._fleet_clock.known else "?"
         self._emit(level, f"{time} round {self.round} {self._robot}: {level}: {text}")

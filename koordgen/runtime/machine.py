@@ -388,7 +388,6 @@ class Agent:
         verdict = self.monitors.verdict
         self._body.hold("monitor", verdict.action == "hold", now)
         if verdict.action == "rest" and self.phase == "running":
-            self._journal.error(verdict.reason)
             self._rest(verdict.reason, VIOLATED)
 
     def _enter(self, phase: str, detail: str) -> None:

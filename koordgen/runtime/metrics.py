@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 _PER_OCTAVE = 8  # buckets: a quantile is right within 9 %
@@ -14,53 +14,45 @@ _BUCKETS = 32 * _PER_OCTAVE  # up to more than an hour
 _RECENT = 512  # datagrams after which older ones count half
 
 
-class Histogram:
-    """Durations in seconds; what is below a microsecond counts as one."""
+class Histograms:
+    """Durations in seconds, of several kinds side by side in one piece of memory: what is noted of many peers at once
+    touches little of it. What is below a microsecond counts as one."""
 
-    __slots__ = ("_buckets", "count", "most")
+    __slots__ = ("_buckets", "_most")
 
-    def __init__(self) -> None:
-        self.count = 0
-        self.most = 0.0
-        self._buckets = array("L", bytes(array("L").itemsize * _BUCKETS))
+    def __init__(self, kinds: int = 1) -> None:
+        self._buckets = array("L", bytes(array("L").itemsize * _BUCKETS * kinds))
+        self._most = array("d", bytes(8 * kinds))
 
-    def add(self, seconds: float) -> None:
+    def add(self, seconds: float, kind: int = 0) -> None:
         if not -math.inf < seconds < math.inf:
             return
         index = int(_PER_OCTAVE * math.log2(seconds / _SHORTEST)) if seconds > _SHORTEST else 0
-        self._buckets[index if index < _BUCKETS else -1] += 1
-        self.count += 1
-        if seconds > self.most:
-            self.most = seconds
+        self._buckets[kind * _BUCKETS + (index if index < _BUCKETS else _BUCKETS - 1)] += 1
+        if seconds > self._most[kind]:
+            self._most[kind] = seconds
 
-    def quantile(self, share: float) -> float:
+    def count(self, kind: int = 0) -> int:
+        return sum(self._of(kind))
+
+    def quantile(self, share: float, kind: int = 0) -> float:
         """What at least this share of all durations does not exceed; 0 when there is none."""
-        wanted, seen = max(1, math.ceil(share * self.count)), 0
-        for index, count in enumerate(self._buckets):
+        wanted, seen, most = max(1, math.ceil(share * self.count(kind))), 0, self._most[kind]
+        for index, count in enumerate(self._of(kind)):
             seen += count
             if seen >= wanted:
-                return min(self.most, _SHORTEST * 2 ** ((index + 1) / _PER_OCTAVE))
-        return self.most
+                return min(most, _SHORTEST * 2 ** ((index + 1) / _PER_OCTAVE))
+        return most
 
-    def snapshot(self) -> dict[str, float]:
+    def snapshot(self, kind: int = 0) -> dict[str, float]:
         """In milliseconds: p50, p99, max; empty when there was none."""
-        if not self.count:
+        if not self.count(kind):
             return {}
-        found = {"p50": self.quantile(0.5), "p99": self.quantile(0.99), "max": self.most}
+        found = {"p50": self.quantile(0.5, kind), "p99": self.quantile(0.99, kind), "max": self._most[kind]}
         return {name: round(seconds * 1e3, 3) for name, seconds in found.items()}
 
-
-@dataclass(slots=True)
-class _Peer:
-    """What is known of one peer's datagrams."""
-
-    expected: int = 0
-    received: int = 0
-    delay: Histogram = field(default_factory=Histogram)
-    heard: float | None = None
-    longest: float = 0.0  # seconds between two datagrams
-    closed: int = 0
-    repeats: int = 0
+    def _of(self, kind: int) -> array[int]:
+        return self._buckets[kind * _BUCKETS : (kind + 1) * _BUCKETS]
 
 
 @dataclass(slots=True)
@@ -95,8 +87,13 @@ class Metrics:
 
     def __init__(self, pid: int, n_sys: int) -> None:
         self._pid = pid
-        self._peers = {p: _Peer() for p in range(n_sys) if p != pid}
-        self._late = Histogram()
+        self._peers = [p for p in range(n_sys) if p != pid]
+        # By pid; arrays, since every datagram of a round touches them for another peer.
+        none = bytes(8 * n_sys)
+        self._expected, self._received = array("q", none), array("q", none)
+        self._heard, self._longest = array("d", [-math.inf] * n_sys), array("d", none)  # when; seconds of silence
+        self._closed, self._repeats = array("q", none), array("q", none)
+        self._delays, self._late = Histograms(n_sys), Histograms()
         self._round = 0
         self._rounds = self._current = self._events = 0
         self._skipped: dict[str, int] = {}
@@ -105,28 +102,27 @@ class Metrics:
         """A genuine datagram of a peer. `ahead`: by how much it moved on the count of those that were sent to us; 1
         when none is missing, k when k - 1 are, 0 or less when it comes late. `delay`: seconds under way, None: not
         known."""
-        peer = self._peers[pid]
-        peer.received += 1
+        self._received[pid] += 1
         if ahead > 0:
-            peer.expected += ahead
-            if peer.expected > _RECENT:
-                peer.expected //= 2
-                peer.received //= 2
+            self._expected[pid] += ahead
+            if self._expected[pid] > _RECENT:
+                self._expected[pid] //= 2
+                self._received[pid] //= 2
         if delay is not None:
-            peer.delay.add(delay)
-        before, peer.heard = peer.heard, now
-        if before is not None and now - before > peer.longest:
-            peer.longest = now - before
+            self._delays.add(delay, pid)
+        silent = now - self._heard[pid]
+        self._heard[pid] = now
+        if self._longest[pid] < silent < math.inf:
+            self._longest[pid] = silent
 
     def closed(self, pid: int, round_: int) -> None:
         """All closings of a peer up to this round are here."""
-        peer = self._peers.get(pid)
-        if peer is not None and round_ > peer.closed:
-            peer.closed = round_
+        if round_ > self._closed[pid]:
+            self._closed[pid] = round_
 
     def repeated(self, pid: int) -> None:
         """A peer was asked for something again."""
-        self._peers[pid].repeats += 1
+        self._repeats[pid] += 1
 
     def round(self, number: int, late: float, event: str | None, skipped: str | None, current: bool) -> None:
         """A round was decided `late` seconds after its tick; `skipped` says why no event could run."""
@@ -141,15 +137,16 @@ class Metrics:
     def snapshot(self, now: float, rejected: Mapping[str, int]) -> dict[str, Any]:
         """Plain values; times in milliseconds, `loss` a share of what was sent lately, `behind` in rounds."""
         peers = {}
-        for pid, peer in self._peers.items():
-            lost = max(0, peer.expected - peer.received)
+        for pid in self._peers:
+            expected, heard = self._expected[pid], self._heard[pid]
+            lost = max(0, expected - self._received[pid])
             peers[str(pid)] = {
-                "loss": round(lost / peer.expected, 3) if peer.expected else None,
-                "delay_ms": peer.delay.snapshot(),
-                "silent_ms": None if peer.heard is None else round((now - peer.heard) * 1e3, 1),
-                "longest_silence_ms": round(peer.longest * 1e3, 1),
-                "behind": max(0, self._round - 1 - peer.closed),
-                "repeats": peer.repeats,
+                "loss": round(lost / expected, 3) if expected else None,
+                "delay_ms": self._delays.snapshot(pid),
+                "silent_ms": None if heard == -math.inf else round((now - heard) * 1e3, 1),
+                "longest_silence_ms": round(self._longest[pid] * 1e3, 1),
+                "behind": max(0, self._round - 1 - self._closed[pid]),
+                "repeats": self._repeats[pid],
             }
         return {
             "rounds": self._rounds,

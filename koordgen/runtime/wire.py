@@ -280,7 +280,7 @@ def opened(length: int, payload: bytes | None) -> Message | str:
     if payload[:1] != _FORMAT:
         return "another format version"
     try:
-        message: Message = _decoder.decode(memoryview(payload)[1:])
+        message: Message = _decoder.decode(payload[1:])  # closings keep these bytes, a view would keep three objects
     except (ValueError, RecursionError):
         return "malformed"
     return message

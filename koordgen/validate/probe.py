@@ -25,7 +25,7 @@ from koordgen.bundle.drivers import find
 from koordgen.bundle.write import write
 from koordgen.campaign import drive, store
 from koordgen.campaign.crew import Crew
-from koordgen.campaign.plan import Plan, Run
+from koordgen.campaign.plan import PROBES, Plan, Run
 from koordgen.campaign.task import Job
 from koordgen.fleet import own_classes
 from koordgen.manifest import Target
@@ -261,7 +261,8 @@ def sampled(
     def job(run: Run) -> Job:
         return Job(run.number, run.varied, (*owner[run.number][0].flags, f"--seed={run.flags['seed']}"), {}, "", True)
 
-    plan = Plan("probe", "", "", (), tuple(sorted({told for run in runs for told in run.varied.values()})), len(runs))
+    varied = tuple(sorted({told for run in runs for told in run.varied.values()}))
+    plan = Plan("probe", "", "", (), varied, len(runs), PROBES)
     with store.claimed(folder, plan, resume=False) as kept:
         bundles = drive.Bundles(folder / "bundles", _harness().name, build, runs)
         drive.carry_out(runs, kept, crew, bundles, job, tell, interrupted)

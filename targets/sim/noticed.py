@@ -11,20 +11,22 @@ from targets.sim.trace import Monitor, Verdict
 
 MOST = 200  # changes that pages show
 OF_ONE = 6  # of one property and robot, where nothing is done about it: an exact box is left again and again
-ACTS = {"hold": ", holds", "land": ", lands", "stop": ", comes to rest"}
+ACTS = {"hold": "holds", "land": "lands", "stop": "comes to rest"}
 SOON = 2  # rounds within which a robot that can tell has looked
 
 Key = tuple[str, str, str]  # of, name, line
 
 
 class Noticed(msgspec.Struct):
-    """One property: who saw it violated, and when first; who said that it holds, by nothing old, while it was violated
-    in truth; who saw it violated although it held in truth, as far as the simulator has watched."""
+    """One property: who saw it violated, and when first; what these did then, if anything; who said that it holds, by
+    nothing old, while it was violated in truth; who saw it violated although it held in truth, as far as the simulator
+    has watched."""
 
     of: str
     name: str
     line: str
     seen: dict[str, float] = {}
+    acted: dict[str, str] = {}
     missed: list[str] = []
     mistaken: list[str] = []
 
@@ -54,7 +56,7 @@ class Notable:
 
 def said(record: Monitor) -> str:
     """The property, its outcome and what the robot does then, in a few words."""
-    does = ACTS.get(record.action, "") if record.outcome == "violated" else ""
+    does = f", {ACTS[record.action]}" if record.outcome == "violated" and record.action in ACTS else ""
     return f"{record.of} {record.name}".strip() + f": {record.outcome}{does}"
 
 
@@ -80,6 +82,8 @@ class Monitored:
                 first = next((r for r in records if r.outcome == "violated"), None)
                 if first is not None:
                     one.seen[name] = first.t
+                    if first.action in ACTS:
+                        one.acted[name] = first.action
                     if truth is not None and truth.outcome == "held":
                         one.mistaken.append(name)
                 elif truth is not None and truth.outcome == "violated" and self._held(records, truth.since):
@@ -99,7 +103,8 @@ def as_text(found: Noticed) -> str:
     """One line for people."""
     parts = []
     if found.seen:
-        parts.append("seen by " + ", ".join(f"{name} at {t:.2f} s" for name, t in found.seen.items()))
+        does = {name: f" ({ACTS[action]})" for name, action in found.acted.items()}
+        parts.append("seen by " + ", ".join(f"{n} at {t:.2f} s{does.get(n, '')}" for n, t in found.seen.items()))
     if found.missed:
         parts.append(f"{', '.join(found.missed)} said that it holds")
     if found.mistaken:

@@ -164,7 +164,7 @@ def test_folders_of_others_are_left_alone(capsys: pytest.CaptureFixture[str]) ->
     assert campaign("--vary", "seed=1:2") == 5
     assert "not of a campaign" in capsys.readouterr().err and os.listdir("out") == ["thesis.tex"]
     assert cli.main(["campaign", "a", "--fleet", "f", "--out", "no", "--resume"]) == 5
-    assert "no campaign to go on with" in capsys.readouterr().err and not Path("no").exists()
+    assert "no: there is no campaign to go on with" in capsys.readouterr().err and not Path("no").exists()
 
 
 @pytest.mark.parametrize(

@@ -6,11 +6,11 @@ import random
 
 import pytest
 
-from koordgen.runtime.metrics import Histogram, Metrics
+from koordgen.runtime.metrics import Histograms, Metrics
 
 
 def test_quantiles_are_right_within_a_bucket() -> None:
-    rng, histogram = random.Random(1), Histogram()
+    rng, histogram = random.Random(1), Histograms()
     values = sorted(10 ** rng.uniform(-5, 1) for _ in range(5000))
     for value in values:
         histogram.add(value)
@@ -22,16 +22,16 @@ def test_quantiles_are_right_within_a_bucket() -> None:
 
 @pytest.mark.parametrize("value", [0.0, -1.0, 1e-9, 1e9])
 def test_extremes_are_counted(value: float) -> None:
-    histogram = Histogram()
+    histogram = Histograms()
     histogram.add(value)
-    assert histogram.count == 1 and histogram.quantile(0.99) <= max(value, 1e-6)
+    assert histogram.count() == 1 and histogram.quantile(0.99) <= max(value, 1e-6)
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_what_is_no_number_is_not_counted(value: float) -> None:
-    histogram = Histogram()
+    histogram = Histograms()
     histogram.add(value)
-    assert histogram.count == 0 and histogram.snapshot() == {}
+    assert histogram.count() == 0 and histogram.snapshot() == {}
 
 
 def test_nothing_was_heard_yet() -> None:

@@ -85,6 +85,9 @@ def test_hold_lasts_until_it_is_right_again_and_the_program_goes_on_meanwhile() 
     assert [o for o, _ in outcomes(fleet, 1, "Yard")] == ["unknown", "violated", "unknown"]
 
 
+DOES = {"land": "; it lands", "stop": "; it comes to rest"}
+
+
 @pytest.mark.parametrize("action", ["land", "stop"])
 def test_land_and_stop_are_for_good(action: str) -> None:
     fleet = started(Yard=action)
@@ -94,6 +97,9 @@ def test_land_and_stop_are_for_good(action: str) -> None:
     phases = [(t["phase"], t["detail"]) for t in robot.lines_of("phase")]
     assert any(p == "resting" and d.startswith("invariant Yard (a.koord:19) is violated: i = 1") for p, d in phases)
     assert any("properties: " in line and "violated: invariant Yard" in line for line in robot.lines)
+    (told,) = [line for line in robot.lines if "Motion.position[1] = (1" in line]
+    assert "error: invariant Yard (a.koord:19) is violated: i = 1" in told and told.endswith(DOES[action])
+    assert any(line.endswith(": info: resting") for line in robot.lines), "why was told just before"
     assert fleet.robots[0].agent.phase == "running"
 
 

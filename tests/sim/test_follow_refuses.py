@@ -139,12 +139,14 @@ def test_what_does_not_go_with_it(tmp_path: Path, option: str) -> None:
 def test_other_files(tmp_path: Path) -> None:
     found(tmp_path, LOST, 2)
     for text, why in (
-        ("", "no header of format"), ("{}\n", "no header"), ("[1]\n", "no record"), ("{" * 5000 + "\n", ""),
+        ("", "no header of format"), ("{}\n", "no header"), ("[1]\n", "no record"),
+        ("{" * 5000 + "\n", "no line of JSON"),
+        ("\x7fELF\x02\n", ":1: no line of JSON, as traces have them"), ("\udc80\x00\n\x00", ":1: no line of JSON"),
         ('{"kind": "header", "format": "koord-trace/1"}\n', "no counterexample's trace"),
         ('{"kind": "header", "format": "koord-trace/1", "counterexample": "run"}\n', "a broken header"),
     ):  # fmt: skip
         other = tmp_path / "other.jsonl"
-        other.write_text(text)
+        other.write_text(text, errors="surrogateescape")
         assert why in refused(tmp_path, other)
     assert "No such file" in refused(tmp_path, tmp_path / "none.jsonl")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,13 @@ def test_who_saw_it_and_who_held_it_true() -> None:
     assert as_text(found) == "invariant Near (a.koord:7): seen by bert at 3.10 s; alice said that it holds"
     old = [told(0, 0.0, "held"), told(0, 2.0, "unknown"), told(1, 0.0, "held", age=2), told(2, 3.5, "held")]
     assert beside(old) == [], "who does not know, or knew, or had not looked yet, has not missed it"
+
+
+def test_what_who_saw_it_did_then_is_said() -> None:
+    held = [replace(told(0, t, outcome), action="hold") for t, outcome in ((3.1, "violated"), (4.0, "held"))]
+    (found,) = beside([*held, replace(told(1, 3.2, "violated"), action="land"), told(2, 3.3, "violated")])
+    assert found.acted == {"alice": "hold", "bert": "land"}
+    assert as_text(found).endswith(": seen by alice at 3.10 s (holds), bert at 3.20 s (lands), cleo at 3.30 s")
 
 
 def test_what_the_truth_does_not_show_was_measured() -> None:
@@ -119,6 +127,7 @@ def test_hold_keeps_a_robot_where_the_property_does_not_hold(tmp_path: Path) -> 
         assert 0 <= by_name[name]["seen"]["alice"] - truth[name]["since"] <= 0.2 and not by_name[name]["mistaken"]
     text = (tmp_path / "out/summary.txt").read_text()
     assert "the robots' own monitors:" in text and "invariant Yard (yard.koord:13): seen by alice at " in text
+    assert re.search(r"seen by alice at \d\.\d\d s \(holds\)", text)
 
 
 @pytest.mark.slow

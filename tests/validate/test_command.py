@@ -16,10 +16,12 @@ import pytest
 
 from koordgen import cli
 from koordgen.campaign import store
+from koordgen.campaign.plan import Plan
 from koordgen.cli import campaign as campaigns
 from koordgen.validate import picture
 from tests.validate import fake
 
+OUT = Path("out")
 PLANNED = {"SHA256SUMS": b"sums", "scenario.json": b'{"harness": {"start_noise": 0.3}}'}
 PROGRAM = """
 using Motion:
@@ -84,7 +86,10 @@ def test_more_samples_go_on_with_those_that_are_there(capsys: pytest.CaptureFixt
     assert "55 more samples wanted" in capsys.readouterr().out
     assert len(runs()) == 5 and Path("out/runs/0001/began").stat().st_mtime_ns == first
     assert validate("--samples", "2", "--seed", "9") == 5
-    assert "out: holds another campaign" in capsys.readouterr().err
+    assert "out: holds another validation: other things are varied: seed=1:, not seed=9:" in capsys.readouterr().err
+    plan = Plan("app", "", "", (), (), 3)
+    with pytest.raises(store.Unusable, match="out: holds a validation, not a campaign"), store.claimed(OUT, plan, True):
+        pass
 
 
 def test_violated(capsys: pytest.CaptureFixture[str]) -> None:
