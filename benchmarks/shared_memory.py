@@ -52,11 +52,15 @@ from koordgen.runtime import courier
 KOORDGEN, UNICAST, PLAIN, AGENTS = "koordgen", "koordgen, unicast", "koordgen, plain Python", "koordgen, whole agents"
 RAW, POLLED = "raw", "raw, both sides polling"
 BESIDE = {UNICAST, PLAIN, AGENTS, POLLED}  # what is printed and not judged
-WARM_UP = 10  # rounds before those that count
-LONG = 5.0  # seconds of each run of part 3
+WARM_UP = 20  # rounds before those that count
+LONG = 3.0  # seconds of each run of part 3: some 45 runs of 5 to 15 s in all
 SIZE = 230  # bytes of a robot's update
-SIZES = (4, 8, 12, 16, 20, 24, 28, 32, 48, 64, 80, 96, 112, 128)  # fleets that are tried
 TARGETS = {0.01: 24, 0.05: 64, 0.1: 96}  # delta (s) -> robots
+SIZES = {  # delta (s) -> fleets that are tried; seven are three steps of a bisection
+    0.01: (4, 8, 12, 16, 20, 24, 32),
+    0.05: (12, 16, 24, 32, 48, 64, 80),
+    0.1: (16, 32, 48, 64, 80, 96, 128),
+}
 _processes = multiprocessing.get_context("fork")
 Figures = dict[str, Any]
 
@@ -186,7 +190,7 @@ def rounds(make: Make, n: int, delta: float, count: int) -> Rounds:
     )
 
 
-def whole_agents(network: str, n: int, delta: float, count: int, patience: float = 60.0) -> Rounds:
+def whole_agents(network: str, n: int, delta: float, count: int, patience: float = 20.0) -> Rounds:
     """Raises Failed."""
     robots = agents(network, n, delta, count, patience)
     return Rounds(
@@ -216,26 +220,33 @@ def consistency(name: str, measure: Measure, n: int, delta: float, count: int) -
     return statistics.median(found.took)
 
 
-def keeps(name: str, measure: Measure, n: int, delta: float, count: int) -> bool:
-    """Whether each robot had each round's updates of all others before the next tick."""
-    try:
-        found = measure(n, delta, count)
-    except Failed as failed:
-        print(f"  {name}, {n} robots, delta {delta * 1e3:.0f} ms: {failed}")
-        return False
-    return not found.missed and max(found.took) < delta
+def keeps(name: str, measure: Measure, n: int, delta: float, count: int, tries: int = 2) -> bool:
+    """Whether each robot had each round's updates of all others before the next tick. There are two tries, since others
+    may disturb one; where half of the rounds took too long nobody else is to blame."""
+    for _ in range(tries):
+        try:
+            found = measure(n, delta, count)
+        except Failed as failed:
+            print(f"  {name}, {n} robots, delta {delta * 1e3:.0f} ms: {failed}")
+            continue
+        if not found.missed and max(found.took) < delta:
+            return True
+        if statistics.median(found.took) > delta:
+            return False
+    return False
 
 
 def largest(name: str, measure: Measure, delta: float, count: int) -> int:
-    """The largest of SIZES that keeps its rounds, by bisection; a size has two tries, since others may disturb one."""
-    low, high = -1, len(SIZES)
+    """The largest of SIZES that keeps its rounds, by bisection."""
+    sizes = SIZES[delta]
+    low, high = -1, len(sizes)
     while high - low > 1:
         middle = (low + high) // 2
-        if any(keeps(name, measure, SIZES[middle], delta, count) for _ in range(2)):
+        if keeps(name, measure, sizes[middle], delta, count):
             low = middle
         else:
             high = middle
-    return SIZES[low] if low >= 0 else 0
+    return sizes[low] if low >= 0 else 0
 
 
 def in_turn(runs: int, measured: Mapping[str, Callable[[], float]]) -> dict[str, float]:
@@ -267,7 +278,8 @@ def part_round_trip(peers: Sequence[str], quick: bool) -> Figures:
 
 def part_consistency(peers: Sequence[str], quick: bool) -> Figures:
     n, delta, count, runs = 16, 0.01, *((100, 1) if quick else (500, 5))
-    measures: dict[str, Measure] = OURS | {name: partial(rounds, PEERS[name]) for name in peers} | {AGENTS: WHOLE}
+    ours = {KOORDGEN: OURS[KOORDGEN]} if quick else OURS
+    measures: dict[str, Measure] = ours | {name: partial(rounds, PEERS[name]) for name in peers} | {AGENTS: WHOLE}
     measured = {name: partial(consistency, name, measure, n, delta, count) for name, measure in measures.items()}
     found = in_turn(runs, measured)
     print(
@@ -290,7 +302,7 @@ def part_largest(peers: Sequence[str], quick: bool) -> Figures:
         count = round((1.0 if quick else LONG) / delta)
         label = f"{delta * 1e3:.0f} ms"
         if quick:
-            figures[label] = {KOORDGEN: wanted if keeps(KOORDGEN, OURS[KOORDGEN], wanted, delta, count) else 0}
+            figures[label] = {KOORDGEN: wanted if keeps(KOORDGEN, OURS[KOORDGEN], wanted, delta, count, tries=1) else 0}
         else:
             figures[label] = {name: largest(name, measure, delta, count) for name, measure in measures.items()}
         sizes = ", ".join(f"{name} {n}" for name, n in figures[label].items())

@@ -10,13 +10,14 @@ from typing import Any
 from koordgen.check.params import BadParam, Value, as_given, with_params
 from koordgen.cli import INCONCLUSIVE, USAGE, WRONG, Failure, _params
 from koordgen.cli.prove import hash_of
-from koordgen.follow.plan import CannotFollow, ModelOnly, agree, document, planned
+from koordgen.follow.exact import agree, nearest
+from koordgen.follow.plan import CannotFollow, ModelOnly, document, planned
 from koordgen.follow.read import Counterexample, read
 from koordgen.ir.decl import Program
 from koordgen.pipeline import check_file, read_fleet
 from koordgen.replay.functions import CannotCall, externs
 from koordgen.replay.trace import BadTrace
-from koordgen.replay.values import plain
+from koordgen.replay.values import BadValue, plain, taken
 from koordgen.semantics.step import initial
 
 REFUSED = ("scenario", "duration", "gui", "loss", "delay", "jitter", "duplication", "reordering")
@@ -88,8 +89,9 @@ def _told(program: Program, given: Counterexample) -> dict[str, Value]:
             "another version of the program: look for the counterexample anew",
         )  # fmt: skip
     try:
-        return {name: as_given(value, types[name]) for name, value in given.params.items()}
-    except (ValueError, TypeError) as error:
+        values = {name: taken(value, types[name], nearest) for name, value in given.params.items()}
+        return {name: as_given(plain(value), types[name]) for name, value in values.items()}
+    except (BadValue, ValueError, TypeError) as error:
         raise Failure(WRONG, f"{given.path}: its params are none of this program's: {error}") from None
 
 

@@ -141,8 +141,10 @@ def files(
 def trace_of(program: Program, path: str, given: Mapping[str, Value], found: list[list[Verdict]]) -> str:
     """The first counterexample as a trace, one that is a run if there is any; empty where there is none."""
     from koordgen.check.params import BadParam, as_given, with_params
+    from koordgen.follow.exact import nearest
     from koordgen.prove.model import plain_value
     from koordgen.prove.trace import About, trace
+    from koordgen.replay.values import BadValue, plain, taken
 
     told = [v.explanation for verdicts in found for v in verdicts if v.explanation and v.explanation.counterexample]
     if not told:
@@ -150,12 +152,15 @@ def trace_of(program: Program, path: str, given: Mapping[str, Value], found: lis
     first = next((t for t in told if t.run is not None), told[0])
     assert first.counterexample is not None
     state = first.run.moments[0].state if first.run is not None else first.counterexample.before
-    values = {p.name: as_given(plain_value(state.params[p.name]), p.type) for p in program.params}
+    values = {}
     try:
+        for p in program.params:
+            near = taken(plain_value(state.params[p.name]), p.type, nearest)  # as robots have it
+            values[p.name] = as_given(plain(near), p.type)
         hashed, _ = hash_of(with_params(program, {**values, **given}), path, None)
-    except BadParam:  # numbers that robots do not have
+    except (BadParam, BadValue):  # numbers that robots do not have
         hashed = ""
-    return trace(program, first, About(hashed, tuple(values)))
+    return trace(program, first, About(hashed, tuple(p.name for p in program.params)))
 
 
 def hash_of(program: Program, path: str, functions: str | None) -> tuple[str, Path | None]:

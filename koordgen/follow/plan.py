@@ -8,11 +8,10 @@ rounds that, by the agents' own rule, lead to the very state that the trace tell
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from fractions import Fraction
 from itertools import combinations
-from math import isclose
 from typing import Any, NamedTuple
 
+from koordgen.follow.exact import agree, fraction, nearest
 from koordgen.follow.read import BEGINNING, ENVIRONMENT, INIT, Counterexample, Step, Told
 from koordgen.ir import decl
 from koordgen.replay.values import BadValue, plain, taken
@@ -25,7 +24,8 @@ from koordgen.semantics.values import Value
 
 MOST = 5  # events of a round of which every split is tried; of more only the usual ones
 LATEST = 3  # agents' rounds after the last one of a deadlock, in which every robot may do what it wants
-ROUNDING = 1e-9  # relative: what exact numbers of a proof may differ from floats
+
+SHORT = "a proof's numbers are exact: give --param, or other values in the program, that are short as decimals"
 
 Events = Mapping[int, str]  # by pid
 
@@ -111,6 +111,7 @@ class _Planner:
         self.actuators = {f"{m.name}.{p.name}" for m in program.modules for p in m.ports if p.direction == "actuator"}
         self.commanded: set[tuple[int, str]] = set()  # robots, and their modules whose target or path was written
         self.rounds: list[Round] = []
+        self.rounded = fraction([given.params, *[told for step in given.steps for told in step.robots]])
 
     def plan(self) -> Plan:
         first, *steps = self.given.steps
@@ -166,7 +167,7 @@ class _Planner:
 
     def split(self, acts: list[Step], state: State, world: World) -> list[tuple[list[Step], State]]:
         """The fewest agents' rounds that come to where the trace does, each with the state after it."""
-        nearest = ""
+        off = ""
         for blocks in self.splits(acts):
             at, found = state, []
             for block in blocks:
@@ -177,14 +178,20 @@ class _Planner:
                     at = applied(at, step)
                 found.append((block, at))
             else:
-                nearest = self.differs(acts[-1], at)
-                if not nearest:
+                off = self.differs(acts[-1], at)
+                if not off:
                     return found
         names = ", ".join(f"{step.event} of robot {step.pid}" for step in acts)
         place = f"{self.given.path}:{acts[0].line}: round {acts[0].round}"
+        if self.rounded:
+            raise ModelOnly(
+                f"{place}: with floats for exact numbers, as {self.rounded}, {names} does not come to what the trace "
+                "says" + (f" ({off})" if off else ""),
+                SHORT,
+            )
         if not self.given.initial and self.events[acts[0].event].lock is None:
             raise ModelOnly(
-                f"{place}: {names} does not come to what the trace says ({nearest})" if nearest
+                f"{place}: {names} does not come to what the trace says ({off})" if off
                 else f"{place}: {names} has no result in the trace's first state",
                 "a plain event reads the store of its round's start, and a proof's step may begin amid a round, when "
                 "others have written since; robots begin with a round",
@@ -193,7 +200,7 @@ class _Planner:
         kind = CannotFollow if after is None or self.differs(acts[-1], after) else ModelOnly
         raise kind(
             f"{place}: {names}, in this order: no rounds of agents come to what the trace says"
-            + (f" ({nearest})" if nearest else ""),
+            + (f" ({off})" if off else ""),
             "agents apply the commits of a round first, one for each lock, then plain events by ascending pid: what "
             "needs another order happens in the model only",
         )
@@ -275,11 +282,10 @@ class _Planner:
 
     def values(self, step: Step, told: Mapping[str, Any]) -> dict[str, Value]:
         try:
-            return {name: taken(value, self.types[name]) for name, value in told.items()}
+            return {name: taken(value, self.types[name], nearest) for name, value in told.items()}
         except BadValue as error:
             raise CannotFollow(
-                f"{self.given.path}:{step.line}: {error} that robots have",
-                "a proof's numbers are exact: give --param, or other values in the program, that are short as decimals",
+                f"{self.given.path}:{step.line}: {error} that robots have, nor near to one", SHORT
             ) from None
         except KeyError as error:
             raise self.broken(step, f"the program has no {error}") from None
@@ -290,8 +296,8 @@ class _Planner:
         def answer(pid: int, port: str, args: tuple[Value, ...]) -> Value:
             given = [plain(arg) for arg in args]
             for name, asked, said in calls.get(pid, ()):
-                if name == port and agree(asked, given):
-                    return taken(said, self.types[port])
+                if name == port and self.agree(asked, given):
+                    return taken(said, self.types[port], nearest)
             raise LookupError(f"{port} was not asked that")
 
         return World(self.externs, answer)
@@ -322,12 +328,15 @@ class _Planner:
             said = {**told.locals, **told.actuators, **told.sensors, **told.shared}
             said |= {name: robot.ports[name] for name in self.unset(pid)}
             for name in [*meant, *[n for n in said if n not in meant]]:
-                if name not in meant or name not in said or not agree(said[name], plain(meant[name])):
+                if name not in meant or name not in said or not self.agree(said[name], plain(meant[name])):
                     values = f"{said.get(name)!r} in the trace and {plain(meant.get(name))!r} by the program"
                     return f"{name} of robot {pid} is {values}"
             if told.stopped != robot.stopped:
                 return f"robot {pid} has{'' if told.stopped else ' not'} stopped in the trace"
         return ""
+
+    def agree(self, told: Any, meant: Any) -> bool:
+        return agree(told, meant, bool(self.rounded))
 
     def broken(self, step: Step, why: str) -> CannotFollow:
         return CannotFollow(f"{self.given.path}:{step.line}: {why}", "it is no counterexample of this program")
@@ -362,17 +371,3 @@ def _partitions(acts: list[Step]) -> Iterator[list[list[Step]]]:
         for chosen in combinations(acts, size):
             for rest in _partitions([step for step in acts if step not in chosen]):
                 yield [list(chosen), *rest]
-
-
-def agree(told: Any, meant: Any) -> bool:
-    """Whether two values in JSON are the same; of exact numbers, which are texts, up to the rounding of floats."""
-    if isinstance(told, list) and isinstance(meant, list):
-        return len(told) == len(meant) and all(agree(t, m) for t, m in zip(told, meant, strict=True))
-    if isinstance(told, str) and isinstance(meant, (int, float)) and not isinstance(meant, bool):
-        try:
-            return isclose(Fraction(told), meant, rel_tol=ROUNDING, abs_tol=ROUNDING)
-        except (ValueError, ZeroDivisionError, OverflowError):
-            return False
-    if isinstance(told, bool) != isinstance(meant, bool):
-        return False
-    return bool(told == meant) or (meant is None and told in ("inf", "-inf", "nan"))

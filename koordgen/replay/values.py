@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from base64 import b64decode, b64encode
+from collections.abc import Callable
 from typing import Any, assert_never
 
 from koordgen.ir.types import (
@@ -33,48 +34,51 @@ class BadValue(Exception):
     """What a trace has for a value is none of its type."""
 
 
-def taken(data: Any, type_: Type) -> Value:
-    """The value of a type that stands in a trace; a float that is not finite is null there, and becomes NaN. Raises
-    BadValue."""
+Number = Callable[[Any], float]  # raises ValueError, TypeError
+
+
+def taken(data: Any, type_: Type, number: Number = float) -> Value:
+    """The value of a type that stands in a trace, whose floats `number` reads; one that is not finite is null there,
+    and becomes NaN. Raises BadValue."""
     try:
-        return _taken(data, type_)
-    except (TypeError, ValueError, LookupError, AttributeError, OverflowError):
+        return _taken(data, type_, number)
+    except (TypeError, ValueError, LookupError, AttributeError, ArithmeticError):
         raise BadValue(f"{data!r} is no {type_}") from None
 
 
-def _taken(data: Any, type_: Type) -> Value:
+def _taken(data: Any, type_: Type, number: Number) -> Value:
     match type_:
         case Scalar() | Sized():
-            return _plain_of(data, type_)
+            return _plain_of(data, type_, number)
         case Sequence(_, element) | PerRobot(element):
-            return tuple([_taken(part, element) for part in data])
+            return tuple([_taken(part, element, number) for part in data])
         case MapOf(key, held):
-            return tuple([(_taken(k, key), _taken(v, held)) for k, v in data])
+            return tuple([(_taken(k, key, number), _taken(v, held, number)) for k, v in data])
         case TupleOf(items):
-            return tuple([_taken(part, item) for part, item in zip(data, items, strict=True)])
+            return tuple([_taken(part, item, number) for part, item in zip(data, items, strict=True)])
         case RecordType(name, fields):
-            return RecordValue(name, tuple([_taken(d, t) for d, (_, t) in zip(data, fields, strict=True)]))
+            return RecordValue(name, tuple([_taken(d, t, number) for d, (_, t) in zip(data, fields, strict=True)]))
         case ExternType():
             return Opaque(b64decode(data[0], validate=True))
         case _:
             assert_never(type_)
 
 
-def _plain_of(data: Any, type_: Scalar | Sized) -> Value:
+def _plain_of(data: Any, type_: Scalar | Sized, number: Number) -> Value:
     if type_ == FLOAT:
-        return math.nan if data is None else float(data)
+        return math.nan if data is None else number(data)
     if type_ in (INT, BOOL):
         if type(data) is not (int if type_ == INT else bool):
             raise ValueError
         return data
     if type_ == POINT:
-        return _point(data)
+        return _point(data, number)
     if type_ == POSE:
-        return Pose(_point(data[0]), _plain_of(data[1], FLOAT))  # type: ignore[arg-type]
+        return Pose(_point(data[0], number), _plain_of(data[1], FLOAT, number))  # type: ignore[arg-type]
     if type_ == GRID:
-        return Grid(int(data[0]), int(data[1]), float(data[2]))
+        return Grid(int(data[0]), int(data[1]), number(data[2]))
     if type_ == PLANNER:
-        return tuple([_point(part) for part in data])
+        return tuple([_point(part, number) for part in data])
     match str(type_):
         case "Scan":
             angles, ranges, most = data
@@ -88,8 +92,8 @@ def _plain_of(data: Any, type_: Scalar | Sized) -> Value:
             return data
 
 
-def _point(data: Any) -> Point:
-    x, y, z = (math.nan if part is None else float(part) for part in data)
+def _point(data: Any, number: Number) -> Point:
+    x, y, z = (math.nan if part is None else number(part) for part in data)
     return Point(x, y, z)
 
 

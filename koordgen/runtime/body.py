@@ -110,6 +110,8 @@ class Body:
 
     def calls(self) -> tuple[tuple[str, tuple[Any, ...], Any], ...]:
         """The calls since this was asked last: port, arguments, answer."""
+        if not self._calls:
+            return ()
         found, self._calls = tuple(self._calls), []
         return found
 

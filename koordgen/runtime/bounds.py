@@ -38,8 +38,13 @@ class Fixed:
     bytes: int
 
     def flaw(self, value: Any) -> str:
-        numbers = (value.x, value.y) if isinstance(value, Grid) else (value,) if isinstance(value, int) else ()
-        return "" if all(INT_MIN <= n <= INT_MAX for n in numbers) else "an int beyond 64 bits, which no robot may use"
+        if isinstance(value, int):
+            fits = INT_MIN <= value <= INT_MAX
+        else:
+            fits = not isinstance(value, Grid) or (
+                min(value.x, value.y) >= INT_MIN and max(value.x, value.y) <= INT_MAX
+            )
+        return "" if fits else "an int beyond 64 bits, which no robot may use"
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,10 +1,10 @@
-/* The courier of one robot's process: waits for datagrams, drains sockets, checks MACs.
+/* The courier of one robot's process: waits for datagrams and drains its sockets.
 
-   It knows nothing of what a datagram says, allocates nothing, opens and closes nothing, and writes only where its
-   caller, courier.py, tells it to. Where there is no compiler, inbox.py and seal.py do the same in Python; tests
-   compare the two. The compiler is told by courier.py: LARGEST, MOST_AT_ONCE, IN_TURN, MOST_ECHOES, MAC_SIZE.
+   It knows nothing of what a datagram says, allocates nothing, opens and closes nothing, sends nothing, and writes
+   only where its caller, courier.py, tells it to. Where there is no compiler, inbox.py does the same in Python; tests
+   compare the two. The compiler is told by courier.py: LARGEST, MOST_AT_ONCE, IN_TURN, MOST_ECHOES.
 
-   C99, POSIX and Linux's recvmmsg. Any byte order, no unaligned access. */
+   C99, POSIX, and Linux's recvmmsg. */
 
 #define _GNU_SOURCE
 #include <errno.h>
@@ -17,127 +17,15 @@
 #include <sys/socket.h>
 #include <time.h>
 
-/* ---- MACs: BLAKE2s (RFC 7693) with a key, a personalization, and a digest of MAC_SIZE bytes ---- */
-
-enum { BLOCK = 64, KEY_MOST = 32, PURPOSE = 8 };
-
-typedef struct {
-    uint32_t begun[8];    /* the state before the first block */
-    uint32_t keyed[8];    /* and after the key's block, which every message of at least one byte shares */
-    uint8_t block[BLOCK]; /* the key's block */
-    int32_t length;       /* of the key; 0: none, and no block */
-} Key;
-
-static const uint32_t IV[8] = {0x6a09e667, 0xbb67ae85, 0x3c6ef372, 0xa54ff53a,
-                               0x510e527f, 0x9b05688c, 0x1f83d9ab, 0x5be0cd19};
-
-static const uint8_t SIGMA[10][16] = {
-    {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15}, {14, 10, 4, 8, 9, 15, 13, 6, 1, 12, 0, 2, 11, 7, 5, 3},
-    {11, 8, 12, 0, 5, 2, 15, 13, 10, 14, 3, 6, 7, 1, 9, 4}, {7, 9, 3, 1, 13, 12, 11, 14, 2, 6, 5, 10, 4, 0, 15, 8},
-    {9, 0, 5, 7, 2, 4, 10, 15, 14, 1, 11, 12, 6, 8, 3, 13}, {2, 12, 6, 10, 0, 11, 8, 3, 4, 13, 7, 5, 15, 14, 1, 9},
-    {12, 5, 1, 15, 14, 13, 4, 10, 0, 7, 6, 3, 9, 2, 8, 11}, {13, 11, 7, 14, 12, 1, 3, 9, 5, 0, 15, 4, 8, 6, 2, 10},
-    {6, 15, 14, 9, 11, 3, 0, 8, 12, 2, 13, 7, 1, 4, 10, 5}, {10, 2, 8, 4, 7, 6, 1, 5, 15, 11, 9, 14, 3, 12, 13, 0},
-};
-
-static uint32_t load(const uint8_t *at) {
-    return (uint32_t)at[0] | (uint32_t)at[1] << 8 | (uint32_t)at[2] << 16 | (uint32_t)at[3] << 24;
-}
-
-static uint32_t rotated(uint32_t word, int right) { return word >> right | word << (32 - right); }
-
-/* Macros, and ten rounds written out: only so does a compiler keep the state in registers, which is 2.5 times as fast. */
-#define MIX(r, i, a, b, c, d)                          \
-    do {                                               \
-        a += b + m[SIGMA[r][2 * i]];                   \
-        d = rotated(d ^ a, 16);                        \
-        c += d;                                        \
-        b = rotated(b ^ c, 12);                        \
-        a += b + m[SIGMA[r][2 * i + 1]];               \
-        d = rotated(d ^ a, 8);                         \
-        c += d;                                        \
-        b = rotated(b ^ c, 7);                         \
-    } while (0)
-#define ROUND(r)                                       \
-    do {                                               \
-        MIX(r, 0, v0, v4, v8, v12);                    \
-        MIX(r, 1, v1, v5, v9, v13);                    \
-        MIX(r, 2, v2, v6, v10, v14);                   \
-        MIX(r, 3, v3, v7, v11, v15);                   \
-        MIX(r, 4, v0, v5, v10, v15);                   \
-        MIX(r, 5, v1, v6, v11, v12);                   \
-        MIX(r, 6, v2, v7, v8, v13);                    \
-        MIX(r, 7, v3, v4, v9, v14);                    \
-    } while (0)
-
-/* One block; `bytes`: so many with this one. */
-static void compress(uint32_t h[8], const uint8_t block[BLOCK], uint64_t bytes, int last) {
-    uint32_t m[16];
-    for (int i = 0; i < 16; i++) m[i] = load(block + 4 * i);
-    uint32_t v0 = h[0], v1 = h[1], v2 = h[2], v3 = h[3], v4 = h[4], v5 = h[5], v6 = h[6], v7 = h[7];
-    uint32_t v8 = IV[0], v9 = IV[1], v10 = IV[2], v11 = IV[3], v12 = IV[4] ^ (uint32_t)bytes;
-    uint32_t v13 = IV[5] ^ (uint32_t)(bytes >> 32), v14 = last ? ~IV[6] : IV[6], v15 = IV[7];
-    ROUND(0); ROUND(1); ROUND(2); ROUND(3); ROUND(4); ROUND(5); ROUND(6); ROUND(7); ROUND(8); ROUND(9);
-    h[0] ^= v0 ^ v8, h[1] ^= v1 ^ v9, h[2] ^= v2 ^ v10, h[3] ^= v3 ^ v11;
-    h[4] ^= v4 ^ v12, h[5] ^= v5 ^ v13, h[6] ^= v6 ^ v14, h[7] ^= v7 ^ v15;
-}
-
-size_t courier_key_size(void) { return sizeof(Key); }
-
-/* `secret` has at most KEY_MOST bytes, `purpose` PURPOSE, with zeros at its end. */
-void courier_key(Key *key, const uint8_t *secret, int32_t length, const uint8_t *purpose) {
-    uint8_t parameters[32] = {MAC_SIZE, (uint8_t)length, 1, 1};
-    memcpy(parameters + 24, purpose, PURPOSE);
-    memset(key, 0, sizeof *key);
-    key->length = length;
-    memcpy(key->block, secret, (size_t)length);
-    for (int i = 0; i < 8; i++) key->begun[i] = IV[i] ^ load(parameters + 4 * i);
-    memcpy(key->keyed, key->begun, sizeof key->keyed);
-    if (length) compress(key->keyed, key->block, BLOCK, 0);
-}
-
-void courier_mac(const Key *key, const uint8_t *data, size_t length, uint8_t mac[MAC_SIZE]) {
-    uint8_t last[BLOCK] = {0};
-    uint32_t h[8];
-    uint64_t before = key->length ? BLOCK : 0, bytes = before + length;
-    if (!length && key->length) { /* the key's block is the last one */
-        memcpy(h, key->begun, sizeof h);
-        compress(h, key->block, BLOCK, 1);
-    } else {
-        memcpy(h, key->keyed, sizeof h);
-        for (; length > BLOCK; data += BLOCK, length -= BLOCK) compress(h, data, before += BLOCK, 0);
-        if (length) memcpy(last, data, length);
-        compress(h, last, bytes, 1);
-    }
-    for (int i = 0; i < MAC_SIZE; i++) mac[i] = (uint8_t)(h[i / 4] >> 8 * (i % 4));
-}
-
-/* Of datagrams that lie one behind the other: genuine[i] becomes 1 where the i-th is more than its MAC, and that is
-   right, else 0. In a time that does not depend on how much of a MAC is right. */
-void courier_genuine(const Key *key, const uint8_t *datagrams, const uint32_t *lengths, int32_t count,
-                     uint8_t *genuine) {
-    uint8_t mac[MAC_SIZE];
-    for (int32_t i = 0; i < count; datagrams += lengths[i], i++) {
-        uint8_t differing = 0;
-        genuine[i] = 0;
-        if (lengths[i] <= MAC_SIZE) continue;
-        size_t length = lengths[i] - MAC_SIZE;
-        courier_mac(key, datagrams, length, mac);
-        for (size_t j = 0; j < MAC_SIZE; j++) differing |= mac[j] ^ datagrams[length + j];
-        genuine[i] = !differing;
-    }
-}
-
-/* ---- Inbox: what has arrived at a robot's sockets ---- */
-
 enum { MOST_SOCKETS = 2, MOST_ERRORS = 16, ECHO = -1 };
 
-static const int64_t SECOND = 1000000000;
-static const int64_t SPIN = 100000;   /* ns that a wait may look for a datagram without sleeping */
-static const int64_t YIELDED = 5000;  /* ns: a yield that took longer gave the core to somebody who needs it */
-static const int64_t NAP = 20000;     /* ns for each datagram that is missing */
-static const unsigned long SLACK = 1000; /* ns by which the kernel may end a sleep later than asked; by itself 50000 */
-static const double LONGEST = 1e6;    /* s that can be waited */
-static const int32_t MOST_RESTING = 64;
+static const int64_t SECOND = 1000000000; /* ns, as all that follows */
+static const int64_t SPIN = 200000;       /* of looking without sleep: a peer that must wake has answered by then */
+static const int64_t YIELDED = 5000;      /* a yield that took longer gave the core to somebody who needs it */
+static const int64_t NAP = 20000;         /* for each datagram that is missing */
+static const unsigned long SLACK = 1000;  /* by which a sleep may end later than asked; the system's own is 50000 */
+static const int32_t MOST_RESTING = 64;   /* waits that do not spin after a failure */
+static const double LONGEST = 1e6;        /* s that can be waited */
 
 typedef struct { /* what courier.py reads, field by field */
     int32_t errors, error[MOST_ERRORS]; /* of receiving; courier.py empties it */
@@ -146,21 +34,17 @@ typedef struct { /* what courier.py reads, field by field */
 } Shown;
 
 typedef struct {
-    int32_t length; /* ECHO: it has come back, or there was none */
-    uint8_t data[LARGEST];
-} Sent;
-
-typedef struct {
     Shown shown;
-    uint8_t *slots;                           /* MOST_AT_ONCE of LARGEST bytes */
-    int32_t used, arrived;                    /* slots; those of them that are no echoes */
+    uint8_t *slots;                       /* MOST_AT_ONCE of LARGEST bytes */
+    int32_t used, arrived;                /* slots; those of them that hold no echo */
     int32_t sockets;
     struct pollfd socket[MOST_SOCKETS];
-    int32_t resting, penalty;                 /* waits that will not spin yet; those after the last failure */
-    uint32_t next;                            /* in `sent` */
-    Sent sent[MOST_ECHOES];                   /* to the group, which gives it back to us too */
-    struct iovec place[MOST_AT_ONCE];
-    struct mmsghdr message[MOST_AT_ONCE];     /* of each slot, made once: few are touched at a time */
+    int32_t resting, penalty;             /* waits that will not spin yet; those after the last failure */
+    uint32_t next;                        /* in `sent` */
+    int32_t length[MOST_ECHOES];          /* of what is in `sent`, or ECHO: it has come back, or there was none */
+    uint8_t sent[MOST_ECHOES][LARGEST];   /* to the group, which gives it back to us too */
+    struct iovec place[MOST_AT_ONCE];     /* of each slot, as `message`; made once, as few are touched at a time */
+    struct mmsghdr message[MOST_AT_ONCE];
 } Inbox;
 
 static int64_t now(void) {
@@ -184,7 +68,7 @@ void courier_open(Inbox *inbox, uint8_t *slots, const int32_t *sockets, int32_t 
     inbox->slots = slots;
     inbox->sockets = count;
     for (int i = 0; i < count; i++) inbox->socket[i] = (struct pollfd){.fd = sockets[i], .events = POLLIN};
-    for (int i = 0; i < MOST_ECHOES; i++) inbox->sent[i].length = ECHO;
+    for (int i = 0; i < MOST_ECHOES; i++) inbox->length[i] = ECHO;
     for (int i = 0; i < MOST_AT_ONCE; i++) {
         inbox->place[i] = (struct iovec){.iov_base = slots + (size_t)i * LARGEST, .iov_len = LARGEST};
         inbox->message[i].msg_hdr.msg_iov = &inbox->place[i];
@@ -198,20 +82,16 @@ void courier_close(Inbox *inbox) { inbox->sockets = inbox->used = inbox->arrived
 
 /* This goes to the group. One that is too long for it comes back cut, and so unlike what was sent. */
 void courier_sent(Inbox *inbox, const uint8_t *datagram, int32_t length) {
-    Sent *sent = &inbox->sent[inbox->next++ % MOST_ECHOES];
-    sent->length = length;
-    memcpy(sent->data, datagram, (size_t)(length < LARGEST ? length : LARGEST));
+    uint32_t place = inbox->next++ % MOST_ECHOES;
+    inbox->length[place] = length;
+    memcpy(inbox->sent[place], datagram, (size_t)(length < LARGEST ? length : LARGEST));
 }
 
-/* Whether it is one of those that were sent; each comes back once. Ends of datagrams, where the MAC is, are hardly
-   ever alike. */
+/* Whether it is one of those that were sent; each comes back once. */
 static int is_echo(Inbox *inbox, const uint8_t *datagram, int32_t length) {
-    int32_t tail = length < MAC_SIZE ? length : MAC_SIZE, rest = length - tail;
     for (int i = 0; i < MOST_ECHOES; i++) {
-        Sent *sent = &inbox->sent[i];
-        if (sent->length == length && !memcmp(sent->data + rest, datagram + rest, (size_t)tail) &&
-            !memcmp(sent->data, datagram, (size_t)rest)) {
-            sent->length = ECHO;
+        if (inbox->length[i] == length && !memcmp(inbox->sent[i], datagram, (size_t)length)) {
+            inbox->length[i] = ECHO;
             return 1;
         }
     }
@@ -245,9 +125,8 @@ static void drain(Inbox *inbox) {
             if (more >> i & 1 && !take(inbox, i)) more &= ~(1 << i);
 }
 
-static int some(const Inbox *inbox) {
-    return inbox->arrived || inbox->shown.errors || inbox->used == MOST_AT_ONCE;
-}
+/* Whether there is reason to end a wait, whatever it waits for. */
+static int full(const Inbox *inbox) { return inbox->shown.errors || inbox->used == MOST_AT_ONCE; }
 
 /* Sleep, at most so long; where `wakes`, until something is at a socket. Whether something is, or may be; -1: a signal
    came, which Python must see. */
@@ -259,24 +138,25 @@ static int rest(Inbox *inbox, int64_t duration, int wakes) {
     return ready || !wakes;
 }
 
-/* Look for a datagram without sleeping, for to wake a core takes longer than most wait. Whether one came. Each time
-   that none does, twice as many further waits do not try; and who yields and does not get the core back at once lets
-   it go: so it costs little where it is of no use. */
-static int spin(Inbox *inbox, int64_t until) {
+/* Look for what is still missing without sleeping, for to wake a core takes longer than most datagrams. Whether it has
+   come. Each time that it does not, twice as many further waits do not try; and who yields the core and does not get it
+   back at once lets it go: so it costs little where it is of no use. */
+static int spin(Inbox *inbox, int32_t expected, int64_t end) {
     if (inbox->resting > 0) {
         inbox->resting--;
         return 0;
     }
     inbox->shown.spins++;
     int64_t at = now(), yielded = 0;
-    for (until = least(until, at + SPIN); at < until && yielded <= YIELDED; yielded = now() - at, at += yielded) {
+    for (end = least(end, at + SPIN); at < end && yielded <= YIELDED; at += yielded) {
         drain(inbox);
-        if (some(inbox)) {
+        if (inbox->arrived >= expected || full(inbox)) {
             inbox->penalty = 0;
             return 1;
         }
         at = now();
         sched_yield();
+        yielded = now() - at;
     }
     inbox->shown.failed++;
     inbox->penalty = inbox->penalty ? (int32_t)least(2 * inbox->penalty, MOST_RESTING) : 1;
@@ -284,30 +164,28 @@ static int spin(Inbox *inbox, int64_t until) {
     return 0;
 }
 
-/* Let what is expected come, without waking for each datagram. -1: a signal came. */
-static int gather(Inbox *inbox, int32_t expected, int64_t until) {
-    int64_t missing, left;
-    for (drain(inbox); (missing = expected - inbox->arrived) > 0 && inbox->used < MOST_AT_ONCE; drain(inbox)) {
-        if ((left = until - now()) <= 0) break;
-        if (rest(inbox, missing > 1 ? least(NAP * missing, left) : left, missing == 1) < 0) return -1;
+/* Until so many have arrived, or the end; 0: a signal came. The last one, which completes what is waited for, is worth
+   to be seen at once; for several, looking now and then is cheaper than to wake for each. */
+static int wait_for(Inbox *inbox, int32_t expected, int64_t end) {
+    while (inbox->arrived < expected && !full(inbox)) {
+        int64_t missing = expected - inbox->arrived, left = end - now();
+        int last = missing == 1;
+        if (last && left > 0 && spin(inbox, expected, end)) break;
+        int woken = rest(inbox, last ? end - now() : least(NAP * missing, left), last);
+        if (woken < 0) return 0;
+        if (woken) drain(inbox);
+        if (!woken || left <= 0) break;
     }
-    return 0;
+    return 1;
 }
 
 /* See Transport.wait; both times in seconds. `keep`: what the last call left was not taken, and counts. Ends early when
    a signal comes. Returns how many slots are used, from the first on. */
-int32_t courier_wait(Inbox *inbox, double seconds, int32_t expected, double gathering, int32_t keep) {
+int32_t courier_wait(Inbox *inbox, double seconds, int32_t expected, double gather, int32_t keep) {
     int64_t begin = now(), end = begin + nanoseconds(seconds);
     if (!keep) inbox->used = inbox->arrived = 0;
-    if (expected > 1 && gathering > 0) {
-        if (gather(inbox, expected, least(end, begin + nanoseconds(gathering))) < 0) return inbox->used;
-    } else if (keep) {
-        drain(inbox);
-    } else {
-        spin(inbox, end);
-    }
-    for (; !some(inbox); drain(inbox))
-        if (rest(inbox, end - now(), 1) <= 0) break;
+    if (keep || expected > 1) drain(inbox);
+    if (expected < 2 || wait_for(inbox, expected, least(end, begin + nanoseconds(gather)))) wait_for(inbox, 1, end);
     return inbox->used;
 }
 

@@ -1,7 +1,8 @@
-"""The courier: what waits, drains sockets and checks MACs as C (courier.c), and how Python calls it.
+"""The courier: what waits for datagrams and drains sockets as C (courier.c), and how Python calls it.
 
 It is compiled at the process's first use of it, kept in a cache, and loaded by ctypes: see `native`. Without a compiler
-`inbox` and `seal` do the same in Python, slower.
+`inbox` does the same in Python. MACs stay with hashlib: it is as fast as C of ours, and a call by ctypes costs more
+than it would save, above all when the caches are cold.
 """
 
 from __future__ import annotations
@@ -19,8 +20,6 @@ SOURCE = Path(__file__).with_name("courier.c")
 LARGEST = 1201  # bytes of a datagram that are taken: one more than wire.LIMIT, which tells that it was too long
 IN_TURN = 64  # datagrams taken from one socket before another is looked at
 MOST_ECHOES = 16  # own datagrams under way back from the group; more than one round sends
-MAC_SIZE = 16
-PURPOSE_SIZE = 8
 FLAGS = (
     "-std=c99",
     "-O2",
@@ -30,12 +29,8 @@ FLAGS = (
     f"-DMOST_AT_ONCE={MOST_AT_ONCE}",
     f"-DIN_TURN={IN_TURN}",
     f"-DMOST_ECHOES={MOST_ECHOES}",
-    f"-DMAC_SIZE={MAC_SIZE}",
 )
 _MOST_ERRORS = 16
-
-# keyed BLAKE2s of bytes 0 to 99, key bytes 0 to 31, purpose b"k-memory"
-_PROBE = bytes.fromhex("daaa02efaf8524a45ff81661cd788441")
 
 
 class Shown(ctypes.Structure):
@@ -75,18 +70,14 @@ def prove(found: ctypes.CDLL) -> None:
     _declare(found)
     if found.courier_shown_size() != ctypes.sizeof(Shown):
         raise NotCompiled("the compiled courier lays its memory out otherwise than Python reads it")
-    if CompiledKey(found, bytes(range(32)), b"k-memory").mac(bytes(range(100))) != _PROBE:
-        raise NotCompiled("the compiled courier computes a wrong MAC")
+    if found.courier_wait(CompiledInbox(found, [], lambda number: None).at, 0.0, 1, 0.0, 0):
+        raise NotCompiled("the compiled courier finds datagrams where there is no socket")
 
 
 def _declare(found: ctypes.CDLL) -> None:
     address, text, number, seconds = ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int32, ctypes.c_double
     size = ctypes.c_size_t
     for name, result, arguments in (
-        ("key_size", size, ()),
-        ("key", None, (address, text, number, text)),
-        ("mac", None, (address, text, size, address)),
-        ("genuine", None, (address, text, address, number, address)),
         ("inbox_size", size, ()),
         ("shown_size", size, ()),
         ("open", None, (address, address, address, number)),
@@ -99,29 +90,6 @@ def _declare(found: ctypes.CDLL) -> None:
         function.restype, function.argtypes = result, arguments
 
 
-class CompiledKey:
-    """BLAKE2s with this key and purpose already in it; `key` as hashlib takes it, empty: none."""
-
-    def __init__(self, found: ctypes.CDLL, key: bytes, purpose: bytes) -> None:
-        self._state = ctypes.create_string_buffer(found.courier_key_size())
-        self._at = ctypes.addressof(self._state)
-        self._mac, self._genuine = found.courier_mac, found.courier_genuine
-        found.courier_key(self._at, key, len(key), purpose.ljust(PURPOSE_SIZE, b"\0"))
-
-    def mac(self, data: bytes) -> bytes:
-        made = ctypes.create_string_buffer(MAC_SIZE)
-        self._mac(self._at, data, len(data), made)
-        return made.raw
-
-    def genuine(self, datagrams: Sequence[bytes]) -> Sequence[int]:
-        """For each datagram, 1 where its end is the MAC of the rest, and there is a rest; else 0."""
-        count = len(datagrams)
-        right = (ctypes.c_ubyte * count)()
-        lengths = (ctypes.c_uint32 * count)(*map(len, datagrams))
-        self._genuine(self._at, b"".join(datagrams), lengths, count, right)
-        return bytes(right)
-
-
 class CompiledInbox:
     """See inbox.Inbox. Its memory is Python's own, so nothing is to be given back."""
 
@@ -131,21 +99,21 @@ class CompiledInbox:
         self._state = ctypes.create_string_buffer(found.courier_inbox_size())
         self.shown = Shown.from_buffer(self._state)
         self._length = self.shown.length
-        self._at = ctypes.addressof(self._state)
+        self.at = ctypes.addressof(self._state)
         self._used = -1  # slots that hold what was not taken; -1: nobody has looked
         self._wait, self._receive = found.courier_wait, found.courier_receive
         self._sent, self._close = found.courier_sent, found.courier_close
         slots = ctypes.addressof(ctypes.c_char.from_buffer(self._slots))
-        found.courier_open(self._at, slots, (ctypes.c_int32 * len(sockets))(*sockets), len(sockets))
+        found.courier_open(self.at, slots, (ctypes.c_int32 * len(sockets))(*sockets), len(sockets))
 
     def sent(self, datagram: bytes) -> None:
-        self._sent(self._at, datagram, len(datagram))
+        self._sent(self.at, datagram, len(datagram))
 
     def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
-        self._used = self._wait(self._at, seconds, expected, gather, self._used > 0)
+        self._used = self._wait(self.at, seconds, expected, gather, self._used > 0)
 
     def receive(self) -> list[bytes]:
-        count = self._used if self._used >= 0 else self._receive(self._at)  # waiting has looked already
+        count = self._used if self._used >= 0 else self._receive(self.at)  # waiting has looked already
         self._used = -1
         shown = self.shown
         if shown.errors:
@@ -163,4 +131,4 @@ class CompiledInbox:
 
     def close(self) -> None:
         self._used = -1
-        self._close(self._at)
+        self._close(self.at)

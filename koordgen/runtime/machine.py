@@ -158,7 +158,7 @@ class Agent:
             self._platform.start(now)
             self._started = True
         self._journal.round = self.round
-        wake = self._poll_body(now)
+        wake = self._poll_body(now) if now >= self._next_body - 1e-9 else self._next_body
         if self._broken:
             self._transport.receive()
             return wake
@@ -206,8 +206,8 @@ class Agent:
         for message in messages:
             if isinstance(message, Hello):
                 self._joining.take(message, fleet)
-            elif self._rounds is not None:
-                self._rounds.take(message)
+        if self._rounds is not None:
+            self._rounds.take([message for message in messages if not isinstance(message, Hello)])
         if names := self._joining.began_anew():
             self._journal.error(f"{names} began anew during the mission and cannot come back: end all and start again")
 
@@ -244,8 +244,6 @@ class Agent:
                 self._rest("the shared memory is gone", SURROUNDINGS)
 
     def _poll_body(self, now: float) -> float:
-        if now < self._next_body - 1e-9:
-            return self._next_body
         self._next_body = max(self._next_body + self._platform.period, now)
         if self.phase in ("resting", "rested"):
             self._platform.rest(now)
@@ -377,9 +375,8 @@ class Agent:
     def _tell(self) -> None:
         """Tell of the rounds that have become certain; not while the others' closings are still coming in."""
         self._journal.tell(self.counters() if self._journal.traces else {}, self._link.rejected)
-        memory = self._replica.memory if self._replica is not None else None
-        for pid, held in enumerate(memory.held if memory is not None else ()):
-            self.metrics.closed(pid, held)
+        if self._replica is not None and self._replica.memory is not None:
+            self.metrics.held(self._replica.memory.held)
 
     def _monitor(self, rounds: Rounds, now: float) -> None:
         """What the properties demand, as far as this robot can tell."""

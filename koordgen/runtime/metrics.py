@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -115,10 +115,11 @@ class Metrics:
         if self._longest[pid] < silent < math.inf:
             self._longest[pid] = silent
 
-    def closed(self, pid: int, round_: int) -> None:
-        """All closings of a peer up to this round are here."""
-        if round_ > self._closed[pid]:
-            self._closed[pid] = round_
+    def held(self, rounds: Sequence[int]) -> None:
+        """All closings of each robot are here up to these rounds, by pid."""
+        for pid, round_ in enumerate(rounds):
+            if round_ > self._closed[pid]:
+                self._closed[pid] = round_
 
     def repeated(self, pid: int) -> None:
         """A peer was asked for something again."""

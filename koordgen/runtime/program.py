@@ -144,13 +144,16 @@ class Transaction:
         self._streams: list[tuple[str, str]] = []
 
     def local(self, name: str) -> Cell[Any]:
-        return self._cell(name, self._frame.locals)
+        cell = self.written[name] = Cell(self._frame.locals[name])
+        return cell
 
     def shared(self, name: str) -> Cell[Any]:
-        return self._cell(name, self._frame.shared)
+        cell = self.written[name] = Cell(self._frame.shared[name])
+        return cell
 
     def actuator(self, name: str) -> Cell[Any]:
-        return self._cell(name, self._frame.actuators)
+        cell = self.written[name] = Cell(self._frame.actuators[name])
+        return cell
 
     def slots(self, name: str) -> Slots[Any]:
         slots = self.written[name] = Slots(self._frame.shared[name], self.pid)
@@ -160,10 +163,14 @@ class Transaction:
         """One line to a stream."""
         self._streams.append((port, "".join(parts)))
 
-    def effects(self, stopped: bool) -> Effects:
-        """What the event did."""
+    def news(self) -> dict[str, Any]:
+        """What was written, by name; of an allread variable, the robot's own slot."""
+        written = self.written.items()
+        return {name: place.own if isinstance(place, Slots) else place.value for name, place in written if place.line}
+
+    def effects(self, found: Mapping[str, Any], stopped: bool) -> Effects:
+        """What the event did, given its `news`."""
         frame = self._frame
-        found = {name: content(place) for name, place in self.written.items() if place.line}
         return Effects(
             {name: found.get(name, value) for name, value in frame.locals.items()},
             {name: found[name] for name in frame.shared if name in found},
@@ -171,15 +178,6 @@ class Transaction:
             stopped,
             tuple(self._streams),
         )
-
-    def _cell(self, name: str, values: Mapping[str, Any]) -> Cell[Any]:
-        cell = self.written[name] = Cell(values[name])
-        return cell
-
-
-def content(place: Cell[T] | Slots[T]) -> T:
-    """What a robot may write of a variable: of an allread one, its own slot."""
-    return place.own if isinstance(place, Slots) else place.value
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,22 +265,25 @@ def run(program: Program, effect: Callable[[Any], None], state: Transaction, lin
         stopped = True
     except Exception as error:
         return _fault(program, error)
-    effects = state.effects(stopped)
-    return _refused(program, state, effects, line) or effects
+    found = state.news()
+    effects = state.effects(found, stopped)
+    return _refused(program, state, found, effects, line) or effects
 
 
-def _refused(program: Program, state: Transaction, effects: Effects, line: int) -> Fault | None:
+def _refused(
+    program: Program, state: Transaction, found: Mapping[str, Any], effects: Effects, line: int
+) -> Fault | None:
     """Why what was written does not count, at the line of its last write."""
     for name, bound in program.bounds.items():
-        place = state.written.get(name)
-        if place is None or not place.line:
+        if name not in found:
             continue
-        value = content(place)
+        value = found[name]
         flaw = bound.flaw(value)  # also of locals: an int squared every round would soon hang the robot
         if not flaw and name not in effects.locals and not transmissible(value):
             flaw = f"{reprlib.repr(value)}, which no robot may use"
         if flaw:
-            return Fault(program.source, program.lines.get(place.line, line), f"{name} would become {flaw}")
+            at = program.lines.get(state.written[name].line, line)
+            return Fault(program.source, at, f"{name} would become {flaw}")
     for port, text in effects.streams:
         if not transmissible(text):
             return Fault(program.source, line, f"{port} would get a text that is not Unicode")

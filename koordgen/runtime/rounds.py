@@ -8,7 +8,7 @@ present round, and closes those it missed as empty.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,14 +35,11 @@ MOST_GATHER = 0.2  # of a round, for all of them: one of its SLOTS
 LINGER = 20  # rounds after all have stopped
 WOKE_LATE = "woke after the publish deadline"
 
-Keep = Callable[[Life, int], None]
-
 
 @dataclass(slots=True)
 class _Present:
-    """The round that is going on."""
+    """How far this robot is in the round that is going on."""
 
-    round: int = 0
     open: bool = False
     sensed: Sensed | None = None
     slot: int = -1  # the last slot that was looked at
@@ -69,11 +66,11 @@ class Rounds:
         delta: float,
         lives: list[Life],
         observe: Observe,
-        keep: Keep,
+        keep: Callable[[Life, int], None],
     ) -> None:
         self._runner = runner
         self._body = body
-        self._replica = replica
+        self._replica, self._pid = replica, replica.pid
         self._clock = clock
         self._names = names
         self._start = start
@@ -86,6 +83,7 @@ class Rounds:
         self._wake = 0.0
         self._asked = 0  # the last round in which this robot asked
         self._left = False
+        self._sure = 0  # the last round that is known to be stable
         self._restored: Life | None = None  # to be told with the next record
         self._outbox = Outbox(lives[0])
         self._outbox.lives = list(lives)
@@ -101,35 +99,34 @@ class Rounds:
     def lacking(self) -> list[str]:
         """The names of those whose closings are missing for the present round."""
         memory = self._replica.memory
-        return [] if memory is None else [self._names[p] for p in memory.missing(self._present.round - 1)]
+        return [] if memory is None else [self._names[p] for p in memory.missing(self.round - 1)]
 
     @property
     def over(self) -> bool:
         """Whether all robots that count have stopped and the linger has passed."""
         memory = self._replica.memory
         since = None if memory is None or not (self.stopped or self._left) else memory.all_stopped
-        return since is not None and self._present.round > since + LINGER
+        return since is not None and self.round > since + LINGER
 
     def ripe(self, now: float) -> bool:
         """Whether another round has begun for which everything is there: its event may run before anything else."""
         memory, present = self._replica.memory, self._present
-        if memory is None or present.open or memory.applied != present.round or not present.round:
+        if memory is None or present.open or memory.applied != self.round or not self.round:
             return False
-        return self._clock.read(now) >= self._start + present.round * self._delta
+        return self._clock.read(now) >= self._start + self.round * self._delta
 
     @property
     def calm(self) -> bool:
         """Whether nothing more is expected in this round: there is time for what can wait."""
         memory, present = self._replica.memory, self._present
-        return not present.open and (memory is None or memory.applied >= present.round or present.slot >= FIRST_SLOT)
+        return not present.open and (memory is None or memory.applied >= self.round or present.slot >= FIRST_SLOT)
 
     @property
     def expects(self) -> tuple[int, float]:
-        """How many closings the round that this robot has closed still lacks, and seconds for which it pays to let
-        them arrive before what has come is looked at: to wake for each of many alone costs more than all else. Else 1
-        and no time."""
+        """How many closings the round that this robot has closed still lacks, and seconds that it pays to gather them:
+        to wake for each of many alone costs more than all else. Nothing outstanding: 1, and no time."""
         memory, present = self._replica.memory, self._present
-        if memory is None or present.open or memory.applied >= present.round or not memory.lacking:
+        if memory is None or present.open or memory.applied >= self.round or not memory.lacking:
             return 1, 0.0
         lacking = memory.lacking
         return lacking, min(GATHER * lacking, MOST_GATHER * self._delta)
@@ -137,9 +134,11 @@ class Rounds:
     def leave(self) -> None:
         self._left = True
 
-    def take(self, message: Talk) -> None:
-        """A message of this mission."""
-        self._replica.take(message, max(self._present.round, 1))
+    def take(self, messages: Sequence[Talk]) -> None:
+        """Messages of this mission."""
+        take, present = self._replica.take, max(self.round, 1)
+        for message in messages:
+            take(message, present)
 
     def poll(self, now: float, sense: Callable[[float], Sensed], unready: str | None) -> float:
         """Do what is due at local time `now`; returns when to be called again at the latest. `sense` samples the
@@ -148,21 +147,21 @@ class Rounds:
         round_ = math.floor(elapsed / self._delta + 1e-6) + 1
         if round_ < 1:
             return self._clock.local(self._start)
-        if round_ > self._present.round:
+        if round_ > self.round:
             self._begin(round_, sense(now))
         present = self._present
-        into = elapsed - (present.round - 1) * self._delta
+        into = elapsed - (self.round - 1) * self._delta
         slot = min(SLOTS - 1, math.floor(into / self._delta * SLOTS + 1e-6))
         fresh = slot > present.slot
         timely = fresh and into * SLOTS < (slot + PUNCTUAL) * self._delta
         memory = self._replica.memory
-        ripe = fresh and present.open and memory is not None and memory.applied == present.round - 1
+        ripe = fresh and present.open and memory is not None and memory.applied == self.round - 1
         if fresh:
             present.slot = slot
             if not ripe:
-                self._replica.poll((present.round - 1) * SLOTS + slot, present.round)
+                self._replica.poll((self.round - 1) * SLOTS + slot, self.round)
                 memory = self._replica.memory
-        if memory is not None and self._calm(memory):
+        if memory is not None and not present.open and self._calm(memory):
             if not fresh:
                 return self._wake
             if memory.view.number == self._view:
@@ -170,11 +169,12 @@ class Rounds:
                 return self._wake
         current = False
         if memory is not None:
-            self._come_back(now)
-            current = memory.advance(present.round)
+            if self._returns != self._replica.returns:
+                self._come_back(memory, now)
+            current = memory.advance(self.round)
             if memory.view.number != self._view:  # words in the new view are wanted before events can go on
                 self._view = memory.view.number
-                self._replica.tell(present.round)
+                self._replica.tell(self.round)
             if self._outbox.pressing:
                 self._settle(now)
         else:
@@ -184,42 +184,38 @@ class Rounds:
             self._decide(now, into, current, unready)
         if memory is not None:
             if not present.open:
-                memory.advance(present.round + 1)
+                memory.advance(self.round + 1)
             self._settle(now)
             if not present.open:
+                self._replica.keep()  # the next closing says so, and should not have to wait for it
                 self._confirm(memory.applied)
         if ripe:  # only now: all others wait for the closing
-            self._replica.poll((present.round - 1) * SLOTS + slot, present.round)
+            self._replica.poll((self.round - 1) * SLOTS + slot, self.round)
         self._wake = self._ask(slot, fresh, timely)
         return self._wake
 
     def _calm(self, memory: Memory) -> bool:
         """Whether nothing that has come since the last poll of this round makes a difference to it."""
-        if self._present.open or self._returns != self._replica.returns:
-            return False
-        stays = memory.applied >= self._present.round or memory.lacking > 0
+        stays = self._returns == self._replica.returns and (memory.applied >= self.round or memory.lacking > 0)
         return stays and not self._outbox.can_settle(memory)
 
     def _tick(self, part: float) -> float:
-        return self._clock.local(self._start + (self._present.round - 1 + part) * self._delta)
+        return self._clock.local(self._start + (self.round - 1 + part) * self._delta)
 
     def _begin(self, round_: int, sensed: Sensed) -> None:
         present, memory = self._present, self._replica.memory
-        slept = round_ - present.round - (0 if present.open else 1)
+        slept = round_ - self.round - (0 if present.open else 1)
         if slept > 0 and memory is not None:
-            if memory.held[self._replica.pid] < round_ - 1:
+            if memory.held[self._pid] < round_ - 1:
                 memory.close(round_ - 1, {}, stopped=self.stopped)
             self.counters.missed += slept
-        self.round, self._present = round_, _Present(round_, True, sensed)
+        self.round, self._present = round_, _Present(True, sensed)
         self.counters.rounds += 1
 
-    def _come_back(self, now: float) -> None:
-        """Go on where the others say that this robot was, if it was out until now."""
-        memory = self._replica.memory
-        if self._returns == self._replica.returns or memory is None:
-            return
+    def _come_back(self, memory: Memory, now: float) -> None:
+        """Go on where the others say that this robot was, which was out until now."""
         self._returns = self._replica.returns
-        acted = memory.acted[self._replica.pid]
+        acted = memory.acted[self._pid]
         life, records = self._outbox.settle(acted)
         if life is None:
             raise Lost(
@@ -232,8 +228,8 @@ class Rounds:
         self._body.hold("stopped", self.stopped, now)
         for record in records:
             self._observe(record)
-        self._published = memory.held[self._replica.pid]
-        round_ = self._present.round
+        self._published = memory.held[self._pid]
+        round_ = self.round
         if not self._present.open and self._published < round_:  # of this round the others have an older life's closing
             memory.close(round_, {}, stopped=self.stopped)
             self._replica.publish(self._published + 1, round_)
@@ -250,13 +246,14 @@ class Rounds:
         elif won is False:
             self.counters.gave_way += 1
             # What was kept for the case that it wins must not, again and again, take the room of what has counted.
-            self._keep(outbox.life, memory.view.members[self._replica.pid])
+            self._keep(outbox.life, memory.view.members[self._pid])
         for record in outbox.ready(memory):
             effects = record.effects
             if effects is not None:
                 self._replica.keep()  # our own word is one of the majority's
                 self._body.command(effects.actuators, now)
                 self._body.hold("stopped", effects.stopped or self.stopped, now)
+                self._sure = record.round
             self._observe(record)
         if outbox.first is None:
             self._body.hold("not confirmed", False, now)
@@ -307,7 +304,7 @@ class Rounds:
 
     def _unsettled(self, current: bool) -> str | None:
         """Why no event may run as far as the shared memory goes."""
-        memory, round_ = self._replica.memory, self._present.round
+        memory, round_ = self._replica.memory, self.round
         if memory is None:
             return self._replica.status
         if not current:
@@ -317,7 +314,7 @@ class Rounds:
         if self._outbox.first is not None or self._outbox.undecided:
             unaware = memory.unaware(self._outbox.first or round_ - 1)
             return f"not confirmed: waits for the word of a majority, not heard from {self._named(unaware)}"
-        if round_ > AHEAD and not memory.stable(round_ - AHEAD):
+        if round_ - AHEAD > self._sure and not memory.stable(round_ - AHEAD):
             return f"not confirmed: not heard from {self._named(memory.unaware(round_ - AHEAD))}"
         if memory.crowded:
             return f"not current: {self._names[memory.laggard]} lags behind"
@@ -343,7 +340,7 @@ class Rounds:
 
     def _close(self, record: Record, lock: int = -1) -> None:
         """The closing leaves. What the event does beyond the shared memory waits until it is certain that it counts."""
-        effects, memory, round_ = record.effects, self._replica.memory, self._present.round
+        effects, memory, round_ = record.effects, self._replica.memory, self.round
         self._present.open = False
         if self._restored is not None:
             record, self._restored = replace(record, restored=self._restored), None
@@ -354,13 +351,13 @@ class Rounds:
             life = Life(round_, effects.locals, actuators, effects.stopped or self.stopped)
             if lock < 0:
                 self._runner.locals, self.stopped = life.locals, life.stopped
-            self._keep(life, memory.view.members[self._replica.pid])
+            self._keep(life, memory.view.members[self._pid])
         self._outbox.add(record, lock, life)
         if memory is not None:
             stopped = self.stopped or self._left or (life is not None and life.stopped)
             shared = effects.shared if effects else {}
-            prompt = has_outputs(effects)
-            memory.close(round_, shared, stopped=stopped, acted=life is not None, prompt=prompt, lock=lock)
+            acted, prompt = life is not None, has_outputs(effects)
+            memory.close(round_, shared, stopped=stopped, acted=acted, prompt=prompt, lock=lock)
         else:
             self.counters.out += 1
         self._replica.publish(self._published + 1, round_)
@@ -368,34 +365,34 @@ class Rounds:
 
     def _confirm(self, applied: int) -> None:
         """Tell those who wait for it that this robot has applied the round they closed."""
-        present = self._present
-        if applied >= present.round and not present.confirmed:
-            present.confirmed = True
-            self._replica.confirm(present.round)
+        if applied >= self.round and not self._present.confirmed:
+            self._present.confirmed = True
+            self._replica.confirm(self.round)
 
     def _ask(self, slot: int, fresh: bool, timely: bool) -> float:
         """Ask for what should have come by now; returns the next moment at which there may be something to do. Who
         woke late asks nothing for a while: the others may be as late, and would have the more to do."""
         present, memory = self._present, self._replica.memory
-        following = self._tick((slot + 1) / SLOTS)
         if memory is None:
-            return min(following, self._tick(PUBLISH)) if present.open else following
-        through = present.round if slot >= FIRST_SLOT else present.round - 1
-        missing = [p for p in memory.missing(through) if p != self._replica.pid]
+            return self._following(slot)
+        through = self.round if slot >= FIRST_SLOT else self.round - 1
+        missing = [p for p in memory.missing(through) if p != self._pid]
         waited = self._outbox.first
         unaware = memory.unaware(waited) if waited is not None and (waited < through or slot >= 1) else []
-        patient = not timely and present.round <= self._asked + PATIENCE
+        patient = not timely and self.round <= self._asked + PATIENCE
         if fresh and (missing or unaware) and not patient:
             self._replica.ask(missing, unaware, through)
-            self._asked = present.round
+            self._asked = self.round
             self.counters.asked += 1
-        if present.open:
-            return min(self._tick(PUBLISH), following)
-        if missing or waited is not None or self._replica.busy:
-            return following
+        if present.open or missing or waited is not None or self._replica.busy:
+            return self._following(slot)
         if slot >= FIRST_SLOT:
             return self._tick(1.0)
-        if memory.applied < present.round or self._replica.emergency:
+        if memory.applied < self.round or self._replica.emergency:
             return self._tick(FIRST_SLOT / SLOTS)
-        self._replica.note(present.round)
+        self._replica.note(self.round)
         return self._tick(1.0)
+
+    def _following(self, slot: int) -> float:
+        following = self._tick((slot + 1) / SLOTS)
+        return min(self._tick(PUBLISH), following) if self._present.open else following

@@ -28,9 +28,12 @@ class EndedAtOnce(BaseException):
     """Raised wherever the process is when the user wants it gone; not KeyboardInterrupt, which user code may raise."""
 
 
+_UNLIMITED = nullcontext()
+
+
 def unlimited(seconds: float) -> AbstractContextManager[None]:
     """No interruption: an event that takes too long is only noticed when it ends."""
-    return nullcontext()
+    return _UNLIMITED
 
 
 class Interrupting:

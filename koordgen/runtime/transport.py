@@ -25,8 +25,7 @@ class Transport(Protocol):
         """Let `expected` datagrams come for `gather` seconds, if it is several; then wait until there is at least one,
         but not longer than `seconds` in all. What the robot itself sent to a group does not count.
 
-        `gather` above 0 says that datagrams are under way now: some of it may go into looking for one without sleep.
-        Ends early when the process gets a signal."""
+        Some of the time may go into looking for one without sleep. Ends early when the process gets a signal."""
         ...
 
     @property

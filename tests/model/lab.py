@@ -214,7 +214,7 @@ class Fleet:
         self._check(pid)
 
     def deliver(self, flight: Flight) -> None:
-        self.robots[flight.to].rounds.take(flight.message)
+        self.robots[flight.to].rounds.take([flight.message])
         if isinstance(flight.message, Decided):
             self._know(flight.message.value)
 

@@ -71,7 +71,7 @@ def test_a_robot_takes_no_store_while_it_has_promised_to_apply_nothing() -> None
     fleet.robots[0].replica.views.adopt(view)
     head = fleet.robots[1].wire._head
     fleet.flights.clear()
-    robot.rounds.take(Prepare(head, 129, view))
+    robot.rounds.take([Prepare(head, 129, view)])
     (promise,) = [f.message for f in fleet.flights if isinstance(f.message, Promise)]
     assert promise.applied <= 3 and not promise.state
     # The store comes: robot 0's, who has applied round 4 since.
@@ -80,7 +80,7 @@ def test_a_robot_takes_no_store_while_it_has_promised_to_apply_nothing() -> None
     giver.memory.applied = 4
     giver.take(Want(robot.wire._head, 1, 1, 0, b"", b""), 5)
     (piece,) = [f.message for f in fleet.flights if isinstance(f.message, StatePiece)]
-    robot.rounds.take(piece)
+    robot.rounds.take([piece])
     assert robot.replica.word(5)[2] == promise.applied
 
 

@@ -70,9 +70,8 @@ def test_silence_delay_and_what_is_behind() -> None:
     metrics = Metrics(1, 3)
     for now in (1.0, 1.1, 3.1, 3.2):
         metrics.heard(2, 1, 0.004, now)
-    metrics.closed(2, 7)
-    metrics.closed(2, 5)
-    metrics.closed(1, 9)  # our own
+    metrics.held((0, 9, 7))
+    metrics.held((0, 9, 5))
     metrics.repeated(2)
     metrics.round(10, 0.002, None, None, True)
     peer = metrics.snapshot(3.7, {"malformed": 2})["peers"]["2"]

@@ -16,6 +16,7 @@ import pytest
 
 from koordgen.cli import main
 from koordgen.emit.program import program_hash
+from koordgen.follow.exact import agree
 from koordgen.pipeline import check_file
 from koordgen.prove.trace import About, run_trace
 from tests.explore.mutants import MUTANTS as ALL
@@ -138,6 +139,53 @@ def test_what_the_prover_found_from_the_beginning(tmp_path: Path) -> None:
     text = "allread: int n[N_SYS]\nUp:\n  pre: True\n  eff: n[pid] = n[pid] + 1\n"
     text += "invariant Below: forall i in ID: n[i] < 3\n"
     same(tmp_path, found(tmp_path, text, 2, command="prove"), 2)
+
+
+STATE = """local: float share = 0.5
+allread: float held[N_SYS]
+Take:
+  pre: PARTS * share == 1.0
+  eff: held[pid] = held[pid] + 1.0
+invariant Few: forall i in ID: held[i] <= 2.0
+"""
+PARAM = """param float part = 0.5
+local: float share = 0.0
+allread: float held[N_SYS]
+Take:
+  pre: held[pid] < 2.0
+  eff:
+    share = part
+    held[pid] = held[pid] + 2.0
+invariant Few: forall i in ID: held[i] < 2.0 or 3.0 * part < 1.0 or 3.0 * part > 1.0
+"""
+
+
+@pytest.mark.parametrize("text", [STATE.replace("PARTS", "3.0"), PARAM])
+def test_exact_numbers_of_a_proof_are_the_nearest_floats(tmp_path: Path, text: str) -> None:
+    trace = found(tmp_path, text, 2, command="prove")
+    assert '"1/3"' in trace.read_text()
+    same(tmp_path, trace, 2)
+
+
+def test_what_only_exact_numbers_do_is_not_followed(tmp_path: Path) -> None:
+    """49 times the float nearest to 1/49 is not 1."""
+    trace = found(tmp_path, STATE.replace("PARTS", "49.0"), 2, command="prove")
+    done = follow(tmp_path / "app.koord", fleet(tmp_path, 2), trace)
+    assert done.status == 4 and "with floats for exact numbers, as 1/49, Take of robot 0 does not come" in done.said
+
+
+def test_what_comes_of_a_rounded_number_agrees_up_to_rounding() -> None:
+    assert 49.0 * (1 / 49) < 1 and agree(1, 49.0 * (1 / 49), rounded=True) and not agree(1, 49.0 * (1 / 49))
+    assert agree("1/3", 1 / 3) and not agree("1/3", 0.3334) and not agree(True, 1.0, rounded=True)
+
+
+def test_numbers_that_are_near_to_no_float(tmp_path: Path) -> None:
+    trace = found(tmp_path, STATE.replace("PARTS", "3.0"), 2, command="prove")
+    for far in (f"1/3{'0' * 330}", f"1{'0' * 330}/3", "1/0", "1/3/5", "a/3"):
+        other = tmp_path / "other.jsonl"
+        other.write_text(trace.read_text().replace("1/3", far))
+        done = follow(tmp_path / "app.koord", fleet(tmp_path, 2), other)
+        assert done.status == 1 and "is no float that robots have, nor near to one | a proof's numbers" in done.said
 
 
 @pytest.mark.slow

@@ -1,0 +1,101 @@
+/* Puts random datagrams through the courier, under the compiler's sanitizers: courier.c is compiled together with this.
+   Arguments: how many datagrams, and the seed. Exit status 0 when all that was sent came out, in order, and each echo once. */
+
+#include "courier.c"
+
+#include <netinet/in.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <unistd.h>
+
+enum { BATCH = 120, LONGEST_SENT = 1500 };
+
+typedef struct {
+    int length, own;
+    uint8_t data[LONGEST_SENT];
+} Datagram;
+
+static Datagram queue[MOST_SOCKETS][BATCH];
+static int sent[MOST_SOCKETS], seen[MOST_SOCKETS];
+
+static void check(int good, const char *what) {
+    if (!good) {
+        fprintf(stderr, "%s\n", what);
+        exit(1);
+    }
+}
+
+static int open_socket(struct sockaddr_in *address) {
+    socklen_t size = sizeof *address;
+    int made = socket(AF_INET, SOCK_DGRAM, 0), room = 1 << 20;
+    *address = (struct sockaddr_in){.sin_family = AF_INET, .sin_addr.s_addr = htonl(INADDR_LOOPBACK)};
+    setsockopt(made, SOL_SOCKET, SO_RCVBUF, &room, sizeof room);
+    check(made >= 0 && !bind(made, (struct sockaddr *)address, size), "no socket");
+    check(!getsockname(made, (struct sockaddr *)address, &size), "no address");
+    return made;
+}
+
+/* A datagram that one socket gets: random, and now and then as from the group, one of our own. */
+static void send_one(Inbox *inbox, int from, int to, const struct sockaddr_in *address) {
+    Datagram *made = &queue[to][sent[to]++];
+    made->length = rand() % 4 ? rand() % LONGEST_SENT : rand() % 3 + LARGEST - 1;
+    made->own = made->length >= 16 && rand() % 5 == 0; /* shorter ones may be like others */
+    for (int i = 0; i < made->length; i++) made->data[i] = (uint8_t)rand();
+    if (made->own) courier_sent(inbox, made->data, made->length);
+    made->own = made->own && made->length <= LARGEST;
+    check(sendto(from, made->data, (size_t)made->length, 0, (const struct sockaddr *)address, sizeof *address) >= 0, "send");
+}
+
+/* Whether it is the next of one socket. */
+static int is_next(int number, int32_t length, const uint8_t *data) {
+    if (seen[number] == sent[number]) return 0;
+    const Datagram *next = &queue[number][seen[number]];
+    int cut = next->length < LARGEST ? next->length : LARGEST;
+    if ((length == ECHO ? !next->own : length != cut) || memcmp(data, next->data, (size_t)cut)) return 0;
+    seen[number]++;
+    return 1;
+}
+
+static int take_all(Inbox *inbox, int32_t used) {
+    for (int32_t i = 0; i < used; i++) {
+        const uint8_t *slot = inbox->slots + (size_t)i * LARGEST;
+        int32_t length = inbox->shown.length[i];
+        check(length >= ECHO && length <= LARGEST, "length");
+        check(is_next(0, length, slot) || is_next(1, length, slot), "not what was sent");
+    }
+    return used;
+}
+
+int main(int count, char **arguments) {
+    check(count == 3, "usage: courier_driver DATAGRAMS SEED");
+    int todo = atoi(arguments[1]), from, sockets[MOST_SOCKETS];
+    struct sockaddr_in nobody, address[MOST_SOCKETS];
+    Inbox *inbox = malloc(courier_inbox_size());
+    uint8_t *slots = malloc((size_t)MOST_AT_ONCE * LARGEST);
+    srand((unsigned)atoi(arguments[2]));
+    from = open_socket(&nobody);
+    for (int i = 0; i < MOST_SOCKETS; i++) sockets[i] = open_socket(&address[i]);
+    courier_open(inbox, slots, sockets, MOST_SOCKETS);
+    while (todo > 0) {
+        int batch = rand() % BATCH, taken = 0, keep = 0;
+        memset(sent, 0, sizeof sent);
+        memset(seen, 0, sizeof seen);
+        for (int i = 0; i < batch; i++) {
+            int to = rand() % MOST_SOCKETS;
+            send_one(inbox, from, to, &address[to]);
+            if (rand() % 8 == 0) courier_wait(inbox, 0.0, 1 + rand() % 4, 1e-6 * (rand() % 3), keep), keep = 1;
+        }
+        if (rand() % 2) taken += take_all(inbox, courier_wait(inbox, 1e-5 * (rand() % 3), batch, 1e-4, keep));
+        else if (keep) taken += take_all(inbox, courier_wait(inbox, 0.0, 1, 0.0, keep));
+        while (taken < batch) taken += take_all(inbox, courier_receive(inbox));
+        check(taken == batch && !inbox->shown.errors, "too many");
+        todo -= batch;
+    }
+    courier_close(inbox);
+    check(!courier_receive(inbox) && !courier_wait(inbox, 0.0, 1, 0.0, 0), "closed");
+    for (int i = 0; i < MOST_SOCKETS; i++) close(sockets[i]);
+    close(from);
+    free(slots);
+    free(inbox);
+    return 0;
+}
