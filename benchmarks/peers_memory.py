@@ -211,7 +211,7 @@ class SharedMemory:
         through = round_ if slot >= FIRST_SLOT else round_ - 1
         missing = [p for p in memory.missing(through) if p != self._pid]
         if fresh and missing and (timely or round_ > self._asked + PATIENCE):
-            replica.ask(missing, (), through)
+            replica.ask(missing, [], through)
             self._asked = round_
         if missing or replica.busy or self._open:
             self._wake = following
