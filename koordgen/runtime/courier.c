@@ -1,8 +1,8 @@
 /* The courier of one robot's process: waits for datagrams and drains its sockets.
 
-   It knows nothing of what a datagram says, allocates nothing, opens and closes nothing, sends nothing, and writes only
-   where its caller, courier.py, tells it to. Where there is no compiler, inbox.py does the same in Python; tests compare
-   the two. The compiler is told by courier.py: LARGEST, MOST_AT_ONCE, IN_TURN, MOST_ECHOES.
+   It knows nothing of what a datagram says, allocates nothing, opens and closes nothing, sends nothing, and writes
+   only where its caller, courier.py, tells it to. Where there is no compiler, inbox.py does the same in Python; tests
+   compare the two. The compiler is told by courier.py: LARGEST, MOST_AT_ONCE, IN_TURN, MOST_ECHOES.
 
    C99, POSIX, and Linux's recvmmsg. */
 
@@ -20,7 +20,7 @@
 enum { MOST_SOCKETS = 2, MOST_ERRORS = 16, ECHO = -1 };
 
 static const int64_t SECOND = 1000000000; /* ns, as all that follows */
-static const int64_t SPIN = 100000;       /* that a wait may look for a datagram without sleeping */
+static const int64_t SPIN = 200000;       /* of looking without sleep: a peer that must wake has answered by then */
 static const int64_t YIELDED = 5000;      /* a yield that took longer gave the core to somebody who needs it */
 static const int64_t NAP = 20000;         /* for each datagram that is missing */
 static const unsigned long SLACK = 1000;  /* by which a sleep may end later than asked; the system's own is 50000 */
@@ -34,11 +34,6 @@ typedef struct { /* what courier.py reads, field by field */
 } Shown;
 
 typedef struct {
-    int32_t length; /* ECHO: it has come back, or there was none */
-    uint8_t data[LARGEST];
-} Sent;
-
-typedef struct {
     Shown shown;
     uint8_t *slots;                       /* MOST_AT_ONCE of LARGEST bytes */
     int32_t used, arrived;                /* slots; those of them that hold no echo */
@@ -46,7 +41,8 @@ typedef struct {
     struct pollfd socket[MOST_SOCKETS];
     int32_t resting, penalty;             /* waits that will not spin yet; those after the last failure */
     uint32_t next;                        /* in `sent` */
-    Sent sent[MOST_ECHOES];               /* to the group, which gives it back to us too */
+    int32_t length[MOST_ECHOES];          /* of what is in `sent`, or ECHO: it has come back, or there was none */
+    uint8_t sent[MOST_ECHOES][LARGEST];   /* to the group, which gives it back to us too */
     struct iovec place[MOST_AT_ONCE];     /* of each slot, as `message`; made once, as few are touched at a time */
     struct mmsghdr message[MOST_AT_ONCE];
 } Inbox;
@@ -72,7 +68,7 @@ void courier_open(Inbox *inbox, uint8_t *slots, const int32_t *sockets, int32_t 
     inbox->slots = slots;
     inbox->sockets = count;
     for (int i = 0; i < count; i++) inbox->socket[i] = (struct pollfd){.fd = sockets[i], .events = POLLIN};
-    for (int i = 0; i < MOST_ECHOES; i++) inbox->sent[i].length = ECHO;
+    for (int i = 0; i < MOST_ECHOES; i++) inbox->length[i] = ECHO;
     for (int i = 0; i < MOST_AT_ONCE; i++) {
         inbox->place[i] = (struct iovec){.iov_base = slots + (size_t)i * LARGEST, .iov_len = LARGEST};
         inbox->message[i].msg_hdr.msg_iov = &inbox->place[i];
@@ -86,17 +82,16 @@ void courier_close(Inbox *inbox) { inbox->sockets = inbox->used = inbox->arrived
 
 /* This goes to the group. One that is too long for it comes back cut, and so unlike what was sent. */
 void courier_sent(Inbox *inbox, const uint8_t *datagram, int32_t length) {
-    Sent *sent = &inbox->sent[inbox->next++ % MOST_ECHOES];
-    sent->length = length;
-    memcpy(sent->data, datagram, (size_t)(length < LARGEST ? length : LARGEST));
+    uint32_t place = inbox->next++ % MOST_ECHOES;
+    inbox->length[place] = length;
+    memcpy(inbox->sent[place], datagram, (size_t)(length < LARGEST ? length : LARGEST));
 }
 
 /* Whether it is one of those that were sent; each comes back once. */
 static int is_echo(Inbox *inbox, const uint8_t *datagram, int32_t length) {
     for (int i = 0; i < MOST_ECHOES; i++) {
-        Sent *sent = &inbox->sent[i];
-        if (sent->length == length && !memcmp(sent->data, datagram, (size_t)length)) {
-            sent->length = ECHO;
+        if (inbox->length[i] == length && !memcmp(inbox->sent[i], datagram, (size_t)length)) {
+            inbox->length[i] = ECHO;
             return 1;
         }
     }
@@ -169,8 +164,8 @@ static int spin(Inbox *inbox, int32_t expected, int64_t end) {
     return 0;
 }
 
-/* Until so many have arrived, the end, or a signal; whether they have. The last one, which completes what is waited for,
-   is worth to be seen at once; for several, looking now and then is cheaper than to wake for each. */
+/* Until so many have arrived, the end, or a signal; whether they have. The last one, which completes what is waited
+   for, is worth to be seen at once; for several, looking now and then is cheaper than to wake for each. */
 static int wait_for(Inbox *inbox, int32_t expected, int64_t end, int hurry) {
     while (inbox->arrived < expected && !full(inbox)) {
         int64_t missing = expected - inbox->arrived, left = end - now();

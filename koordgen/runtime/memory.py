@@ -334,6 +334,8 @@ class Memory:
         for entry in entries:
             if entry.closing.lock >= 0:
                 contenders.setdefault(entry.closing.lock, []).append(entry.closing.author)
+        if not contenders:
+            return entries
         winners = {winner(pids, lock, round_, self._n) for lock, pids in contenders.items()}
         commits = [e for e in entries if e.closing.lock >= 0 and e.closing.author in winners]
         return [*commits, *(e for e in entries if e.closing.lock < 0)]
@@ -341,8 +343,7 @@ class Memory:
     def _apply(self, entries: Sequence[Entry], through: int) -> None:
         """Apply one closing of each member, given in ascending pid: first the commits, then the plain writes, so that
         the highest pid wins a plain conflict, also over that round's commit."""
-        plain = max([e.closing.lock for e in entries], default=-1) < 0
-        counting = entries if plain else self._counting(entries, through)
+        counting = self._counting(entries, through)
         shared, acted = self._written(counting), list(self.acted)
         for entry in counting:
             closing = entry.closing

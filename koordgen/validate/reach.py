@@ -14,7 +14,7 @@ from koordgen.campaign.crew import Crew
 from koordgen.campaign.store import replace
 from koordgen.validate.draw import drawn
 from koordgen.validate.probe import BadProbe, Probe, Start, Vector, platforms, sampled
-from koordgen.validate.sensitivity import bound
+from koordgen.validate.statistics import needed
 from koordgen.validate.tube import EPSILON, GAMMA, Comparison, Reachset, compared, reached
 
 PICTURE, TABLE = "reachsets.png", "reachsets.txt"
@@ -46,7 +46,7 @@ def probes(fleet_file: str, names: Sequence[str], asked: Asked) -> list[Probe]:
     known = platforms(fleet_file)
     if unknown := [name for name in names if name not in known]:
         raise BadProbe(f"{fleet_file} has no platform {unknown[0]!r}", f"there are: {', '.join(known)}")
-    count = PARTS * bound(asked.epsilon, asked.gamma)
+    count = PARTS * needed(asked.epsilon, asked.gamma)
     wanted = [known[name] for name in names or known]
     return [Probe(p, asked.offset, count, asked.lasts, asked.start, asked.robots, asked.seed) for p in wanted]
 

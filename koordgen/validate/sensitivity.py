@@ -10,7 +10,6 @@ that of a threshold: a separator with many parameters would need more samples. A
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -19,15 +18,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 LEAST = 1e-9  # a gain: its logarithm is taken
-
-
-def bound(epsilon: float, gamma: float) -> int:
-    """The least number of samples m with m >= ln(1/gamma)/epsilon: a threshold that none of m independent samples is
-    over is, with confidence 1 - gamma, exceeded by no more than a part epsilon of all that are to come, since
-    (1 - epsilon)^m <= exp(-epsilon m) <= gamma. Raises ValueError."""
-    if not (0 < epsilon < 1 and 0 < gamma < 1):
-        raise ValueError(f"epsilon {epsilon:g} and gamma {gamma:g} must be between 0 and 1")
-    return math.ceil(math.log(1 / gamma) / epsilon)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""How much so many independent runs tell."""
+"""How much so many independent samples tell."""
 
 from __future__ import annotations
 
@@ -9,8 +9,11 @@ HALVINGS = 60
 
 
 def needed(epsilon: float, gamma: float) -> int:
-    """How many runs without a violation it takes to say, with confidence 1 - gamma, that a run violates with a
-    probability below epsilon: at least ln(1/gamma)/epsilon, because (1 - epsilon)^n <= exp(-n epsilon)."""
+    """How many independent samples, none of which is over a threshold, it takes to say with confidence 1 - gamma that
+    no more than a part epsilon of all that are to come is over it: the least n >= ln(1/gamma)/epsilon, because
+    (1 - epsilon)^n <= exp(-n epsilon) <= gamma. So of runs without a violation. Raises ValueError."""
+    if not (0 < epsilon < 1 and 0 < gamma < 1):
+        raise ValueError(f"epsilon {epsilon:g} and gamma {gamma:g} must be between 0 and 1")
     return math.ceil(math.log(1.0 / gamma) / epsilon)
 
 

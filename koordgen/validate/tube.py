@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koordgen.validate.probe import Samples, Start, Vector
-from koordgen.validate.sensitivity import Discrepancy, bound, calibrated, learned, nearest
+from koordgen.validate.sensitivity import Discrepancy, calibrated, learned, nearest
+from koordgen.validate.statistics import needed
 
 Array = NDArray[np.float64]
 FORMAT = "koord-reachset/1"
@@ -183,7 +184,7 @@ def _boxes(times: Array, low: Array, high: Array, step: float) -> tuple[Array, A
 
 def reached(samples: Samples, epsilon: float = EPSILON, gamma: float = GAMMA) -> Reachset:
     """The reachset that samples show. Raises ValueError when they are too few."""
-    probe, each = samples.probe, bound(epsilon, gamma)
+    probe, each = samples.probe, needed(epsilon, gamma)
     platform = probe.platform
     step = platform.delta / math.ceil(platform.delta / STEP)
     u, left = above(probe.offset)

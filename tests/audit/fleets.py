@@ -12,34 +12,12 @@ from typing import Any
 from koordgen.cli import main
 from koordgen.runtime.network import Conditions
 from tests.runtime.fleet import NAMES
+from tests.sim.watched import LINE as TURNS
 from tests.sim.watched import Watched
 
-LINE = """\
-using Motion:
-  sensors:
-    Point position
-    bool reached
-  actuators: Point target
-  assume distance(position', target) <= distance(position, target) + 0.3
-  assume reached or distance(position, target) > 0.01
-allread:
-  Point x[N_SYS]
-  int turns[N_SYS]
-allwrite: int sum
-local: int mine
-init:
-  x[pid] = Motion.position
-Add:
-  pre: mine < 6 and mine <= pid + 4
-  eff: atomic:
-    sum += 1
-    mine += 1
-Go:
-  pre: pid == 1 and N_SYS > 2
-  eff:
-    Motion.target = (x[0] + x[2]) / 2
-    x[pid] = Motion.position
-    turns[pid] += 1
+LINE = (
+    TURNS
+    + """\
 Chase:
   pre: pid == 0 and N_SYS > 2 and turns[0] < 30
   eff:
@@ -47,6 +25,7 @@ Chase:
     turns[pid] += 1
 initially: forall i in ID: Motion.target[i] == Motion.position[i] and sum == 0 and mine[i] == 0
 """
+)
 # What is true, and what some run makes false, of ports, locals and the store.
 FORMULAS = {
     "Apart": "forall i, j in ID: i == j or distance(Motion.position[i], Motion.position[j]) > 0.9",

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import errno
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
+
+import pytest
+
+from koordgen.campaign import store
 
 NAME = "sim"
 SOURCE = """
@@ -57,3 +63,18 @@ def build(params: Mapping[str, str], folder: Path) -> None:
     own = folder / NAME
     own.mkdir(parents=True)
     (own / "__main__.py").write_text(SOURCE.replace("EXTRA", params.get("extra", "0")), encoding="utf-8")
+
+
+@contextmanager
+def full_disk(finished: int) -> Iterator[None]:
+    """A disk that is full once so many runs are finished."""
+    real = store.Store.add
+
+    def add(self: store.Store, result: store.Result) -> None:
+        if len(self.results) == finished:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        real(self, result)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(store.Store, "add", add)
+        yield

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import signal
@@ -200,19 +199,11 @@ def test_progress_is_for_terminals(capsys: pytest.CaptureFixture[str], monkeypat
     assert capsys.readouterr().err == ""
 
 
-def test_a_full_disk_is_told(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    real: Callable[[store.Store, store.Result], None] = store.Store.add
-
-    def add(self: store.Store, result: store.Result) -> None:
-        if len(self.results) == 1:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        real(self, result)
-
-    monkeypatch.setattr(store.Store, "add", add)
-    assert campaign("--vary", "seed=1:4") == 5
+def test_a_full_disk_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    with fake.full_disk(finished=1):
+        assert campaign("--vary", "seed=1:4") == 5
     err = capsys.readouterr().err
     assert "the disk is full; 1 of 4 runs are finished; --resume goes on from there" in err and "make room" in err
-    monkeypatch.setattr(store.Store, "add", real)
     assert campaign("--vary", "seed=1:4", "--resume") == 0
     assert sorted(r["run"] for r in results()) == [0, 1, 2, 3]
 

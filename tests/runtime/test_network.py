@@ -54,3 +54,13 @@ def test_a_robot_that_starts_anew_hears_nothing_of_before() -> None:
     transports[1].close()  # its predecessor, which takes nothing away from it
     transports[0].send([1], b"new")
     assert anew.receive() == [b"new"] and transports[1].receive() == []
+
+
+def test_when_so_many_have_arrived() -> None:
+    network = MemoryNetwork(SimulatedClock(), 1)
+    transports = [network.transport(pid) for pid in range(3)]
+    for pid, delay in ((0, 0.03), (2, 0.01), (0, 0.02)):
+        network.links[pid, 1] = Conditions(delay=delay)
+        transports[pid].send([1], b"x")
+    assert [network.next_arrival(1, count) for count in (1, 2, 3, 4)] == [0.01, 0.02, 0.03, float("inf")]
+    assert network.next_arrival(0) == network.next_arrival(9) == float("inf")

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from koordgen.runtime import rounds
 from koordgen.runtime.memory import WINDOW
 from koordgen.runtime.network import Conditions
 from koordgen.runtime.outbox import MOST_WAITING
@@ -324,3 +325,19 @@ def test_the_trace_of_a_robot_that_does_not_count_goes_on() -> None:
     assert alice.records[-1].skipped == "not current: does not count in the fleet, asks to be let in"
     assert [r.round for r in alice.records] == list(range(1, alice.records[-1].round + 1))
     assert alice.records[-1].round >= alice.agent.round - 1
+
+
+@pytest.mark.parametrize("most", [1.0, 0.0025])
+def test_what_a_robot_expects_is_what_its_closed_round_lacks(most: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rounds, "MOST_GATHER", most)
+    fleet = Fleet(n=3).boot_all()
+    agent = fleet.robots[0].agent
+    seen = {agent.expects}
+
+    def note() -> bool:
+        seen.add(agent.expects)
+        return agent.round == 20
+
+    fleet.run(60, until=note)
+    longest = most * fleet.delta
+    assert seen == {(1, 0.0), *((n, min(n * rounds.GATHER, longest)) for n in (1, 2))}

@@ -9,44 +9,22 @@ import pytest
 
 from koordgen.runtime.network import Conditions
 from koordgen.runtime.values import Point
-from tests.sim.watched import Watched
+from tests.sim.watched import LINE, Watched
 
-LINE = """\
-using Motion:
-  sensors:
-    Point position
-    bool reached
-  actuators: Point target
-  assume distance(position', target) <= distance(position, target) + 0.3
-  assume reached or distance(position, target) > 0.01
-allread:
-  Point x[N_SYS]
-  int turns[N_SYS]
-allwrite: int sum
-local: int mine
-init:
-  x[pid] = Motion.position
-Add:
-  pre: mine < 6 and mine <= pid + 4
-  eff: atomic:
-    sum += 1
-    mine += 1
-Go:
-  pre: pid == 1 and N_SYS > 2
-  eff:
-    Motion.target = (x[0] + x[2]) / 2
-    x[pid] = Motion.position
-    turns[pid] += 1
+WHOLE = (
+    LINE
+    + """\
 initially: forall i in ID: Motion.target[i] == Motion.position[i] and sum == 0 and mine[i] == 0
 invariant Apart: forall i, j in ID: i == j or distance(Motion.position[i], Motion.position[j]) > 0.5
 invariant Near: forall i in ID: distance(x[i], Motion.position[i]) < 1
 invariant Counted: forall i in ID: mine[i] <= 6 and turns[0] == 0
 """
+)
 SUMS = "invariant Sum: sum <= 12\ninvariant First: sum == 0 or exists i in ID: mine[i] > 0\n"
 
 
 def lined(tmp_path: Path, more: str = "", **options: Any) -> Watched:
-    return Watched(tmp_path, LINE + more, **options)
+    return Watched(tmp_path, WHOLE + more, **options)
 
 
 def test_what_holds_is_held_at_every_step(tmp_path: Path) -> None:
@@ -153,7 +131,7 @@ def test_a_robot_that_dies_has_left_the_model(tmp_path: Path) -> None:
 
 
 def test_a_fleet_that_has_stopped_has_not_left_the_model(tmp_path: Path) -> None:
-    text = LINE + "invariant Never: sum >= 0\nDone:\n  pre: True\n  eff: stop\n"
+    text = WHOLE + "invariant Never: sum >= 0\nDone:\n  pre: True\n  eff: stop\n"
     watched = Watched(tmp_path, text.replace("pid == 1 and N_SYS > 2", "False")).run(8.0)
     assert all(robot.agent.phase == "rested" for robot in watched.fleet.robots.values())
     assert {v.outcome for v in watched.end().values()} == {"held"}

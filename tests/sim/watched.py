@@ -21,6 +21,35 @@ from tests.sim.fake_fleet import beside
 STEP = 1 / 240
 LOOK = 12  # steps
 
+# Robot 1 keeps itself between its neighbours, all count together, each in turn.
+LINE = """\
+using Motion:
+  sensors:
+    Point position
+    bool reached
+  actuators: Point target
+  assume distance(position', target) <= distance(position, target) + 0.3
+  assume reached or distance(position, target) > 0.01
+allread:
+  Point x[N_SYS]
+  int turns[N_SYS]
+allwrite: int sum
+local: int mine
+init:
+  x[pid] = Motion.position
+Add:
+  pre: mine < 6 and mine <= pid + 4
+  eff: atomic:
+    sum += 1
+    mine += 1
+Go:
+  pre: pid == 1 and N_SYS > 2
+  eff:
+    Motion.target = (x[0] + x[2]) / 2
+    x[pid] = Motion.position
+    turns[pid] += 1
+"""
+
 
 @dataclass
 class Agent:

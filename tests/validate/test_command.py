@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import signal
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +17,7 @@ from koordgen.campaign import store
 from koordgen.campaign.plan import Plan
 from koordgen.cli import campaign as campaigns
 from koordgen.validate import picture
+from tests.campaign.fake import full_disk
 from tests.validate import fake
 
 OUT = Path("out")
@@ -159,21 +158,11 @@ def test_folders_of_others_are_left_alone(capsys: pytest.CaptureFixture[str]) ->
     assert validate("--samples", "1") == 5 and os.listdir("out") == ["thesis.tex"]
 
 
-def test_a_full_disk_is_told_and_one_goes_on(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    real: Callable[[store.Store, store.Result], None] = store.Store.add
-
-    def add(self: store.Store, result: store.Result) -> None:
-        if len(self.results) == 1:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        real(self, result)
-
-    monkeypatch.setattr(store.Store, "add", add)
-    assert validate("--samples", "3") == 5
+def test_a_full_disk_is_told_and_one_goes_on(capsys: pytest.CaptureFixture[str]) -> None:
+    with full_disk(finished=1):
+        assert validate("--samples", "3") == 5
     err = capsys.readouterr().err
     assert "the disk is full; 1 of 3 runs are finished; the same command goes on from there" in err
-    monkeypatch.setattr(store.Store, "add", real)
     assert validate("--samples", "3") == 4 and len(runs()) == 3
 
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from koordgen.validate import sensitivity, tube
+from koordgen.validate import tube
+from koordgen.validate.statistics import needed
 
 Array = NDArray[np.float64]
 EPSILON, GAMMA = 0.05, 0.01
@@ -37,7 +38,7 @@ def learned_of(ways: Array, starts: Array, each: int) -> tube.Tube:
 
 
 def found(of: Callable[[np.random.Generator, int], Ways], seed: int = 1) -> tube.Tube:
-    each = sensitivity.bound(EPSILON, GAMMA)
+    each = needed(EPSILON, GAMMA)
     return learned_of(*of(np.random.default_rng(seed), 3 * each), each)
 
 
@@ -92,7 +93,7 @@ def test_of_many_tubes_few_break_the_promise() -> None:
 
 
 def test_a_way_that_left_is_told() -> None:
-    each = sensitivity.bound(EPSILON, GAMMA)
+    each = needed(EPSILON, GAMMA)
     ways, starts = lagging(np.random.default_rng(1), 3 * each)
     plain = learned_of(ways, starts, each)
     ways[-3:, 100:150] += 1.0
@@ -102,7 +103,7 @@ def test_a_way_that_left_is_told() -> None:
 
 
 def test_a_way_that_left_among_those_of_calibration_makes_the_tube_larger() -> None:
-    each = sensitivity.bound(EPSILON, GAMMA)
+    each = needed(EPSILON, GAMMA)
     ways, starts = lagging(np.random.default_rng(1), 3 * each)
     plain = learned_of(ways, starts, each)
     ways[each + 3, 100] += 0.3
@@ -110,18 +111,6 @@ def test_a_way_that_left_among_those_of_calibration_makes_the_tube_larger() -> N
     assert wider.inflated > 2 * plain.inflated
     at = int(np.searchsorted(wider.edges, TIMES[100])) - 1
     assert (wider.upper[at] >= ways[each + 3, 100]).all()
-
-
-@pytest.mark.parametrize(("epsilon", "gamma", "least"), [(0.05, 0.01, 93), (0.05, 0.05, 60), (0.1, 0.05, 30)])
-def test_the_sample_bound(epsilon: float, gamma: float, least: int) -> None:
-    assert sensitivity.bound(epsilon, gamma) == least
-    assert (1 - epsilon) ** least <= gamma
-
-
-@pytest.mark.parametrize(("epsilon", "gamma"), [(0.0, 0.1), (1.0, 0.1), (0.1, 0.0), (0.1, 1.5)])
-def test_what_is_no_bound_is_refused(epsilon: float, gamma: float) -> None:
-    with pytest.raises(ValueError, match="between 0 and 1"):
-        sensitivity.bound(epsilon, gamma)
 
 
 def test_too_few_samples_are_refused() -> None:

@@ -11,12 +11,19 @@ from koordgen.validate.statistics import clopper_pearson, needed, shown
 
 @pytest.mark.parametrize(
     ("epsilon", "gamma", "runs"),
-    [(0.05, 0.05, 60), (0.01, 0.05, 300), (0.1, 0.1, 24), (0.01, 0.001, 691), (0.5, 0.5, 2)],
+    [(0.05, 0.05, 60), (0.05, 0.01, 93), (0.1, 0.05, 30), (0.01, 0.05, 300),
+     (0.1, 0.1, 24), (0.01, 0.001, 691), (0.5, 0.5, 2)],
 )  # fmt: skip
 def test_so_many_runs_are_needed(epsilon: float, gamma: float, runs: int) -> None:
     assert needed(epsilon, gamma) == runs
     assert (1 - epsilon) ** runs <= gamma, "without a violation that is how likely they are at most"
     assert shown(runs, gamma) <= epsilon
+
+
+@pytest.mark.parametrize(("epsilon", "gamma"), [(0.0, 0.1), (1.0, 0.1), (0.1, 0.0), (0.1, 1.5)])
+def test_what_is_no_part_is_refused(epsilon: float, gamma: float) -> None:
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        needed(epsilon, gamma)
 
 
 def test_what_so_many_runs_show() -> None:
