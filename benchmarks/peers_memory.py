@@ -1,4 +1,5 @@
-"""Our side: one robot's shared memory as an Exchange, without the agent around it.
+"""Our side: one robot's shared memory as an Exchange, without the agent around it (SharedMemory); and of two robots
+an update's way alone (Update): encode, MAC, UDP, verify, decode, apply.
 
 All that an agent's shared memory does in a round is done here: closing, encoding, MAC, UDP, verifying, decoding,
 applying, words, clock echoes, the robot's word kept in a file, questions for what is missing, views. `SharedMemory`
@@ -29,7 +30,7 @@ from koordgen.runtime.settings import Settings
 from koordgen.runtime.store import Keeper, Store
 from koordgen.runtime.transport import Transport
 from koordgen.runtime.views import Vote
-from koordgen.runtime.wire import Closing, Hello, View
+from koordgen.runtime.wire import Closing, Hello, Round, View
 
 
 def open_memory(place: Place, network: str = "multicast", native: bool = True) -> SharedMemory:
@@ -42,9 +43,66 @@ def open_memory(place: Place, network: str = "multicast", native: bool = True) -
     return SharedMemory(given, place.size, open_transport(given), store, SystemClock())
 
 
+def open_update(place: Place, native: bool = True) -> Update:
+    """On real sockets of this host."""
+    if not native:
+        without_courier()
+    given = settings(place.pid, place.ports, place.delta, "unicast")
+    return Update(given, place.size, open_transport(given), SystemClock())
+
+
 def without_courier() -> None:
     """From now on this process does everything in plain Python, as where there is no compiler."""
     courier._loaded = lambda: "not wanted"  # type: ignore[assignment]
+
+
+def open_link(given: Settings, size: int, transport: Transport, clock: Clock) -> tuple[Link, Memory]:
+    """As after joining: all have met, and ran `init`."""
+    ours, pid, n = program(size), given.pid, len(given.peers)
+    boots = [bytes([p] * 8) for p in range(n)]
+    fleet_clock = FleetClock(pid)  # it learns; the harness goes by the host's clock, with ours and peers
+    fleet_clock.lock()
+    link = Link(ours, given, KEY, transport, clock, fleet_clock, boots[pid], print, Metrics(pid, n))
+    link.epoch = bytes(8)
+    link.sessions = {p: Session(boots[p]) for p in range(n) if p != pid}
+    inits = [Closing(p, 0, 0, 0) for p in range(n)]
+    return link, Memory.begin(Layout(ours.shared, n), pid, View(0, 1, (0,) * n), inits)
+
+
+class Update:
+    """Link and memory of one of two robots without what else a round may need: questions, ballots, the word on disk."""
+
+    def __init__(self, given: Settings, size: int, transport: Transport, clock: Clock) -> None:
+        self._other, self._size, self._transport = 1 - given.pid, size, transport
+        self._link, self._memory = open_link(given, size, transport, clock)
+        self._round = self._told = 0
+        self.missed: list[int] = []  # none ever: nothing is lost between two processes that take turns
+
+    def publish(self, round_: int) -> None:
+        memory = self._memory
+        if round_ > 0:
+            self._round = round_
+            memory.close(round_, {"report": f"{round_:0{self._size}}"}, stopped=False, acted=True)
+        word = (0, round_, memory.applied, memory.settled, False, memory.held)
+        self._link.round([self._other], word, memory.own(round_) if round_ > 0 else ())
+        memory.advance(round_ + 1)
+
+    def take(self, seconds: float) -> Heard:
+        self._transport.wait(seconds)
+        memory, other, told, found = self._memory, self._other, self._told, Heard()
+        for message in self._link.receive():
+            if isinstance(message, Round):
+                for closing in message.closings:
+                    memory.take(closing, max(self._round, 1))
+                through, present = max(0, message.round - 1), max(self._round, 1)
+                memory.heard(
+                    other, message.view, message.applied, message.held, through, message.settled, present, False
+                )
+                if message.round == 0:
+                    found.append((other, 0))
+        memory.advance(self._round + 1)
+        self._told = max(told, memory.held[other])
+        return [*found, *((other, round_) for round_ in range(told + 1, self._told + 1))]
 
 
 class SharedMemory:
@@ -53,19 +111,14 @@ class SharedMemory:
     The updates have no outputs, so nobody waits for their being confirmed."""
 
     def __init__(self, given: Settings, size: int, transport: Transport, store: Keeper, clock: Clock) -> None:
-        ours, pid, n = program(size), given.pid, len(given.peers)
-        boots = [bytes([p] * 8) for p in range(n)]
-        view, layout = View(0, 1, (0,) * n), Layout(ours.shared, n)
+        pid, n = given.pid, len(given.peers)
         self._pid, self._delta, self._size = pid, given.delta, size
         self._transport, self._clock = transport, clock
-        fleet_clock = FleetClock(pid)  # it learns; the harness goes by the host's clock, with ours and peers
-        fleet_clock.lock()
-        self._link = Link(ours, given, KEY, transport, clock, fleet_clock, boots[pid], print, Metrics(pid, n))
-        self._link.epoch = bytes(8)
-        self._link.sessions = {p: Session(boots[p]) for p in range(n) if p != pid}
+        ours, view = program(size), View(0, 1, (0,) * n)
+        self._link, memory = open_link(given, size, transport, clock)
         keeping = Keeping(store, ours, n)
         keeping.mission(self._link.epoch, Life(0, {"count": 0}, {}, False))
-        memory = Memory.begin(layout, pid, view, [Closing(p, 0, 0, 0) for p in range(n)])
+        layout = Layout(ours.shared, n)
         timeout = given.safety.peer_timeout
         self._replica = Replica(self._link, layout, memory, view, Vote(), 0, timeout, keeping.announce)
         self._round, self._slot, self._asked, self._published = 0, -1, 0, 0
@@ -101,14 +154,17 @@ class SharedMemory:
         return found
 
     def _step(self, seconds: float) -> None:
-        """Do what is due, then wait for something to arrive, then do what follows from that."""
+        """Do what is due, then wait for something to arrive, then do what follows from that; but when it is time for
+        the next closing, that comes first, as in an agent."""
+        end = self._clock.now() + seconds
         self._apply()
         self._poll()
-        rest = min(seconds, self._wake - self._clock.now())
+        rest = min(end, self._wake) - self._clock.now()
         if rest > 0:
             self._transport.wait(rest, *self._expects)
-        self._hear()
-        self._apply()
+        if seconds <= 0 or self._clock.now() < end:
+            self._hear()
+            self._apply()
 
     def _current(self) -> bool:
         """Whether an event may run, as Rounds finds."""
@@ -211,7 +267,7 @@ class SharedMemory:
         through = round_ if slot >= FIRST_SLOT else round_ - 1
         missing = [p for p in memory.missing(through) if p != self._pid]
         if fresh and missing and (timely or round_ > self._asked + PATIENCE):
-            replica.ask(missing, (), through)
+            replica.ask(missing, [], through)
             self._asked = round_
         if missing or replica.busy or self._open:
             self._wake = following

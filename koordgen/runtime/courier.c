@@ -164,30 +164,28 @@ static int spin(Inbox *inbox, int32_t expected, int64_t end) {
     return 0;
 }
 
-/* Until so many have arrived, the end, or a signal; whether they have. The last one, which completes what is waited
-   for, is worth to be seen at once; for several, looking now and then is cheaper than to wake for each. */
-static int wait_for(Inbox *inbox, int32_t expected, int64_t end, int hurry) {
+/* Until so many have arrived, or the end; 0: a signal came. The last one, which completes what is waited for, is worth
+   to be seen at once; for several, looking now and then is cheaper than to wake for each. */
+static int wait_for(Inbox *inbox, int32_t expected, int64_t end) {
     while (inbox->arrived < expected && !full(inbox)) {
         int64_t missing = expected - inbox->arrived, left = end - now();
         int last = missing == 1;
-        if (hurry && last && left > 0 && spin(inbox, expected, end)) break;
-        if (rest(inbox, last ? end - now() : least(NAP * missing, left), last) <= 0) break;
-        drain(inbox);
-        if (left <= 0) break;
+        if (last && left > 0 && spin(inbox, expected, end)) break;
+        int woken = rest(inbox, last ? end - now() : least(NAP * missing, left), last);
+        if (woken < 0) return 0;
+        if (woken) drain(inbox);
+        if (!woken || left <= 0) break;
     }
-    return inbox->arrived >= expected;
+    return 1;
 }
 
 /* See Transport.wait; both times in seconds. `keep`: what the last call left was not taken, and counts. Ends early when
    a signal comes. Returns how many slots are used, from the first on. */
 int32_t courier_wait(Inbox *inbox, double seconds, int32_t expected, double gather, int32_t keep) {
-    int64_t end = now() + nanoseconds(seconds);
-    if (keep)
-        drain(inbox);
-    else
-        inbox->used = inbox->arrived = 0;
-    if (wait_for(inbox, 1, end, gather > 0 && expected == 1))
-        wait_for(inbox, expected, least(end, now() + nanoseconds(gather)), 1);
+    int64_t begin = now(), end = begin + nanoseconds(seconds);
+    if (!keep) inbox->used = inbox->arrived = 0;
+    if (keep || expected > 1) drain(inbox);
+    if (expected < 2 || wait_for(inbox, expected, least(end, begin + nanoseconds(gather)))) wait_for(inbox, 1, end);
     return inbox->used;
 }
 

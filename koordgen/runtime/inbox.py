@@ -60,17 +60,17 @@ class PlainInbox:
         self._echoes.append(datagram)
 
     def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
-        end = time.monotonic() + seconds
+        begin = time.monotonic()
+        end, until = begin + seconds, begin + min(gather, seconds)
         self._drain()
-        while not self._some() and self._ready(end - time.monotonic()):
-            self._drain()
-        end = min(end, time.monotonic() + gather)
-        while len(self._arrived) < min(expected, MOST_AT_ONCE) and (rest := end - time.monotonic()) > 0:
+        while 1 < expected > len(self._arrived) < MOST_AT_ONCE and (left := until - time.monotonic()) > 0:
             missing = expected - len(self._arrived)
             if missing > 1:
-                time.sleep(min(NAP * missing, rest))
+                time.sleep(min(NAP * missing, left))
             else:
-                self._ready(rest)
+                self._ready(left)
+            self._drain()
+        while not self._some() and self._ready(end - time.monotonic()):
             self._drain()
 
     def receive(self) -> list[bytes]:

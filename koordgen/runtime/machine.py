@@ -168,7 +168,7 @@ class Agent:
             due = self._poll_rounds(rounds, now)
         if self._rounds is None:
             return min(wake, due, self._join(now))
-        messages = self._link.receive()
+        messages = [] if acted else self._link.receive()  # after the closing there is time to let more of theirs come
         if messages:
             self._hear(messages, None)
         rounds = self._rounds

@@ -33,6 +33,7 @@ from koordgen.runtime.wire import (
 
 SLOTS = 5  # moments in a round at which what is missing is asked for
 HELPERS = 5  # robots that at once repeat what others wrote
+FEW = 5  # missing closings or words that may have been lost; more of them are late
 ASKED = 3 * SLOTS  # ticks for which a request to be let in counts
 HEARD = 2 * SLOTS  # ticks for which a robot counts as one that can be heard
 
@@ -148,29 +149,29 @@ class Replica:
 
     def confirm(self, round_: int) -> None:
         """Tell those who wait for it that this robot has applied a round."""
-        memory = self.memory
-        if memory is not None:
-            waiting = [p for p in memory.prompt if p != self._pid]
-            if waiting:
-                self._link.round(waiting, self.word(round_), ())
+        waiting = [p for p in self.memory.prompt if p != self._pid] if self.memory is not None else []
+        if waiting:
+            self._link.round(waiting, self.word(round_), ())
 
-    def ask(self, missing: Collection[int], unaware: Collection[int], through: int) -> None:
-        """Ask for closings up to `through` that are missing, of their authors and of one other who may hold them, and
-        for the word of those whose word is wanted."""
+    def ask(self, missing: list[int], unaware: list[int], through: int) -> None:
+        """Ask for others' closings up to `through` that are missing, of their authors and of one who may hold them, and
+        for the word of those whose word is wanted. Where much is missing it is late rather than lost, and a large fleet
+        in which all ask all has no time to be anything but late: then only one of them is asked, another each time."""
         memory = self.memory
         assert memory is not None
-        peers = [p for p in missing if p != self._pid]
-        others = [p for p in self._peers if p not in peers]
         self._turn += 1
-        helper = [others[self._turn % len(others)]] if others and peers else []
-        to = {*peers, *helper, *unaware}
-        partly = self._assembly.partly()
-        view, _, applied, _, _, _ = self.word(through)
+        others = [p for p in self._peers if p not in missing] if missing else []
+        peers = self._few(missing)
+        to = {*peers, *others[self._turn % max(1, len(others)) :][:1], *self._few(unaware)}
+        partly, (view, _, applied, *_) = self._assembly.partly(), self.word(through)
         for pid in peers:
             self._link.metrics.repeated(pid)
-        # Who merely hears a question answers it too, so one to few goes to each of them alone.
+        # Who merely hears a question answers it too: one to few goes to each alone.
         for each in [sorted(to)] if 2 * len(to) > self._n else [[p] for p in sorted(to)]:
             self._link.say(each, Need, view, through, applied, memory.held, partly)
+
+    def _few(self, pids: list[int]) -> list[int]:
+        return pids if len(pids) <= FEW else [pids[self._turn % len(pids)]]
 
     def take(self, message: Talk, present: int) -> None:
         """A message of this mission, heard in round `present`."""
@@ -287,7 +288,9 @@ class Replica:
         peer = self._peers[sender]
         peer.partly = {p.author: p for p in message.partly}
         helps = message.held[self._pid] >= through or self._helps(sender, present)
-        self._link.round([sender], self.word(present), memory.repeat(sender, helps), peer.partly)
+        closings = memory.repeat(sender, helps)
+        if closings or memory.held[self._pid] >= through:  # else ours is still to come, with our word, to all
+            self._link.round([sender], self.word(present), closings, peer.partly)
 
     def _closing(self, closing: Closing, present: int) -> None:
         if self.memory is not None:

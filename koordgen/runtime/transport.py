@@ -22,11 +22,10 @@ class Transport(Protocol):
         ...
 
     def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
-        """Wait until something has arrived, at most so long; then until `expected` datagrams have, at most `gather`
-        seconds more, but not longer than `seconds` in all. What the robot itself sent to a group does not count.
+        """Let `expected` datagrams come for `gather` seconds, if it is several; then wait until there is at least one,
+        but not longer than `seconds` in all. What the robot itself sent to a group does not count.
 
-        `gather` above 0 says that datagrams are under way now: it may be spent on looking for them without sleep. Ends
-        early when the process gets a signal."""
+        Some of the time may go into looking for one without sleep. Ends early when the process gets a signal."""
         ...
 
     @property

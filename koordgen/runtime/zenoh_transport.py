@@ -56,12 +56,13 @@ class ZenohTransport:
         return taken
 
     def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
-        end = time.monotonic() + seconds
-        if not self._some.wait(max(0.0, seconds)):
-            return
-        end = min(end, time.monotonic() + gather)
-        while (missing := expected - len(self._arrived)) > 0 and (rest := end - time.monotonic()) > 0:
-            time.sleep(min(NAP * missing, rest))
+        begin = time.monotonic()
+        until = begin + min(gather, seconds)
+        while expected > 1 and (missing := expected - len(self._arrived)) > 0:
+            if (left := until - time.monotonic()) <= 0:
+                break
+            time.sleep(min(NAP * missing, left))
+        self._some.wait(max(0.0, begin + seconds - time.monotonic()))
 
     @property
     def troubles(self) -> dict[str, int]:

@@ -29,13 +29,13 @@ def test_the_workers_execute_the_runs(cluster: Any, capsys: pytest.CaptureFixtur
     Path("verdict.py").write_text(
         "import json, os, sys\nprint(json.dumps({'worker': os.getppid(), 'there': os.path.exists(sys.argv[1])}))\n"
     )
-    words = ("--vary", "seed=1:8,loss=0,0.3,param.extra=0,100", "--verdict", "verdict.py")
+    words = ("--vary", "seed=1:4,loss=0,0.3,param.extra=0,100", "--verdict", "verdict.py")
     assert campaign(*words, "--cluster", cluster.scheduler_address) == 3
-    assert "32 runs: 16 held, 16 violated" in capsys.readouterr().out
+    assert "16 runs: 8 held, 8 violated" in capsys.readouterr().out
     found = sorted(results(), key=lambda r: int(r["run"]))
     assert [r["mission"] for r in found[:4]] == [11.0, 111.0, 11.0, 111.0]
     assert {int(r["figures"]["worker"]) for r in found} == {w["pid"] for w in _workers(cluster)}
-    assert all((Path("out/runs") / f"{k:04d}" / "summary.json").exists() for k in range(32))
+    assert all((Path("out/runs") / f"{k:04d}" / "summary.json").exists() for k in range(16))
 
 
 def _workers(cluster: Any) -> list[dict[str, Any]]:

@@ -150,8 +150,6 @@ def test_spinning_that_fails_backs_off() -> None:
             made.wait(0.0002, 1, 0.0002)
         # the 1st, and those after 1, 2, 4, 8, 16, 32 and 64 that did not try; the 200th would be the next
         assert (made.shown.spins, made.shown.failed) == (8, 8)
-        made.wait(0.001)  # nothing is under way: it does not even count
-        assert made.shown.spins == 8
 
 
 @needs_courier
