@@ -162,18 +162,13 @@ class Agent:
         if self._broken:
             self._transport.receive()
             return wake
-        rounds, due = self._rounds, math.inf
-        acted = rounds is not None and rounds.ripe(now)
-        if rounds is not None and acted:  # before what has arrived is looked at: all others wait for this closing
-            due = self._poll_rounds(rounds, now)
-        if self._rounds is None:
-            return min(wake, due, self._join(now))
-        messages = [] if acted else self._link.receive()  # after the closing there is time to let more of theirs come
-        if messages:
-            self._hear(messages, None)
         rounds = self._rounds
-        if messages or not acted:
-            due = self._poll_rounds(rounds, now)
+        if rounds is None:
+            return min(wake, self._join(now))
+        # All others wait for the closing of a ripe round; after it there is time to let more of theirs come.
+        if not rounds.ripe(now) and (messages := self._link.receive()):
+            self._hear(messages, None)
+        due = self._poll_rounds(rounds, now)
         calm = rounds.calm
         if calm:
             self._monitor(rounds, now)

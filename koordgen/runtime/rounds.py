@@ -20,7 +20,7 @@ from koordgen.runtime.memory import Memory
 from koordgen.runtime.metrics import Counters
 from koordgen.runtime.outbox import AHEAD, Outbox, has_outputs
 from koordgen.runtime.platform import Sensed
-from koordgen.runtime.program import Frame, Life
+from koordgen.runtime.program import Effects, Frame, Life
 from koordgen.runtime.replica import SLOTS, Replica, Talk
 from koordgen.runtime.runner import LATE, Outcome, Runner
 from koordgen.runtime.trace import LEFT, Observe, Record
@@ -287,7 +287,8 @@ class Rounds:
         self._body.hold("not confirmed", self._outbox.first is not None, now)
         if reason is not None:
             self.counters.skipped += 1
-            self._close(Record(self.round, now, into, sensors, None, skipped=reason))
+            self._close()
+            self._wait(Record(self.round, now, into, sensors, None, skipped=reason))
             return
         memory = self._replica.memory
         assert memory is not None
@@ -324,26 +325,22 @@ class Rounds:
         return ", ".join(self._names[p] for p in pids)
 
     def _finish(self, outcome: Outcome, frame: Frame, now: float, into: float) -> None:
-        self._body.hold("fault", outcome.fault is not None, now)
-        skipped = None
-        if outcome.fault is not None:
-            skipped = "fault"
+        """Close a round in which an event could run; its record is made when all others have their closing."""
+        fault, effects = outcome.fault, outcome.effects
+        self._body.hold("fault", fault is not None, now)
+        life = self._close(effects, outcome.lock)
+        if fault is not None:
             self.counters.faults += 1
-            self.counters.discarded += outcome.fault.reason == LATE
-        elif outcome.effects is None:
-            skipped = "no event enabled"
+            self.counters.discarded += fault.reason == LATE
+        skipped = None if effects is not None else "no event enabled" if fault is None else "fault"
         calls = self._body.calls()
-        record = Record(
-            self.round, now, into, frame.sensors, frame, outcome.event, outcome.effects, skipped, outcome.fault, calls
-        )
-        self._close(record, outcome.lock)
+        record = Record(self.round, now, into, frame.sensors, frame, outcome.event, effects, skipped, fault, calls)
+        self._wait(record, outcome.lock, life)
 
-    def _close(self, record: Record, lock: int = -1) -> None:
-        """The closing leaves. What the event does beyond the shared memory waits until it is certain that it counts."""
-        effects, memory, round_ = record.effects, self._replica.memory, self.round
+    def _close(self, effects: Effects | None = None, lock: int = -1) -> Life | None:
+        """The closing leaves; the life that the event led to, which was kept before."""
+        memory, round_ = self._replica.memory, self.round
         self._present.open = False
-        if self._restored is not None:
-            record, self._restored = replace(record, restored=self._restored), None
         life = None
         if effects is not None:
             assert memory is not None
@@ -352,16 +349,21 @@ class Rounds:
             if lock < 0:
                 self._runner.locals, self.stopped = life.locals, life.stopped
             self._keep(life, memory.view.members[self._pid])
-        self._outbox.add(record, lock, life)
         if memory is not None:
             stopped = self.stopped or self._left or (life is not None and life.stopped)
-            shared = effects.shared if effects else {}
-            acted, prompt = life is not None, has_outputs(effects)
-            memory.close(round_, shared, stopped=stopped, acted=acted, prompt=prompt, lock=lock)
+            shared, prompt = effects.shared if effects else {}, has_outputs(effects)
+            memory.close(round_, shared, stopped=stopped, acted=life is not None, prompt=prompt, lock=lock)
         else:
             self.counters.out += 1
         self._replica.publish(self._published + 1, round_)
         self._published = round_
+        return life
+
+    def _wait(self, record: Record, lock: int = -1, life: Life | None = None) -> None:
+        """What a round came to waits until it is certain that it counts."""
+        if self._restored is not None:
+            record, self._restored = replace(record, restored=self._restored), None
+        self._outbox.add(record, lock, life)
 
     def _confirm(self, applied: int) -> None:
         """Tell those who wait for it that this robot has applied the round they closed."""

@@ -116,7 +116,7 @@ def test_a_solver_that_does_not_read_does_not_block(tmp_path: Path) -> None:
     began = time.monotonic()
     with Solver("z3", QUICK, [sys.executable, "-S", str(script)]) as solver:
         assert solver.ask(true_one(), large).result == "unknown"
-    assert time.monotonic() - began < 3
+    assert time.monotonic() - began < 20, "it sleeps for 60 s"
 
 
 def test_all_queries_together_have_a_limit(tmp_path: Path) -> None:

