@@ -176,7 +176,7 @@ class Resident(Agent):
 
     @property
     def due(self) -> float:
-        """When it is to be polled next: when it has asked to be, or something has come, and what comes with it."""
+        """When it is to be polled next: when it has asked to be, or as `Transport.wait` would end."""
         machine = self._machine
         if machine is None:
             return math.inf
@@ -186,7 +186,7 @@ class Resident(Agent):
         if arrival < due:
             expected, gather = machine.expects
             complete = max(network.next_arrival(pid, expected), self._polled)
-            due = min(due, complete, max(arrival, self._polled) + gather)
+            due = min(due, complete, max(arrival, self._polled + gather))
         return max(due, self._thawed)
 
     def poll(self, now: float) -> None:
