@@ -23,9 +23,10 @@ from koordgen.runtime.memory import Memory
 from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.opening import open_transport
 from koordgen.runtime.outbox import AHEAD
+from koordgen.runtime.patience import Patience
 from koordgen.runtime.program import Life
 from koordgen.runtime.replica import SLOTS, Replica
-from koordgen.runtime.rounds import FIRST_SLOT, GATHER, MOST_GATHER, PATIENCE, PUBLISH, PUNCTUAL
+from koordgen.runtime.rounds import FIRST_SLOT, GATHER, MOST_GATHER, PUBLISH, PUNCTUAL
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.store import Keeper, Store
 from koordgen.runtime.transport import Transport
@@ -121,7 +122,8 @@ class SharedMemory:
         layout = Layout(ours.shared, n)
         timeout = given.safety.peer_timeout
         self._replica = Replica(self._link, layout, memory, view, Vote(), 0, timeout, keeping.announce)
-        self._round, self._slot, self._asked, self._published = 0, -1, 0, 0
+        self._round, self._slot, self._published = 0, -1, 0
+        self._patience = Patience()
         self._start = math.inf  # of round 1: no round was published before its beginning
         self._wake = math.inf
         self._open = False  # the present round is not closed yet
@@ -266,9 +268,10 @@ class SharedMemory:
             return
         through = round_ if slot >= FIRST_SLOT else round_ - 1
         missing = [p for p in memory.missing(through) if p != self._pid]
-        if fresh and missing and (timely or round_ > self._asked + PATIENCE):
+        if fresh:
+            self._patience.wakes(round_, timely)
+        if fresh and missing and self._patience.asks(round_, timely):
             replica.ask(missing, [], through)
-            self._asked = round_
         if missing or replica.busy or self._open:
             self._wake = following
         elif not self._complete:

@@ -19,6 +19,7 @@ from koordgen.runtime.clock import FleetClock
 from koordgen.runtime.memory import Memory
 from koordgen.runtime.metrics import Counters
 from koordgen.runtime.outbox import AHEAD, Outbox, has_outputs
+from koordgen.runtime.patience import Patience
 from koordgen.runtime.platform import Sensed
 from koordgen.runtime.program import Effects, Frame, Life
 from koordgen.runtime.replica import SLOTS, Replica, Talk
@@ -29,7 +30,6 @@ from koordgen.runtime.watched import OWN, SENSED, SHARED, Moment
 PUBLISH = 0.5  # of delta: when a round's closing leaves at the latest
 FIRST_SLOT = 3  # the first of a round's SLOTS in which its own closings are asked for, before it the last round's
 PUNCTUAL = 0.5  # of a slot: who wakes later is late
-PATIENCE = 1  # rounds for which who is late asks for nothing
 GATHER = 150e-6  # seconds that the closing of one more robot may take to come after another's
 MOST_GATHER = 0.2  # of a round, for all of them: one of its SLOTS
 LINGER = 20  # rounds after all have stopped
@@ -81,7 +81,7 @@ class Rounds:
         self._present = _Present()
         self._published = 0
         self._wake = 0.0
-        self._asked = 0  # the last round in which this robot asked
+        self._patience = Patience()
         self._left = False
         self._sure = 0  # the last round that is known to be stable
         self._restored: Life | None = None  # to be told with the next record
@@ -372,8 +372,7 @@ class Rounds:
             self._replica.confirm(self.round)
 
     def _ask(self, slot: int, fresh: bool, timely: bool) -> float:
-        """Ask for what should have come by now; returns the next moment at which there may be something to do. Who
-        woke late asks nothing for a while: the others may be as late, and would have the more to do."""
+        """Ask for what should have come by now; returns the next moment at which there may be something to do."""
         present, memory = self._present, self._replica.memory
         if memory is None:
             return self._following(slot)
@@ -381,10 +380,10 @@ class Rounds:
         missing = [p for p in memory.missing(through) if p != self._pid]
         waited = self._outbox.first
         unaware = memory.unaware(waited) if waited is not None and (waited < through or slot >= 1) else []
-        patient = not timely and self.round <= self._asked + PATIENCE
-        if fresh and (missing or unaware) and not patient:
+        if fresh:
+            self._patience.wakes(self.round, timely)
+        if fresh and (missing or unaware) and self._patience.asks(self.round, timely):
             self._replica.ask(missing, unaware, through)
-            self._asked = self.round
             self.counters.asked += 1
         if present.open or missing or waited is not None or self._replica.busy:
             return self._following(slot)

@@ -129,8 +129,8 @@ def test_who_dies_right_after_its_closing_left_goes_on_from_that_event(round_: i
     assert of_it == sorted(set(of_it)) and of_it[0] <= round_ + 30
 
 
-def test_the_latest_answer_says_when_to_be_polled_again() -> None:
-    """Who closes a round and finds that all others have closed it waits for the next one, not to ask for closings."""
+def test_the_own_closing_leaves_before_what_has_arrived_is_looked_at() -> None:
+    """Then who finds that all others have closed the round, too, waits for the next one, not to ask for closings."""
     fleet = Fleet(n=3, program=COUNTING, conditions=CALM).boot_all()
     fleet.run_rounds(20)
     agent, rounds = fleet.robots[1].agent, fleet.robots[1].agent._rounds
@@ -140,6 +140,10 @@ def test_the_latest_answer_says_when_to_be_polled_again() -> None:
     fleet.run(robot.clock.true(rounds._tick(1.0)) + 0.01 - fleet.time.time)  # it sleeps until all others have closed
     agent._next_body = agent._joining._next = 1e9
     before = rounds.round
-    wake = [agent.poll(robot.clock.now()) for _ in range(2)][-1]  # the own closing first, then what has arrived
-    assert rounds.round == before + 1 and rounds._replica.memory is not None
-    assert rounds._replica.memory.applied == rounds.round and wake == pytest.approx(rounds._tick(1.0))
+    wake = agent.poll(robot.clock.now())
+    memory = rounds._replica.memory
+    assert rounds.round == before + 1 and memory is not None
+    assert memory.held[1] == rounds.round and memory.applied == before, "nothing was looked at"
+    assert wake <= rounds._tick(1.0)
+    wake = agent.poll(robot.clock.now())
+    assert memory.applied == rounds.round and wake == pytest.approx(rounds._tick(1.0))

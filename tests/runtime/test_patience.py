@@ -1,0 +1,34 @@
+"""When a robot asks for what it lacks."""
+
+from __future__ import annotations
+
+from koordgen.runtime.patience import Patience
+
+Slots = list[tuple[int, bool]]  # round, timely
+
+
+def asked(slots: Slots) -> list[int]:
+    """The rounds in which a robot asks that lacks something at each of these slots."""
+    patience, found = Patience(), []
+    for round_, timely in slots:
+        patience.wakes(round_, timely)
+        if patience.asks(round_, timely):
+            found.append(round_)
+    return found
+
+
+def test_a_punctual_robot_asks_at_every_slot() -> None:
+    assert asked([(1, True), (1, True), (1, True), (2, True)]) == [1, 1, 1, 2]
+
+
+def test_a_robot_that_was_late_asks_once_a_round() -> None:
+    assert asked([(1, True), (2, False), (2, True), (2, True), (3, True), (3, True)]) == [1, 2, 3]
+    assert asked([(1, False), (1, True), (2, True), (2, True), (3, True), (3, True)]) == [1, 2, 3, 3]
+
+
+def test_a_robot_that_is_always_late_asks_in_every_second_round() -> None:
+    assert asked([(r, False) for r in range(1, 8) for _ in range(2)]) == [2, 4, 6]
+
+
+def test_a_late_robot_that_has_not_asked_lately_asks_at_once() -> None:
+    assert asked([(9, False), (9, True)]) == [9]
