@@ -24,7 +24,7 @@ static const int64_t SPIN = 200000;       /* of looking without sleep: a peer th
 static const int64_t YIELDED = 5000;      /* a yield that took longer gave the core to somebody who needs it */
 static const int64_t NAP = 20000;         /* for each datagram that is missing */
 static const unsigned long SLACK = 1000;  /* by which a sleep may end later than asked; the system's own is 50000 */
-static const int64_t LIGHT = 150000;      /* the end of a long sleep, slept alone: from a short one a core wakes faster */
+static const int64_t LIGHT = 150000;      /* the end of a long sleep, slept alone: cores wake faster from a short one */
 static const int32_t MOST_RESTING = 64;   /* waits that do not spin after a failure */
 static const double LONGEST = 1e6;        /* s that can be waited */
 
