@@ -24,6 +24,7 @@ static const int64_t SPIN = 200000;       /* of looking without sleep: a peer th
 static const int64_t YIELDED = 5000;      /* a yield that took longer gave the core to somebody who needs it */
 static const int64_t NAP = 20000;         /* for each datagram that is missing */
 static const unsigned long SLACK = 1000;  /* by which a sleep may end later than asked; the system's own is 50000 */
+static const int64_t LIGHT = 150000;      /* the end of a long sleep, slept alone: cores wake faster from a short one */
 static const int32_t MOST_RESTING = 64;   /* waits that do not spin after a failure */
 static const double LONGEST = 1e6;        /* s that can be waited */
 
@@ -167,14 +168,16 @@ static int spin(Inbox *inbox, int32_t expected, int64_t end) {
 /* Until so many have arrived, or the end; 0: a signal came. The last one, which completes what is waited for, is worth
    to be seen at once; for several, looking now and then is cheaper than to wake for each. */
 static int wait_for(Inbox *inbox, int32_t expected, int64_t end) {
+    int tried = 0;
     while (inbox->arrived < expected && !full(inbox)) {
         int64_t missing = expected - inbox->arrived, left = end - now();
         int last = missing == 1;
-        if (last && left > 0 && spin(inbox, expected, end)) break;
-        int woken = rest(inbox, last ? end - now() : least(NAP * missing, left), last);
+        if (last && left > 0 && !tried++ && spin(inbox, expected, end)) break;
+        if (last) left = end - now();
+        int woken = rest(inbox, last ? (left > 2 * LIGHT ? left - LIGHT : left) : least(NAP * missing, left), last);
         if (woken < 0) return 0;
         if (woken) drain(inbox);
-        if (!woken || left <= 0) break;
+        if (left <= 0) break;
     }
     return 1;
 }
