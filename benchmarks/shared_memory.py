@@ -11,9 +11,10 @@ One harness drives all of them alike. In 2 and 3 ours is the shared memory's ful
 agents, with sensors, events, monitors, trace and journal, stand beside it and are not judged, since the peers have none
 of it. A round in which one of ours had no update counts as one that was never consistent.
 
-Raw UDP means blocking sockets, as all the others wait too. Nearly all of its time is that of waking an idle core: with
-both sides polling without a pause it takes a fifth or less. That figure is printed, and not judged: a robot does not
-give a core to waiting.
+Raw UDP means blocking sockets, and the peers wait so, too. Nearly all of that time is to wake an idle core: with both
+sides polling without a pause it takes a fifth or less, which is printed and not judged. Ours looks for a datagram for
+0.2 ms at most before it sleeps, as long as that pays (see "The courier" in docs/shared-memory.md): most of what it gains
+in the round trip comes of that.
 
 Figures are medians over runs that take turns. The peers come with `pip install 'koordgen[bench]'`; without them our
 figures stand alone.
