@@ -13,8 +13,8 @@ of it. A round in which one of ours had no update counts as one that was never c
 
 Raw UDP means blocking sockets, and the peers wait so, too. Nearly all of that time is to wake an idle core: with both
 sides polling without a pause it takes a fifth or less, which is printed and not judged. Ours looks for a datagram for
-0.2 ms at most before it sleeps, as long as that pays (see "The courier" in docs/shared-memory.md): most of what it gains
-in the round trip comes of that.
+0.2 ms at most before it sleeps, as long as that pays (see "The courier" in docs/shared-memory.md): most of what it
+gains in the round trip comes of that.
 
 Figures are medians over runs that take turns. The peers come with `pip install 'koordgen[bench]'`; without them our
 figures stand alone.
