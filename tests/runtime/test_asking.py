@@ -1,0 +1,64 @@
+"""Whom a robot asks for what it lacks, and who answers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+from msgspec.structs import replace
+
+from koordgen.runtime.network import Conditions
+from koordgen.runtime.replica import FEW
+from koordgen.runtime.wire import Need, Round, decode
+from tests.runtime.fleet import KEY, Fleet
+
+Asked = dict[float, set[int]]  # by time: whom
+
+
+def listen(fleet: Fleet, pid: int, kind: type[Need] | type[Round]) -> Asked:
+    """To whom a robot sends such messages from now on."""
+    transport, sent = fleet.robots[pid].agent._transport, Asked()
+    send = transport.send
+
+    def sends(to: Sequence[int], datagram: bytes) -> None:
+        if isinstance(decode(datagram, KEY), kind):
+            sent.setdefault(fleet.time.time, set()).update(to)
+        send(to, datagram)
+
+    transport.send = sends  # type: ignore[method-assign]
+    return sent
+
+
+def deaf(n: int) -> Asked:
+    """Whom robot 0 asks that hears nobody for two rounds."""
+    fleet = Fleet(n=n, conditions=Conditions(delay=0.001)).boot_all()
+    fleet.run_rounds(20)
+    asked = listen(fleet, 0, Need)
+    fleet.network.cut = lambda sender, receiver: receiver == 0
+    fleet.run_rounds(22)
+    return asked
+
+
+def test_few_that_lack_are_all_asked() -> None:
+    assert set(map(frozenset, deaf(FEW + 1).values())) == {frozenset(range(1, FEW + 1))}
+
+
+def test_of_many_that_lack_one_is_asked_another_each_time() -> None:
+    asked = deaf(FEW + 4)
+    assert len(asked) > 2 and {len(to) for to in asked.values()} == {1}
+    assert len(set().union(*asked.values())) == len(asked), "one after the other"
+
+
+@pytest.mark.parametrize("ahead", [0, 1])
+def test_who_has_not_closed_yet_does_not_answer(ahead: int) -> None:
+    """Its closing goes to all."""
+    fleet = Fleet(n=3, conditions=Conditions(delay=0.001)).boot_all()
+    fleet.run_rounds(20)
+    replica = fleet.robots[1].agent._replica
+    assert replica is not None and replica.memory is not None
+    memory = replica.memory
+    answers = listen(fleet, 1, Round)
+    asking = replace(replica._link._head([0]), pid=0)
+    closed = memory.held[1]
+    replica.take(Need(asking, 0, closed + ahead, memory.applied, memory.held, ()), closed + 1)
+    assert [*answers.values()] == ([] if ahead else [{0}])
