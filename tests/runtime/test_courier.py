@@ -177,6 +177,14 @@ def test_an_idle_robot_costs_little() -> None:
         assert time.process_time() - began < 0.05
 
 
+@pytest.mark.parametrize("native", BODIES)
+def test_letting_several_come_costs_little(native: bool) -> None:
+    with inbox(native) as (made, _, _, _):
+        began = time.process_time()
+        made.wait(0.3, 9, 0.3)
+        assert time.process_time() - began < 0.15
+
+
 def damaged(datagram: bytes, chance: random.Random) -> bytes:
     """As it is, cut, longer, with a bit flipped, or something else altogether."""
     at = chance.randrange(len(datagram))
