@@ -14,18 +14,18 @@ import math
 from peers_agents import KEY, program, settings
 from peers_exchange import Heard, Place
 
-from koordgen.runtime import courier
+from koordgen.runtime import courier, gate
 from koordgen.runtime.clock import Clock, FleetClock, SystemClock
 from koordgen.runtime.keeping import Keeping
 from koordgen.runtime.layout import Layout
-from koordgen.runtime.link import Link, Session
+from koordgen.runtime.link import Link, Usuals
 from koordgen.runtime.memory import Memory
 from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.opening import open_transport
 from koordgen.runtime.outbox import AHEAD
 from koordgen.runtime.patience import Patience
 from koordgen.runtime.program import Life
-from koordgen.runtime.replica import SLOTS, Replica
+from koordgen.runtime.replica import SLOTS, Replica, Talk
 from koordgen.runtime.rounds import FIRST_SLOT, GATHER, MOST_GATHER, PUBLISH, PUNCTUAL
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.store import Keeper, Store
@@ -54,7 +54,7 @@ def open_update(place: Place, native: bool = True) -> Update:
 
 def without_courier() -> None:
     """From now on this process does everything in plain Python, as where there is no compiler."""
-    courier._loaded = lambda: "not wanted"  # type: ignore[assignment]
+    courier._loaded = gate._loaded = lambda: "not wanted"  # type: ignore[assignment]
 
 
 def open_link(given: Settings, size: int, transport: Transport, clock: Clock) -> tuple[Link, Memory]:
@@ -64,10 +64,16 @@ def open_link(given: Settings, size: int, transport: Transport, clock: Clock) ->
     fleet_clock = FleetClock(pid)  # it learns; the harness goes by the host's clock, with ours and peers
     fleet_clock.lock()
     link = Link(ours, given, KEY, transport, clock, fleet_clock, boots[pid], print, Metrics(pid, n))
+    for other in range(n):
+        if other != pid:
+            link.sessions.adopt(other, boots[other])
     link.epoch = bytes(8)
-    link.sessions = {p: Session(boots[p]) for p in range(n) if p != pid}
     inits = [Closing(p, 0, 0, 0) for p in range(n)]
     return link, Memory.begin(Layout(ours.shared, n), pid, View(0, 1, (0,) * n), inits)
+
+
+def _senders(message: Talk) -> list[int]:
+    return [row.sender for row in message.rows] if isinstance(message, Usuals) else [message.head.pid]
 
 
 class Update:
@@ -76,6 +82,7 @@ class Update:
     def __init__(self, given: Settings, size: int, transport: Transport, clock: Clock) -> None:
         self._other, self._size, self._transport = 1 - given.pid, size, transport
         self._link, self._memory = open_link(given, size, transport, clock)
+        self._link.follow(self._memory.view)
         self._round = self._told = 0
         self.missed: list[int] = []  # none ever: nothing is lost between two processes that take turns
 
@@ -92,7 +99,11 @@ class Update:
         self._transport.wait(seconds)
         memory, other, told, found = self._memory, self._other, self._told, Heard()
         for message in self._link.receive():
-            if isinstance(message, Round):
+            if isinstance(message, Usuals):
+                memory.usual(message.rows, message.view, max(self._round, 1))
+                if message.rows[0].round == 0:
+                    found.append((other, 0))
+            elif isinstance(message, Round):
                 for closing in message.closings:
                     memory.take(closing, max(self._round, 1))
                 through, present = max(0, message.round - 1), max(self._round, 1)
@@ -202,7 +213,7 @@ class SharedMemory:
             if not isinstance(message, Hello):
                 self._replica.take(message, max(self._round, 1))
                 if self._round == 0:
-                    found.append((message.head.pid, 0))
+                    found.extend((pid, 0) for pid in _senders(message))
         memory = self._replica.memory
         if messages and memory is not None:
             for pid, held in enumerate(memory.held):

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import ctypes
 import mmap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
+from typing import overload
 
 from koordgen.runtime.native import NotCompiled, load
 from koordgen.runtime.transport import MOST_AT_ONCE
@@ -90,6 +91,34 @@ def _declare(found: ctypes.CDLL) -> None:
         function.restype, function.argtypes = result, arguments
 
 
+class Slots(Sequence[bytes]):
+    """Datagrams as C received them: in the first `used` slots, LARGEST bytes apart from address `at` on, so many bytes
+    in each as `lengths` say (-1: nothing for us). To be read before the inbox waits or receives again."""
+
+    def __init__(self, slots: mmap.mmap, at: int, lengths: ctypes.Array[ctypes.c_int32], used: int) -> None:
+        self._slots = slots
+        self.at, self.lengths, self.used = at, lengths, used
+
+    def __len__(self) -> int:
+        return sum(length >= 0 for length in self.lengths[: self.used])
+
+    @overload
+    def __getitem__(self, index: int) -> bytes: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[bytes]: ...
+    def __getitem__(self, index: int | slice) -> bytes | list[bytes]:
+        return list(self)[index]
+
+    def __iter__(self) -> Iterator[bytes]:
+        for slot in range(self.used):
+            if self.lengths[slot] >= 0:
+                yield self.slot(slot)
+
+    def slot(self, number: int) -> bytes:
+        at = number * LARGEST
+        return self._slots[at : at + self.lengths[number]]
+
+
 class CompiledInbox:
     """See inbox.Inbox. Its memory is Python's own, so nothing is to be given back."""
 
@@ -103,8 +132,8 @@ class CompiledInbox:
         self._used = -1  # slots that hold what was not taken; -1: nobody has looked
         self._wait, self._receive = found.courier_wait, found.courier_receive
         self._sent, self._close = found.courier_sent, found.courier_close
-        slots = ctypes.addressof(ctypes.c_char.from_buffer(self._slots))
-        found.courier_open(self.at, slots, (ctypes.c_int32 * len(sockets))(*sockets), len(sockets))
+        self._place = ctypes.addressof(ctypes.c_char.from_buffer(self._slots))
+        found.courier_open(self.at, self._place, (ctypes.c_int32 * len(sockets))(*sockets), len(sockets))
 
     def sent(self, datagram: bytes) -> None:
         self._sent(self.at, datagram, len(datagram))
@@ -112,7 +141,7 @@ class CompiledInbox:
     def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
         self._used = self._wait(self.at, seconds, expected, gather, self._used > 0)
 
-    def receive(self) -> list[bytes]:
+    def receive(self) -> Sequence[bytes]:
         count = self._used if self._used >= 0 else self._receive(self.at)  # waiting has looked already
         self._used = -1
         shown = self.shown
@@ -120,14 +149,7 @@ class CompiledInbox:
             for number in shown.error[: shown.errors]:
                 self._trouble(number)
             shown.errors = 0
-        slots = self._slots
-        at = 0
-        taken = []
-        for length in self._length[:count]:
-            if length >= 0:  # else an echo
-                taken.append(slots[at : at + length])
-            at += LARGEST
-        return taken
+        return Slots(self._slots, self._place, self._length, count) if count else []
 
     def close(self) -> None:
         self._used = -1

@@ -27,7 +27,7 @@ class Inbox(Protocol):
         """See Transport."""
         ...
 
-    def receive(self) -> list[bytes]:
+    def receive(self) -> Sequence[bytes]:
         """See Transport."""
         ...
 

@@ -7,16 +7,18 @@ interface and program, fresh, and of this mission; what is not is dropped and co
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
+from koordgen.runtime import gate
 from koordgen.runtime.clock import Clock, FleetClock
+from koordgen.runtime.gate import Gate, Lesson, Usual
 from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.pieces import cut, lacking
 from koordgen.runtime.program import Program
-from koordgen.runtime.seal import MEMORY, seal, unseal_all
+from koordgen.runtime.seal import MAC_SIZE, MEMORY, seal, unseal_all
+from koordgen.runtime.sessions import Sessions
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.transport import Transport
 from koordgen.runtime.wire import (
@@ -31,6 +33,7 @@ from koordgen.runtime.wire import (
     Partly,
     Piece,
     Round,
+    View,
     encode,
     encoder,
     opened,
@@ -38,45 +41,30 @@ from koordgen.runtime.wire import (
     pack,
 )
 
-REPLAY_WINDOW = 1024  # datagrams that may arrive out of order
 REFERENCE_EVERY, OTHERS_EVERY = 0.05, 1.0  # seconds between exchanges that the clock learns from
 ECHOES_A_LESSON = 2  # so many echoes are sent for each of them: some are lost
 MOST_DATAGRAMS = 4  # to one peer for one catch-up
 MOST_PIECES_AT_ONCE = 16
-_WINDOW_MASK = (1 << REPLAY_WINDOW) - 1
 NOTHING: Mapping[int, Partly] = MappingProxyType({})
+
+_REASONS = {gate.FALSE: "not authentic", gate.TOO_LONG: "oversize", gate.REPLAYED: "replayed"}
 
 Fields = tuple[int, int, int, int, bool, tuple[int, ...]]  # of Round, between its head and its closings
 
 
-@dataclass(slots=True)
-class Session:
-    """One boot of a peer: the newest sequence number, a bit for each of the last ones that arrived, and when the newest
-    datagram was `sent`, -1 for none, and `arrived` here (microseconds)."""
+class Usuals(NamedTuple):
+    """Usual datagrams as they came one after the other, when the view of this number was the present one."""
 
-    boot: bytes
-    newest: int = 0
-    seen: int = 0
-    sent: int = -1
-    arrived: int = 0
-    timed: float = float("-inf")  # when the clock last learned from it
-    round: int = 0  # the latest in which it said to be
+    view: int
+    rows: list[Usual]
 
-    def fresh(self, sequence: int) -> bool:
-        """Take a sequence number; False when it was taken before or is older than the window."""
-        ahead = sequence - self.newest
-        if ahead > 0:
-            self.seen = 1 if ahead >= REPLAY_WINDOW else (self.seen << ahead | 1) & _WINDOW_MASK
-            self.newest = sequence
-            return True
-        if -ahead >= REPLAY_WINDOW or self.seen >> -ahead & 1:
-            return False
-        self.seen |= 1 << -ahead
-        return True
+
+Heard = Message | Usuals
 
 
 class Link:
-    """`report` gets what the people at the robots must know, once for each peer."""
+    """`report` gets what the people at the robots must know, once for each peer. `native`: with the gate, where it can
+    be compiled."""
 
     def __init__(
         self,
@@ -89,19 +77,24 @@ class Link:
         boot: bytes,
         report: Callable[[str], None],
         metrics: Metrics,
+        native: bool = True,
     ) -> None:
         self.metrics = metrics
         self.pid = settings.pid
         self.boot = boot
-        self.epoch = b""
         self.rejected: dict[str, int] = {}
-        self.sessions: dict[int, Session] = {}
+        self.sessions = Sessions(len(settings.peers))
         self.strangers: set[int] = set()  # robots of this mission of whom another boot speaks than the one adopted
         self._names = [p.name for p in settings.peers]
         self._application = settings.application_id
         self._interface = bytes.fromhex(program.interface_hash)
         self._program = bytes.fromhex(program.program_hash)
         self._key = key
+        found = gate.library() if native else None
+        columns = {**self.sessions.columns(), **metrics.columns()}
+        self._gate = None if found is None else Gate(found, len(settings.peers), self.pid, columns, key, MEMORY)
+        self._view = -1  # the present one's number
+        self._epoch = b""
         self._transport = transport
         self._clock = clock
         self._fleet_clock = fleet_clock
@@ -147,45 +140,104 @@ class Link:
         for index, batch in enumerate(self._batches(small)):
             self._send(to, Round(self._head(to) if index else head, *word, batch))
 
-    def receive(self) -> list[Message]:
+    @property
+    def epoch(self) -> bytes:
+        """The mission's; empty before there is one."""
+        return self._epoch
+
+    @epoch.setter
+    def epoch(self, epoch: bytes) -> None:
+        self._epoch = epoch
+        self._introduce(self.sessions.boots)
+
+    def follow(self, view: View) -> None:
+        """From now on this view is the present one."""
+        self._view = view.number
+        if self._gate is not None:
+            self._gate.follow(view.number, view.members)
+
+    def receive(self) -> list[Heard]:
         """What arrived and may be listened to. A Hello of a boot that was not adopted is among it: `joining` judges."""
         datagrams = self._transport.receive()
         if not datagrams:
             return []
         local = self._clock.now()  # all of them have arrived by now
-        stamp, fleet = _microseconds(local), self._fleet_clock.read(local) if self._fleet_clock.known else None
-        accepted = []
-        for datagram, payload in zip(datagrams, unseal_all(self._key, MEMORY, datagrams), strict=True):
+        fleet = self._fleet_clock.read(local) if self._fleet_clock.known else None
+        if self._gate is None:
+            return self._heard(zip(datagrams, unseal_all(self._key, MEMORY, datagrams), strict=True), local, fleet)
+        usual, verdicts = self._gate.take(datagrams, local, fleet)
+        for row in usual or ():
+            if row.lesson is not None:
+                self._learn(row.sender, row.lesson, local)
+        if not verdicts and usual:
+            return [Usuals(self._view, usual)]
+        return self._sorted(datagrams, usual, verdicts, local, fleet)
+
+    def _heard(self, datagrams: Iterable[tuple[bytes, bytes | None]], local: float, fleet: float | None) -> list[Heard]:
+        """Of datagrams with their payloads those that may be listened to."""
+        accepted: list[Heard] = []
+        for datagram, payload in datagrams:
             message = opened(len(datagram), payload)
             if isinstance(message, str):
                 self.reject(message)
-            elif self._admit(message, local, stamp, fleet):
+            elif self._admit(message, local, fleet):
                 accepted.append(message)
         return accepted
+
+    def _sorted(self, datagrams: Sequence[bytes], usual: list[Usual] | None, verdicts: Sequence[int], local: float,
+                fleet: float | None) -> list[Heard]:  # fmt: skip
+        """The same of what the gate has judged, as it arrived."""
+        found: list[Heard] = []
+        run: list[Usual] = []
+        rows = iter(usual or ())
+        for datagram, verdict in zip(datagrams, [v for v in verdicts if v != gate.NOTHING], strict=True):
+            if verdict == gate.USUAL and usual is not None:
+                if not run:
+                    found.append(Usuals(self._view, run))
+                run.append(next(rows))
+                continue
+            if verdict in _REASONS:
+                self.reject(_REASONS[verdict])
+                continue
+            message = opened(len(datagram), datagram[:-MAC_SIZE])
+            if isinstance(message, str):
+                self.reject(message)
+            elif verdict == gate.USUAL or self._admit(message, local, fleet):
+                found.append(message)
+                run = []
+        return found
 
     def adopt(self, hello: Hello) -> None:
         """From now on this boot of the peer is the one that counts."""
         head, now = hello.head, _microseconds(self._clock.now())
-        # What it sent before is old news, perhaps recorded.
-        self.sessions[head.pid] = Session(head.boot, head.sequence, _WINDOW_MASK, head.sent, now)
+        self.sessions.adopt(head.pid, head.boot, head.sequence, head.sent, now)
+        self._introduce([head.pid])
 
     def is_adopted(self, hello: Hello) -> bool:
-        session = self.sessions.get(hello.head.pid)
-        return session is not None and session.boot == hello.head.boot
+        return self.sessions.boots.get(hello.head.pid) == hello.head.boot
+
+    def _introduce(self, pids: Iterable[int]) -> None:
+        """Let the gate know these peers in this mission."""
+        if self._gate is None:
+            return
+        head = Head(self._application, self._interface, self._program, self.pid, self.boot, self.epoch, 0, 0, None, ())
+        common = pack(Round(head, 0, 0, 0, 0, False, (), ()))
+        until = common.index(encoder.encode(self.boot)) - 1  # the pid is one byte
+        self._gate.begin(common[:until] if self.epoch else b"")
+        for pid in pids:
+            self._gate.adopt(pid, encoder.encode(self.sessions.boots[pid]) + encoder.encode(self.epoch))
 
     def reject(self, reason: str) -> None:
         self.rejected[reason] = self.rejected.get(reason, 0) + 1
 
-    def _admit(self, message: Message, local: float, stamp: int, fleet: float | None) -> bool:
+    def _admit(self, message: Message, local: float, fleet: float | None) -> bool:
         """Whether it may be listened to; if so, its stamps have been learned from."""
         head = message.head
-        session = self.sessions.get(head.pid)
-        if session is not None and session.boot != head.boot:
-            session = None
-        reason = None if session is not None and self._is_usual(message) else self._strange(message, session)
-        if reason is None and session is not None:
-            if session.fresh(head.sequence):
-                self._stamps(session, message, local, stamp, fleet)
+        adopted = self.sessions.boots.get(head.pid) == head.boot
+        reason = None if adopted and self._is_usual(message) else self._strange(message, adopted)
+        if reason is None and adopted:
+            if self.sessions.fresh(head.pid, head.sequence):
+                self._stamps(message, local, fleet)
             else:
                 reason = "replayed"
         if reason is None:
@@ -201,8 +253,8 @@ class Link:
         same = ours and head.application == self._application and head.epoch == epoch
         return same and epoch != b"" and not isinstance(message, Hello)
 
-    def _strange(self, message: Message, session: Session | None) -> str | None:
-        """Why it is not listened to; `session` is that of its boot, if that is adopted."""
+    def _strange(self, message: Message, adopted: bool) -> str | None:
+        """Why it is not listened to; `adopted`: its boot is."""
         head = message.head
         reason = self._foreign(head)
         if reason is not None:
@@ -211,7 +263,7 @@ class Link:
             return None if message.to == self.pid else "for another robot"
         if not self.epoch or head.epoch != self.epoch:
             return "another mission"
-        if session is None:
+        if not adopted:
             self.strangers.add(head.pid)
             return "another boot"
         return None
@@ -236,30 +288,28 @@ class Link:
             )
         return what
 
-    def _stamps(self, session: Session, message: Message, local: float, stamp: int, fleet: float | None) -> None:
-        """Learn from a datagram that was here at `local`, which is `stamp` in microseconds and `fleet` by the fleet's
-        clock."""
-        head = message.head
-        sent = head.sent
-        if sent > session.sent:
-            session.sent, session.arrived = sent, stamp
-        if head.echoes:
-            self._learn(session, head, local, stamp)
-        if isinstance(message, Round) and message.round > session.round:
-            ahead = message.round - session.round if session.round else 1
-            session.round = message.round
-            delay = None if fleet is None or head.fleet is None else fleet - (sent + head.fleet) / 1e6
-            self.metrics.heard(head.pid, ahead, delay, local)
-
-    def _learn(self, session: Session, head: Head, local: float, stamp: int) -> None:
-        clock = self._fleet_clock
-        if local - session.timed < (REFERENCE_EVERY if head.pid == clock.reference else OTHERS_EVERY):
-            return
-        now, fleet = stamp / 1e6, None if head.fleet is None else head.fleet / 1e6
+    def _stamps(self, message: Message, local: float, fleet: float | None) -> None:
+        """Learn from a datagram that was here at `local`, which is `fleet` by the fleet's clock."""
+        head, sessions = message.head, self.sessions
+        pid, sent = head.pid, head.sent
+        if sent > sessions.sent[pid]:
+            sessions.sent[pid], sessions.arrived[pid] = sent, _microseconds(local)
         for echo in head.echoes:
             if echo.pid == self.pid:
-                session.timed = local
-                clock.take(head.pid, echo.sent / 1e6, echo.received / 1e6, head.sent / 1e6, now, fleet)
+                self._learn(pid, Lesson(echo.sent, echo.received, sent, head.fleet), local)
+        if isinstance(message, Round) and message.round > sessions.round[pid]:
+            before, sessions.round[pid] = sessions.round[pid], message.round
+            delay = None if fleet is None or head.fleet is None else fleet - (sent + head.fleet) / 1e6
+            self.metrics.heard(pid, message.round - before if before else 1, delay, local)
+
+    def _learn(self, pid: int, lesson: Lesson, local: float) -> None:
+        """From what this peer heard of us and answered, here at `local`."""
+        clock, timed = self._fleet_clock, self.sessions.timed
+        if local - timed[pid] < (REFERENCE_EVERY if pid == clock.reference else OTHERS_EVERY):
+            return
+        timed[pid] = local
+        now, fleet = _microseconds(local) / 1e6, None if lesson.fleet is None else lesson.fleet / 1e6
+        clock.take(pid, lesson.sent / 1e6, lesson.received / 1e6, lesson.answered / 1e6, now, fleet)
 
     def _head(self, to: Collection[int], every: float | None = None) -> Head:
         self._sequence += 1
@@ -285,13 +335,13 @@ class Link:
             reference = self._fleet_clock.reference == self.pid
             every = (REFERENCE_EVERY if reference else OTHERS_EVERY) / ECHOES_A_LESSON
         sessions, echoed = self.sessions, self._echoed
-        due = [p for p in to if now - echoed.get(p, -math.inf) >= every and p in sessions]
-        if len(due) <= MAX_ECHOES and len(to) == len(sessions):  # nobody is left
+        due = [p for p in to if now - echoed.get(p, -math.inf) >= every and p in sessions.boots]
+        if len(due) <= MAX_ECHOES and len(to) == len(sessions.boots):  # nobody is left
             self._next_echo = now + every / ECHOES_A_LESSON
         if len(due) > MAX_ECHOES:
             due = sorted(due, key=lambda p: (echoed.get(p, -math.inf), p))[:MAX_ECHOES]
         echoed.update(dict.fromkeys(due, now))
-        return tuple([Echo(p, s.sent, s.arrived) for p in due if (s := sessions[p]).sent >= 0])
+        return tuple([Echo(p, sent, sessions.arrived[p]) for p in due if (sent := sessions.sent[p]) >= 0])
 
     def _pieces(self, to: Collection[int], closing: Closing, blob: bytes, known: Partly | None) -> None:
         pieces = cut(blob, self.room)

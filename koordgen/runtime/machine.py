@@ -17,7 +17,7 @@ from koordgen.runtime.joining import Joining
 from koordgen.runtime.journal import Emit, Journal
 from koordgen.runtime.keeping import Keeping
 from koordgen.runtime.layout import Layout
-from koordgen.runtime.link import Link
+from koordgen.runtime.link import Heard, Link
 from koordgen.runtime.memory import Memory
 from koordgen.runtime.metrics import Metrics, tally
 from koordgen.runtime.monitor import Monitors
@@ -33,7 +33,7 @@ from koordgen.runtime.store import Keeper
 from koordgen.runtime.trace import Observe, Trace
 from koordgen.runtime.transport import Transport
 from koordgen.runtime.views import Vote
-from koordgen.runtime.wire import Closing, Hello, Message, View, encoder
+from koordgen.runtime.wire import Closing, Hello, View, encoder
 
 OK, WRONG_PROGRAM, VIOLATED, SURROUNDINGS, INTERNAL = 0, 1, 3, 5, 70
 LOST_BODY = 10.0  # seconds that a body which is lost for good is still tried to be brought to rest
@@ -196,7 +196,7 @@ class Agent:
         self._begin_rounds(now)
         return wake
 
-    def _hear(self, messages: Sequence[Message], fleet: float | None) -> None:
+    def _hear(self, messages: Sequence[Heard], fleet: float | None) -> None:
         """Take what has arrived; `fleet` is the fleet time, which nobody asks for once the rounds have begun."""
         for message in messages:
             if isinstance(message, Hello):

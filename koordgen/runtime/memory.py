@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from koordgen.runtime.course import Course
+from koordgen.runtime.gate import Usual
 from koordgen.runtime.layout import Layout, Unpatched
 from koordgen.runtime.log import GAPS, Entry, Log, detached
 from koordgen.runtime.views import majority
@@ -207,6 +208,36 @@ class Memory:
         if log.held > self.applied:
             self._lacking.discard(author)
         return None
+
+    def usual(self, rows: Sequence[Usual], view: int, present: int) -> list[str]:
+        """`take` and `heard` for each of many datagrams from robots in this view; what was refused. Of nearly all only
+        the few steps are left that make a difference."""
+        refused: list[str | None] = []
+        single = self._course.single and view == self.view.number
+        logs, words, members, last = self._logs, self._words, self.view.members, present + AHEAD
+        for row in rows:
+            sender, round_, applied, settled = row.sender, row.round, row.applied, row.settled
+            closing, through = row.closing, round_ - 1 if round_ else 0
+            if closing is not None:
+                log = logs[sender]
+                next_ = single and closing.incarnation == members[sender] and log.held + 1 == round_ <= last
+                if next_ and len(log.entries) < RECENT and (values := self._layout.read(closing)) is not None:
+                    log.take(Entry(closing, values))
+                    if log.held > self.applied:
+                        self._lacking.discard(sender)
+                else:
+                    refused.append(self.take(closing, present))
+            word = words[sender]
+            content = single and word.view == view and word.answered and through <= applied <= last
+            if content and not row.held and applied >= word.applied and settled <= self.settled:
+                if applied >= self._watched > word.applied:
+                    self._reached += 1
+                word.applied = applied
+                if through > word.through:
+                    word.through = through
+            else:
+                refused.append(self.heard(sender, view, applied, row.held, through, settled, present, asks=False))
+        return [why for why in refused if why is not None]
 
     def holds(self, through: int) -> bool:
         """Whether the closings of all members are here up to a round."""

@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
-_PER_OCTAVE = 8  # buckets: a quantile is right within 9 %
+PER_OCTAVE = 8  # buckets: a quantile is right within 9 %
 _SHORTEST = 1e-6  # seconds
-_BUCKETS = 32 * _PER_OCTAVE  # up to more than an hour
-_RECENT = 512  # datagrams after which older ones count half
+BUCKETS = 32 * PER_OCTAVE  # up to more than an hour
+RECENT = 512  # datagrams after which older ones count half
 
 
 class Histograms:
@@ -21,16 +21,19 @@ class Histograms:
     __slots__ = ("_buckets", "_most")
 
     def __init__(self, kinds: int = 1) -> None:
-        self._buckets = array("L", bytes(array("L").itemsize * _BUCKETS * kinds))
+        self._buckets = array("Q", bytes(8 * BUCKETS * kinds))
         self._most = array("d", bytes(8 * kinds))
 
     def add(self, seconds: float, kind: int = 0) -> None:
         if not -math.inf < seconds < math.inf:
             return
-        index = int(_PER_OCTAVE * math.log2(seconds / _SHORTEST)) if seconds > _SHORTEST else 0
-        self._buckets[kind * _BUCKETS + (index if index < _BUCKETS else _BUCKETS - 1)] += 1
+        index = int(PER_OCTAVE * math.log2(seconds / _SHORTEST)) if seconds > _SHORTEST else 0
+        self._buckets[kind * BUCKETS + (index if index < BUCKETS else BUCKETS - 1)] += 1
         if seconds > self._most[kind]:
             self._most[kind] = seconds
+
+    def columns(self) -> Mapping[str, array[int] | array[float]]:
+        return {"delays": self._buckets, "most": self._most}
 
     def count(self, kind: int = 0) -> int:
         return sum(self._of(kind))
@@ -41,7 +44,7 @@ class Histograms:
         for index, count in enumerate(self._of(kind)):
             seen += count
             if seen >= wanted:
-                return min(most, _SHORTEST * 2 ** ((index + 1) / _PER_OCTAVE))
+                return min(most, _SHORTEST * 2 ** ((index + 1) / PER_OCTAVE))
         return most
 
     def snapshot(self, kind: int = 0) -> dict[str, float]:
@@ -52,7 +55,7 @@ class Histograms:
         return {name: round(seconds * 1e3, 3) for name, seconds in found.items()}
 
     def _of(self, kind: int) -> array[int]:
-        return self._buckets[kind * _BUCKETS : (kind + 1) * _BUCKETS]
+        return self._buckets[kind * BUCKETS : (kind + 1) * BUCKETS]
 
 
 @dataclass(slots=True)
@@ -105,7 +108,7 @@ class Metrics:
         self._received[pid] += 1
         if ahead > 0:
             self._expected[pid] += ahead
-            if self._expected[pid] > _RECENT:
+            if self._expected[pid] > RECENT:
                 self._expected[pid] //= 2
                 self._received[pid] //= 2
         if delay is not None:
@@ -114,6 +117,11 @@ class Metrics:
         self._heard[pid] = now
         if self._longest[pid] < silent < math.inf:
             self._longest[pid] = silent
+
+    def columns(self) -> Mapping[str, array[int] | array[float]]:
+        """Those that `heard` changes, and the gate too (gate.c)."""
+        counts = {"received": self._received, "expected": self._expected}
+        return {**counts, "heard": self._heard, "longest": self._longest, **self._delays.columns()}
 
     def held(self, rounds: Sequence[int]) -> None:
         """All closings of each robot are here up to these rounds, by pid."""

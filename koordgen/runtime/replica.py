@@ -13,7 +13,7 @@ from typing import Any
 from koordgen.runtime.assembly import Assembly
 from koordgen.runtime.comeback import Comeback, Store
 from koordgen.runtime.layout import Layout
-from koordgen.runtime.link import Fields, Link
+from koordgen.runtime.link import Fields, Link, Usuals
 from koordgen.runtime.memory import Memory
 from koordgen.runtime.views import Out, Views, Vote, Word, fits, majority
 from koordgen.runtime.wire import (
@@ -83,6 +83,7 @@ class Replica:
         self._spare: Memory | None = None  # at the beginning of a view that left this robot out: all others may lose it
         self.comeback = None if memory is not None else Comeback(self._pid, view.number)
         self.views = Views(self._pid, view, vote, self._own_word, self._holds, self._follow, self._save)
+        self._link.follow(view)
         self.emergency = False  # heard of one
         self.returns = 0  # times that the store became another one, or none, instead of going on
 
@@ -174,10 +175,13 @@ class Replica:
         return pids if len(pids) <= FEW else [pids[self._turn % len(pids)]]
 
     def take(self, message: Talk, present: int) -> None:
-        """A message of this mission, heard in round `present`."""
+        """A message of this mission, heard in round `present`, or several usual ones."""
+        if isinstance(message, Usuals):  # nearly all
+            self._usual(message, present)
+            return
         sender = message.head.pid
         self._peers[sender].heard = self._tick
-        if isinstance(message, Round):  # nearly all
+        if isinstance(message, Round):
             self._round(sender, message, present)
             return
         match message:
@@ -256,6 +260,19 @@ class Replica:
     def _send(self, outs: Collection[Out]) -> None:
         for to, kind, fields in outs:
             self._link.say(to, kind, *fields)
+
+    def _usual(self, messages: Usuals, present: int) -> None:
+        """The same as `_round` of each."""
+        view, rows = messages
+        peers, tick = self._peers, self._tick
+        for row in rows:
+            peers[row.sender].heard = tick
+        if view < self.views.view.number:
+            for row in rows:
+                self._tell(row.sender, view)
+        if self.memory is not None:
+            for refused in self.memory.usual(rows, view, present):
+                self._link.reject(refused)
 
     def _round(self, sender: int, message: Round, present: int) -> None:
         if message.view < self.views.view.number:
@@ -350,6 +367,7 @@ class Replica:
     def _follow(self, before: View) -> None:
         """There is another view."""
         view, memory, own = self.views.view, self.memory, self.views.view.members[self._pid]
+        self._link.follow(view)
         following = view.number == before.number + 1
         if memory is not None and following and own == before.members[self._pid]:
             memory.adopt(view)

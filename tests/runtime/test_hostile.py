@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 
 from koordgen.runtime import wire
 from koordgen.runtime.bounds import Fixed
-from koordgen.runtime.link import Session
 from koordgen.runtime.program import Program, Variable
 from koordgen.runtime.seal import MEMORY, POSITION, seal, unseal
 from koordgen.runtime.values import Point
@@ -61,7 +60,7 @@ def snapshot(robot: Robot) -> Any:
         memory.settled,
         memory.applied,
         memory.shared,
-        str(agent._link.sessions),
+        (dict(agent._link.sessions.boots), str(agent._link.sessions.columns())),
         agent._link.epoch,
         list(agent._fleet_clock._exchanges),
         str(agent._joining._others),
@@ -165,9 +164,8 @@ def test_what_looks_usual_is_judged_no_other_way(tap: Wiretap, data: st.DataObje
     epoch, link.epoch = link.epoch, data.draw(st.sampled_from((link.epoch, b"")))
     strangers = set(link.strangers)
     try:
-        session = link.sessions.get(head.pid)
-        session = session if session is not None and session.boot == head.boot else None
-        assert session is None or not link._is_usual(message) or link._strange(message, session) is None
+        adopted = link.sessions.boots.get(head.pid) == head.boot
+        assert not adopted or not link._is_usual(message) or link._strange(message, adopted) is None
     finally:
         link.epoch, link.strangers = epoch, strangers
 
@@ -397,18 +395,3 @@ def test_a_closing_of_a_flood_is_kept_only_up_to_a_bound() -> None:
     assert rounds._replica.memory is not None
     assert sum(len(log.later) + len(log.entries) for log in rounds._replica.memory._logs) < 100
     assert len(link.rejected) < 20
-
-
-@given(st.lists(st.integers(1, 3000), max_size=300))
-def test_a_sequence_number_is_taken_once(sequences: list[int]) -> None:
-    session = Session(b"")
-    taken: set[int] = set()
-    for sequence in sequences:
-        fresh = session.fresh(sequence)
-        assert not (fresh and sequence in taken)
-        newest = max(taken, default=0)
-        if sequence not in taken and sequence > newest - 1024 and sequence > 0:
-            assert fresh
-        if fresh:
-            taken.add(sequence)
-        assert session.seen < 1 << 1024

@@ -1,0 +1,406 @@
+/* The gate of one robot's shared memory: which datagrams are genuine and new, and the usual ones' way in.
+
+   Usual is what nearly all datagrams are: the word (wire.Round) of an adopted boot of a peer, in the present view, with
+   its closing of that very round, or with none. It is checked, counted, and
+   handed on as MessagePack (gate.Usual); what of it makes sense to the memory is not asked here. All else that is
+   genuine is left to Python (link.py), which does the same to the usual ones where there is no compiler; tests compare
+   the two. Nothing of a datagram is looked at before its MAC was found right.
+
+   It allocates nothing, and writes only to what its caller, gate.py, gave it: the columns of sessions.py and metrics.py,
+   an entry for each robot. The compiler is told by gate.py: LIMIT, LARGEST, MOST_AT_ONCE, MAC_SIZE, MAX_ROBOTS, MAX_ECHOES,
+   WORDS, BUCKETS, PER_OCTAVE, RECENT. C99. */
+
+#include <math.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+enum { BLOCK = 64, PURPOSE = 8, WINDOW = 64 * (WORDS - 1), MOST_COMMON = 64, TAIL = 20, WORD_FIELDS = 9 };
+enum { USUAL, OTHER, FALSE, TOO_LONG, REPLAYED, NOTHING }; /* verdicts */
+
+static const int64_t TOP = (int64_t)1 << 53; /* the largest number in a datagram */
+static const double SHORTEST = 1e-6;         /* s that a histogram tells apart */
+
+typedef struct { /* entries by pid; see sessions.py and metrics.py */
+    int64_t *newest, *sent, *arrived, *round;
+    uint64_t *seen; /* WORDS of each */
+    int64_t *received, *expected;
+    double *heard, *longest;
+    uint64_t *delays; /* BUCKETS of each */
+    double *most;
+} Columns;
+
+typedef struct { /* what gate.py reads, field by field */
+    int32_t others;                /* datagrams that are not usual */
+    int32_t bytes;                 /* of `rows` */
+    uint8_t verdict[MOST_AT_ONCE]; /* of each slot */
+    uint8_t *rows;                 /* MessagePack: an array of gate.Usual */
+} Shown;
+
+typedef struct {
+    int32_t adopted;
+    uint8_t tail[TAIL]; /* boot and epoch, as they are encoded */
+    int64_t incarnation;
+} Peer;
+
+typedef struct {
+    Shown shown;
+    uint32_t keyed[8];            /* the hash with the key already in it */
+    uint32_t keyed_bytes;
+    Columns columns;
+    int32_t robots, own;          /* pid */
+    int32_t common_bytes;
+    uint8_t common[MOST_COMMON];  /* how a word of this mission begins, up to its sender */
+    int64_t view;
+    Peer peer[MAX_ROBOTS];
+} Gate;
+
+typedef struct {
+    const uint8_t *at;
+    size_t bytes;
+} Text;
+
+typedef struct { /* of a usual datagram */
+    int32_t pid;
+    int64_t sequence, sent, fleet, round, applied, settled;
+    int known; /* whether there is a `fleet` */
+    int echoed; /* whether there is an echo of ours: of what we `uttered`, which the peer `heard` */
+    int64_t uttered, heard;
+    Text held, closing; /* as they came; empty: there is none */
+} Word;
+
+typedef struct {
+    const uint8_t *at, *end;
+} Reader;
+
+/* BLAKE2s, RFC 7693. */
+
+static const uint32_t START[8] = {0x6a09e667, 0xbb67ae85, 0x3c6ef372, 0xa54ff53a,
+                                  0x510e527f, 0x9b05688c, 0x1f83d9ab, 0x5be0cd19};
+static const uint8_t SIGMA[10][16] = {
+    {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15}, {14, 10, 4, 8, 9, 15, 13, 6, 1, 12, 0, 2, 11, 7, 5, 3},
+    {11, 8, 12, 0, 5, 2, 15, 13, 10, 14, 3, 6, 7, 1, 9, 4}, {7, 9, 3, 1, 13, 12, 11, 14, 2, 6, 5, 10, 4, 0, 15, 8},
+    {9, 0, 5, 7, 2, 4, 10, 15, 14, 1, 11, 12, 6, 8, 3, 13}, {2, 12, 6, 10, 0, 11, 8, 3, 4, 13, 7, 5, 15, 14, 1, 9},
+    {12, 5, 1, 15, 14, 13, 4, 10, 0, 7, 6, 3, 9, 2, 8, 11}, {13, 11, 7, 14, 12, 1, 3, 9, 5, 0, 15, 4, 8, 6, 2, 10},
+    {6, 15, 14, 9, 11, 3, 0, 8, 12, 2, 13, 7, 1, 4, 10, 5}, {10, 2, 8, 4, 7, 6, 1, 5, 15, 11, 9, 14, 3, 12, 13, 0}};
+
+static uint32_t turned(uint32_t word, int bits) { return word >> bits | word << (32 - bits); }
+
+static uint32_t little(const uint8_t *at) {
+    return (uint32_t)at[0] | (uint32_t)at[1] << 8 | (uint32_t)at[2] << 16 | (uint32_t)at[3] << 24;
+}
+
+static void mix(uint32_t v[16], int a, int b, int c, int d, uint32_t x, uint32_t y) {
+    v[a] += v[b] + x;
+    v[d] = turned(v[d] ^ v[a], 16);
+    v[c] += v[d];
+    v[b] = turned(v[b] ^ v[c], 12);
+    v[a] += v[b] + y;
+    v[d] = turned(v[d] ^ v[a], 8);
+    v[c] += v[d];
+    v[b] = turned(v[b] ^ v[c], 7);
+}
+
+/* One block into the hash; `count` bytes were taken with it, fewer than 2^32 in all. */
+static void compress(uint32_t hash[8], const uint8_t block[BLOCK], uint32_t count, int last) {
+    uint32_t m[16], v[16];
+    for (int i = 0; i < 16; i++) m[i] = little(block + 4 * i);
+    for (int i = 0; i < 8; i++) v[i] = hash[i], v[i + 8] = START[i];
+    v[12] ^= count;
+    if (last) v[14] = ~v[14];
+    for (int i = 0; i < 10; i++) {
+        const uint8_t *s = SIGMA[i];
+        mix(v, 0, 4, 8, 12, m[s[0]], m[s[1]]);
+        mix(v, 1, 5, 9, 13, m[s[2]], m[s[3]]);
+        mix(v, 2, 6, 10, 14, m[s[4]], m[s[5]]);
+        mix(v, 3, 7, 11, 15, m[s[6]], m[s[7]]);
+        mix(v, 0, 5, 10, 15, m[s[8]], m[s[9]]);
+        mix(v, 1, 6, 11, 12, m[s[10]], m[s[11]]);
+        mix(v, 2, 7, 8, 13, m[s[12]], m[s[13]]);
+        mix(v, 3, 4, 9, 14, m[s[14]], m[s[15]]);
+    }
+    for (int i = 0; i < 8; i++) hash[i] ^= v[i] ^ v[i + 8];
+}
+
+/* The hash before the first byte of a datagram; `key` has 0 to 32 bytes. */
+static void prepare(Gate *gate, const uint8_t *key, uint32_t key_bytes, const uint8_t purpose[PURPOSE]) {
+    uint8_t block[BLOCK] = {0};
+    memcpy(gate->keyed, START, sizeof START);
+    gate->keyed[0] ^= 0x01010000u ^ key_bytes << 8 ^ MAC_SIZE;
+    gate->keyed[6] ^= little(purpose);
+    gate->keyed[7] ^= little(purpose + 4);
+    gate->keyed_bytes = key_bytes ? BLOCK : 0;
+    if (!key_bytes) return;
+    memcpy(block, key, key_bytes);
+    compress(gate->keyed, block, BLOCK, 0);
+}
+
+/* Whether the MAC at its end is right; something must be before it. */
+static int is_genuine(const Gate *gate, const uint8_t *datagram, int32_t length) {
+    int32_t rest = length - MAC_SIZE;
+    if (rest <= 0) return 0;
+    uint32_t hash[8], count = gate->keyed_bytes;
+    memcpy(hash, gate->keyed, sizeof hash);
+    const uint8_t *at = datagram;
+    for (; rest > BLOCK; rest -= BLOCK, at += BLOCK) compress(hash, at, count += BLOCK, 0);
+    uint8_t block[BLOCK] = {0};
+    memcpy(block, at, (size_t)rest);
+    compress(hash, block, count + (uint32_t)rest, 1);
+    uint8_t wrong = 0; /* looked at as a whole: how long it takes tells nothing */
+    for (int i = 0; i < MAC_SIZE; i++) wrong |= (uint8_t)(hash[i / 4] >> i % 4 * 8) ^ datagram[length - MAC_SIZE + i];
+    return !wrong;
+}
+
+/* MessagePack. Each returns whether it was there, and moves on. */
+
+static uint64_t big(const uint8_t *at, int bytes) {
+    uint64_t value = 0;
+    for (int i = 0; i < bytes; i++) value = value << 8 | at[i];
+    return value;
+}
+
+static int byte(Reader *reader, uint8_t wanted) { return reader->at < reader->end && *reader->at++ == wanted; }
+
+/* A whole number from -TOP to TOP. */
+static int whole(Reader *reader, int64_t *value) {
+    if (reader->at >= reader->end) return 0;
+    uint8_t kind = *reader->at++;
+    if (kind < 0x80 || kind >= 0xe0) {
+        *value = (int8_t)kind;
+        return 1;
+    }
+    if (kind < 0xcc || kind > 0xd3) return 0;
+    int bytes = 1 << (kind - 0xcc) % 4;
+    if (reader->end - reader->at < bytes) return 0;
+    uint64_t read = big(reader->at, bytes);
+    reader->at += bytes;
+    int negative = kind >= 0xd0 && read >> (8 * bytes - 1);
+    if (negative && bytes < 8) read |= ~(uint64_t)0 << 8 * bytes;
+    if ((negative ? ~read + 1 : read) > (uint64_t)TOP) return 0;
+    *value = negative ? -(int64_t)(~read + 1) : (int64_t)read;
+    return 1;
+}
+
+static int natural(Reader *reader, int64_t *value) { return whole(reader, value) && *value >= 0; }
+
+/* Anything: its parts are counted instead of called for, so no nesting is too deep. */
+static int skip(Reader *reader) {
+    static const uint8_t LENGTH[32] = {/* 0xc0 */ 0, 0, 0, 0, 1, 2, 4, 1, 2, 4, 4, 8, 1, 2, 4, 8,
+                                       /* 0xd0 */ 1, 2, 4, 8, 1, 1, 1, 1, 1, 1, 2, 4, 2, 4, 2, 4};
+    uint64_t parts = 1;
+    for (; parts; parts--) {
+        if (parts > (uint64_t)(reader->end - reader->at)) return 0; /* each has a byte at least */
+        uint8_t kind = *reader->at++;
+        uint64_t bytes = 0;
+        if (kind < 0x80 || kind >= 0xe0) continue;
+        if (kind < 0xa0) {
+            parts += (uint64_t)(kind & 15) << (kind < 0x90);
+            continue;
+        }
+        if (kind < 0xc0) {
+            bytes = kind & 31;
+        } else {
+            int head = LENGTH[kind - 0xc0];
+            if (kind == 0xc1 || reader->end - reader->at < head) return 0;
+            bytes = big(reader->at, head);
+            reader->at += head;
+            if (kind >= 0xdc) { /* arrays and maps */
+                parts += bytes << (kind >= 0xde);
+                continue;
+            }
+            if (kind >= 0xc7 && kind <= 0xc9) bytes++;             /* extensions: their type, too */
+            else if (kind >= 0xd4 && kind <= 0xd8) bytes = (uint64_t)1 << (kind - 0xd4);
+            else if (!(kind >= 0xc4 && kind <= 0xc6) && kind < 0xd9) bytes = 0; /* numbers, nil, bools */
+        }
+        if (bytes > (uint64_t)(reader->end - reader->at)) return 0;
+        reader->at += bytes;
+    }
+    return 1;
+}
+
+/* The echoes in a head, and among them ours. */
+static int read_echoes(const Gate *gate, Reader *reader, Word *word) {
+    int64_t pid, sent, received;
+    word->echoed = 0;
+    int count = reader->at < reader->end ? *reader->at++ - 0x90 : -1;
+    if (count < 0 || count > MAX_ECHOES) return 0;
+    for (; count; count--) {
+        if (!byte(reader, 0x93) || !natural(reader, &pid) || !natural(reader, &sent) || !natural(reader, &received))
+            return 0;
+        if (pid != gate->own) continue;
+        word->echoed = 1;
+        word->uttered = sent;
+        word->heard = received;
+    }
+    return 1;
+}
+
+/* Whether this is a usual datagram, whose MAC is right. */
+static int read_word(const Gate *gate, const uint8_t *payload, int32_t length, Word *word) {
+    const int32_t head = gate->common_bytes;
+    if (length < head + 1 + TAIL || !head || memcmp(payload, gate->common, (size_t)head)) return 0;
+    word->pid = payload[head];
+    if (word->pid >= gate->robots) return 0;
+    const Peer *peer = &gate->peer[word->pid];
+    if (!peer->adopted || memcmp(payload + head + 1, peer->tail, TAIL)) return 0;
+    Reader reader = {payload + head + 1 + TAIL, payload + length};
+    int64_t view, author, incarnation, first, last;
+    if (!natural(&reader, &word->sequence) || !natural(&reader, &word->sent)) return 0;
+    word->known = reader.at < reader.end && *reader.at != 0xc0;
+    if (!(word->known ? whole(&reader, &word->fleet) : byte(&reader, 0xc0))) return 0;
+    if (!read_echoes(gate, &reader, word)) return 0;
+    if (!natural(&reader, &view) || view != gate->view || !natural(&reader, &word->round)) return 0;
+    if (!natural(&reader, &word->applied) || !natural(&reader, &word->settled)) return 0;
+    if (!byte(&reader, 0xc2)) return 0; /* an emergency */
+    word->held.at = reader.at;
+    if (!skip(&reader) || reader.end == reader.at) return 0;
+    word->held.bytes = (size_t)(reader.at - word->held.at);
+    word->closing.at = reader.at + 1;
+    word->closing.bytes = (size_t)(reader.end - reader.at) - 1;
+    if (!word->closing.bytes) return *reader.at == 0x90;
+    if (!byte(&reader, 0x91) || !byte(&reader, 0x90 | 9)) return 0;
+    if (!natural(&reader, &author) || author != word->pid) return 0;
+    if (!natural(&reader, &incarnation) || incarnation != peer->incarnation) return 0;
+    if (!natural(&reader, &first) || !natural(&reader, &last) || first != word->round || last != first) return 0;
+    for (int i = 0; i < 5; i++)
+        if (!skip(&reader)) return 0;
+    return reader.at == reader.end;
+}
+
+/* Sessions.fresh. */
+static int is_fresh(const Columns *columns, int pid, int64_t sequence) {
+    int64_t newest = columns->newest[pid], ahead = sequence - newest;
+    uint64_t *seen = columns->seen + (size_t)pid * WORDS, bit = (uint64_t)1 << sequence % 64;
+    if (-ahead >= WINDOW) return 0;
+    if (ahead > 0) {
+        int64_t block = newest / 64, last = sequence / 64;
+        if (last - block > WORDS) block = last - WORDS;
+        while (block < last) seen[++block % WORDS] = 0;
+        columns->newest[pid] = sequence;
+    }
+    uint64_t *place = seen + sequence / 64 % WORDS;
+    if (*place & bit) return 0;
+    *place |= bit;
+    return 1;
+}
+
+/* Metrics.heard and Histograms.add. `delay`: not a number where it is not known. */
+static void note(const Columns *columns, int pid, int64_t ahead, double delay, double now) {
+    columns->received[pid]++;
+    columns->expected[pid] += ahead;
+    if (columns->expected[pid] > RECENT) {
+        columns->expected[pid] /= 2;
+        columns->received[pid] /= 2;
+    }
+    if (isfinite(delay)) {
+        double place = delay > SHORTEST ? PER_OCTAVE * log2(delay / SHORTEST) : 0;
+        columns->delays[(size_t)pid * BUCKETS + (place < BUCKETS ? (size_t)place : BUCKETS - 1)]++;
+        if (delay > columns->most[pid]) columns->most[pid] = delay;
+    }
+    double silent = now - columns->heard[pid];
+    columns->heard[pid] = now;
+    if (columns->longest[pid] < silent && silent < INFINITY) columns->longest[pid] = silent;
+}
+
+/* Link._stamps, but for what the clock learns. */
+static void learn(const Columns *columns, const Word *word, double local, double fleet) {
+    int pid = word->pid;
+    if (word->sent > columns->sent[pid]) {
+        columns->sent[pid] = word->sent;
+        columns->arrived[pid] = local > 0 ? (int64_t)nearbyint(local * 1e6) : 0;
+    }
+    int64_t before = columns->round[pid];
+    if (word->round <= before) return;
+    columns->round[pid] = word->round;
+    double delay = word->known ? fleet - (double)(word->sent + word->fleet) / 1e6 : NAN;
+    note(columns, pid, before ? word->round - before : 1, delay, local);
+}
+
+static uint8_t *put(uint8_t *at, int64_t value) {
+    *at++ = 0xd3;
+    for (int i = 56; i >= 0; i -= 8) *at++ = (uint8_t)(value >> i);
+    return at;
+}
+
+static uint8_t *copy(uint8_t *at, const Text *text) {
+    memcpy(at, text->at, text->bytes);
+    return at + text->bytes;
+}
+
+/* As gate.Usual. */
+static uint8_t *tell(uint8_t *at, const Word *word) {
+    *at++ = 0x97;
+    *at++ = (uint8_t)word->pid;
+    at = put(put(put(at, word->round), word->applied), word->settled);
+    *at++ = word->echoed ? 0x94 : 0xc0;
+    if (word->echoed) {
+        at = put(put(put(at, word->uttered), word->heard), word->sent);
+        if (word->known) at = put(at, word->fleet);
+        else *at++ = 0xc0;
+    }
+    at = copy(at, &word->held);
+    if (word->closing.bytes) return copy(at, &word->closing);
+    *at++ = 0xc0;
+    return at;
+}
+
+size_t gate_size(void) { return sizeof(Gate); }
+size_t gate_shown_size(void) { return sizeof(Shown); }
+size_t gate_columns_size(void) { return sizeof(Columns); }
+
+/* Of robot `own` among `robots`. `rows` has room for MOST_AT_ONCE datagrams of LARGEST bytes, and 32 for each. */
+void gate_open(Gate *gate, int32_t robots, int32_t own, const Columns *columns, uint8_t *rows, const uint8_t *key,
+               uint32_t key_bytes, const uint8_t *purpose) {
+    memset(gate, 0, sizeof *gate);
+    gate->robots = robots;
+    gate->own = own;
+    gate->columns = *columns;
+    gate->shown.rows = rows;
+    prepare(gate, key, key_bytes, purpose);
+}
+
+/* How words of this mission begin, up to their sender; nothing: none is usual. */
+void gate_begin(Gate *gate, const uint8_t *common, int32_t bytes) {
+    gate->common_bytes = bytes <= MOST_COMMON ? bytes : 0;
+    memcpy(gate->common, common, (size_t)gate->common_bytes);
+}
+
+/* Boot and epoch of a peer, as they are encoded (TAIL bytes); otherwise there is none, and nothing of it is usual. */
+void gate_adopt(Gate *gate, int32_t pid, const uint8_t *tail, int32_t bytes) {
+    gate->peer[pid].adopted = bytes == TAIL;
+    if (bytes == TAIL) memcpy(gate->peer[pid].tail, tail, TAIL);
+}
+
+/* The present view; `incarnations` of all robots in it. */
+void gate_follow(Gate *gate, int64_t view, const int64_t *incarnations) {
+    gate->view = view;
+    for (int i = 0; i < gate->robots; i++) gate->peer[i].incarnation = incarnations[i];
+}
+
+/* Judge what arrived: `count` slots, `stride` bytes apart, with so many bytes in each (negative: nothing); at `local`
+   seconds of the robot's clock, which is `fleet` of the fleet's (not a number: not known). */
+void gate_take(Gate *gate, const uint8_t *slots, int32_t stride, const int32_t *lengths, int32_t count, double local,
+               double fleet) {
+    Shown *shown = &gate->shown;
+    uint8_t *at = shown->rows + 5;
+    uint32_t rows = 0;
+    shown->others = 0;
+    for (int32_t i = 0; i < count; i++, slots += stride) {
+        Word word;
+        uint8_t verdict = OTHER;
+        if (lengths[i] < 0) verdict = NOTHING;
+        else if (lengths[i] > LIMIT) verdict = TOO_LONG;
+        else if (!is_genuine(gate, slots, lengths[i])) verdict = FALSE;
+        else if (read_word(gate, slots, lengths[i] - MAC_SIZE, &word))
+            verdict = is_fresh(&gate->columns, word.pid, word.sequence) ? USUAL : REPLAYED;
+        shown->verdict[i] = verdict;
+        shown->others += verdict != USUAL && verdict != NOTHING;
+        if (verdict != USUAL) continue;
+        learn(&gate->columns, &word, local, fleet);
+        at = tell(at, &word);
+        rows++;
+    }
+    shown->rows[0] = 0xdd;
+    for (int i = 0; i < 4; i++) shown->rows[1 + i] = (uint8_t)(rows >> (24 - 8 * i));
+    shown->bytes = rows ? (int32_t)(at - shown->rows) : 0;
+}

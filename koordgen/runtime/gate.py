@@ -1,0 +1,203 @@
+"""The gate: what judges datagrams as C (gate.c), and how Python calls it.
+
+It checks their MACs, drops replays, keeps the counts of sessions.py and metrics.py, and hands on the usual ones, nearly
+all, as one list. Without a compiler `link` does the same in Python, one after the other. Compiled and loaded as the
+courier is.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import mmap
+from array import array
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+
+from koordgen.runtime.courier import LARGEST, Slots
+from koordgen.runtime.metrics import BUCKETS, PER_OCTAVE, RECENT
+from koordgen.runtime.native import NotCompiled, load
+from koordgen.runtime.seal import KEY_SIZE, MAC_SIZE
+from koordgen.runtime.sessions import WORDS
+from koordgen.runtime.transport import MOST_AT_ONCE
+from koordgen.runtime.wire import LIMIT, MAX_ECHOES, MAX_ROBOTS, Closing, MaybePerRobot, Natural, Pid, Shift, Wired
+
+SOURCE = Path(__file__).with_name("gate.c")
+FLAGS = (
+    "-std=c99",
+    "-O3",
+    "-shared",
+    "-fPIC",
+    *(
+        f"-D{name}={number}"
+        for name, number in {
+            "LIMIT": LIMIT,
+            "LARGEST": LARGEST,
+            "MOST_AT_ONCE": MOST_AT_ONCE,
+            "MAC_SIZE": MAC_SIZE,
+            "MAX_ROBOTS": MAX_ROBOTS,
+            "MAX_ECHOES": MAX_ECHOES,
+            "WORDS": WORDS,
+            "BUCKETS": BUCKETS,
+            "PER_OCTAVE": PER_OCTAVE,
+            "RECENT": RECENT,
+        }.items()
+    ),
+    "-lm",
+)
+USUAL, OTHER, FALSE, TOO_LONG, REPLAYED, NOTHING = range(6)  # verdicts
+_ROOM = MOST_AT_ONCE * (LARGEST + 32)
+_COLUMNS = (
+    "newest", "sent", "arrived", "round", "seen", "received", "expected", "heard", "longest", "delays", "most",
+)  # fmt: skip
+
+
+class Lesson(Wired, frozen=True):
+    """What the clock learns from, in microseconds: ours was sent and received, and then this answer sent; and what is
+    to be added to the sender's clock for fleet time."""
+
+    sent: Natural
+    received: Natural
+    answered: Natural
+    fleet: Shift | None
+
+
+class Usual(Wired, frozen=True):
+    """What nearly all datagrams say, in the present view (see wire.Round); `closing` is the sender's of just that
+    round, or there is none."""
+
+    sender: Pid
+    round: Natural
+    applied: Natural
+    settled: Natural
+    lesson: Lesson | None
+    held: MaybePerRobot
+    closing: Closing | None
+
+
+class Judged(NamedTuple):
+    """The `usual` ones, as they arrived; None: one of them is malformed. Where not all is well and usual, a verdict on
+    each datagram."""
+
+    usual: list[Usual] | None
+    verdicts: Sequence[int]
+
+
+class _Columns(ctypes.Structure):
+    _fields_ = tuple((name, ctypes.c_void_p) for name in _COLUMNS)
+
+
+class _Shown(ctypes.Structure):
+    """What C tells: see Shown in gate.c."""
+
+    _fields_ = (
+        ("others", ctypes.c_int32),
+        ("bytes", ctypes.c_int32),
+        ("verdict", ctypes.c_uint8 * MOST_AT_ONCE),
+        ("rows", ctypes.c_void_p),
+    )
+
+
+def library() -> ctypes.CDLL | None:
+    """The compiled gate, or None. Compiles at its first call in a process, if need be: not in a control loop."""
+    found = _loaded()
+    return found if isinstance(found, ctypes.CDLL) else None
+
+
+def why() -> str:
+    """Why there is no library; empty when there is one."""
+    found = _loaded()
+    return found if isinstance(found, str) else ""
+
+
+@cache
+def _loaded() -> ctypes.CDLL | str:
+    try:
+        return load(SOURCE, FLAGS, prove)
+    except NotCompiled as error:
+        return str(error)
+
+
+def prove(found: ctypes.CDLL) -> None:
+    """Declares the functions, and raises NotCompiled where the library is not the one that this module goes with."""
+    address, text, number, seconds = ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int32, ctypes.c_double
+    size = ctypes.c_size_t
+    for name, result, arguments in (
+        ("size", size, ()),
+        ("shown_size", size, ()),
+        ("columns_size", size, ()),
+        ("open", None, (address, number, number, address, address, text, ctypes.c_uint32, text)),
+        ("begin", None, (address, text, number)),
+        ("adopt", None, (address, number, text, number)),
+        ("follow", None, (address, ctypes.c_int64, address)),
+        ("take", None, (address, address, number, address, number, seconds, seconds)),
+    ):
+        function = getattr(found, f"gate_{name}")
+        function.restype, function.argtypes = result, arguments
+    if (found.gate_shown_size(), found.gate_columns_size()) != (ctypes.sizeof(_Shown), ctypes.sizeof(_Columns)):
+        raise NotCompiled("the compiled gate lays its memory out otherwise than Python reads it")
+
+
+_rows: msgspec.msgpack.Decoder[list[Usual]] = msgspec.msgpack.Decoder(list[Usual])
+
+
+class Gate:
+    """Of robot `pid` among `n_sys`; `columns` are those that it shares, which must not be resized."""
+
+    def __init__(
+        self,
+        found: ctypes.CDLL,
+        n_sys: int,
+        pid: int,
+        columns: Mapping[str, array[int] | array[float]],
+        key: bytes | None,
+        purpose: bytes,
+    ) -> None:
+        assert key is None or len(key) == KEY_SIZE
+        self._found = found
+        self._columns = columns  # they live as long as their addresses are known
+        self._rows = mmap.mmap(-1, _ROOM)  # the system makes its pages when they are used
+        self._state = ctypes.create_string_buffer(found.gate_size())
+        self._shown = _Shown.from_buffer(self._state)
+        self._at = ctypes.addressof(self._state)
+        addresses = _Columns(*(columns[name].buffer_info()[0] for name in _COLUMNS))
+        rows = ctypes.addressof(ctypes.c_char.from_buffer(self._rows))
+        key = key or b""
+        found.gate_open(self._at, n_sys, pid, ctypes.addressof(addresses), rows, key, len(key), purpose)
+        self._take = found.gate_take
+
+    def begin(self, common: bytes) -> None:
+        """How words of this mission begin, up to their sender; empty: none is usual."""
+        self._found.gate_begin(self._at, common, len(common))
+
+    def adopt(self, pid: int, tail: bytes) -> None:
+        """How a peer's head goes on behind its pid, boot and epoch; empty: nothing of it is usual."""
+        self._found.gate_adopt(self._at, pid, tail, len(tail))
+
+    def follow(self, view: int, incarnations: Sequence[int]) -> None:
+        """The present view, and in it the incarnations of all robots."""
+        given = array("q", incarnations)
+        self._found.gate_follow(self._at, view, given.buffer_info()[0])
+
+    def take(self, datagrams: Sequence[bytes], local: float, fleet: float | None) -> Judged:
+        """Judge what arrived by `local` seconds of the robot's clock, which is `fleet` of the fleet's."""
+        time = math.nan if fleet is None else fleet
+        if isinstance(datagrams, Slots):
+            self._take(self._at, datagrams.at, LARGEST, datagrams.lengths, datagrams.used, local, time)
+            count = datagrams.used
+        else:
+            count = len(datagrams)
+            lengths = array("i", map(len, datagrams))
+            slots = b"".join([each[:LARGEST].ljust(LARGEST, b"\0") for each in datagrams])
+            self._take(self._at, slots, LARGEST, lengths.buffer_info()[0], count, local, time)
+        shown = self._shown
+        if not shown.bytes:
+            return Judged([], shown.verdict[:count])
+        try:
+            return Judged(_rows.decode(self._rows[: shown.bytes]), shown.verdict[:count] if shown.others else ())
+        except (ValueError, RecursionError):
+            return Judged(None, shown.verdict[:count])
