@@ -92,7 +92,7 @@ class Update:
             self._round = round_
             memory.close(round_, {"report": f"{round_:0{self._size}}"}, stopped=False, acted=True)
         word = (0, round_, memory.applied, memory.settled, False, memory.held)
-        self._link.round([self._other], word, memory.own(round_) if round_ > 0 else ())
+        self._link.speech.round([self._other], word, memory.own(round_) if round_ > 0 else ())
         memory.advance(round_ + 1)
 
     def take(self, seconds: float) -> Heard:

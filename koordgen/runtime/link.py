@@ -6,50 +6,22 @@ interface and program, fresh, and of this mission; what is not is dropped and co
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from types import MappingProxyType
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
 
 from koordgen.runtime import gate
 from koordgen.runtime.clock import Clock, FleetClock
 from koordgen.runtime.gate import Gate, Lesson, Usual
 from koordgen.runtime.metrics import Metrics
-from koordgen.runtime.pieces import cut, lacking
 from koordgen.runtime.program import Program
-from koordgen.runtime.seal import MAC_SIZE, MEMORY, seal, unseal_all
+from koordgen.runtime.seal import MAC_SIZE, MEMORY, unseal_all
 from koordgen.runtime.sessions import Sessions
 from koordgen.runtime.settings import Settings
+from koordgen.runtime.speech import OTHERS_EVERY, REFERENCE_EVERY, Speech, microseconds
 from koordgen.runtime.transport import Transport
-from koordgen.runtime.wire import (
-    LIMIT,
-    MAX_ECHOES,
-    MOST_PAYLOAD,
-    Closing,
-    Echo,
-    Head,
-    Hello,
-    Message,
-    Partly,
-    Piece,
-    Round,
-    View,
-    encode,
-    encoder,
-    opened,
-    overhead,
-    pack,
-)
-
-REFERENCE_EVERY, OTHERS_EVERY = 0.05, 1.0  # seconds between exchanges that the clock learns from
-ECHOES_A_LESSON = 2  # so many echoes are sent for each of them: some are lost
-MOST_DATAGRAMS = 4  # to one peer for one catch-up
-MOST_PIECES_AT_ONCE = 16
-NOTHING: Mapping[int, Partly] = MappingProxyType({})
+from koordgen.runtime.wire import Head, Hello, Message, Round, View, encoder, opened, pack
 
 _REASONS = {gate.FALSE: "not authentic", gate.TOO_LONG: "oversize", gate.REPLAYED: "replayed"}
-
-Fields = tuple[int, int, int, int, bool, tuple[int, ...]]  # of Round, between its head and its closings
 
 
 class Usuals(NamedTuple):
@@ -63,8 +35,8 @@ Heard = Message | Usuals
 
 
 class Link:
-    """`report` gets what the people at the robots must know, once for each peer. `native`: with the gate, where it can
-    be compiled."""
+    """`report` gets what the people at the robots must know, once for each peer. `speech` is the way back to them.
+    `native`: with the gate, where it can be compiled."""
 
     def __init__(
         self,
@@ -94,60 +66,22 @@ class Link:
         columns = {**self.sessions.columns(), **metrics.columns()}
         self._gate = None if found is None else Gate(found, len(settings.peers), self.pid, columns, key, MEMORY)
         self._view = -1  # the present one's number
-        self._epoch = b""
         self._transport = transport
         self._clock = clock
         self._fleet_clock = fleet_clock
         self._reference = 0
         self._report = report
         self._reported: set[tuple[int, str]] = set()
-        self._sequence = 0
-        self._echoed: dict[int, float] = {}  # when each peer was last sent an echo
-        self._next_echo = -math.inf  # none is due to anyone before
-        self.room = LIMIT - overhead(len(settings.peers))  # bytes for closings or a piece in one datagram
-
-    def hello(self, to: int, challenge: bytes, answer: bytes, holds: tuple[int, ...], init: Closing | None,
-              start: int | None) -> None:  # fmt: skip
-        self._send([to], Hello(self._head([to], 0.0), to, challenge, answer, holds, init, start))
-
-    def say(self, to: Collection[int], kind: type[Message], *fields: Any) -> None:
-        """One message of this kind, with its fields behind the head."""
-        if to:
-            self._send(to, kind(self._head(to), *fields))
-
-    def round(self, to: Collection[int], word: Fields, closings: Sequence[Closing],
-              partly: Mapping[int, Partly] = NOTHING) -> None:  # fmt: skip
-        """A word with closings: one datagram, or as few as they fit in, at most MOST_DATAGRAMS; the rest waits to be
-        asked for. Of a closing that is longer than a datagram go those pieces that are not in `partly`, by author."""
-        if not to:
-            return
-        head = self._head(to)
-        payload = pack(Round(head, *word, tuple(closings)))
-        if len(payload) <= MOST_PAYLOAD:
-            self._transport.send(list(to), seal(self._key, MEMORY, payload))
-            return
-        self._divided(to, head, word, closings, partly)
-
-    def _divided(self, to: Collection[int], head: Head, word: Fields, closings: Sequence[Closing],
-                 partly: Mapping[int, Partly]) -> None:  # fmt: skip
-        """The same for what is too long for one datagram."""
-        small = []
-        for closing in closings:
-            if len(closing.writes) and len(blob := encoder.encode(closing)) > self.room:
-                self._pieces(to, closing, blob, partly.get(closing.author))
-            else:
-                small.append(closing)
-        for index, batch in enumerate(self._batches(small)):
-            self._send(to, Round(self._head(to) if index else head, *word, batch))
+        self.speech = Speech(program, settings, key, transport, clock, fleet_clock, boot, self.sessions)
 
     @property
     def epoch(self) -> bytes:
-        """The mission's; empty before there is one."""
-        return self._epoch
+        """The mission that both ways belong to; empty: none yet."""
+        return self.speech.epoch
 
     @epoch.setter
     def epoch(self, epoch: bytes) -> None:
-        self._epoch = epoch
+        self.speech.epoch = epoch
         self._introduce(self.sessions.boots)
 
     def follow(self, view: View) -> None:
@@ -209,7 +143,7 @@ class Link:
 
     def adopt(self, hello: Hello) -> None:
         """From now on this boot of the peer is the one that counts."""
-        head, now = hello.head, _microseconds(self._clock.now())
+        head, now = hello.head, microseconds(self._clock.now())
         self.sessions.adopt(head.pid, head.boot, head.sequence, head.sent, now)
         self._introduce([head.pid])
 
@@ -293,7 +227,7 @@ class Link:
         head, sessions = message.head, self.sessions
         pid, sent = head.pid, head.sent
         if sent > sessions.sent[pid]:
-            sessions.sent[pid], sessions.arrived[pid] = sent, _microseconds(local)
+            sessions.sent[pid], sessions.arrived[pid] = sent, microseconds(local)
         for echo in head.echoes:
             if echo.pid == self.pid:
                 self._learn(pid, Lesson(echo.sent, echo.received, sent, head.fleet), local)
@@ -308,67 +242,5 @@ class Link:
         if local - timed[pid] < (REFERENCE_EVERY if pid == clock.reference else OTHERS_EVERY):
             return
         timed[pid] = local
-        now, fleet = _microseconds(local) / 1e6, None if lesson.fleet is None else lesson.fleet / 1e6
+        now, fleet = microseconds(local) / 1e6, None if lesson.fleet is None else lesson.fleet / 1e6
         clock.take(pid, lesson.sent / 1e6, lesson.received / 1e6, lesson.answered / 1e6, now, fleet)
-
-    def _head(self, to: Collection[int], every: float | None = None) -> Head:
-        self._sequence += 1
-        now = self._clock.now()
-        offset = self._fleet_clock.offset(now)
-        echoes = () if every is None and now < self._next_echo else self._echoes(to, now, every)
-        return Head(
-            self._application,
-            self._interface,
-            self._program,
-            self.pid,
-            self.boot,
-            self.epoch,
-            self._sequence,
-            _microseconds(now),
-            None if offset is None else round(offset * 1e6),
-            echoes,
-        )
-
-    def _echoes(self, to: Collection[int], now: float, every: float | None) -> tuple[Echo, ...]:
-        """Of those whose turn it is: as often as they learn from it, which from the reference they do most."""
-        if every is None:
-            reference = self._fleet_clock.reference == self.pid
-            every = (REFERENCE_EVERY if reference else OTHERS_EVERY) / ECHOES_A_LESSON
-        sessions, echoed = self.sessions, self._echoed
-        due = [p for p in to if now - echoed.get(p, -math.inf) >= every and p in sessions.boots]
-        if len(due) <= MAX_ECHOES and len(to) == len(sessions.boots):  # nobody is left
-            self._next_echo = now + every / ECHOES_A_LESSON
-        if len(due) > MAX_ECHOES:
-            due = sorted(due, key=lambda p: (echoed.get(p, -math.inf), p))[:MAX_ECHOES]
-        echoed.update(dict.fromkeys(due, now))
-        return tuple([Echo(p, sent, sessions.arrived[p]) for p in due if (sent := sessions.sent[p]) >= 0])
-
-    def _pieces(self, to: Collection[int], closing: Closing, blob: bytes, known: Partly | None) -> None:
-        pieces = cut(blob, self.room)
-        mask = known.mask if known is not None and known.digest == pieces[0][0] else b""
-        for index in lacking(len(pieces), mask)[:MOST_PIECES_AT_ONCE]:
-            place = closing.author, closing.incarnation, closing.round
-            digest, _, count, data = pieces[index]
-            self._send(to, Piece(self._head(to), *place, digest, index, count, data))
-
-    def _batches(self, closings: Sequence[Closing]) -> list[tuple[Closing, ...]]:
-        if len(closings) < 2:
-            return [tuple(closings)]
-        batches: list[tuple[Closing, ...]] = []
-        batch: list[Closing] = []
-        room = self.room
-        for closing in closings:
-            length = len(encoder.encode(closing))
-            if batch and length > room:
-                batches.append(tuple(batch))
-                batch, room = [], self.room
-            batch.append(closing)
-            room -= length
-        return [*batches, tuple(batch)][:MOST_DATAGRAMS]
-
-    def _send(self, to: Collection[int], message: Message) -> None:
-        self._transport.send(list(to), encode(message, self._key))
-
-
-def _microseconds(seconds: float) -> int:
-    return round(seconds * 1e6) if seconds > 0.0 else 0
