@@ -218,7 +218,7 @@ static int skip(Reader *reader) {
     return 1;
 }
 
-/* The echoes in a head, and among them ours. */
+/* The echoes in a head, and among them the first of ours. */
 static int read_echoes(const Gate *gate, Reader *reader, Word *word) {
     int64_t pid, sent, received;
     word->echoed = 0;
@@ -227,7 +227,8 @@ static int read_echoes(const Gate *gate, Reader *reader, Word *word) {
     for (; count; count--) {
         if (!byte(reader, 0x93) || !natural(reader, &pid) || !natural(reader, &sent) || !natural(reader, &received))
             return 0;
-        if (pid != gate->own) continue;
+        if (pid >= MAX_ROBOTS) return 0;
+        if (pid != gate->own || word->echoed) continue;
         word->echoed = 1;
         word->uttered = sent;
         word->heard = received;
