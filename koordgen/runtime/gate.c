@@ -147,7 +147,7 @@ static int is_genuine(const Gate *gate, const uint8_t *datagram, int32_t length)
     memcpy(block, at, (size_t)rest);
     compress(hash, block, count + (uint32_t)rest, 1);
     uint8_t wrong = 0; /* looked at as a whole: how long it takes tells nothing */
-    for (int i = 0; i < MAC_SIZE; i++) wrong |= (uint8_t)(hash[i / 4] >> i % 4 * 8) ^ datagram[length - MAC_SIZE + i];
+    for (int i = 0; i < MAC_SIZE; i++) wrong |= (uint8_t)(hash[i / 4] >> i % 4 * 8 ^ datagram[length - MAC_SIZE + i]);
     return !wrong;
 }
 
