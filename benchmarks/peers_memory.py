@@ -65,7 +65,7 @@ def open_link(given: Settings, size: int, transport: Transport, clock: Clock) ->
     fleet_clock.lock()
     link = Link(ours, given, KEY, transport, clock, fleet_clock, boots[pid], print, Metrics(pid, n))
     link.epoch = bytes(8)
-    link.sessions = {p: Session(boots[p]) for p in range(n) if p != pid}
+    link.sessions.update({p: Session(boots[p]) for p in range(n) if p != pid})
     inits = [Closing(p, 0, 0, 0) for p in range(n)]
     return link, Memory.begin(Layout(ours.shared, n), pid, View(0, 1, (0,) * n), inits)
 
@@ -85,7 +85,7 @@ class Update:
             self._round = round_
             memory.close(round_, {"report": f"{round_:0{self._size}}"}, stopped=False, acted=True)
         word = (0, round_, memory.applied, memory.settled, False, memory.held)
-        self._link.round([self._other], word, memory.own(round_) if round_ > 0 else ())
+        self._link.speech.round([self._other], word, memory.own(round_) if round_ > 0 else ())
         memory.advance(round_ + 1)
 
     def take(self, seconds: float) -> Heard:

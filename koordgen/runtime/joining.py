@@ -233,7 +233,7 @@ class Joining:
     def _hello(self, to: int, answer: bytes) -> None:
         holds = tuple(p for p, o in sorted(self._others.items()) if o.init is not None)
         start = None if self._start is None else round(self._start * 1e6)
-        self._link.hello(to, self._challenge(to), answer, holds, self._init, start)
+        self._link.speech.hello(to, self._challenge(to), answer, holds, self._init, start)
 
     def _challenge(self, pid: int) -> bytes:
         """New after each adoption and each start, so an answer recorded earlier never fits."""

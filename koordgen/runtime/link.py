@@ -6,47 +6,20 @@ interface and program, fresh, and of this mission; what is not is dropped and co
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import Any
 
 from koordgen.runtime.clock import Clock, FleetClock
 from koordgen.runtime.metrics import Metrics
-from koordgen.runtime.pieces import cut, lacking
 from koordgen.runtime.program import Program
-from koordgen.runtime.seal import MEMORY, seal, unseal_all
+from koordgen.runtime.seal import MEMORY, unseal_all
 from koordgen.runtime.settings import Settings
+from koordgen.runtime.speech import OTHERS_EVERY, REFERENCE_EVERY, Speech, microseconds
 from koordgen.runtime.transport import Transport
-from koordgen.runtime.wire import (
-    LIMIT,
-    MAX_ECHOES,
-    MOST_PAYLOAD,
-    Closing,
-    Echo,
-    Head,
-    Hello,
-    Message,
-    Partly,
-    Piece,
-    Round,
-    encode,
-    encoder,
-    opened,
-    overhead,
-    pack,
-)
+from koordgen.runtime.wire import Head, Hello, Message, Round, opened
 
 REPLAY_WINDOW = 1024  # datagrams that may arrive out of order
-REFERENCE_EVERY, OTHERS_EVERY = 0.05, 1.0  # seconds between exchanges that the clock learns from
-ECHOES_A_LESSON = 2  # so many echoes are sent for each of them: some are lost
-MOST_DATAGRAMS = 4  # to one peer for one catch-up
-MOST_PIECES_AT_ONCE = 16
 _WINDOW_MASK = (1 << REPLAY_WINDOW) - 1
-NOTHING: Mapping[int, Partly] = MappingProxyType({})
-
-Fields = tuple[int, int, int, int, bool, tuple[int, ...]]  # of Round, between its head and its closings
 
 
 @dataclass(slots=True)
@@ -76,7 +49,7 @@ class Session:
 
 
 class Link:
-    """`report` gets what the people at the robots must know, once for each peer."""
+    """`report` gets what the people at the robots must know, once for each peer. `speech` is the way back to them."""
 
     def __init__(
         self,
@@ -93,7 +66,6 @@ class Link:
         self.metrics = metrics
         self.pid = settings.pid
         self.boot = boot
-        self.epoch = b""
         self.rejected: dict[str, int] = {}
         self.sessions: dict[int, Session] = {}
         self.strangers: set[int] = set()  # robots of this mission of whom another boot speaks than the one adopted
@@ -108,44 +80,16 @@ class Link:
         self._reference = 0
         self._report = report
         self._reported: set[tuple[int, str]] = set()
-        self._sequence = 0
-        self._echoed: dict[int, float] = {}  # when each peer was last sent an echo
-        self._next_echo = -math.inf  # none is due to anyone before
-        self.room = LIMIT - overhead(len(settings.peers))  # bytes for closings or a piece in one datagram
+        self.speech = Speech(program, settings, key, transport, clock, fleet_clock, boot, self.sessions)
 
-    def hello(self, to: int, challenge: bytes, answer: bytes, holds: tuple[int, ...], init: Closing | None,
-              start: int | None) -> None:  # fmt: skip
-        self._send([to], Hello(self._head([to], 0.0), to, challenge, answer, holds, init, start))
+    @property
+    def epoch(self) -> bytes:
+        """The mission that both ways belong to; empty: none yet."""
+        return self.speech.epoch
 
-    def say(self, to: Collection[int], kind: type[Message], *fields: Any) -> None:
-        """One message of this kind, with its fields behind the head."""
-        if to:
-            self._send(to, kind(self._head(to), *fields))
-
-    def round(self, to: Collection[int], word: Fields, closings: Sequence[Closing],
-              partly: Mapping[int, Partly] = NOTHING) -> None:  # fmt: skip
-        """A word with closings: one datagram, or as few as they fit in, at most MOST_DATAGRAMS; the rest waits to be
-        asked for. Of a closing that is longer than a datagram go those pieces that are not in `partly`, by author."""
-        if not to:
-            return
-        head = self._head(to)
-        payload = pack(Round(head, *word, tuple(closings)))
-        if len(payload) <= MOST_PAYLOAD:
-            self._transport.send(list(to), seal(self._key, MEMORY, payload))
-            return
-        self._divided(to, head, word, closings, partly)
-
-    def _divided(self, to: Collection[int], head: Head, word: Fields, closings: Sequence[Closing],
-                 partly: Mapping[int, Partly]) -> None:  # fmt: skip
-        """The same for what is too long for one datagram."""
-        small = []
-        for closing in closings:
-            if len(closing.writes) and len(blob := encoder.encode(closing)) > self.room:
-                self._pieces(to, closing, blob, partly.get(closing.author))
-            else:
-                small.append(closing)
-        for index, batch in enumerate(self._batches(small)):
-            self._send(to, Round(self._head(to) if index else head, *word, batch))
+    @epoch.setter
+    def epoch(self, epoch: bytes) -> None:
+        self.speech.epoch = epoch
 
     def receive(self) -> list[Message]:
         """What arrived and may be listened to. A Hello of a boot that was not adopted is among it: `joining` judges."""
@@ -153,7 +97,7 @@ class Link:
         if not datagrams:
             return []
         local = self._clock.now()  # all of them have arrived by now
-        stamp, fleet = _microseconds(local), self._fleet_clock.read(local) if self._fleet_clock.known else None
+        stamp, fleet = microseconds(local), self._fleet_clock.read(local) if self._fleet_clock.known else None
         accepted = []
         for datagram, payload in zip(datagrams, unseal_all(self._key, MEMORY, datagrams), strict=True):
             message = opened(len(datagram), payload)
@@ -165,7 +109,7 @@ class Link:
 
     def adopt(self, hello: Hello) -> None:
         """From now on this boot of the peer is the one that counts."""
-        head, now = hello.head, _microseconds(self._clock.now())
+        head, now = hello.head, microseconds(self._clock.now())
         # What it sent before is old news, perhaps recorded.
         self.sessions[head.pid] = Session(head.boot, head.sequence, _WINDOW_MASK, head.sent, now)
 
@@ -260,65 +204,3 @@ class Link:
             if echo.pid == self.pid:
                 session.timed = local
                 clock.take(head.pid, echo.sent / 1e6, echo.received / 1e6, head.sent / 1e6, now, fleet)
-
-    def _head(self, to: Collection[int], every: float | None = None) -> Head:
-        self._sequence += 1
-        now = self._clock.now()
-        offset = self._fleet_clock.offset(now)
-        echoes = () if every is None and now < self._next_echo else self._echoes(to, now, every)
-        return Head(
-            self._application,
-            self._interface,
-            self._program,
-            self.pid,
-            self.boot,
-            self.epoch,
-            self._sequence,
-            _microseconds(now),
-            None if offset is None else round(offset * 1e6),
-            echoes,
-        )
-
-    def _echoes(self, to: Collection[int], now: float, every: float | None) -> tuple[Echo, ...]:
-        """Of those whose turn it is: as often as they learn from it, which from the reference they do most."""
-        if every is None:
-            reference = self._fleet_clock.reference == self.pid
-            every = (REFERENCE_EVERY if reference else OTHERS_EVERY) / ECHOES_A_LESSON
-        sessions, echoed = self.sessions, self._echoed
-        due = [p for p in to if now - echoed.get(p, -math.inf) >= every and p in sessions]
-        if len(due) <= MAX_ECHOES and len(to) == len(sessions):  # nobody is left
-            self._next_echo = now + every / ECHOES_A_LESSON
-        if len(due) > MAX_ECHOES:
-            due = sorted(due, key=lambda p: (echoed.get(p, -math.inf), p))[:MAX_ECHOES]
-        echoed.update(dict.fromkeys(due, now))
-        return tuple([Echo(p, s.sent, s.arrived) for p in due if (s := sessions[p]).sent >= 0])
-
-    def _pieces(self, to: Collection[int], closing: Closing, blob: bytes, known: Partly | None) -> None:
-        pieces = cut(blob, self.room)
-        mask = known.mask if known is not None and known.digest == pieces[0][0] else b""
-        for index in lacking(len(pieces), mask)[:MOST_PIECES_AT_ONCE]:
-            place = closing.author, closing.incarnation, closing.round
-            digest, _, count, data = pieces[index]
-            self._send(to, Piece(self._head(to), *place, digest, index, count, data))
-
-    def _batches(self, closings: Sequence[Closing]) -> list[tuple[Closing, ...]]:
-        if len(closings) < 2:
-            return [tuple(closings)]
-        batches: list[tuple[Closing, ...]] = []
-        batch: list[Closing] = []
-        room = self.room
-        for closing in closings:
-            length = len(encoder.encode(closing))
-            if batch and length > room:
-                batches.append(tuple(batch))
-                batch, room = [], self.room
-            batch.append(closing)
-            room -= length
-        return [*batches, tuple(batch)][:MOST_DATAGRAMS]
-
-    def _send(self, to: Collection[int], message: Message) -> None:
-        self._transport.send(list(to), encode(message, self._key))
-
-
-def _microseconds(seconds: float) -> int:
-    return round(seconds * 1e6) if seconds > 0.0 else 0

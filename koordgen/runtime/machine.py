@@ -292,8 +292,8 @@ class Agent:
             return
         result = Closing(self._settings.pid, 0, 0, 0, done.stopped, writes=self._layout.writes(done.shared))
         length = len(encoder.encode(result))
-        if length > self._link.room:  # a Hello is one datagram
-            most = self._link.room
+        if length > self._link.speech.room:  # a Hello is one datagram
+            most = self._link.speech.room
             self._journal.error(f"init writes {length} bytes of shared variables; at most {most} can be sent")
             self._rest("init failed", WRONG_PROGRAM)
             return

@@ -13,8 +13,9 @@ from typing import Any
 from koordgen.runtime.assembly import Assembly
 from koordgen.runtime.comeback import Comeback, Store
 from koordgen.runtime.layout import Layout
-from koordgen.runtime.link import Fields, Link
+from koordgen.runtime.link import Link
 from koordgen.runtime.memory import Memory
+from koordgen.runtime.speech import Fields
 from koordgen.runtime.views import Out, Views, Vote, Word, fits, majority
 from koordgen.runtime.wire import (
     Accept,
@@ -67,6 +68,7 @@ class Replica:
         announce: Announce,
     ) -> None:
         self._link = link
+        self._speech = link.speech
         self._layout = layout
         self._pid = link.pid
         self._n = layout.n_sys
@@ -110,7 +112,7 @@ class Replica:
     def alarm(self) -> None:
         """Tell the others at once to come to rest, and from now on with each word."""
         self.emergency = True
-        self._link.round(self._peers, self.word(0), ())
+        self._speech.round(self._peers, self.word(0), ())
 
     def word(self, round_: int) -> Fields:
         """What this robot says of itself in `round_`; kept before it is said."""
@@ -126,11 +128,11 @@ class Replica:
         memory, word = self.memory, self.word(round_)
         if memory is None:
             closing = self._silence(round_)
-            self._link.round(self._peers, word, () if closing is None else (closing,))
+            self._speech.round(self._peers, word, () if closing is None else (closing,))
             return
         own = memory.own(first)
         if not memory.unanswered:
-            self._link.round(self._peers, word, own)
+            self._speech.round(self._peers, word, own)
             return
         plain: list[int] = []
         for pid, peer in self._peers.items():
@@ -138,20 +140,20 @@ class Replica:
             if repeats:
                 known = {c.round for c in own}
                 rest = [c for c in repeats if c.author != self._pid or c.round not in known]
-                self._link.round([pid], word, [*own, *rest], peer.partly)
+                self._speech.round([pid], word, [*own, *rest], peer.partly)
             else:
                 plain.append(pid)
-        self._link.round(plain, word, own)
+        self._speech.round(plain, word, own)
 
     def tell(self, round_: int) -> None:
         """This robot's word, to everyone."""
-        self._link.round(self._peers, self.word(round_), ())
+        self._speech.round(self._peers, self.word(round_), ())
 
     def confirm(self, round_: int) -> None:
         """Tell those who wait for it that this robot has applied a round."""
         waiting = [p for p in self.memory.prompt if p != self._pid] if self.memory is not None else []
         if waiting:
-            self._link.round(waiting, self.word(round_), ())
+            self._speech.round(waiting, self.word(round_), ())
 
     def ask(self, missing: list[int], unaware: list[int], through: int) -> None:
         """Ask for others' closings up to `through` that are missing, of their authors and of one who may hold them, and
@@ -168,7 +170,7 @@ class Replica:
             self._link.metrics.repeated(pid)
         # Who merely hears a question answers it too: one to few goes to each alone.
         for each in [sorted(to)] if 2 * len(to) > self._n else [[p] for p in sorted(to)]:
-            self._link.say(each, Need, view, through, applied, memory.held, partly)
+            self._speech.say(each, Need, view, through, applied, memory.held, partly)
 
     def _few(self, pids: list[int]) -> list[int]:
         return pids if len(pids) <= FEW else [pids[self._turn % len(pids)]]
@@ -196,7 +198,7 @@ class Replica:
         """What is due at the beginning of a tick in round `present`."""
         self._tick = tick
         if self.emergency:
-            self._link.round(self._peers, self.word(present), ())
+            self._speech.round(self._peers, self.word(present), ())
         since = tick - HEARD
         heard = 1 + len([p for p in self._peers.values() if p.heard > since])
         if heard >= majority(self._n):
@@ -255,7 +257,7 @@ class Replica:
 
     def _send(self, outs: Collection[Out]) -> None:
         for to, kind, fields in outs:
-            self._link.say(to, kind, *fields)
+            self._speech.say(to, kind, *fields)
 
     def _round(self, sender: int, message: Round, present: int) -> None:
         if message.view < self.views.view.number:
@@ -290,13 +292,7 @@ class Replica:
         helps = message.held[self._pid] >= through or self._helps(sender, present)
         closings = memory.repeat(sender, helps)
         if closings or memory.held[self._pid] >= through:  # else ours is still to come, with our word, to all
-            self._link.round([sender], self.word(present), closings, peer.partly)
-
-    def _closing(self, closing: Closing, present: int) -> None:
-        if self.memory is not None:
-            refused = self.memory.take(closing, present)
-            if refused is not None:
-                self._link.reject(refused)
+            self._speech.round([sender], self.word(present), closings, peer.partly)
 
     def _piece(self, piece: Piece, present: int) -> None:
         memory = self.memory
@@ -305,8 +301,8 @@ class Replica:
         found = self._assembly.take(piece, lambda author, round_: memory.wants(author, round_, present))
         if isinstance(found, str):
             self._link.reject(found)
-        elif found is not None:
-            self._closing(found, present)
+        elif found is not None and (refused := memory.take(found, present)) is not None:
+            self._link.reject(refused)
 
     def _want(self, sender: int, want: Want) -> None:
         view, memory = self.views.view, self.memory
@@ -315,7 +311,7 @@ class Replica:
             if want.view >= view.members[sender]:
                 self._peers[sender].asked = self._tick
         elif memory is not None and want.incarnation == view.members[sender] and memory.applied >= view.since - 1:
-            self._send(self._stores.answer(sender, want, memory.snapshot()[1], self._link.room))
+            self._send(self._stores.answer(sender, want, memory.snapshot()[1], self._speech.room))
 
     def _state(self, piece: StatePiece) -> None:
         comeback, view = self.comeback, self.views.view
@@ -387,7 +383,7 @@ class Replica:
         peer = self._peers[sender]
         if view < self.views.view.number and peer.told != self._tick:
             peer.told = self._tick
-            self._link.say([sender], Decided, self.views.view)
+            self._speech.say([sender], Decided, self.views.view)
 
     def _silence(self, round_: int) -> Closing | None:
         """The closing of one that is in again and has no store yet: it does nothing."""

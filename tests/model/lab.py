@@ -76,6 +76,7 @@ class Wire:
         self._flights = flights
         self._head = Head(0, TOKEN, TOKEN, pid, TOKEN, TOKEN, 0, 0, None, ())
         self.rejected: list[str] = []
+        self.speech = self
 
     def say(self, to: Collection[int], kind: Callable[..., Message], *fields: Any) -> None:
         self._flights.extend(Flight(p, kind(self._head, *fields)) for p in to)

@@ -58,7 +58,7 @@ def test_who_has_not_closed_yet_does_not_answer(ahead: int) -> None:
     assert replica is not None and replica.memory is not None
     memory = replica.memory
     answers = listen(fleet, 1, Round)
-    asking = replace(replica._link._head([0]), pid=0)
+    asking = replace(replica._speech._head([0]), pid=0)
     closed = memory.held[1]
     replica.take(Need(asking, 0, closed + ahead, memory.applied, memory.held, ()), closed + 1)
     assert [*answers.values()] == ([] if ahead else [{0}])

@@ -117,13 +117,13 @@ def test_words_with_closings_go_in_as_few_datagrams_as_they_fit_in(length: int) 
     """Where all fit into one they need no other way than those that do not; no echo is lost on the way."""
     fleet = Fleet(n=3).boot_all()
     fleet.run_rounds(3)
-    link, sent = fleet.robots[0].agent._link, list[bytes]()
+    speech, sent = fleet.robots[0].agent._link.speech, list[bytes]()
     fleet.network.send = lambda sender, receiver, datagram: sent.append(datagram)  # type: ignore[method-assign]
     value = Raw(wire.encoder.encode("x" * length))
     closings = [Closing(0, 0, r, r, acted=True, writes=(Write(0, value),)) for r in range(1, 5)]
-    link._next_echo = float("-inf")
-    link._echoed.clear()
-    link.round([1], (0, 5, 4, 3, False, ()), closings)
+    speech._next_echo = float("-inf")
+    speech._echoed.clear()
+    speech.round([1], (0, 5, 4, 3, False, ()), closings)
     messages = [wire.decode(d, KEY) for d in sent]
     rounds = [m for m in messages if isinstance(m, Round)]
     assert all(len(d) <= LIMIT for d in sent) and len(messages) == {1: 1, 30: 1, 300: 2, 700: 4, 5000: 25}[length]
@@ -151,7 +151,7 @@ def test_a_dense_map_goes_in_pieces_once_and_what_changes_of_it_in_patches() -> 
     fleet.run(60, until=lambda: all(r.agent._rounds is not None for r in fleet.robots.values()))
     sent = tapped(fleet)
     finish(fleet)
-    room = fleet.robots[0].agent._link.room
+    room = fleet.robots[0].agent._link.speech.room
     pieces = -(-(WIDTH * HEIGHT // 4) // room)
     assert pieces * N * (N - 1) <= sent["Piece"] <= (pieces + 1) * N * (N - 1)
     patched = sent["bytes"] - sent["Piece"] * 1200

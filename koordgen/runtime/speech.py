@@ -1,0 +1,175 @@
+"""What one robot says to its peers: the head of every datagram, words with closings in as few datagrams as they fit in,
+and closings that are longer than one in pieces."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, Protocol
+
+from koordgen.runtime.clock import Clock, FleetClock
+from koordgen.runtime.pieces import cut, lacking
+from koordgen.runtime.program import Program
+from koordgen.runtime.seal import MEMORY, seal
+from koordgen.runtime.settings import Settings
+from koordgen.runtime.transport import Transport
+from koordgen.runtime.wire import (
+    LIMIT,
+    MAX_ECHOES,
+    MOST_PAYLOAD,
+    Closing,
+    Echo,
+    Head,
+    Hello,
+    Message,
+    Partly,
+    Piece,
+    Round,
+    encode,
+    encoder,
+    overhead,
+    pack,
+)
+
+REFERENCE_EVERY, OTHERS_EVERY = 0.05, 1.0  # seconds between exchanges that the clock learns from
+ECHOES_A_LESSON = 2  # so many echoes are sent for each of them: some are lost
+MOST_DATAGRAMS = 4  # to one peer for one catch-up
+MOST_PIECES_AT_ONCE = 16
+NOTHING: Mapping[int, Partly] = MappingProxyType({})
+
+Fields = tuple[int, int, int, int, bool, tuple[int, ...]]  # of Round, between its head and its closings
+
+
+class Heard(Protocol):
+    """Of a peer, when its newest datagram was `sent`, -1 for none, and `arrived` here (microseconds)."""
+
+    sent: int
+    arrived: int
+
+
+class Speech:
+    """`heard` are the peers that may be listened to."""
+
+    def __init__(
+        self,
+        program: Program,
+        settings: Settings,
+        key: bytes | None,
+        transport: Transport,
+        clock: Clock,
+        fleet_clock: FleetClock,
+        boot: bytes,
+        heard: Mapping[int, Heard],
+    ) -> None:
+        self.epoch = b""
+        self.room = LIMIT - overhead(len(settings.peers))  # bytes for closings or a piece in one datagram
+        self._pid = settings.pid
+        self._application = settings.application_id
+        self._interface = bytes.fromhex(program.interface_hash)
+        self._program = bytes.fromhex(program.program_hash)
+        self._boot = boot
+        self._key = key
+        self._transport = transport
+        self._clock = clock
+        self._fleet_clock = fleet_clock
+        self._heard = heard
+        self._sequence = 0
+        self._echoed: dict[int, float] = {}  # when each peer was last sent an echo
+        self._next_echo = -math.inf  # none is due to anyone before
+
+    def hello(self, to: int, challenge: bytes, answer: bytes, holds: tuple[int, ...], init: Closing | None,
+              start: int | None) -> None:  # fmt: skip
+        self._send([to], Hello(self._head([to], 0.0), to, challenge, answer, holds, init, start))
+
+    def say(self, to: Collection[int], kind: type[Message], *fields: Any) -> None:
+        """One message of this kind, with its fields behind the head."""
+        if to:
+            self._send(to, kind(self._head(to), *fields))
+
+    def round(self, to: Collection[int], word: Fields, closings: Sequence[Closing],
+              partly: Mapping[int, Partly] = NOTHING) -> None:  # fmt: skip
+        """A word with closings: one datagram, or as few as they fit in, at most MOST_DATAGRAMS; the rest waits to be
+        asked for. Of a closing that is longer than a datagram go those pieces that are not in `partly`, by author."""
+        if not to:
+            return
+        head = self._head(to)
+        payload = pack(Round(head, *word, tuple(closings)))
+        if len(payload) <= MOST_PAYLOAD:
+            self._transport.send(list(to), seal(self._key, MEMORY, payload))
+            return
+        self._divided(to, head, word, closings, partly)
+
+    def _divided(self, to: Collection[int], head: Head, word: Fields, closings: Sequence[Closing],
+                 partly: Mapping[int, Partly]) -> None:  # fmt: skip
+        """The same for what is too long for one datagram."""
+        small = []
+        for closing in closings:
+            if len(closing.writes) and len(blob := encoder.encode(closing)) > self.room:
+                self._pieces(to, closing, blob, partly.get(closing.author))
+            else:
+                small.append(closing)
+        for index, batch in enumerate(self._batches(small)):
+            self._send(to, Round(self._head(to) if index else head, *word, batch))
+
+    def _head(self, to: Collection[int], every: float | None = None) -> Head:
+        self._sequence += 1
+        now = self._clock.now()
+        offset = self._fleet_clock.offset(now)
+        echoes = () if every is None and now < self._next_echo else self._echoes(to, now, every)
+        return Head(
+            self._application,
+            self._interface,
+            self._program,
+            self._pid,
+            self._boot,
+            self.epoch,
+            self._sequence,
+            microseconds(now),
+            None if offset is None else round(offset * 1e6),
+            echoes,
+        )
+
+    def _echoes(self, to: Collection[int], now: float, every: float | None) -> tuple[Echo, ...]:
+        """Of those whose turn it is: as often as they learn from it, which from the reference they do most."""
+        if every is None:
+            reference = self._fleet_clock.reference == self._pid
+            every = (REFERENCE_EVERY if reference else OTHERS_EVERY) / ECHOES_A_LESSON
+        heard, echoed = self._heard, self._echoed
+        due = [p for p in to if now - echoed.get(p, -math.inf) >= every and p in heard]
+        if len(due) <= MAX_ECHOES and len(to) == len(heard):  # nobody is left
+            self._next_echo = now + every / ECHOES_A_LESSON
+        if len(due) > MAX_ECHOES:
+            due = sorted(due, key=lambda p: (echoed.get(p, -math.inf), p))[:MAX_ECHOES]
+        echoed.update(dict.fromkeys(due, now))
+        return tuple([Echo(p, s.sent, s.arrived) for p in due if (s := heard[p]).sent >= 0])
+
+    def _pieces(self, to: Collection[int], closing: Closing, blob: bytes, known: Partly | None) -> None:
+        pieces = cut(blob, self.room)
+        mask = known.mask if known is not None and known.digest == pieces[0][0] else b""
+        for index in lacking(len(pieces), mask)[:MOST_PIECES_AT_ONCE]:
+            place = closing.author, closing.incarnation, closing.round
+            digest, _, count, data = pieces[index]
+            self._send(to, Piece(self._head(to), *place, digest, index, count, data))
+
+    def _batches(self, closings: Sequence[Closing]) -> list[tuple[Closing, ...]]:
+        if len(closings) < 2:
+            return [tuple(closings)]
+        batches: list[tuple[Closing, ...]] = []
+        batch: list[Closing] = []
+        room = self.room
+        for closing in closings:
+            length = len(encoder.encode(closing))
+            if batch and length > room:
+                batches.append(tuple(batch))
+                batch, room = [], self.room
+            batch.append(closing)
+            room -= length
+        return [*batches, tuple(batch)][:MOST_DATAGRAMS]
+
+    def _send(self, to: Collection[int], message: Message) -> None:
+        self._transport.send(list(to), encode(message, self._key))
+
+
+def microseconds(seconds: float) -> int:
+    return round(seconds * 1e6) if seconds > 0.0 else 0
