@@ -77,7 +77,7 @@ def test_both_bodies_take_the_same() -> None:
                 for i, datagram in sent:
                     sending[i].send(datagram)
                 made.wait(0.0, 500, 0.0)
-                found.append((made.receive(), troubles))
+                found.append((list(made.receive()), troubles))
         assert found[0] == found[-1]
         assert len(found[0][0]) <= len(sent)
 
@@ -90,7 +90,7 @@ def test_an_echo_is_dropped_once_and_only_of_the_last_sent(native: bool) -> None
         for i in (0, 5, 5, courier.MOST_ECHOES):
             sending[0].send(b"%d, and its MAC of 16" % i)
         sending[0].send(b"5, like its MAC of 16")
-        assert made.receive() == [b"%d, and its MAC of 16" % i for i in (0, 5)] + [b"5, like its MAC of 16"]
+        assert list(made.receive()) == [b"%d, and its MAC of 16" % i for i in (0, 5)] + [b"5, like its MAC of 16"]
 
 
 @pytest.mark.parametrize("native", BODIES)
@@ -99,7 +99,7 @@ def test_a_flood_at_one_socket_leaves_the_other_its_turn(native: bool) -> None:
         for i in range(1500):
             sending[0].send(b"%d" % i)
         sending[1].send(b"other")
-        taken = made.receive()
+        taken = list(made.receive())
         assert len(taken) == MOST_AT_ONCE
         assert taken.index(b"other") == courier.IN_TURN
         assert len(made.receive()) == 1501 - MOST_AT_ONCE
@@ -111,11 +111,11 @@ def test_errors_are_told_and_end_nothing(native: bool) -> None:
         receiving[0].connect(("127.0.0.1", 9))  # nobody is there: the echo of what is sent is an error
         receiving[0].send(b"x")
         made.wait(PATIENCE)
-        assert made.receive() == []
+        assert list(made.receive()) == []
         receiving[0].connect(sending[0].getsockname())
         sending[0].send(b"still")
         made.wait(PATIENCE)
-        assert made.receive() == [b"still"]
+        assert list(made.receive()) == [b"still"]
         assert troubles == [errno.ECONNREFUSED]
 
 
@@ -124,10 +124,10 @@ def test_waiting_for_no_time_looks(native: bool) -> None:
     with inbox(native) as (made, _, sending, _):
         for _ in range(3):
             made.wait(0.0)
-            assert made.receive() == []
+            assert list(made.receive()) == []
             sending[0].send(b"x")
             made.wait(0.0)
-            assert made.receive() == [b"x"]
+            assert list(made.receive()) == [b"x"]
 
 
 @pytest.mark.parametrize("native", BODIES)
@@ -176,7 +176,7 @@ def test_spinning_that_succeeds_goes_on() -> None:
             for _ in range(50):
                 sending[0].send(b"x")
                 made.wait(PATIENCE, 1, 0.0002)
-                assert made.receive() == [b"x"]
+                assert list(made.receive()) == [b"x"]
             assert made.shown.failed == i
         assert made.shown.spins == 3 * 50
 
@@ -265,9 +265,9 @@ def test_what_comes_while_the_time_runs_out_is_left_for_the_next_call() -> None:
         if not child:  # stopped while it waits, it wakes after the end
             made.wait(0.0002)  # spins in vain; the next one does not
             made.wait(0.2)
-            found = [made.receive()]
+            found = [list(made.receive())]
             made.wait(1e-9)
-            found.append(made.receive())
+            found.append(list(made.receive()))
             os._exit(found != [[], [b"x"]])
         time.sleep(0.1)
         os.kill(child, signal.SIGSTOP)
@@ -308,7 +308,7 @@ def test_what_is_damaged_is_told_alike() -> None:
             with inbox(native) as (made, _, sending, _):
                 for datagram in sent:
                     sending[0].send(datagram)
-                taken = made.receive()
+                taken = list(made.receive())
             payloads = unseal_all(key, MEMORY, taken)
             assert [opened(len(d), p) for d, p in zip(taken, payloads, strict=True)] == expected
 
