@@ -217,11 +217,15 @@ class Memory:
         logs, words, members, last = self._logs, self._words, self.view.members, present + AHEAD
         for row in rows:
             sender, round_, applied, settled = row.sender, row.round, row.applied, row.settled
-            closing, through = row.closing, round_ - 1 if round_ else 0
-            if closing is not None:
-                log = logs[sender]
-                next_ = single and closing.incarnation == members[sender] and log.held + 1 == round_ <= last
-                if next_ and len(log.entries) < RECENT and (values := self._layout.read(closing)) is not None:
+            through = round_ - 1 if round_ else 0
+            for closing in row.closings:
+                log, next_ = logs[sender], closing.author == sender and closing.first == closing.round
+                fits = single and next_ and closing.incarnation == members[sender] and len(log.entries) < RECENT
+                if (
+                    fits
+                    and closing.round == log.held + 1 <= last
+                    and (values := self._layout.read(closing)) is not None
+                ):
                     log.take(Entry(closing, values))
                     if log.held > self.applied:
                         self._lacking.discard(sender)

@@ -124,15 +124,16 @@ class Replica:
         held = memory.held if memory.applied < round_ - 1 else ()  # else it would tell nothing more
         return memory.view.number, round_, memory.applied, memory.settled, self.emergency, held
 
-    def publish(self, first: int, round_: int) -> None:
-        """The own closings from `first` on go to everyone, and to each what it lacked when it last spoke."""
+    def publish(self, first: int, round_: int, strained: bool) -> None:
+        """The own closings from `first` on go to everyone, and to each what it lacked when it last spoke; but not where
+        time is short, and what is lacking late rather than lost: see `patience`."""
         memory, word = self.memory, self.word(round_)
         if memory is None:
             closing = self._silence(round_)
             self._speech.round(self._peers, word, () if closing is None else (closing,))
             return
         own = memory.own(first)
-        if not memory.unanswered:
+        if strained or not memory.unanswered:
             self._speech.round(self._peers, word, own)
             return
         plain: list[int] = []

@@ -232,7 +232,7 @@ class Rounds:
         round_ = self.round
         if not self._present.open and self._published < round_:  # of this round the others have an older life's closing
             memory.close(round_, {}, stopped=self.stopped)
-            self._replica.publish(self._published + 1, round_)
+            self._replica.publish(self._published + 1, round_, self._patience.strained(round_))
             self._published = round_
 
     def _settle(self, now: float) -> None:
@@ -355,7 +355,7 @@ class Rounds:
             memory.close(round_, shared, stopped=stopped, acted=life is not None, prompt=prompt, lock=lock)
         else:
             self.counters.out += 1
-        self._replica.publish(self._published + 1, round_)
+        self._replica.publish(self._published + 1, round_, self._patience.strained(round_))
         self._published = round_
         return life
 
