@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import msgspec
 
+from koordgen.runtime.bounds import Text
 from koordgen.runtime.patch import difference, patched
 from koordgen.runtime.program import Variable
 from koordgen.runtime.values import transmissible
@@ -44,7 +45,7 @@ class Layout:
         self._index = {v.name: i for i, v in enumerate(shared)}
         self._decoders = tuple(msgspec.msgpack.Decoder(v.type) for v in shared)
         self._plain = tuple(v.type if v.type in _PLAIN else None for v in shared)
-        self._flaws = tuple(v.bound.flaw for v in shared)
+        self._fits = tuple(_test(v) for v in shared)
         self._encoded: dict[int, tuple[Any, bytes]] = {}
         if n_sys > MAX_ROBOTS:
             raise TooLarge(f"a fleet of {n_sys} robots; at most {MAX_ROBOTS} are supported")
@@ -124,7 +125,7 @@ class Layout:
             item = shared[self.names[index]]
             if write.patch or type(item) is not self._plain[index]:
                 item = self._item(write)
-            elif not self._fits(index, item):
+            elif not self._fits[index](item):
                 item = None
             if item is None:
                 return None
@@ -142,15 +143,21 @@ class Layout:
         if not writes:
             return ()
         values: list[tuple[int, Any]] = []
-        before, count = -1, len(self._decoders)
+        before, decoders = -1, self._decoders
         for write in writes:
             index = write.index
-            if not before < index < count:
+            if not before < index < len(decoders):
                 return None
-            item = self._item(write)
-            if item is None:
-                return None
-            values.append((index, item))
+            if write.patch:
+                values.append((index, Unpatched(bytes(write.value))))
+            else:
+                try:
+                    value = decoders[index].decode(write.value)
+                except (ValueError, RecursionError):
+                    return None
+                if not self._fits[index](value):
+                    return None
+                values.append((index, value))
             before = index
         return values
 
@@ -184,10 +191,7 @@ class Layout:
             value = self._decoders[index].decode(data)
         except (ValueError, RecursionError):
             return None
-        return value if self._fits(index, value) else None
-
-    def _fits(self, index: int, value: Any) -> bool:
-        return transmissible(value) and not self._flaws[index](value)
+        return value if self._fits[index](value) else None
 
     def _encoding(self, index: int, value: Any) -> bytes:
         """The encoding of a value that several robots may patch in one round: kept until there is another."""
@@ -195,6 +199,22 @@ class Layout:
         if known is None or known[0] is not value:
             known = self._encoded[index] = value, encoder.encode(value)
         return known[1]
+
+
+def _test(variable: Variable) -> Callable[[Any], bool]:
+    """Whether a value of the variable's type is one that this program can write."""
+    bound = variable.bound
+
+    def fits(value: Any) -> bool:
+        return transmissible(value) and not bound.flaw(value)
+
+    def text_fits(value: str) -> bool:
+        return len(value) <= capacity if value.isascii() else fits(value)
+
+    if variable.type is str and isinstance(bound, Text):  # the kind of value that is the longest to go through
+        capacity = bound.capacity
+        return text_fits
+    return fits
 
 
 def most_closing(n_sys: int) -> int:

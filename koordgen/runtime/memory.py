@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from koordgen.runtime.commits import counting
 from koordgen.runtime.course import Course
 from koordgen.runtime.layout import Layout, Unpatched
 from koordgen.runtime.log import GAPS, Entry, Log, detached
@@ -32,12 +33,6 @@ class _Word:
     applied: int = 0
     through: int = 0
     answered: bool = True
-
-
-def winner(contenders: Sequence[int], lock: int, round_: int, n_sys: int) -> int:
-    """Whose commit counts, of those that would change what one lock protects in one round: the first place goes round,
-    so everyone comes to it."""
-    return min(contenders, key=lambda pid: (pid - round_ - lock) % n_sys)
 
 
 class Memory:
@@ -74,6 +69,7 @@ class Memory:
         self.unfit = 0  # patches that fitted no value: a fault of their author's, dropped by everyone alike
         # Store and `acted` after a round and the silent ones behind it; the first is of a stable round.
         self._past: list[tuple[int, Mapping[str, Any], list[int]]] = [(applied, shared, self.acted)]
+        self._sure = -1  # a round that is stable, as are all before it; -1: none is known in this view
         self._watched, self._reached = -1, 0  # a round, and how many others have said to have applied it
         self.prompt: tuple[int, ...] = ()  # who waits to hear that the last applied round was applied
         self._look()
@@ -151,7 +147,7 @@ class Memory:
         self._course.append(view)
         self.view = view
         self.frozen = False
-        self._watched = -1
+        self._sure = self._watched = -1
         self._look()
 
     def _forget(self, before: View, view: View) -> None:
@@ -255,15 +251,19 @@ class Memory:
 
     def stable(self, round_: int) -> bool:
         """Whether no view can leave out what was done up to this round."""
+        if round_ <= self._sure:
+            return True
         if round_ < self.view.since:
             return self.applied >= round_
         if round_ > self.applied:
             return False
+        needed = majority(self._n) - 1  # of the others
         if round_ != self._watched:
             number = self.view.number
-            self._watched = round_
-            self._reached = sum(w.view == number and w.applied >= round_ for w in self._words.values())
-        return 1 + self._reached >= majority(self._n)
+            said = sorted([w.applied if w.view == number else -1 for w in self._words.values()], reverse=True)
+            self._sure = min(self.applied, said[needed - 1]) if needed else self.applied
+            self._watched, self._reached = round_, len([a for a in said if a >= round_])
+        return self._reached >= needed
 
     def unaware(self, round_: int) -> list[int]:
         """The members that have not said to have applied a round."""
@@ -328,35 +328,25 @@ class Memory:
         applied, logs = self.applied, self._logs
         self._lacking = {p for p in self._course.members if logs[p].held <= applied}
 
-    def _counting(self, entries: Sequence[Entry], round_: int) -> Sequence[Entry]:
-        """Those whose event counts, in the order in which they take effect."""
-        contenders: dict[int, list[int]] = {}
-        for entry in entries:
-            if entry.closing.lock >= 0:
-                contenders.setdefault(entry.closing.lock, []).append(entry.closing.author)
-        if not contenders:
-            return entries
-        winners = {winner(pids, lock, round_, self._n) for lock, pids in contenders.items()}
-        commits = [e for e in entries if e.closing.lock >= 0 and e.closing.author in winners]
-        return [*commits, *(e for e in entries if e.closing.lock < 0)]
-
     def _apply(self, entries: Sequence[Entry], through: int) -> None:
         """Apply one closing of each member, given in ascending pid: first the commits, then the plain writes, so that
         the highest pid wins a plain conflict, also over that round's commit."""
-        counting = self._counting(entries, through)
-        shared, acted = self._written(counting), list(self.acted)
-        for entry in counting:
+        waiting, contended = list[int](), False
+        for entry in entries:
             closing = entry.closing
-            if closing.acted:
-                acted[closing.author] = closing.round
-            if closing.stopped:
-                first = max(closing.first, self.applied + 1) if through else 0
-                self.stopped.setdefault(closing.author, first)
-            if closing.lock >= 0 and closing.author == self._pid:
-                self.won = closing.round
-        self.prompt = tuple([e.closing.author for e in entries if e.closing.prompt and e.closing.round == through])
+            if closing.prompt and closing.round == through:
+                waiting.append(closing.author)
+            if closing.lock >= 0:
+                contended = True
+        self.prompt = tuple(waiting)
+        if contended:
+            commits, others = counting(entries, through, self._n)
+            if any(e.closing.author == self._pid for e in commits):
+                self.won = through
+            entries = [*commits, *others]
+        shared, acted = self._done(entries, through)
         self.applied = through
-        if shared is not self.shared or acted != self.acted:
+        if shared is not self.shared or acted is not self.acted:
             self.shared, self.acted = shared, acted
             if len(self._past) >= FORGET_EVERY:
                 self._forget_past()
@@ -374,15 +364,23 @@ class Memory:
                 del self._past[:index]
                 return
 
-    def _written(self, entries: Sequence[Entry]) -> Mapping[str, Any]:
-        """The store with what these closings wrote, in their order."""
-        layout, shared = self._layout, self.shared
+    def _done(self, entries: Sequence[Entry], through: int) -> tuple[Mapping[str, Any], list[int]]:
+        """The store with what these closings wrote, in their order, and the rounds in which events counted; who stopped
+        is noted."""
+        layout, shared, acted = self._layout, self.shared, self.acted
         is_slots = layout.is_slots
         changed: dict[int, Any] = {}
         for entry in entries:
+            closing = entry.closing
+            author = closing.author
+            if closing.acted:
+                if acted is self.acted:
+                    acted = acted.copy()
+                acted[author] = closing.round
+            if closing.stopped:
+                self.stopped.setdefault(author, max(closing.first, self.applied + 1) if through else 0)
             for index, item in entry.values:
-                author = entry.closing.author
-                if isinstance(item, Unpatched):
+                if type(item) is Unpatched:
                     item = layout.resolve(index, item, layout.base(index, shared, author))
                     if item is None:
                         self.unfit += 1
@@ -395,5 +393,6 @@ class Memory:
                 else:
                     changed[index] = item
         if not changed:
-            return shared
-        return {**shared, **{layout.names[i]: tuple(v) if is_slots[i] else v for i, v in changed.items()}}
+            return shared, acted
+        written = {layout.names[i]: tuple(v) if is_slots[i] else v for i, v in changed.items()}
+        return {**shared, **written}, acted

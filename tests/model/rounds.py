@@ -8,6 +8,7 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 from koordgen.runtime.comeback import Comeback
+from koordgen.runtime.commits import counting
 from koordgen.runtime.log import Entry
 from koordgen.runtime.memory import Memory
 from koordgen.runtime.views import Vote
@@ -152,10 +153,12 @@ class Rounds:
                 Entry(Closing(a, i, round_, round_, acted=kind != SKIP, lock=0 if kind == COMMIT else -1), ())
                 for a, i, kind in closings
             ]
-            counting = Memory._counting(cast(Memory, SimpleNamespace(_n=N)), entries, round_)
-            if sum(e.closing.lock >= 0 for e in counting) > 1:
+            commits, others = counting(entries, round_, N)
+            if len(commits) > 1:
                 raise Violation(f"P1: round {round_}: more than one commit of {closings} counts")
-            found = tuple(sorted((e.closing.author, e.closing.incarnation) for e in counting if e.closing.acted))
+            found = tuple(
+                sorted((e.closing.author, e.closing.incarnation) for e in (*commits, *others) if e.closing.acted)
+            )
             self._counted[key] = found
         return found
 
@@ -203,7 +206,7 @@ class Rounds:
         found = self._stable.get(key)
         if found is None:
             memory = SimpleNamespace(
-                view=key[0], applied=robot.applied, _n=N, _watched=-1, _reached=0,
+                view=key[0], applied=robot.applied, _n=N, _sure=-1, _watched=-1, _reached=0,
                 _words={i: SimpleNamespace(view=w, applied=a) for i, (w, a) in enumerate(heard)},
             )  # fmt: skip
             found = self._stable[key] = Memory.stable(cast(Memory, memory), robot.pending)
