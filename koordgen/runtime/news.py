@@ -9,13 +9,16 @@ class News:
     """Of the `n_sys` robots of a fleet; rounds only go up."""
 
     def __init__(self, n_sys: int) -> None:
-        self._held = [-1] * n_sys  # of each robot's closings, and the round in which there was the last news of them
+        # What is held of each robot's closings, -1: that it is held at all is news; and the round of the last news.
+        self._held, self._anew = [-1] * n_sys, True  # there may be a -1
         self._last = [0] * n_sys
         self._complete = -1
 
     def complete(self, present: int) -> None:
         """All closings of round `present` are here in that round: there is news of everyone who counts."""
         self._complete = present
+        if self._anew:
+            self._held, self._anew = [max(0, held) for held in self._held], False
 
     def note(self, held: Sequence[int], present: int) -> None:
         """So much is held of each robot's closings in round `present`."""
@@ -27,7 +30,7 @@ class News:
 
     def renew(self, pid: int) -> None:
         """A robot's time begins anew."""
-        self._held[pid] = -1
+        self._held[pid], self._anew = -1, True
 
     def silent(self, pids: Collection[int], since: int) -> list[int]:
         """Those of whom there was no news since before a round."""
