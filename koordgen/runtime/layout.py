@@ -109,28 +109,31 @@ class Layout:
             store[name] = found if slots else found[0]
         return store
 
-    def writes(
+    def written(
         self, shared: Mapping[str, Any], store: Mapping[str, Any] | None = None, author: int = 0
-    ) -> tuple[Write, ...]:
-        """What an event of the author's wrote, as it goes over the wire. A large value that differs little from that in
-        `store`, which its round began with, goes as a patch."""
-        return tuple([self._write(i, shared[self.names[i]], store, author) for i in self._indices(shared)])
-
-    def kept(self, shared: Mapping[str, Any], writes: Sequence[Write]) -> list[tuple[int, Any]] | None:
-        """What `read` would give of a closing with these `writes` of `shared`. A number or text of just the variable's
-        type is what its encoding yields, so it is not decoded."""
-        values: list[tuple[int, Any]] = []
-        for write in writes:
-            index = write.index
+    ) -> tuple[tuple[Write, ...], Sequence[tuple[int, Any]] | None]:
+        """What an event of the author's wrote, as it goes over the wire, and what `read` would give of it. A large
+        value that differs little from that in `store`, which its round began with, goes as a patch. A number or text of
+        just the variable's type is what its encoding yields, so it is not decoded."""
+        writes, values, fit = list[Write](), list[tuple[int, Any]](), True
+        for index in sorted(map(self._index.__getitem__, shared)):
             item = shared[self.names[index]]
-            if write.patch or type(item) is not self._plain[index]:
-                item = self._item(write)
+            whole = encoder.encode(item)
+            write = Write(index, msgspec.Raw(whole))
+            if store is not None and len(whole) > PATCH_FROM:
+                patch = difference(self._encoding(index, self.base(index, store, author)), whole)
+                if patch is not None:
+                    write = Write(index, msgspec.Raw(patch), True)
+            if write.patch:
+                item = Unpatched(bytes(write.value))
+            elif type(item) is not self._plain[index]:
+                item = self._value(index, whole)
             elif not self._fits[index](item):
                 item = None
-            if item is None:
-                return None
+            fit = fit and item is not None
+            writes.append(write)
             values.append((index, item))
-        return values
+        return tuple(writes), values if fit else None
 
     def read(self, closing: Closing) -> Sequence[tuple[int, Any]] | None:
         """What a closing carries, by index: values, and patches as Unpatched; None when anything in it does not fit
@@ -168,22 +171,6 @@ class Layout:
             return item
         data = patched(self._encoding(index, base), item.patch, self._shared[index].bound.bytes)
         return None if data is None else self._value(index, data)
-
-    def _indices(self, shared: Mapping[str, Any]) -> list[int]:
-        indices = [self._index[name] for name in shared]
-        indices.sort()
-        return indices
-
-    def _write(self, index: int, value: Any, store: Mapping[str, Any] | None, author: int) -> Write:
-        whole = encoder.encode(value)
-        if store is not None and len(whole) > PATCH_FROM:
-            patch = difference(self._encoding(index, self.base(index, store, author)), whole)
-            if patch is not None:
-                return Write(index, msgspec.Raw(patch), True)
-        return Write(index, msgspec.Raw(whole))
-
-    def _item(self, write: Write) -> Any | None:
-        return Unpatched(bytes(write.value)) if write.patch else self._value(write.index, write.value)
 
     def _value(self, index: int, data: bytes | msgspec.Raw) -> Any | None:
         """The value in an encoding; None when it is none that this program can write."""

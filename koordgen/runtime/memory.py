@@ -14,7 +14,6 @@ from koordgen.runtime.commits import counting
 from koordgen.runtime.course import Course
 from koordgen.runtime.layout import Layout, Unpatched
 from koordgen.runtime.log import GAPS, Entry, Log, detached
-from koordgen.runtime.views import majority
 from koordgen.runtime.wire import Closing, State, View
 
 AHEAD = 8  # rounds that a peer's clock may be ahead of ours
@@ -118,10 +117,6 @@ class Memory:
         """How many closings are missing that the next round to be applied needs."""
         return len(self._lacking)
 
-    def member(self) -> bool:
-        """Whether this robot counts."""
-        return self.view.members[self._pid] >= 0
-
     def rewound(self, view: View) -> Memory | None:
         """The replica as it was when the rounds before `view` had been applied, for one that had gone further; None
         when that is not known any more."""
@@ -168,9 +163,9 @@ class Memory:
         if round_ > log.held + 1 and single:
             log.append(Entry(Closing(self._pid, incarnation, log.held + 1, round_ - 1, stopped), ()))
         first = round_ if single else log.held + 1
-        writes = self._layout.writes(shared, self.shared, self._pid) if shared else ()
+        writes, values = self._layout.written(shared, self.shared, self._pid) if shared else ((), ())
         closing = Closing(self._pid, incarnation, first, round_, stopped, acted, prompt, lock, writes)
-        log.take(Entry(closing, self._layout.kept(shared, writes) or ()))
+        log.take(Entry(closing, values or ()))
         self._lacking.discard(self._pid)
 
     def take(self, closing: Closing, present: int) -> str | None:
@@ -247,7 +242,7 @@ class Memory:
             if not entries[0].closing.acted and not any(e.single for e in entries):
                 through = min(round_ - 1, self._course.end(through), min([e.closing.round for e in entries]))
             self._apply(entries, through)
-        return self.applied == round_ - 1 and not self.frozen and self.member()
+        return self.applied == round_ - 1 and not self.frozen and self.view.members[self._pid] >= 0
 
     def stable(self, round_: int) -> bool:
         """Whether no view can leave out what was done up to this round."""
@@ -257,7 +252,7 @@ class Memory:
             return self.applied >= round_
         if round_ > self.applied:
             return False
-        needed = majority(self._n) - 1  # of the others
+        needed = self._n // 2  # of the others, for a majority
         if round_ != self._watched:
             number = self.view.number
             said = sorted([w.applied if w.view == number else -1 for w in self._words.values()], reverse=True)
@@ -280,6 +275,8 @@ class Memory:
     def own(self, first: int) -> list[Closing]:
         """The own closings from `first` on."""
         log = self._logs[self._pid]
+        if log.entries and log.entries[-1].closing.first == first:  # nearly always
+            return [log.entries[-1].closing]
         return log.between(first, log.held)
 
     def repeat(self, pid: int, helps: bool = True) -> list[Closing]:

@@ -241,7 +241,7 @@ class Replica:
         memory = self.memory
         if memory is not None and memory.applied != self._said:
             self._said = memory.applied
-            self._save()
+            self._announce(self.views.view, self._said, self.views.vote)
 
     def _own_word(self) -> Word:
         self.keep()

@@ -167,7 +167,7 @@ class Store:
                 raise OSError(errno.EFBIG, f"a record of {len(payload)} bytes where there is room for fewer")
             self._sequence += 1
             body = _HEAD.pack(kind, self._sequence, len(payload)) + payload
-            _put(self._file, body + self._digest(body), self._offset(kind, slot))
+            _put(self._file, body + self._digest(body), self._begins[kind] + slot * self._lengths[kind])
         except OSError as error:
             self._give_up(error)
             return False
