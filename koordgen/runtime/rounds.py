@@ -30,7 +30,7 @@ from koordgen.runtime.watched import OWN, SENSED, SHARED, Moment
 PUBLISH = 0.5  # of delta: when a round's closing leaves at the latest
 FIRST_SLOT = 3  # the first of a round's SLOTS in which its own closings are asked for, before it the last round's
 PUNCTUAL = 0.5  # of a slot: who wakes later is late
-GATHER = 150e-6  # seconds that the closing of one more robot may take to come after another's
+GATHER = 300e-6  # seconds that the closing of one more robot may take to come after another's
 MOST_GATHER = 0.2  # of a round, for all of them: one of its SLOTS
 LINGER = 20  # rounds after all have stopped
 WOKE_LATE = "woke after the publish deadline"
