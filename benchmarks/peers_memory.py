@@ -289,7 +289,7 @@ class SharedMemory:
         elif not self._complete:
             self._wake = max(following, self._moment(FIRST_SLOT))
         else:
-            replica.note(round_)
+            replica.complete(round_)
             self._wake = math.inf
 
     def _moment(self, slot: float) -> float:

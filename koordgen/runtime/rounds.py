@@ -391,7 +391,7 @@ class Rounds:
             return self._tick(1.0)
         if memory.applied < self.round or self._replica.emergency:
             return self._tick(FIRST_SLOT / SLOTS)
-        self._replica.note(self.round)
+        self._replica.complete(self.round)
         return self._tick(1.0)
 
     def _following(self, slot: int) -> float:
