@@ -1,24 +1,26 @@
-"""The C code that robots compile: without a warning, and without what gcc's analyzer finds on its paths."""
+"""The C code that robots compile: without a warning of gcc's or clang's, and without what gcc's analyzer finds on its
+paths."""
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
-from koordgen.runtime import courier
+from koordgen.runtime import courier, gate
 from targets.car.solver import compiled
 
 ROOT = Path(__file__).parents[1]
-FLAGS = {courier.SOURCE: courier.FLAGS, compiled.SOURCE: compiled.FLAGS}
+FLAGS = {courier.SOURCE: courier.FLAGS, gate.SOURCE: gate.FLAGS, compiled.SOURCE: compiled.FLAGS}
 WARNINGS = ("-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion", "-Werror")
 
 
-def gcc(source: Path, flags: Sequence[str]) -> str:
+def told(compiler: str, source: Path, flags: Sequence[str]) -> str:
     """What it has to say."""
-    command = ["gcc", *flags, "-c", str(source), "-o", "/dev/null"]
+    command = [compiler, *[f for f in flags if not f.startswith("-l")], "-c", str(source), "-o", "/dev/null"]
     return subprocess.run(command, capture_output=True, text=True).stderr
 
 
@@ -29,10 +31,12 @@ def test_no_file_is_left_out() -> None:
 
 
 @pytest.mark.parametrize("source", FLAGS, ids=lambda path: path.name)
-@pytest.mark.parametrize("analysis", ["", "-fanalyzer"])
-def test_gcc_finds_nothing(source: Path, analysis: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("compiler", "analysis"), [("gcc", []), ("gcc", ["-fanalyzer"]), ("clang", [])])
+def test_compilers_find_nothing(source: Path, compiler: str, analysis: list[str], tmp_path: Path) -> None:
+    if shutil.which(compiler) is None:
+        pytest.skip(f"there is no {compiler}")
     empty = tmp_path / "empty.c"
     empty.touch()
-    if analysis and gcc(empty, [analysis]):
+    if analysis and told(compiler, empty, analysis):
         pytest.skip("this gcc has no analyzer")
-    assert gcc(source, [*FLAGS[source], *WARNINGS, *filter(None, [analysis])]) == ""
+    assert told(compiler, source, [*FLAGS[source], *WARNINGS, *analysis]) == ""

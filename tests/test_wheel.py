@@ -49,6 +49,7 @@ def test_it_carries_templates_targets_runtime_and_explanations(wheel: Path) -> N
         "koordgen/_data/targets/__init__.py",
         "koordgen/runtime/agent.py",
         "koordgen/runtime/courier.c",
+        "koordgen/runtime/gate.c",
         "koordgen/_generated/grammar.py",
         "koordgen/explain/K.md",
         "koordgen/explain/F.md",

@@ -22,7 +22,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, TextIO
 
-from koordgen.runtime import courier
+from koordgen.runtime import courier, gate
 from koordgen.runtime.clock import SystemClock
 from koordgen.runtime.control import Control
 from koordgen.runtime.doctor import PlatformType, examine
@@ -80,8 +80,9 @@ def main(
         Layout(program.shared, len(settings.peers))
         if program.library is not None:
             program.library.load()  # importing may take longer than a round
-        if courier.library() is None:  # and so may compiling
-            _say("warning", f"updates take longer to arrive than they could: {courier.why()}")
+        reasons = courier.why(), gate.why()  # and so may compiling
+        if any(reasons):
+            _say("warning", f"updates take longer to arrive than they could: {reasons[0] or reasons[1]}")
         platform = platform_type(settings, key)
         platform = with_drivers(platform, program, drivers)
         return _run(program, settings, key, platform, root, properties, quiet=arguments.quiet)

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 
-from koordgen.runtime import courier
+from koordgen.runtime import courier, gate
 from koordgen.runtime.control import Control
 from koordgen.runtime.drivers import Drivers, with_drivers
 from koordgen.runtime.extern import BadExtern
@@ -45,7 +45,7 @@ def examine(
         f"robot {settings.robot}, pid {settings.pid} of {len(settings.peers)}, delta {settings.delta} s",
     )
     yield _program(program, settings)
-    yield _courier()
+    yield _compiled()
     if settings.state is not None:
         yield disk(root.resolve().parent / settings.state)
     key, found = _key(settings)
@@ -65,15 +65,15 @@ def _program(program: Program, settings: Settings) -> Finding:
     return Finding("program", "ok", f"{program.name} {program.program_hash}, interface {program.interface_hash}")
 
 
-def _courier() -> Finding:
-    """It is compiled here and kept, so that the first mission does not wait for it."""
+def _compiled() -> Finding:
+    """The C code of the shared memory is compiled here and kept, so that the first mission does not wait for it."""
     began = time.perf_counter()
-    library = courier.library()
+    reasons = courier.why(), gate.why()
     took = 1e3 * (time.perf_counter() - began)
-    if library is None:
+    if any(reasons):
         why = "all works, and updates take longer to arrive: install a C compiler (`apt install gcc`)"
-        return Finding("courier", "warn", courier.why(), "compiled C", why)
-    return Finding("courier", "ok", f"compiled C, loaded in {took:.0f} ms")
+        return Finding("compiled", "warn", reasons[0] or reasons[1], "courier and gate as C", why)
+    return Finding("compiled", "ok", f"courier and gate as C, loaded in {took:.0f} ms")
 
 
 def _key(settings: Settings) -> tuple[bytes | None, Finding]:

@@ -145,7 +145,7 @@ static int is_genuine(const Gate *gate, const uint8_t *datagram, int32_t length)
     memcpy(block, at, (size_t)rest);
     compress(hash, block, count + (uint32_t)rest, 1);
     uint8_t wrong = 0; /* looked at as a whole: how long it takes tells nothing */
-    for (int i = 0; i < MAC_SIZE; i++) wrong |= (uint8_t)(hash[i / 4] >> i % 4 * 8) ^ datagram[length - MAC_SIZE + i];
+    for (int i = 0; i < MAC_SIZE; i++) wrong |= (uint8_t)(hash[i / 4] >> i % 4 * 8 ^ datagram[length - MAC_SIZE + i]);
     return !wrong;
 }
 
@@ -216,7 +216,7 @@ static int skip(Reader *reader) {
     return 1;
 }
 
-/* The echoes in a head, and among them ours. */
+/* The echoes in a head, and among them the first of ours. */
 static int read_echoes(const Gate *gate, Reader *reader, Word *word) {
     int64_t pid, sent, received;
     word->echoed = 0;
@@ -225,7 +225,8 @@ static int read_echoes(const Gate *gate, Reader *reader, Word *word) {
     for (; count; count--) {
         if (!byte(reader, 0x93) || !natural(reader, &pid) || !natural(reader, &sent) || !natural(reader, &received))
             return 0;
-        if (pid != gate->own) continue;
+        if (pid >= MAX_ROBOTS) return 0;
+        if (pid != gate->own || word->echoed) continue;
         word->echoed = 1;
         word->uttered = sent;
         word->heard = received;

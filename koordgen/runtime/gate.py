@@ -189,6 +189,8 @@ class Gate:
             count = datagrams.used
         else:
             count = len(datagrams)
+            if count > MOST_AT_ONCE:
+                raise ValueError(f"{count} datagrams at once, of at most {MOST_AT_ONCE}")
             lengths = array("i", map(len, datagrams))
             slots = b"".join([each[:LARGEST].ljust(LARGEST, b"\0") for each in datagrams])
             self._take(self._at, slots, LARGEST, lengths.buffer_info()[0], count, local, time)

@@ -136,7 +136,10 @@ class Link:
             message = opened(len(datagram), datagram[:-MAC_SIZE])
             if isinstance(message, str):
                 self.reject(message)
-            elif verdict == gate.USUAL or self._admit(message, local, fleet):
+            elif verdict == gate.USUAL:  # the gate has counted it
+                self._exchanges(message, local)
+                found.append(message)
+            elif self._admit(message, local, fleet):
                 found.append(message)
                 run = []
         return found
@@ -228,13 +231,18 @@ class Link:
         pid, sent = head.pid, head.sent
         if sent > sessions.sent[pid]:
             sessions.sent[pid], sessions.arrived[pid] = sent, microseconds(local)
-        for echo in head.echoes:
-            if echo.pid == self.pid:
-                self._learn(pid, Lesson(echo.sent, echo.received, sent, head.fleet), local)
+        self._exchanges(message, local)
         if isinstance(message, Round) and message.round > sessions.round[pid]:
             before, sessions.round[pid] = sessions.round[pid], message.round
             delay = None if fleet is None or head.fleet is None else fleet - (sent + head.fleet) / 1e6
             self.metrics.heard(pid, message.round - before if before else 1, delay, local)
+
+    def _exchanges(self, message: Message, local: float) -> None:
+        """Learn from what a datagram echoes of ours."""
+        head = message.head
+        for echo in head.echoes:
+            if echo.pid == self.pid:
+                self._learn(head.pid, Lesson(echo.sent, echo.received, head.sent, head.fleet), local)
 
     def _learn(self, pid: int, lesson: Lesson, local: float) -> None:
         """From what this peer heard of us and answered, here at `local`."""

@@ -9,11 +9,12 @@ import threading
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
 
-from koordgen.runtime import agent, courier, doctor
+from koordgen.runtime import agent, courier, doctor, gate
 from koordgen.runtime.doctor import examine, unknown
 from koordgen.runtime.layout import TooLarge
 from koordgen.runtime.platform import Finding, Unready
@@ -42,7 +43,7 @@ def test_all_that_is_looked_at(bundles: list[Path], capsys: pytest.CaptureFixtur
     done, found = examined(bundles[1], capsys)
     assert done == 0
     assert list(found) == [
-        "python", "processor", "packages", "files", "settings", "program", "courier", "disk", "key", "peers", "port",
+        "python", "processor", "packages", "files", "settings", "program", "compiled", "disk", "key", "peers", "port",
         "control", "fake", "clock",
     ]  # fmt: skip
     assert "robot bert, pid 1 of 3" in found["settings"]["found"]
@@ -168,19 +169,21 @@ def test_a_driver_that_cannot_be_made(bundles: list[Path]) -> None:
     assert found["drivers"].state == "fail" and "no bus" in found["drivers"].found
 
 
-def test_the_courier_is_compiled_so_that_no_mission_waits_for_it(
+def test_what_is_C_is_compiled_so_that_no_mission_waits_for_it(
     bundles: list[Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     done, found = examined(bundles[0], capsys)
-    assert done == 0 and found["courier"]["state"] == "ok"
-    assert re.fullmatch(r"compiled C, loaded in \d+ ms", found["courier"]["found"])
+    assert done == 0 and found["compiled"]["state"] == "ok"
+    assert re.fullmatch(r"courier and gate as C, loaded in \d+ ms", found["compiled"]["found"])
 
 
+@pytest.mark.parametrize("lacking", [[courier], [gate], [courier, gate]])
 def test_a_computer_without_a_compiler(
-    bundles: list[Path], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    bundles: list[Path], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, lacking: list[ModuleType]
 ) -> None:
-    monkeypatch.setattr(courier, "library", lambda: None)
-    monkeypatch.setattr(courier, "why", lambda: "there is no C compiler")
+    for library in (courier, gate):
+        monkeypatch.setattr(library, "_loaded", lambda told="there is no C compiler" * (library in lacking): told)
     done, found = examined(bundles[0], capsys)
-    assert done == 0 and (found["courier"]["state"], found["courier"]["found"]) == ("warn", "there is no C compiler")
-    assert "apt install gcc" in found["courier"]["why"]
+    assert done == 0
+    assert (found["compiled"]["state"], found["compiled"]["found"]) == ("warn", "there is no C compiler")
+    assert "apt install gcc" in found["compiled"]["why"]

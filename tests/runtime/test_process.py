@@ -13,12 +13,13 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import msgspec
 import pytest
 
-from koordgen.runtime import agent, courier
+from koordgen.runtime import agent, courier, gate
 from koordgen.runtime.platform import Finding
 from koordgen.runtime.settings import Peer
 from koordgen.runtime.transport import CannotOpen
@@ -226,15 +227,16 @@ def test_a_port_in_use_names_robot_and_address(bundles: list[Path], capsys: pyte
             assert re.search(rf"error: .*127\.0\.0\.1:{port}, where robot bert listens, is in use", said)
 
 
-def test_what_is_not_compiled_is_told_before_a_link_is_open(
-    bundles: list[Path], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("lacking", [[courier], [gate], [courier, gate]])
+def test_what_is_not_compiled_is_told_once_before_a_link_is_open(
+    bundles: list[Path], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, lacking: list[ModuleType]
 ) -> None:
     def refused(*given: Any) -> Any:
         raise CannotOpen("no link")
 
     monkeypatch.setattr(agent, "open_transport", refused)
-    monkeypatch.setattr(courier, "library", lambda: None)
-    monkeypatch.setattr(courier, "why", lambda: "there is no C compiler")
+    for library in (courier, gate):
+        monkeypatch.setattr(library, "_loaded", lambda told="there is no C compiler" * (library in lacking): told)
     assert run(bundles[1]) == 5
     told = "warning: updates take longer to arrive than they could: there is no C compiler\nerror: no link\n"
     assert capsys.readouterr().err == told
