@@ -91,7 +91,8 @@ class Update:
         if round_ > 0:
             self._round = round_
             memory.close(round_, {"report": f"{round_:0{self._size}}"}, stopped=False, acted=True)
-        word = (0, round_, memory.applied, memory.settled, False, memory.held)
+        held = memory.held if memory.applied < round_ - 1 else ()
+        word = (0, round_, memory.applied, memory.settled, False, held)
         self._link.speech.round([self._other], word, memory.own(round_) if round_ > 0 else ())
         memory.advance(round_ + 1)
 
@@ -195,7 +196,7 @@ class SharedMemory:
         if memory is not None:
             shared = {"report": f"{round_:0{self._size}}"} if current else {}
             memory.close(round_, shared, stopped=False, acted=current)
-        self._replica.publish(self._published + 1, round_)
+        self._replica.publish(self._published + 1, round_, self._patience.strained(round_))
         self._published = round_
 
     @property
@@ -252,7 +253,7 @@ class SharedMemory:
         self._published = memory.held[self._pid]
         if not self._open and self._published < self._round:
             memory.close(self._round, {}, stopped=False)
-            self._replica.publish(self._published + 1, self._round)
+            self._replica.publish(self._published + 1, self._round, self._patience.strained(self._round))
             self._published = self._round
 
     def _poll(self) -> None:
@@ -288,7 +289,7 @@ class SharedMemory:
         elif not self._complete:
             self._wake = max(following, self._moment(FIRST_SLOT))
         else:
-            replica.note(round_)
+            replica.complete(round_)
             self._wake = math.inf
 
     def _moment(self, slot: float) -> float:

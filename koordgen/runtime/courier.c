@@ -8,11 +8,13 @@
 
 #define _GNU_SOURCE
 #include <errno.h>
+#include <linux/sockios.h>
 #include <poll.h>
 #include <sched.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
+#include <sys/ioctl.h>
 #include <sys/prctl.h>
 #include <sys/socket.h>
 #include <time.h>
@@ -22,7 +24,10 @@ enum { MOST_SOCKETS = 2, MOST_ERRORS = 16, ECHO = -1 };
 static const int64_t SECOND = 1000000000; /* ns, as all that follows */
 static const int64_t SPIN = 200000;       /* of looking without sleep: a peer that must wake has answered by then */
 static const int64_t YIELDED = 5000;      /* a yield that took longer gave the core to somebody who needs it */
-static const int64_t NAP = 20000;         /* for each datagram that is missing */
+static const int64_t FIRST_PACE = 20000;  /* from one of several datagrams to the next, before it is known; */
+static const int64_t SHORT_PACE = 5000;   /* the least, */
+static const int64_t LONG_PACE = 150000;  /* and the most that is slept for each datagram that is missing */
+static const int64_t STEP = 8;            /* a part of the pace by which it changes after a gathering */
 static const unsigned long SLACK = 1000;  /* by which a sleep may end later than asked; the system's own is 50000 */
 static const int64_t LIGHT = 150000;      /* the end of a long sleep, slept alone: cores wake faster from a short one */
 static const int32_t MOST_RESTING = 64;   /* waits that do not spin after a failure */
@@ -32,12 +37,14 @@ typedef struct { /* what courier.py reads, field by field */
     int32_t errors, error[MOST_ERRORS]; /* of receiving; courier.py empties it */
     int32_t length[MOST_AT_ONCE];       /* of what is in each slot, or ECHO */
     int64_t spins, failed;              /* times that it began to spin, and that nothing came of it */
+    int64_t pace;                       /* from one of several datagrams to the next, as it was of late */
 } Shown;
 
 typedef struct {
     Shown shown;
     uint8_t *slots;                       /* MOST_AT_ONCE of LARGEST bytes */
     int32_t used, arrived;                /* slots; those of them that hold no echo */
+    int32_t looked;                       /* whether the last wait looked what is at the sockets */
     int32_t sockets;
     struct pollfd socket[MOST_SOCKETS];
     int32_t resting, penalty;             /* waits that will not spin yet; those after the last failure */
@@ -68,6 +75,7 @@ void courier_open(Inbox *inbox, uint8_t *slots, const int32_t *sockets, int32_t 
     memset(inbox, 0, sizeof *inbox);
     inbox->slots = slots;
     inbox->sockets = count;
+    inbox->shown.pace = FIRST_PACE;
     for (int i = 0; i < count; i++) inbox->socket[i] = (struct pollfd){.fd = sockets[i], .events = POLLIN};
     for (int i = 0; i < MOST_ECHOES; i++) inbox->length[i] = ECHO;
     for (int i = 0; i < MOST_AT_ONCE; i++) {
@@ -120,6 +128,7 @@ static int take(Inbox *inbox, int number) {
 
 /* What waits at the sockets, by turns, as far as there is room. */
 static void drain(Inbox *inbox) {
+    inbox->looked = 1;
     int more = (1 << inbox->sockets) - 1; /* a bit for each socket that may have more */
     while (more)
         for (int i = 0; i < inbox->sockets; i++)
@@ -129,14 +138,12 @@ static void drain(Inbox *inbox) {
 /* Whether there is reason to end a wait, whatever it waits for. */
 static int full(const Inbox *inbox) { return inbox->shown.errors || inbox->used == MOST_AT_ONCE; }
 
-/* Sleep, at most so long; where `wakes`, until something is at a socket. Whether something is, or may be; -1: a signal
-   came, which Python must see. */
+/* Sleep, at most so long; where `wakes`, until something is at a socket. Whether something is; -1: a signal came, which
+   Python must see. */
 static int rest(Inbox *inbox, int64_t duration, int wakes) {
-    if (duration < 0) duration = 0;
     struct timespec t = {.tv_sec = (time_t)(duration / SECOND), .tv_nsec = (long)(duration % SECOND)};
     int ready = ppoll(inbox->socket, wakes ? (nfds_t)inbox->sockets : 0, &t, NULL);
-    if (ready < 0) return errno == EINTR ? -1 : 0;
-    return ready || !wakes;
+    return ready < 0 ? -(errno == EINTR) : ready;
 }
 
 /* Look for what is still missing without sleeping, for to wake a core takes longer than most datagrams. Whether it has
@@ -165,30 +172,62 @@ static int spin(Inbox *inbox, int32_t expected, int64_t end) {
     return 0;
 }
 
-/* Until so many have arrived, or the end; 0: a signal came. The last one, which completes what is waited for, is worth
-   to be seen at once; for several, looking now and then is cheaper than to wake for each. */
+/* Until so many have arrived, or the end; 0: a signal came. What comes while the end passes is left for the next look:
+   the caller has something to do now, and others may wait for it. */
 static int wait_for(Inbox *inbox, int32_t expected, int64_t end) {
-    int tried = 0;
-    while (inbox->arrived < expected && !full(inbox)) {
-        int64_t missing = expected - inbox->arrived, left = end - now();
-        int last = missing == 1;
-        if (last && left > 0 && !tried++ && spin(inbox, expected, end)) break;
-        if (last) left = end - now();
-        int woken = rest(inbox, last ? (left > 2 * LIGHT ? left - LIGHT : left) : least(NAP * missing, left), last);
-        if (woken < 0) return 0;
-        if (woken) drain(inbox);
+    for (int tried = 0; inbox->arrived < expected && !full(inbox); tried = 1) {
+        if (!tried && now() < end && spin(inbox, expected, end)) break;
+        int64_t left = end - now();
         if (left <= 0) break;
+        int ready = rest(inbox, left > 2 * LIGHT ? left - LIGHT : left, 1);
+        if (ready < 0) return 0;
+        if (ready && now() < end) drain(inbox);
     }
     return 1;
 }
 
+/* When the last one that was taken came, by the system's word; 0: it does not say. */
+static int64_t last_came(const Inbox *inbox) {
+    struct timespec clock, came;
+    int64_t age = INT64_MAX;
+    clock_gettime(CLOCK_REALTIME, &clock); /* the one that the system stamps with */
+    for (int i = 0; i < inbox->sockets; i++)
+        if (!ioctl(inbox->socket[i].fd, SIOCGSTAMPNS, &came))
+            age = least(age, (clock.tv_sec - came.tv_sec) * SECOND + clock.tv_nsec - came.tv_nsec);
+    return age < INT64_MAX ? now() - age : 0;
+}
+
+/* So many came since `begin`. The pace stays where half of the gatherings are slower: what goes wrong now and then counts
+   for little. */
+static void learn(Inbox *inbox, int32_t count, int64_t begin) {
+    int64_t came = last_came(inbox), pace = inbox->shown.pace;
+    if (!came) return;
+    pace += ((came - begin) / count > pace ? pace : -pace) / STEP;
+    inbox->shown.pace = pace < SHORT_PACE ? SHORT_PACE : least(pace, LONG_PACE);
+}
+
+/* Until so many have arrived, or the end; 0: a signal came. To look when all should be there is cheaper than to wake
+   for each; the last one, which completes what is waited for, is worth to be seen at once. */
+static int gather(Inbox *inbox, int32_t expected, int64_t begin, int64_t end) {
+    int32_t before = inbox->arrived, missing;
+    int64_t left;
+    while ((missing = expected - inbox->arrived) > 1 && !full(inbox) && (left = end - now()) > 0) {
+        if (rest(inbox, least(inbox->shown.pace * missing, left), 0) < 0) return 0;
+        drain(inbox);
+    }
+    if (inbox->arrived - before > 1) learn(inbox, inbox->arrived - before, begin);
+    return wait_for(inbox, expected, end);
+}
+
 /* See Transport.wait; both times in seconds. `keep`: what the last call left was not taken, and counts. Ends early when
    a signal comes. Returns how many slots are used, from the first on. */
-int32_t courier_wait(Inbox *inbox, double seconds, int32_t expected, double gather, int32_t keep) {
-    int64_t begin = now(), end = begin + nanoseconds(seconds);
+int32_t courier_wait(Inbox *inbox, double seconds, int32_t expected, double patience, int32_t keep) {
+    int64_t begin = now(), end = begin + nanoseconds(seconds), until = least(end, begin + nanoseconds(patience));
+    int look = keep || expected > 1 || end == begin || !inbox->looked; /* of two waits at least one looks */
     if (!keep) inbox->used = inbox->arrived = 0;
-    if (keep || expected > 1) drain(inbox);
-    if (expected < 2 || wait_for(inbox, expected, least(end, begin + nanoseconds(gather)))) wait_for(inbox, 1, end);
+    inbox->looked = 0;
+    if (look) drain(inbox);
+    if (expected < 2 || gather(inbox, expected, begin, until)) wait_for(inbox, 1, end);
     return inbox->used;
 }
 

@@ -43,6 +43,7 @@ class Shown(ctypes.Structure):
         ("length", ctypes.c_int32 * MOST_AT_ONCE),
         ("spins", ctypes.c_int64),
         ("failed", ctypes.c_int64),
+        ("pace", ctypes.c_int64),
     )
 
 

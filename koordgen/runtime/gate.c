@@ -1,10 +1,9 @@
 /* The gate of one robot's shared memory: which datagrams are genuine and new, and the usual ones' way in.
 
-   Usual is what nearly all datagrams are: the word (wire.Round) of an adopted boot of a peer, in the present view, with
-   its closing of that very round, or with none. It is checked, counted, and
-   handed on as MessagePack (gate.Usual); what of it makes sense to the memory is not asked here. All else that is
-   genuine is left to Python (link.py), which does the same to the usual ones where there is no compiler; tests compare
-   the two. Nothing of a datagram is looked at before its MAC was found right.
+   Usual is what nearly all datagrams are: the word (wire.Round) of an adopted boot of a peer, in the present view,
+   without an emergency. It is checked, counted, and handed on as MessagePack (gate.Usual); whether what it says makes
+   sense is not asked here. All else that is genuine is left to Python (link.py), which does the same to the usual ones
+   where there is no compiler; tests compare the two. Nothing of a datagram is looked at before its MAC was found right.
 
    It allocates nothing, and writes only to what its caller, gate.py, gave it: the columns of sessions.py and metrics.py,
    an entry for each robot. The compiler is told by gate.py: LIMIT, LARGEST, MOST_AT_ONCE, MAC_SIZE, MAX_ROBOTS, MAX_ECHOES,
@@ -40,7 +39,6 @@ typedef struct { /* what gate.py reads, field by field */
 typedef struct {
     int32_t adopted;
     uint8_t tail[TAIL]; /* boot and epoch, as they are encoded */
-    int64_t incarnation;
 } Peer;
 
 typedef struct {
@@ -66,7 +64,7 @@ typedef struct { /* of a usual datagram */
     int known; /* whether there is a `fleet` */
     int echoed; /* whether there is an echo of ours: of what we `uttered`, which the peer `heard` */
     int64_t uttered, heard;
-    Text held, closing; /* as they came; empty: there is none */
+    Text held, closings; /* as they came */
 } Word;
 
 typedef struct {
@@ -245,7 +243,7 @@ static int read_word(const Gate *gate, const uint8_t *payload, int32_t length, W
     const Peer *peer = &gate->peer[word->pid];
     if (!peer->adopted || memcmp(payload + head + 1, peer->tail, TAIL)) return 0;
     Reader reader = {payload + head + 1 + TAIL, payload + length};
-    int64_t view, author, incarnation, first, last;
+    int64_t view;
     if (!natural(&reader, &word->sequence) || !natural(&reader, &word->sent)) return 0;
     word->known = reader.at < reader.end && *reader.at != 0xc0;
     if (!(word->known ? whole(&reader, &word->fleet) : byte(&reader, 0xc0))) return 0;
@@ -254,17 +252,11 @@ static int read_word(const Gate *gate, const uint8_t *payload, int32_t length, W
     if (!natural(&reader, &word->applied) || !natural(&reader, &word->settled)) return 0;
     if (!byte(&reader, 0xc2)) return 0; /* an emergency */
     word->held.at = reader.at;
-    if (!skip(&reader) || reader.end == reader.at) return 0;
+    if (!skip(&reader)) return 0;
     word->held.bytes = (size_t)(reader.at - word->held.at);
-    word->closing.at = reader.at + 1;
-    word->closing.bytes = (size_t)(reader.end - reader.at) - 1;
-    if (!word->closing.bytes) return *reader.at == 0x90;
-    if (!byte(&reader, 0x91) || !byte(&reader, 0x90 | 9)) return 0;
-    if (!natural(&reader, &author) || author != word->pid) return 0;
-    if (!natural(&reader, &incarnation) || incarnation != peer->incarnation) return 0;
-    if (!natural(&reader, &first) || !natural(&reader, &last) || first != word->round || last != first) return 0;
-    for (int i = 0; i < 5; i++)
-        if (!skip(&reader)) return 0;
+    word->closings.at = reader.at;
+    if (!skip(&reader)) return 0;
+    word->closings.bytes = (size_t)(reader.at - word->closings.at);
     return reader.at == reader.end;
 }
 
@@ -339,10 +331,7 @@ static uint8_t *tell(uint8_t *at, const Word *word) {
         if (word->known) at = put(at, word->fleet);
         else *at++ = 0xc0;
     }
-    at = copy(at, &word->held);
-    if (word->closing.bytes) return copy(at, &word->closing);
-    *at++ = 0xc0;
-    return at;
+    return copy(copy(at, &word->held), &word->closings);
 }
 
 size_t gate_size(void) { return sizeof(Gate); }
@@ -372,11 +361,8 @@ void gate_adopt(Gate *gate, int32_t pid, const uint8_t *tail, int32_t bytes) {
     if (bytes == TAIL) memcpy(gate->peer[pid].tail, tail, TAIL);
 }
 
-/* The present view; `incarnations` of all robots in it. */
-void gate_follow(Gate *gate, int64_t view, const int64_t *incarnations) {
-    gate->view = view;
-    for (int i = 0; i < gate->robots; i++) gate->peer[i].incarnation = incarnations[i];
-}
+/* The number of the present view. */
+void gate_follow(Gate *gate, int64_t view) { gate->view = view; }
 
 /* Judge what arrived: `count` slots, `stride` bytes apart, with so many bytes in each (negative: nothing); at `local`
    seconds of the robot's clock, which is `fleet` of the fleet's (not a number: not known). */

@@ -67,8 +67,7 @@ class Lesson(Wired, frozen=True):
 
 
 class Usual(Wired, frozen=True):
-    """What nearly all datagrams say, in the present view (see wire.Round); `closing` is the sender's of just that
-    round, or there is none."""
+    """What nearly all datagrams say: see wire.Round; in the present view, and without an emergency."""
 
     sender: Pid
     round: Natural
@@ -76,7 +75,7 @@ class Usual(Wired, frozen=True):
     settled: Natural
     lesson: Lesson | None
     held: MaybePerRobot
-    closing: Closing | None
+    closings: tuple[Closing, ...]
 
 
 class Judged(NamedTuple):
@@ -133,7 +132,7 @@ def prove(found: ctypes.CDLL) -> None:
         ("open", None, (address, number, number, address, address, text, ctypes.c_uint32, text)),
         ("begin", None, (address, text, number)),
         ("adopt", None, (address, number, text, number)),
-        ("follow", None, (address, ctypes.c_int64, address)),
+        ("follow", None, (address, ctypes.c_int64)),
         ("take", None, (address, address, number, address, number, seconds, seconds)),
     ):
         function = getattr(found, f"gate_{name}")
@@ -178,10 +177,9 @@ class Gate:
         """How a peer's head goes on behind its pid, boot and epoch; empty: nothing of it is usual."""
         self._found.gate_adopt(self._at, pid, tail, len(tail))
 
-    def follow(self, view: int, incarnations: Sequence[int]) -> None:
-        """The present view, and in it the incarnations of all robots."""
-        given = array("q", incarnations)
-        self._found.gate_follow(self._at, view, given.buffer_info()[0])
+    def follow(self, view: int) -> None:
+        """The number of the present view."""
+        self._found.gate_follow(self._at, view)
 
     def take(self, datagrams: Sequence[bytes], local: float, fleet: float | None) -> Judged:
         """Judge what arrived by `local` seconds of the robot's clock, which is `fleet` of the fleet's."""

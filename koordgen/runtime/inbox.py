@@ -24,7 +24,7 @@ class Inbox(Protocol):
         ...
 
     def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
-        """See Transport."""
+        """See Transport. What comes while the time runs out may be left for the next call."""
         ...
 
     def receive(self) -> Sequence[bytes]:

@@ -18,6 +18,7 @@ class Keeping:
         self._codec = LocalsCodec(program)
         self._n = n_sys
         self._epoch = b""  # the mission that is kept
+        self._said: tuple[View | None, Vote | None, bytes, bytes] = None, None, b"", b""  # and their encodings
         self.past = store.load()
         if self.past.mission is not None:
             self._epoch = self.past.mission.epoch
@@ -47,8 +48,11 @@ class Keeping:
 
     def announce(self, view: View, applied: int, vote: Vote) -> None:
         """Keep what this robot says of itself to the others, before it does."""
-        value = b"" if vote.value is None else encoder.encode(vote.value)
-        self._store.write(Acceptor(encoder.encode(view), applied, vote.number, vote.promised, vote.voted, value))
+        said, voted, encoded, value = self._said
+        if view is not said or vote is not voted:
+            encoded, value = encoder.encode(view), b"" if vote.value is None else encoder.encode(vote.value)
+            self._said = view, vote, encoded, value
+        self._store.write(Acceptor(encoded, applied, vote.number, vote.promised, vote.voted, value))
 
     def lives(self) -> list[Life]:
         """Those that an earlier process has kept, ascending; may be empty."""

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import msgspec
 
+from koordgen.runtime.bounds import Text
 from koordgen.runtime.patch import difference, patched
 from koordgen.runtime.program import Variable
 from koordgen.runtime.values import transmissible
@@ -44,7 +45,7 @@ class Layout:
         self._index = {v.name: i for i, v in enumerate(shared)}
         self._decoders = tuple(msgspec.msgpack.Decoder(v.type) for v in shared)
         self._plain = tuple(v.type if v.type in _PLAIN else None for v in shared)
-        self._flaws = tuple(v.bound.flaw for v in shared)
+        self._fits = tuple(_test(v) for v in shared)
         self._encoded: dict[int, tuple[Any, bytes]] = {}
         if n_sys > MAX_ROBOTS:
             raise TooLarge(f"a fleet of {n_sys} robots; at most {MAX_ROBOTS} are supported")
@@ -108,28 +109,31 @@ class Layout:
             store[name] = found if slots else found[0]
         return store
 
-    def writes(
+    def written(
         self, shared: Mapping[str, Any], store: Mapping[str, Any] | None = None, author: int = 0
-    ) -> tuple[Write, ...]:
-        """What an event of the author's wrote, as it goes over the wire. A large value that differs little from that in
-        `store`, which its round began with, goes as a patch."""
-        return tuple([self._write(i, shared[self.names[i]], store, author) for i in self._indices(shared)])
-
-    def kept(self, shared: Mapping[str, Any], writes: Sequence[Write]) -> list[tuple[int, Any]] | None:
-        """What `read` would give of a closing with these `writes` of `shared`. A number or text of just the variable's
-        type is what its encoding yields, so it is not decoded."""
-        values: list[tuple[int, Any]] = []
-        for write in writes:
-            index = write.index
+    ) -> tuple[tuple[Write, ...], Sequence[tuple[int, Any]] | None]:
+        """What an event of the author's wrote, as it goes over the wire, and what `read` would give of it. A large
+        value that differs little from that in `store`, which its round began with, goes as a patch. A number or text of
+        just the variable's type is what its encoding yields, so it is not decoded."""
+        writes, values, fit = list[Write](), list[tuple[int, Any]](), True
+        for index in sorted(map(self._index.__getitem__, shared)):
             item = shared[self.names[index]]
-            if write.patch or type(item) is not self._plain[index]:
-                item = self._item(write)
-            elif not self._fits(index, item):
+            whole = encoder.encode(item)
+            write = Write(index, msgspec.Raw(whole))
+            if store is not None and len(whole) > PATCH_FROM:
+                patch = difference(self._encoding(index, self.base(index, store, author)), whole)
+                if patch is not None:
+                    write = Write(index, msgspec.Raw(patch), True)
+            if write.patch:
+                item = Unpatched(bytes(write.value))
+            elif type(item) is not self._plain[index]:
+                item = self._value(index, whole)
+            elif not self._fits[index](item):
                 item = None
-            if item is None:
-                return None
+            fit = fit and item is not None
+            writes.append(write)
             values.append((index, item))
-        return values
+        return tuple(writes), values if fit else None
 
     def read(self, closing: Closing) -> Sequence[tuple[int, Any]] | None:
         """What a closing carries, by index: values, and patches as Unpatched; None when anything in it does not fit
@@ -142,15 +146,21 @@ class Layout:
         if not writes:
             return ()
         values: list[tuple[int, Any]] = []
-        before, count = -1, len(self._decoders)
+        before, decoders = -1, self._decoders
         for write in writes:
             index = write.index
-            if not before < index < count:
+            if not before < index < len(decoders):
                 return None
-            item = self._item(write)
-            if item is None:
-                return None
-            values.append((index, item))
+            if write.patch:
+                values.append((index, Unpatched(bytes(write.value))))
+            else:
+                try:
+                    value = decoders[index].decode(write.value)
+                except (ValueError, RecursionError):
+                    return None
+                if not self._fits[index](value):
+                    return None
+                values.append((index, value))
             before = index
         return values
 
@@ -162,32 +172,13 @@ class Layout:
         data = patched(self._encoding(index, base), item.patch, self._shared[index].bound.bytes)
         return None if data is None else self._value(index, data)
 
-    def _indices(self, shared: Mapping[str, Any]) -> list[int]:
-        indices = [self._index[name] for name in shared]
-        indices.sort()
-        return indices
-
-    def _write(self, index: int, value: Any, store: Mapping[str, Any] | None, author: int) -> Write:
-        whole = encoder.encode(value)
-        if store is not None and len(whole) > PATCH_FROM:
-            patch = difference(self._encoding(index, self.base(index, store, author)), whole)
-            if patch is not None:
-                return Write(index, msgspec.Raw(patch), True)
-        return Write(index, msgspec.Raw(whole))
-
-    def _item(self, write: Write) -> Any | None:
-        return Unpatched(bytes(write.value)) if write.patch else self._value(write.index, write.value)
-
     def _value(self, index: int, data: bytes | msgspec.Raw) -> Any | None:
         """The value in an encoding; None when it is none that this program can write."""
         try:
             value = self._decoders[index].decode(data)
         except (ValueError, RecursionError):
             return None
-        return value if self._fits(index, value) else None
-
-    def _fits(self, index: int, value: Any) -> bool:
-        return transmissible(value) and not self._flaws[index](value)
+        return value if self._fits[index](value) else None
 
     def _encoding(self, index: int, value: Any) -> bytes:
         """The encoding of a value that several robots may patch in one round: kept until there is another."""
@@ -195,6 +186,22 @@ class Layout:
         if known is None or known[0] is not value:
             known = self._encoded[index] = value, encoder.encode(value)
         return known[1]
+
+
+def _test(variable: Variable) -> Callable[[Any], bool]:
+    """Whether a value of the variable's type is one that this program can write."""
+    bound = variable.bound
+
+    def fits(value: Any) -> bool:
+        return transmissible(value) and not bound.flaw(value)
+
+    def text_fits(value: str) -> bool:
+        return len(value) <= capacity if value.isascii() else fits(value)
+
+    if variable.type is str and isinstance(bound, Text):  # the kind of value that is the longest to go through
+        capacity = bound.capacity
+        return text_fits
+    return fits
 
 
 def most_closing(n_sys: int) -> int:

@@ -88,7 +88,7 @@ class Link:
         """From now on this view is the present one."""
         self._view = view.number
         if self._gate is not None:
-            self._gate.follow(view.number, view.members)
+            self._gate.follow(view.number)
 
     def receive(self) -> list[Heard]:
         """What arrived and may be listened to. A Hello of a boot that was not adopted is among it: `joining` judges."""

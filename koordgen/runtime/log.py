@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -87,8 +87,6 @@ class Log:
 
     def between(self, low: int, high: int) -> list[Closing]:
         """The closings of these rounds, as far as they are held and not forgotten."""
-        if self.entries and self.entries[-1].closing.first == low <= high:  # of the own ones nearly always
-            return [self.entries[-1].closing]
         found = []
         for entry in self.entries[bisect_left(self.entries, low, key=lambda e: e.closing.round) :]:
             closing = entry.closing
@@ -99,12 +97,11 @@ class Log:
 
     def forget(self, through: int) -> None:
         """Drop what ends by a round."""
-        entries, count = self.entries, 0
-        for entry in entries:
-            if entry.closing.round > through:
-                break
-            count += 1
-        if count:
+        entries = self.entries
+        if entries:
+            count = through + 1 - entries[0].closing.first  # where each is of one round
+            if not 0 < count <= len(entries) or entries[count - 1].closing.round != through:
+                count = bisect_right(entries, through, key=lambda e: e.closing.round)
             del entries[:count]
 
     def cut(self, last: int) -> None:

@@ -290,7 +290,7 @@ class Agent:
             self._journal.error(f"{done} (in init)")
             self._rest("init failed", WRONG_PROGRAM)
             return
-        result = Closing(self._settings.pid, 0, 0, 0, done.stopped, writes=self._layout.writes(done.shared))
+        result = Closing(self._settings.pid, 0, 0, 0, done.stopped, writes=self._layout.written(done.shared)[0])
         length = len(encoder.encode(result))
         if length > self._link.speech.room:  # a Hello is one datagram
             most = self._link.speech.room

@@ -6,39 +6,22 @@ all have. A round is stable once a majority has said to have applied it: no late
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
+from koordgen.runtime.commits import counting
 from koordgen.runtime.course import Course
 from koordgen.runtime.gate import Usual
 from koordgen.runtime.layout import Layout, Unpatched
 from koordgen.runtime.log import GAPS, Entry, Log, detached
-from koordgen.runtime.views import majority
 from koordgen.runtime.wire import Closing, State, View
+from koordgen.runtime.words import Words
 
 AHEAD = 8  # rounds that a peer's clock may be ahead of ours
 RECENT = 8  # so many closings of one author may keep the datagrams that they came in: most are soon forgotten
 FORGET_EVERY = 4  # rounds: to go through all logs costs more than to keep some closings a little longer
 SETTLE_AFTER = 3  # rounds: so far may be behind what is known of what all hold
 WINDOW = 256  # closings of one author that not everyone holds; its author writes no more then
-
-
-@dataclass(slots=True)
-class _Word:
-    """What a peer last said about itself: goes by this view, has applied, holds, wanted closings up to `through`."""
-
-    held: Sequence[int]
-    view: int = -1
-    applied: int = 0
-    through: int = 0
-    answered: bool = True
-
-
-def winner(contenders: Sequence[int], lock: int, round_: int, n_sys: int) -> int:
-    """Whose commit counts, of those that would change what one lock protects in one round: the first place goes round,
-    so everyone comes to it."""
-    return min(contenders, key=lambda pid: (pid - round_ - lock) % n_sys)
 
 
 class Memory:
@@ -60,7 +43,7 @@ class Memory:
         self.view = view  # the latest
         n = self._n = layout.n_sys
         self._logs = [Log(applied) for _ in range(n)]
-        self._words = {p: _Word((0,) * n) for p in range(n) if p != pid}
+        self._words = Words(pid, n)
         self._lacking: set[int] = set()  # members whose closing of round applied + 1 is not here
         self._snapshot: tuple[int, State] | None = None
         self.frozen = False
@@ -71,11 +54,9 @@ class Memory:
         self.stopped = dict(stopped or {})  # pid -> the round it stopped in
         self.acted = list(acted) or [0] * n  # the last round in which an event counted
         self.won = 0  # the last round in which a commit of ours counted
-        self.unanswered: set[int] = set()  # peers that by their last word lack something, and were not sent it yet
         self.unfit = 0  # patches that fitted no value: a fault of their author's, dropped by everyone alike
         # Store and `acted` after a round and the silent ones behind it; the first is of a stable round.
         self._past: list[tuple[int, Mapping[str, Any], list[int]]] = [(applied, shared, self.acted)]
-        self._watched, self._reached = -1, 0  # a round, and how many others have said to have applied it
         self.prompt: tuple[int, ...] = ()  # who waits to hear that the last applied round was applied
         self._look()
 
@@ -102,6 +83,11 @@ class Memory:
         return tuple([log.held for log in self._logs])
 
     @property
+    def unanswered(self) -> Collection[int]:
+        """The peers that by their last word lack something, and were not sent it yet."""
+        return self._words.unanswered
+
+    @property
     def crowded(self) -> bool:
         """Whether this robot must write nothing because others lag too far behind to be repeated more."""
         return len(self._logs[self._pid].entries) >= WINDOW
@@ -109,8 +95,8 @@ class Memory:
     @property
     def laggard(self) -> int:
         """The member that, by its own words, has applied least."""
-        others = [p for p in self._words if self.view.members[p] >= 0]
-        return min(others, key=lambda p: self._words[p].applied, default=self._pid)
+        applied = self._words.applied(self.view)
+        return min(applied, key=lambda p: applied[p], default=self._pid)
 
     @property
     def all_stopped(self) -> int | None:
@@ -123,10 +109,6 @@ class Memory:
         """How many closings are missing that the next round to be applied needs."""
         return len(self._lacking)
 
-    def member(self) -> bool:
-        """Whether this robot counts."""
-        return self.view.members[self._pid] >= 0
-
     def rewound(self, view: View) -> Memory | None:
         """The replica as it was when the rounds before `view` had been applied, for one that had gone further; None
         when that is not known any more."""
@@ -138,7 +120,8 @@ class Memory:
         stopped = {p: r for p, r in self.stopped.items() if r <= last}
         memory = Memory(self._layout, self._pid, view, shared, last, stopped, acted)
         memory.settled = self.settled
-        memory._logs, memory._words, memory.unanswered = self._logs, self._words, self.unanswered
+        memory._logs, memory._words = self._logs, self._words
+        memory._words.renew()
         memory._forget(self.view, view)
         for log in memory._logs:
             log.skip(last)  # also of those who did not count
@@ -152,7 +135,7 @@ class Memory:
         self._course.append(view)
         self.view = view
         self.frozen = False
-        self._watched = -1
+        self._words.renew()
         self._look()
 
     def _forget(self, before: View, view: View) -> None:
@@ -161,8 +144,7 @@ class Memory:
             if old != new:
                 self._logs[pid].cut(view.since - 1)
                 if pid != self._pid:
-                    self.unanswered.discard(pid)
-                    self._words[pid] = _Word((0,) * self._n)
+                    self._words.forget(pid)
 
     def close(self, round_: int, shared: Mapping[str, Any], *, stopped: bool, acted: bool = False, prompt: bool = False,
               lock: int = -1) -> None:  # fmt: skip
@@ -173,9 +155,9 @@ class Memory:
         if round_ > log.held + 1 and single:
             log.append(Entry(Closing(self._pid, incarnation, log.held + 1, round_ - 1, stopped), ()))
         first = round_ if single else log.held + 1
-        writes = self._layout.writes(shared, self.shared, self._pid) if shared else ()
+        writes, values = self._layout.written(shared, self.shared, self._pid) if shared else ((), ())
         closing = Closing(self._pid, incarnation, first, round_, stopped, acted, prompt, lock, writes)
-        log.take(Entry(closing, self._layout.kept(shared, writes) or ()))
+        log.take(Entry(closing, values or ()))
         self._lacking.discard(self._pid)
 
     def take(self, closing: Closing, present: int) -> str | None:
@@ -214,29 +196,24 @@ class Memory:
         the few steps are left that make a difference."""
         refused: list[str | None] = []
         single = self._course.single and view == self.view.number
-        logs, words, members, last = self._logs, self._words, self.view.members, present + AHEAD
+        logs, members, last = self._logs, self.view.members, present + AHEAD
         for row in rows:
             sender, round_, applied, settled = row.sender, row.round, row.applied, row.settled
-            closing, through = row.closing, round_ - 1 if round_ else 0
-            if closing is not None:
-                log = logs[sender]
-                next_ = single and closing.incarnation == members[sender] and log.held + 1 == round_ <= last
-                if next_ and len(log.entries) < RECENT and (values := self._layout.read(closing)) is not None:
+            through = round_ - 1 if round_ else 0
+            for closing in row.closings:
+                log, next_ = logs[sender], closing.author == sender and closing.first == closing.round
+                fits = single and next_ and closing.incarnation == members[sender] and len(log.entries) < RECENT
+                if (
+                    fits
+                    and closing.round == log.held + 1 <= last
+                    and (values := self._layout.read(closing)) is not None
+                ):
                     log.take(Entry(closing, values))
                     if log.held > self.applied:
                         self._lacking.discard(sender)
                 else:
                     refused.append(self.take(closing, present))
-            word = words[sender]
-            content = single and word.view == view and word.answered and through <= applied <= last
-            if content and not row.held and applied >= word.applied and settled <= self.settled:
-                if applied >= self._watched > word.applied:
-                    self._reached += 1
-                word.applied = applied
-                if through > word.through:
-                    word.through = through
-            else:
-                refused.append(self.heard(sender, view, applied, row.held, through, settled, present, asks=False))
+            refused.append(self.heard(sender, view, applied, row.held, through, settled, present, asks=False))
         return [why for why in refused if why is not None]
 
     def holds(self, through: int) -> bool:
@@ -254,19 +231,8 @@ class Memory:
         last = present + AHEAD
         if through > last or settled > last or applied > last or (held and (len(held) != self._n or max(held) > last)):
             return "word does not fit"
-        word, ours = self._words[pid], view == self.view.number
-        if view >= word.view and applied >= word.applied:
-            if ours and applied >= self._watched > (word.applied if word.view == view else -1):
-                self._reached += 1
-            word.view, word.applied = view, applied
-        if through > word.through or (asks and through == word.through):
-            word.through = through
-            if (min(held) if held else applied) < through:
-                word.answered, word.held = False, held or (applied,) * self._n
-                self.unanswered.add(pid)
-            elif not word.answered:
-                word.answered = True
-                self.unanswered.discard(pid)
+        ours = view == self.view.number
+        self._words.hear(pid, ours, view, applied, held, through, asks)
         if ours and settled > self.settled:
             self._settle(min(settled, self.applied))
         return None
@@ -282,24 +248,15 @@ class Memory:
             if not entries[0].closing.acted and not any(e.single for e in entries):
                 through = min(round_ - 1, self._course.end(through), min([e.closing.round for e in entries]))
             self._apply(entries, through)
-        return self.applied == round_ - 1 and not self.frozen and self.member()
+        return self.applied == round_ - 1 and not self.frozen and self.view.members[self._pid] >= 0
 
     def stable(self, round_: int) -> bool:
         """Whether no view can leave out what was done up to this round."""
-        if round_ < self.view.since:
-            return self.applied >= round_
-        if round_ > self.applied:
-            return False
-        if round_ != self._watched:
-            number = self.view.number
-            self._watched = round_
-            self._reached = sum(w.view == number and w.applied >= round_ for w in self._words.values())
-        return 1 + self._reached >= majority(self._n)
+        return self._words.stable(round_, self.applied, self.view)
 
     def unaware(self, round_: int) -> list[int]:
         """The members that have not said to have applied a round."""
-        number, members = self.view.number, self.view.members
-        return [p for p, w in self._words.items() if members[p] >= 0 and not (w.view == number and w.applied >= round_)]
+        return self._words.unaware(round_, self.view)
 
     def missing(self, through: int) -> list[int]:
         """The members whose closings up to `through` are not all held."""
@@ -311,17 +268,17 @@ class Memory:
     def own(self, first: int) -> list[Closing]:
         """The own closings from `first` on."""
         log = self._logs[self._pid]
+        if log.entries and log.entries[-1].closing.first == first:  # nearly always
+            return [log.entries[-1].closing]
         return log.between(first, log.held)
 
     def repeat(self, pid: int, helps: bool = True) -> list[Closing]:
         """What a peer lacked when it last spoke, and we hold: once for each time it says so; unless this robot `helps`,
         only what it wrote itself. Its turn begins with our
         own closings, so that several robots that answer at once begin with different ones."""
-        word = self._words[pid]
-        if word.answered or self.view.members[pid] < 0:
+        word = self._words.unanswered_by(pid) if self.view.members[pid] >= 0 else None
+        if word is None:
             return []
-        word.answered = True
-        self.unanswered.discard(pid)
         found: list[Closing] = []
         for author in (*range(self._pid, self._n), *range(self._pid)) if helps else (self._pid,):
             low = max(word.held[author], self.settled) + 1
@@ -359,44 +316,32 @@ class Memory:
         applied, logs = self.applied, self._logs
         self._lacking = {p for p in self._course.members if logs[p].held <= applied}
 
-    def _counting(self, entries: Sequence[Entry], round_: int) -> Sequence[Entry]:
-        """Those whose event counts, in the order in which they take effect."""
-        contenders: dict[int, list[int]] = {}
-        for entry in entries:
-            if entry.closing.lock >= 0:
-                contenders.setdefault(entry.closing.lock, []).append(entry.closing.author)
-        if not contenders:
-            return entries
-        winners = {winner(pids, lock, round_, self._n) for lock, pids in contenders.items()}
-        commits = [e for e in entries if e.closing.lock >= 0 and e.closing.author in winners]
-        return [*commits, *(e for e in entries if e.closing.lock < 0)]
-
     def _apply(self, entries: Sequence[Entry], through: int) -> None:
         """Apply one closing of each member, given in ascending pid: first the commits, then the plain writes, so that
         the highest pid wins a plain conflict, also over that round's commit."""
-        counting = self._counting(entries, through)
-        shared, acted = self._written(counting), list(self.acted)
-        for entry in counting:
+        waiting, contended = list[int](), False
+        for entry in entries:
             closing = entry.closing
-            if closing.acted:
-                acted[closing.author] = closing.round
-            if closing.stopped:
-                first = max(closing.first, self.applied + 1) if through else 0
-                self.stopped.setdefault(closing.author, first)
-            if closing.lock >= 0 and closing.author == self._pid:
-                self.won = closing.round
-        self.prompt = tuple([e.closing.author for e in entries if e.closing.prompt and e.closing.round == through])
+            if closing.prompt and closing.round == through:
+                waiting.append(closing.author)
+            if closing.lock >= 0:
+                contended = True
+        self.prompt = tuple(waiting)
+        if contended:
+            commits, others = counting(entries, through, self._n)
+            if any(e.closing.author == self._pid for e in commits):
+                self.won = through
+            entries = [*commits, *others]
+        shared, acted = self._done(entries, through)
         self.applied = through
-        if shared is not self.shared or acted != self.acted:
+        if shared is not self.shared or acted is not self.acted:
             self.shared, self.acted = shared, acted
             if len(self._past) >= FORGET_EVERY:
                 self._forget_past()
             self._past.append((through, shared, acted))
         self._look()
         if through >= self.settled + SETTLE_AFTER:
-            number, members = self.view.number, self.view.members
-            words = [w.applied if w.view == number else 0 for p, w in self._words.items() if members[p] >= 0]
-            self._settle(min(through, *words) if words else through)
+            self._settle(min([through, *self._words.applied(self.view).values()]))
 
     def _forget_past(self) -> None:
         """Drop what is before the last stable round. Without them no event runs for long, so not much stays."""
@@ -405,15 +350,23 @@ class Memory:
                 del self._past[:index]
                 return
 
-    def _written(self, entries: Sequence[Entry]) -> Mapping[str, Any]:
-        """The store with what these closings wrote, in their order."""
-        layout, shared = self._layout, self.shared
+    def _done(self, entries: Sequence[Entry], through: int) -> tuple[Mapping[str, Any], list[int]]:
+        """The store with what these closings wrote, in their order, and the rounds in which events counted; who stopped
+        is noted."""
+        layout, shared, acted = self._layout, self.shared, self.acted
         is_slots = layout.is_slots
         changed: dict[int, Any] = {}
         for entry in entries:
+            closing = entry.closing
+            author = closing.author
+            if closing.acted:
+                if acted is self.acted:
+                    acted = acted.copy()
+                acted[author] = closing.round
+            if closing.stopped:
+                self.stopped.setdefault(author, max(closing.first, self.applied + 1) if through else 0)
             for index, item in entry.values:
-                author = entry.closing.author
-                if isinstance(item, Unpatched):
+                if type(item) is Unpatched:
                     item = layout.resolve(index, item, layout.base(index, shared, author))
                     if item is None:
                         self.unfit += 1
@@ -426,5 +379,6 @@ class Memory:
                 else:
                     changed[index] = item
         if not changed:
-            return shared
-        return {**shared, **{layout.names[i]: tuple(v) if is_slots[i] else v for i, v in changed.items()}}
+            return shared, acted
+        written = {layout.names[i]: tuple(v) if is_slots[i] else v for i, v in changed.items()}
+        return {**shared, **written}, acted

@@ -1,4 +1,4 @@
-"""When a robot asks for what it lacks.
+"""When a robot asks for what it lacks, and repeats unasked what others lack.
 
 Who wakes late shares a busy computer, and the others may be as late: what it lacks is then late rather than lost, and
 a fleet that is short of time must not spend it on asking itself.
@@ -24,10 +24,13 @@ class Patience:
         if not timely:
             self._late = round_
 
+    def strained(self, round_: int) -> bool:
+        """Whether it was late, or is."""
+        return round_ <= self._late + MEMORY
+
     def asks(self, round_: int, timely: bool) -> bool:
         """Whether it asks now, where it lacks something."""
-        strained = round_ <= self._late + MEMORY
-        if strained and round_ <= self._asked + (0 if timely else MEMORY):
+        if self.strained(round_) and round_ <= self._asked + (0 if timely else MEMORY):
             return False
         self._asked = round_
         return True

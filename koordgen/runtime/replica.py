@@ -15,6 +15,7 @@ from koordgen.runtime.comeback import Comeback, Store
 from koordgen.runtime.layout import Layout
 from koordgen.runtime.link import Link, Usuals
 from koordgen.runtime.memory import Memory
+from koordgen.runtime.news import News
 from koordgen.runtime.speech import Fields
 from koordgen.runtime.views import Out, Views, Vote, Word, fits, majority
 from koordgen.runtime.wire import (
@@ -47,8 +48,6 @@ class _Peer:
     heard: int = -HEARD  # ticks
     asked: int = -ASKED
     told: int = -1
-    held: int = -1  # of its closings, and the round in which there was the last news of them
-    news: int = 0
     partly: dict[int, Partly] = field(default_factory=dict)
 
 
@@ -75,11 +74,14 @@ class Replica:
         self._peer_timeout = peer_timeout
         self._announce = announce
         self._said = applied
-        self._peers = {p: _Peer() for p in range(self._n) if p != self._pid}
+        self._others = tuple([p for p in range(self._n) if p != self._pid])
+        self._peers = {p: _Peer() for p in self._others}
         self._assembly = Assembly()
         self._stores = Store()
         self._tick = 0
         self._turn = self._pid
+        self._asked = -ASKED  # when one asked last to be let in
+        self._news = News(self._n)
         self._silent: Closing | None = None  # the rounds closed while there is no store
         self.memory = memory
         self._spare: Memory | None = None  # at the beginning of a view that left this robot out: all others may lose it
@@ -113,7 +115,7 @@ class Replica:
     def alarm(self) -> None:
         """Tell the others at once to come to rest, and from now on with each word."""
         self.emergency = True
-        self._speech.round(self._peers, self.word(0), ())
+        self._speech.round(self._others, self.word(0), ())
 
     def word(self, round_: int) -> Fields:
         """What this robot says of itself in `round_`; kept before it is said."""
@@ -124,16 +126,17 @@ class Replica:
         held = memory.held if memory.applied < round_ - 1 else ()  # else it would tell nothing more
         return memory.view.number, round_, memory.applied, memory.settled, self.emergency, held
 
-    def publish(self, first: int, round_: int) -> None:
-        """The own closings from `first` on go to everyone, and to each what it lacked when it last spoke."""
+    def publish(self, first: int, round_: int, strained: bool) -> None:
+        """The own closings from `first` on go to everyone, and to each what it lacked when it last spoke; but not where
+        time is short, and what is lacking late rather than lost: see `patience`."""
         memory, word = self.memory, self.word(round_)
         if memory is None:
             closing = self._silence(round_)
-            self._speech.round(self._peers, word, () if closing is None else (closing,))
+            self._speech.round(self._others, word, () if closing is None else (closing,))
             return
         own = memory.own(first)
-        if not memory.unanswered:
-            self._speech.round(self._peers, word, own)
+        if strained or not memory.unanswered:
+            self._speech.round(self._others, word, own)
             return
         plain: list[int] = []
         for pid, peer in self._peers.items():
@@ -148,7 +151,7 @@ class Replica:
 
     def tell(self, round_: int) -> None:
         """This robot's word, to everyone."""
-        self._speech.round(self._peers, self.word(round_), ())
+        self._speech.round(self._others, self.word(round_), ())
 
     def confirm(self, round_: int) -> None:
         """Tell those who wait for it that this robot has applied a round."""
@@ -200,9 +203,11 @@ class Replica:
 
     def poll(self, tick: int, present: int) -> None:
         """What is due at the beginning of a tick in round `present`."""
-        self._tick = tick
+        self._tick = self.views.tick = tick
         if self.emergency:
-            self._speech.round(self._peers, self.word(present), ())
+            self._speech.round(self._others, self.word(present), ())
+        if tick % SLOTS == 0 and self._calm(present):
+            return
         since = tick - HEARD
         heard = 1 + len([p for p in self._peers.values() if p.heard > since])
         if heard >= majority(self._n):
@@ -213,14 +218,14 @@ class Replica:
         if self.comeback is not None:
             self._send(self.comeback.poll(tick, self.views.view))
 
-    def note(self, present: int) -> None:
-        """Note in round `present` of whom there is news."""
-        memory = self.memory
-        if memory is not None:
-            held = memory.held
-            for pid, peer in self._peers.items():
-                if peer.held != held[pid]:
-                    peer.held, peer.news = held[pid], present
+    def _calm(self, present: int) -> bool:
+        """Whether, as at the beginning of nearly all rounds, nobody is late, and nobody wants another view."""
+        calm = not self.busy and self._asked <= self._tick - ASKED
+        return calm and self.memory is not None and self.memory.applied >= present - 1
+
+    def complete(self, present: int) -> None:
+        """Note that all closings of round `present` are here, in that round."""
+        self._news.complete(present)
 
     def _helps(self, pid: int, round_: int) -> bool:
         """Whether it is this robot's turn to repeat to another what third ones wrote: if all did so at once, a large
@@ -232,16 +237,16 @@ class Replica:
         memory = self.memory
         if memory is None:
             return []
-        self.note(present)
-        late = memory.missing(present - 1 - self._peer_timeout)
-        return [p for p in late if p != self._pid and present - self._peers[p].news > self._peer_timeout]
+        self._news.note(memory.held, present)
+        last = present - self._peer_timeout
+        return self._news.silent([p for p in memory.missing(last - 1) if p != self._pid], last)
 
     def keep(self) -> None:
         """Keep the last applied round, before anyone is told of it or acts on it."""
         memory = self.memory
         if memory is not None and memory.applied != self._said:
             self._said = memory.applied
-            self._save()
+            self._announce(self.views.view, self._said, self.views.vote)
 
     def _own_word(self) -> Word:
         self.keep()
@@ -326,7 +331,7 @@ class Replica:
         self._tell(sender, want.view)
         if want.incarnation < 0:
             if want.view >= view.members[sender]:
-                self._peers[sender].asked = self._tick
+                self._peers[sender].asked = self._asked = self._tick
         elif memory is not None and want.incarnation == view.members[sender] and memory.applied >= view.since - 1:
             self._send(self._stores.answer(sender, want, memory.snapshot()[1], self._speech.room))
 
@@ -373,7 +378,7 @@ class Replica:
         for pid, peer in self._peers.items():
             peer.asked = -ASKED
             if view.members[pid] != before.members[pid]:
-                peer.held = -1  # its time begins anew
+                self._news.renew(pid)
         if self.memory is None:
             self._said = min(self._said, view.since - 1)
             self._silent = None

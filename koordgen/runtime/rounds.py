@@ -30,7 +30,7 @@ from koordgen.runtime.watched import OWN, SENSED, SHARED, Moment
 PUBLISH = 0.5  # of delta: when a round's closing leaves at the latest
 FIRST_SLOT = 3  # the first of a round's SLOTS in which its own closings are asked for, before it the last round's
 PUNCTUAL = 0.5  # of a slot: who wakes later is late
-GATHER = 150e-6  # seconds that the closing of one more robot may take to come after another's
+GATHER = 300e-6  # seconds that the closing of one more robot may take to come after another's
 MOST_GATHER = 0.2  # of a round, for all of them: one of its SLOTS
 LINGER = 20  # rounds after all have stopped
 WOKE_LATE = "woke after the publish deadline"
@@ -232,7 +232,7 @@ class Rounds:
         round_ = self.round
         if not self._present.open and self._published < round_:  # of this round the others have an older life's closing
             memory.close(round_, {}, stopped=self.stopped)
-            self._replica.publish(self._published + 1, round_)
+            self._replica.publish(self._published + 1, round_, self._patience.strained(round_))
             self._published = round_
 
     def _settle(self, now: float) -> None:
@@ -355,7 +355,7 @@ class Rounds:
             memory.close(round_, shared, stopped=stopped, acted=life is not None, prompt=prompt, lock=lock)
         else:
             self.counters.out += 1
-        self._replica.publish(self._published + 1, round_)
+        self._replica.publish(self._published + 1, round_, self._patience.strained(round_))
         self._published = round_
         return life
 
@@ -391,7 +391,7 @@ class Rounds:
             return self._tick(1.0)
         if memory.applied < self.round or self._replica.emergency:
             return self._tick(FIRST_SLOT / SLOTS)
-        self._replica.note(self.round)
+        self._replica.complete(self.round)
         return self._tick(1.0)
 
     def _following(self, slot: int) -> float:

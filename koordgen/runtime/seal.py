@@ -44,7 +44,9 @@ def load_key(path: Path) -> bytes:
 
 def seal(key: bytes | None, purpose: bytes, payload: bytes) -> bytes:
     """The payload and its MAC. Without a key (`insecure: true`) the digest only tells damage, not forgery."""
-    return payload + _digest(key, purpose, payload)
+    state = _keyed(key or b"", purpose).copy()
+    state.update(payload)
+    return payload + state.digest()
 
 
 def unseal(key: bytes | None, purpose: bytes, datagram: bytes) -> bytes | None:
@@ -64,12 +66,6 @@ def unseal_all(key: bytes | None, purpose: bytes, datagrams: Sequence[bytes]) ->
         state.update(payload)
         found.append(payload if payload and compare_digest(datagram[-MAC_SIZE:], state.digest()) else None)
     return found
-
-
-def _digest(key: bytes | None, purpose: bytes, payload: bytes) -> bytes:
-    state = _keyed(key or b"", purpose).copy()
-    state.update(payload)
-    return state.digest()
 
 
 @lru_cache(maxsize=16)

@@ -59,10 +59,8 @@ class Speech:
         self.epoch = b""
         self.room = LIMIT - overhead(len(settings.peers))  # bytes for closings or a piece in one datagram
         self._pid = settings.pid
-        self._application = settings.application_id
-        self._interface = bytes.fromhex(program.interface_hash)
-        self._program = bytes.fromhex(program.program_hash)
-        self._boot = boot
+        hashes = bytes.fromhex(program.interface_hash), bytes.fromhex(program.program_hash)
+        self._own = settings.application_id, *hashes, settings.pid, boot  # what stays of a head
         self._key = key
         self._transport = transport
         self._clock = clock
@@ -81,7 +79,7 @@ class Speech:
         if to:
             self._send(to, kind(self._head(to), *fields))
 
-    def round(self, to: Collection[int], word: Fields, closings: Sequence[Closing],
+    def round(self, to: Sequence[int], word: Fields, closings: Sequence[Closing],
               partly: Mapping[int, Partly] = NOTHING) -> None:  # fmt: skip
         """A word with closings: one datagram, or as few as they fit in, at most MOST_DATAGRAMS; the rest waits to be
         asked for. Of a closing that is longer than a datagram go those pieces that are not in `partly`, by author."""
@@ -90,7 +88,7 @@ class Speech:
         head = self._head(to)
         payload = pack(Round(head, *word, tuple(closings)))
         if len(payload) <= MOST_PAYLOAD:
-            self._transport.send(list(to), seal(self._key, MEMORY, payload))
+            self._transport.send(to, seal(self._key, MEMORY, payload))
             return
         self._divided(to, head, word, closings, partly)
 
@@ -111,18 +109,8 @@ class Speech:
         now = self._clock.now()
         offset = self._fleet_clock.offset(now)
         echoes = () if every is None and now < self._next_echo else self._echoes(to, now, every)
-        return Head(
-            self._application,
-            self._interface,
-            self._program,
-            self._pid,
-            self._boot,
-            self.epoch,
-            self._sequence,
-            microseconds(now),
-            None if offset is None else round(offset * 1e6),
-            echoes,
-        )
+        fleet = None if offset is None else round(offset * 1e6)
+        return Head(*self._own, self.epoch, self._sequence, microseconds(now), fleet, echoes)
 
     def _echoes(self, to: Collection[int], now: float, every: float | None) -> tuple[Echo, ...]:
         """Of those whose turn it is: as often as they learn from it, which from the reference they do most."""

@@ -117,6 +117,7 @@ class Store:
         self._file = file  # -1: nothing is kept
         self._warn = warn
         self._sequence = 0
+        self._keyed = blake2s(digest_size=_DIGEST, key=identity.token)
         self._next = [0] * len(_KINDS)  # the slot of each kind to be written next
         self._lengths = [_length(room) for room in identity.rooms]
         lengths = [n * length for n, length in zip(_SLOTS, self._lengths, strict=True)]
@@ -166,7 +167,7 @@ class Store:
                 raise OSError(errno.EFBIG, f"a record of {len(payload)} bytes where there is room for fewer")
             self._sequence += 1
             body = _HEAD.pack(kind, self._sequence, len(payload)) + payload
-            _put(self._file, body + self._digest(body), self._offset(kind, slot))
+            _put(self._file, body + self._digest(body), self._begins[kind] + slot * self._lengths[kind])
         except OSError as error:
             self._give_up(error)
             return False
@@ -233,17 +234,21 @@ class Store:
         found = _identity(old)
         ours = found is not None and msgspec.structs.replace(found, token=b"") == self._identity
         if found is not None and ours:
-            self._identity = found
+            self._identify(found)
             return
         if any(old):
             self._warn(f"state: {path} is {_difference(found, self._identity)}; it is begun anew")
         self._begin_anew()
 
     def _begin_anew(self) -> None:
-        self._identity = msgspec.structs.replace(self._identity, token=os.urandom(16))
+        self._identify(msgspec.structs.replace(self._identity, token=os.urandom(16)))
         text = _encoder.encode(self._identity)
         body = (_MAGIC + len(text).to_bytes(2, "big") + text).ljust(_HEADER - _DIGEST, b"\0")
         _put(self._file, body + blake2s(body, digest_size=_DIGEST).digest(), 0)
+
+    def _identify(self, identity: _Identity) -> None:
+        self._identity = identity
+        self._keyed = blake2s(digest_size=_DIGEST, key=identity.token)
 
     def _give_up(self, error: OSError) -> None:
         with suppress(OSError):
@@ -262,7 +267,9 @@ class Store:
         return self._begins[kind] + (slot * self._lengths[kind] if slot else 0)
 
     def _digest(self, body: bytes) -> bytes:
-        return blake2s(body, digest_size=_DIGEST, key=self._identity.token).digest()
+        state = self._keyed.copy()
+        state.update(body)
+        return state.digest()
 
     def _read(self, kind: int, slot: int) -> tuple[int, Kept] | None:
         if self._file < 0:

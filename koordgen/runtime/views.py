@@ -153,7 +153,7 @@ class Views:
         self._save = save
         self._proposal: _Proposal | None = None
         self._reason: int | None = None  # the tick since which there is a reason for another view
-        self._tick = 0
+        self.tick = 0
         self._rest = 0  # the tick until which nobody is let in after the last change
         self.view = view
         self.vote = vote
@@ -170,7 +170,7 @@ class Views:
 
     def poll(self, tick: int, doubted: Collection[int], asking: Collection[int]) -> list[Out]:
         """What is to be sent at this tick, given members that are missed and others that want to be let in."""
-        self._tick = tick
+        self.tick = tick
         word = self._word() if doubted or asking or self.frozen else None
         if word is None or not word.state:
             self._reason = self._proposal = None
@@ -230,7 +230,7 @@ class Views:
             return False
         before, self.view = self.view, value
         self._proposal = self._reason = None
-        self._rest = self._tick + PATIENCE
+        self._rest = self.tick + PATIENCE
         self._follow(before)
         self._save()
         return True
@@ -242,7 +242,7 @@ class Views:
         vote = promised(self.vote, number, ballot)
         assert vote is not None  # it is higher than any this robot has seen
         self._bind(vote)
-        self._proposal = _Proposal(ballot, self._tick, {self._pid: self._own(word)}, expected)
+        self._proposal = _Proposal(ballot, self.tick, {self._pid: self._own(word)}, expected)
         return self._proposal
 
     def _own(self, word: Word) -> Word:
@@ -261,8 +261,8 @@ class Views:
         if proposal.value is not None or len(proposal.words) < majority(self._n):
             return []
         if proposal.enough is None:
-            proposal.enough = self._tick
-        if any(p not in proposal.words for p in proposal.expected) and self._tick - proposal.enough < GRACE:
+            proposal.enough = self.tick
+        if any(p not in proposal.words for p in proposal.expected) and self.tick - proposal.enough < GRACE:
             return []
         proposal.value = choose(self.view, proposal.words)
         return self._agree(proposal)

@@ -14,7 +14,7 @@ from koordgen.emit.program import program_text
 from koordgen.ir import decl as d
 from koordgen.ir.types import MapOf, RecordType, Sequence, Sized, TupleOf, Type
 from koordgen.node import replace
-from koordgen.runtime.memory import winner
+from koordgen.runtime.commits import winner
 from koordgen.runtime.platform import Sensed
 from koordgen.runtime.program import Frame
 from koordgen.runtime.trace import Record

@@ -8,7 +8,7 @@ from typing import Any
 
 from koordgen.emit.program import program_text
 from koordgen.ir import decl
-from koordgen.runtime.memory import winner
+from koordgen.runtime.commits import winner
 from koordgen.runtime.network import Conditions
 from koordgen.runtime.platform import Sensed
 from koordgen.runtime.values import Point

@@ -86,6 +86,9 @@ class Wire:
     ) -> None:
         self._flights.extend(Flight(p, _round(self._head, *word, tuple(closings))) for p in to)
 
+    def follow(self, view: View) -> None:
+        """There is no gate that must know it."""
+
     def reject(self, reason: str) -> None:
         self.rejected.append(reason)
 

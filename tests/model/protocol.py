@@ -1,6 +1,6 @@
 """The protocol of the shared memory as a model: what three robots can do next, from any state they can be in.
 
-The rules themselves are the runtime's (`promised`, `voted`, `choose`, `majority`, `Memory.stable`, `Memory._counting`
+The rules themselves are the runtime's (`promised`, `voted`, `choose`, `majority`, `Words.stable`, `counting`
 with `winner`, `Comeback.incarnation`), called here. The model adds who knows what, and every course of the network:
 
 - What was ever said stays said, and is heard whenever its receiver makes use of it, once, twice or never. So a message

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import product
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 from koordgen.runtime.comeback import Comeback
+from koordgen.runtime.commits import counting
 from koordgen.runtime.log import Entry
-from koordgen.runtime.memory import Memory
 from koordgen.runtime.views import Vote
 from koordgen.runtime.wire import Closing, View
+from koordgen.runtime.words import Words
 from tests.model.state import (
     AS_THEY_ARE,
     COMMIT,
@@ -152,10 +152,12 @@ class Rounds:
                 Entry(Closing(a, i, round_, round_, acted=kind != SKIP, lock=0 if kind == COMMIT else -1), ())
                 for a, i, kind in closings
             ]
-            counting = Memory._counting(cast(Memory, SimpleNamespace(_n=N)), entries, round_)
-            if sum(e.closing.lock >= 0 for e in counting) > 1:
+            commits, others = counting(entries, round_, N)
+            if len(commits) > 1:
                 raise Violation(f"P1: round {round_}: more than one commit of {closings} counts")
-            found = tuple(sorted((e.closing.author, e.closing.incarnation) for e in counting if e.closing.acted))
+            found = tuple(
+                sorted((e.closing.author, e.closing.incarnation) for e in (*commits, *others) if e.closing.acted)
+            )
             self._counted[key] = found
         return found
 
@@ -202,11 +204,10 @@ class Rounds:
         key = state.decided[robot.view], robot.applied, heard, robot.pending
         found = self._stable.get(key)
         if found is None:
-            memory = SimpleNamespace(
-                view=key[0], applied=robot.applied, _n=N, _watched=-1, _reached=0,
-                _words={i: SimpleNamespace(view=w, applied=a) for i, (w, a) in enumerate(heard)},
-            )  # fmt: skip
-            found = self._stable[key] = Memory.stable(cast(Memory, memory), robot.pending)
+            words = Words(N, N)
+            for other, (view, applied) in enumerate(heard):
+                words.hear(other, True, view, applied, (), 0, asks=False)
+            found = self._stable[key] = words.stable(robot.pending, robot.applied, key[0])
         return found
 
     def _flush(self, state: State, pid: int) -> State:

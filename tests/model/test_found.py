@@ -201,7 +201,7 @@ def test_a_view_is_not_decided_before_a_majority_has_the_rounds_before_it() -> N
     fleet.flights.clear()
     prepare = Prepare(fleet.robots[1].wire._head, 129, BEGIN)
     proposer = fleet.robots[1].replica.views
-    proposer._tick = 100
+    proposer.tick = 100
     proposal = proposer._begin(fleet.robots[1].replica._own_word(), {0, 1})
     assert proposal.ballot == prepare.ballot
     for _ in range(10):  # robots 0 and 1 hear each other; robot 0 hears no decision

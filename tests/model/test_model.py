@@ -8,10 +8,12 @@ from dataclasses import replace
 
 import pytest
 
-from koordgen.runtime import memory, views
+from koordgen.runtime import views
 from koordgen.runtime.comeback import Comeback
 from koordgen.runtime.views import Word, majority
 from koordgen.runtime.wire import View
+from koordgen.runtime.words import Words
+from tests.model import rounds
 from tests.model.explore import BEGIN, Found, explore
 from tests.model.heal import Healing
 from tests.model.protocol import Protocol
@@ -102,14 +104,14 @@ def deaf(view: View, words: Mapping[int, Word]) -> View | None:
     return CHOOSE(view, {p: Word(w.view, w.applied, w.state) for p, w in words.items()})
 
 
-def everywhere(self: memory.Memory, round_: int) -> bool:
+def everywhere(self: Words, round_: int, applied: int, view: View) -> bool:
     """`stable`, but whatever view was meant."""
     said = sum(w.applied >= round_ for w in self._words.values())
-    return self.applied >= round_ and 1 + said >= majority(self._n)
+    return applied >= round_ and 1 + said >= majority(self._n)
 
 
-def alone(self: memory.Memory, round_: int) -> bool:
-    return self.applied >= round_
+def alone(self: Words, round_: int, applied: int, view: View) -> bool:
+    return applied >= round_
 
 
 def unbound(vote: views.Vote, number: int, ballot: int) -> views.Vote:
@@ -125,8 +127,8 @@ SHARED: list[tuple[str, object, str, object, Bounds, State]] = [
     ("a view ends with the least applied round", views, "choose", least, SMALL, BEGIN),
     ("votes are not heeded", views, "choose", deaf, RIVALS, BEGIN),
     ("a promise binds to nothing", views, "promised", unbound, RIVALS, BEGIN),
-    ("stable without others", memory.Memory, "stable", alone, SMALL, BEGIN),
-    ("stable by words of another view", memory.Memory, "stable", everywhere, LATER, LEFT_OUT),
+    ("stable without others", Words, "stable", alone, SMALL, BEGIN),
+    ("stable by words of another view", Words, "stable", everywhere, LATER, LEFT_OUT),
 ]
 OWN: list[tuple[str, Rules, Bounds, State]] = [
     ("who has promised goes on", Rules(freezes=False), SMALL, BEGIN),
@@ -166,7 +168,7 @@ def test_who_keeps_its_incarnation_without_its_store_is_missed(monkeypatch: pyte
 
 
 def test_two_commits_that_count_are_missed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(memory.Memory, "_counting", lambda self, entries, round_: list(entries))
+    monkeypatch.setattr(rounds, "counting", lambda entries, round_, n_sys: (list(entries), []))
     found = explore(Protocol(ROUNDS))
     assert found.violation.startswith("P1")
 

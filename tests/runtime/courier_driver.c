@@ -91,6 +91,8 @@ int main(int count, char **arguments) {
         check(taken == batch && !inbox->shown.errors, "too many");
         todo -= batch;
     }
+    for (int i = 0; i < 100; i++) learn(inbox, 1, now()); /* what came had come before */
+    check(inbox->shown.pace == SHORT_PACE, "pace");
     courier_close(inbox);
     check(!courier_receive(inbox) && !courier_wait(inbox, 0.0, 1, 0.0, 0), "closed");
     for (int i = 0; i < MOST_SOCKETS; i++) close(sockets[i]);

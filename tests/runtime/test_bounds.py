@@ -101,5 +101,5 @@ def test_what_a_program_wrote_is_read() -> None:
         "map": GridMap(1.0, 0, 0, 4, 4, b"\3\1\0\0"),
         "tasks": (Task("a", Point(1, 2, 3)),),
     }
-    written = Closing(1, 0, 4, 4, lock=0, writes=layout.writes(values))
+    written = Closing(1, 0, 4, 4, lock=0, writes=layout.written(values)[0])
     assert layout.read(written) == list(enumerate(values.values()))

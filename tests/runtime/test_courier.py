@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import errno
+import os
 import random
+import resource
 import shutil
 import signal
 import socket
 import subprocess
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -74,7 +77,7 @@ def test_both_bodies_take_the_same() -> None:
                 for i, datagram in sent:
                     sending[i].send(datagram)
                 made.wait(0.0, 500, 0.0)
-                found.append((made.receive(), troubles))
+                found.append((list(made.receive()), troubles))
         assert found[0] == found[-1]
         assert len(found[0][0]) <= len(sent)
 
@@ -87,7 +90,7 @@ def test_an_echo_is_dropped_once_and_only_of_the_last_sent(native: bool) -> None
         for i in (0, 5, 5, courier.MOST_ECHOES):
             sending[0].send(b"%d, and its MAC of 16" % i)
         sending[0].send(b"5, like its MAC of 16")
-        assert made.receive() == [b"%d, and its MAC of 16" % i for i in (0, 5)] + [b"5, like its MAC of 16"]
+        assert list(made.receive()) == [b"%d, and its MAC of 16" % i for i in (0, 5)] + [b"5, like its MAC of 16"]
 
 
 @pytest.mark.parametrize("native", BODIES)
@@ -96,7 +99,7 @@ def test_a_flood_at_one_socket_leaves_the_other_its_turn(native: bool) -> None:
         for i in range(1500):
             sending[0].send(b"%d" % i)
         sending[1].send(b"other")
-        taken = made.receive()
+        taken = list(made.receive())
         assert len(taken) == MOST_AT_ONCE
         assert taken.index(b"other") == courier.IN_TURN
         assert len(made.receive()) == 1501 - MOST_AT_ONCE
@@ -108,12 +111,23 @@ def test_errors_are_told_and_end_nothing(native: bool) -> None:
         receiving[0].connect(("127.0.0.1", 9))  # nobody is there: the echo of what is sent is an error
         receiving[0].send(b"x")
         made.wait(PATIENCE)
-        assert made.receive() == []
+        assert list(made.receive()) == []
         receiving[0].connect(sending[0].getsockname())
         sending[0].send(b"still")
         made.wait(PATIENCE)
-        assert made.receive() == [b"still"]
+        assert list(made.receive()) == [b"still"]
         assert troubles == [errno.ECONNREFUSED]
+
+
+@pytest.mark.parametrize("native", BODIES)
+def test_waiting_for_no_time_looks(native: bool) -> None:
+    with inbox(native) as (made, _, sending, _):
+        for _ in range(3):
+            made.wait(0.0)
+            assert list(made.receive()) == []
+            sending[0].send(b"x")
+            made.wait(0.0)
+            assert list(made.receive()) == [b"x"]
 
 
 @pytest.mark.parametrize("native", BODIES)
@@ -162,7 +176,7 @@ def test_spinning_that_succeeds_goes_on() -> None:
             for _ in range(50):
                 sending[0].send(b"x")
                 made.wait(PATIENCE, 1, 0.0002)
-                assert made.receive() == [b"x"]
+                assert list(made.receive()) == [b"x"]
             assert made.shown.failed == i
         assert made.shown.spins == 3 * 50
 
@@ -183,6 +197,84 @@ def test_letting_several_come_costs_little(native: bool) -> None:
         began = time.process_time()
         made.wait(0.3, 9, 0.3)
         assert time.process_time() - began < 0.15
+
+
+@needs_courier
+def test_gathering_sleeps_as_long_as_the_missing_take() -> None:
+    with inbox(True) as (made, _, _, _):
+        assert isinstance(made, CompiledInbox)
+        made.shown.pace = 100_000
+        before = resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw
+        made.wait(0.2, 11, 0.2)
+        assert 100 < resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw - before < 260  # 200 of 1 ms, if not late
+
+
+@contextmanager
+def gathering(count: int, pause: float) -> Iterator[tuple[CompiledInbox, Callable[[], None]]]:
+    """An inbox, and what gathers so many datagrams in it that come one after the other."""
+    begin, done = threading.Semaphore(0), threading.Event()
+    with inbox(True) as (made, _, sending, _):
+        assert isinstance(made, CompiledInbox)
+        found = made
+
+        def send() -> None:
+            while begin.acquire() and not done.is_set():
+                for i in range(count):
+                    time.sleep(pause)
+                    sending[0].send(b"%d" % i)
+
+        def gather() -> None:
+            begin.release()
+            lacking = count
+            while lacking > 0:
+                found.wait(PATIENCE, lacking, PATIENCE)
+                lacking -= len(found.receive())
+
+        thread = threading.Thread(target=send)
+        thread.start()
+        try:
+            yield found, gather
+        finally:
+            done.set()
+            begin.release()
+            thread.join()
+
+
+@needs_courier
+def test_the_pace_is_that_of_what_comes() -> None:
+    """Of what comes, not of what is seen: who has slept too long finds so. It stays within its bounds."""
+    with gathering(8, 0.001) as (made, gather):
+        for _ in range(30):
+            gather()
+        slow = made.shown.pace
+    assert slow == 150_000
+    with gathering(8, 0.0) as (made, gather):
+        made.shown.pace = slow
+        for _ in range(500):
+            gather()
+            if made.shown.pace < 50_000:
+                break
+        assert 5_000 <= made.shown.pace < 50_000
+
+
+@needs_courier
+def test_what_comes_while_the_time_runs_out_is_left_for_the_next_call() -> None:
+    """Its robot has something to do then. But of two waits one looks."""
+    with inbox(True) as (made, _, sending, _):
+        child = os.fork()
+        if not child:  # stopped while it waits, it wakes after the end
+            made.wait(0.0002)  # spins in vain; the next one does not
+            made.wait(0.2)
+            found = [list(made.receive())]
+            made.wait(1e-9)
+            found.append(list(made.receive()))
+            os._exit(found != [[], [b"x"]])
+        time.sleep(0.1)
+        os.kill(child, signal.SIGSTOP)
+        sending[0].send(b"x")
+        time.sleep(0.3)
+        os.kill(child, signal.SIGCONT)
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
 def damaged(datagram: bytes, chance: random.Random) -> bytes:
@@ -216,7 +308,7 @@ def test_what_is_damaged_is_told_alike() -> None:
             with inbox(native) as (made, _, sending, _):
                 for datagram in sent:
                     sending[0].send(datagram)
-                taken = made.receive()
+                taken = list(made.receive())
             payloads = unseal_all(key, MEMORY, taken)
             assert [opened(len(d), p) for d, p in zip(taken, payloads, strict=True)] == expected
 

@@ -46,7 +46,7 @@ def received(closing: Closing) -> Closing:
 
 def through(layout: Layout, written: dict[str, Any], before: dict[str, Any], author: int = 1) -> dict[str, Any]:
     """What others make of an event's writes."""
-    items = layout.read(received(closing(*layout.writes(written, before, author), author=author)))
+    items = layout.read(received(closing(*layout.written(written, before, author)[0], author=author)))
     assert items is not None
     return {layout.names[i]: layout.resolve(i, item, layout.base(i, before, author)) for i, item in items}
 
@@ -55,7 +55,7 @@ def test_a_large_value_that_changes_little_goes_as_a_patch() -> None:
     layout = Layout(SHARED, 3)
     before = store(layout, map=MAP, seen=(GridMap(), MAP, GridMap()), note="a")
     written = {"map": MORE, "seen": MORE, "note": "b"}
-    writes = layout.writes(written, before, 1)
+    writes = layout.written(written, before, 1)[0]
     assert [(w.index, w.patch) for w in writes] == [(0, True), (1, True), (4, False)]
     assert len(encoder.encode(closing(*writes))) < 60
     assert through(Layout(SHARED, 3), written, before) == written
@@ -64,24 +64,24 @@ def test_a_large_value_that_changes_little_goes_as_a_patch() -> None:
 def test_the_base_of_an_allread_variable_is_the_authors_slot() -> None:
     layout = Layout(SHARED, 3)
     before = store(layout, seen=(GridMap(), MAP, GridMap()))
-    (write,) = layout.writes({"seen": MORE}, before, 0)
+    (write,) = layout.written({"seen": MORE}, before, 0)[0]
     assert not write.patch
-    (write,) = layout.writes({"seen": MORE}, before, 1)
+    (write,) = layout.written({"seen": MORE}, before, 1)[0]
     assert write.patch
     assert layout.base(1, before, 2) == GridMap()
 
 
 def test_without_a_base_all_goes_whole() -> None:
     layout = Layout(SHARED, 3)
-    (write,) = layout.writes({"map": MORE})
+    (write,) = layout.written({"map": MORE})[0]
     assert (write.patch, bytes(write.value)) == (False, encoder.encode(MORE))
 
 
 def test_a_short_value_goes_whole() -> None:
     layout = Layout(SHARED, 3)
-    (write,) = layout.writes({"note": "x" * 240 + "a"}, {"note": "x" * 240 + "b"})
+    (write,) = layout.written({"note": "x" * 240 + "a"}, {"note": "x" * 240 + "b"})[0]
     assert not write.patch
-    (write,) = layout.writes({"note": "x" * 270 + "a"}, {"note": "x" * 270 + "b"})
+    (write,) = layout.written({"note": "x" * 270 + "a"}, {"note": "x" * 270 + "b"})[0]
     assert write.patch
 
 
@@ -134,8 +134,8 @@ _number = st.integers(-(2**63), 2**64 - 1) | st.booleans() | st.just(Odd.ONE) | 
 )
 def test_what_an_author_keeps_of_its_writes_is_what_the_others_read(written: dict[str, Any]) -> None:
     layout = Layout(SCALARS, 3)
-    writes = layout.writes(written, store(layout, note="ab" * 150), 1)
-    kept, read = layout.kept(written, writes), Layout(SCALARS, 3).read(received(closing(*writes)))
+    writes, kept = layout.written(written, store(layout, note="ab" * 150), 1)
+    read = Layout(SCALARS, 3).read(received(closing(*writes)))
     assert (kept is None) == (read is None) and repr(list(kept or ())) == repr(list(read or ()))
 
 
@@ -251,5 +251,5 @@ def test_no_closing_is_longer_than_is_reckoned() -> None:
         "ways": tuple(0.1 * k for k in range(60)),
         "note": "x" * 300,
     }
-    made = Closing(MAX_ROBOTS - 1, top, top, top, True, True, True, 65535, layout.writes(longest))
+    made = Closing(MAX_ROBOTS - 1, top, top, top, True, True, True, 65535, layout.written(longest)[0])
     assert layout.closing_bytes - 80 < len(encoder.encode(made)) <= layout.closing_bytes

@@ -9,9 +9,10 @@ import msgspec
 import pytest
 
 from koordgen.runtime.bounds import Fixed
+from koordgen.runtime.commits import winner
 from koordgen.runtime.layout import Layout
 from koordgen.runtime.log import GAPS, Entry, Log
-from koordgen.runtime.memory import AHEAD, WINDOW, Memory, winner
+from koordgen.runtime.memory import AHEAD, WINDOW, Memory
 from koordgen.runtime.program import Variable
 from koordgen.runtime.wire import Closing, State, View, Write, encoder, state_of
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from koordgen.runtime.memory import winner
+from koordgen.runtime.commits import winner
 from koordgen.runtime.network import Conditions
 from koordgen.runtime.program import Event, Program, Stopped
 from tests.runtime.fleet import Fleet
