@@ -42,19 +42,14 @@ def word(head: Head, round_: int = 30, closings: Sequence[Closing] = (), **field
 
 def is_usual(message: Message | str) -> bool:
     """Of a datagram that nothing is wrong with: by the words of gate.c."""
-    if not isinstance(message, Round) or message.view != VIEW.number or message.emergency:
-        return False
-    pid, round_ = message.head.pid, message.round
-    ours = (pid, VIEW.members[pid], round_, round_) if pid < N else None
-    return [(c.author, c.incarnation, c.first, c.round) for c in message.closings] in ([], [ours])
+    return isinstance(message, Round) and message.view == VIEW.number and not message.emergency
 
 
 def plain(message: Any) -> Any:
     """What a usual datagram says and what it says as a Round look the same."""
     if isinstance(message, Usuals):
         return [
-            (r.sender, message.view, r.round, r.applied, r.settled, False, r.held, (r.closing,) if r.closing else ())
-            for r in message.rows
+            (r.sender, message.view, r.round, r.applied, r.settled, False, r.held, r.closings) for r in message.rows
         ]
     if isinstance(message, Round):
         return [(message.head.pid, *(getattr(message, name) for name in Round.__struct_fields__[1:]))]

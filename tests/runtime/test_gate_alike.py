@@ -275,19 +275,3 @@ def test_one_that_comes_again_has_another_boot() -> None:
         assert len(ears.hear(*given)) == 1
         ears.same()
     assert ears.native.usual == 3
-
-
-def test_closings_of_a_life_that_is_over() -> None:
-    """What is usual goes by the incarnations of the present view."""
-    ears = Ears()
-    for number, members in ((3, (0, 3, 201, -1, 2**53)), (4, (-1, 3, 4, 0, 0)), (5, (2**53, 3, 2**32, 5, 5))):
-        for ear in (ears.native, ears.plain):
-            ear.link.follow(View(number, 20, members))
-        before = ears.native.usual
-        lives = [(pid, life) for pid in (0, 2, 3) for life in (0, 4, 5, 200, 201, 2**32, 2**53)]
-        given = [
-            word(head(pid, 100 * number + i), 30, [Closing(pid, life, 30, 30)], view=number)
-            for i, (pid, life) in enumerate(lives)
-        ]
-        assert len(ears.hear(*map(sealed, given))) == len(given)
-        assert ears.native.usual - before == len([1 for pid, life in lives if members[pid] == life])

@@ -19,17 +19,16 @@ from tests.runtime.test_memory import fleet, one, silence, view, write
 N, OWN = 4, 0
 
 
-def row(sender: int, round_: int, applied: int, closing: Closing | None = None, settled: int = 0,
+def row(sender: int, round_: int, applied: int, *closings: Closing, settled: int = 0,
         held: Sequence[int] = ()) -> Usual:  # fmt: skip
-    return Usual(sender, round_, applied, settled, None, tuple(held), closing)
+    return Usual(sender, round_, applied, settled, None, tuple(held), closings)
 
 
 def one_by_one(memory: Memory, rows: Sequence[Usual], number: int, present: int) -> list[str]:
     """As Replica does with a Round."""
     refused: list[str | None] = []
     for each in rows:
-        if each.closing is not None:
-            refused.append(memory.take(each.closing, present))
+        refused += [memory.take(closing, present) for closing in each.closings]
         through = each.round - 1 if each.round else 0
         said = each.applied, each.held, through, each.settled
         refused.append(memory.heard(each.sender, number, *said, present, asks=False))
@@ -42,9 +41,10 @@ def told(log: Log) -> Any:
 
 
 def everything(memory: Memory) -> Any:
-    words = {pid: (w.view, w.applied, w.through, w.answered, tuple(w.held)) for pid, w in memory._words.items()}
+    heard = memory._words
+    words = {pid: (w.view, w.applied, w.through, w.answered, tuple(w.held)) for pid, w in heard._words.items()}
     state = memory.settled, memory._forgotten, memory.applied, memory.shared, memory.stopped, memory.acted, memory.won
-    asked = memory.unanswered, memory._lacking, memory.lacking, memory._watched, memory._reached, memory.unfit
+    asked = heard.unanswered, memory._lacking, memory.lacking, heard._sure, heard._watched, heard._reached, memory.unfit
     return [told(log) for log in memory._logs], words, state, asked, memory.view, memory.frozen
 
 
@@ -90,19 +90,27 @@ class Course:
     def near(self, low: int, high: int) -> int:
         return self.present + self.chance.randrange(low, high)
 
-    def closing(self, sender: int, round_: int) -> Closing | None:
-        """Of that round and the sender, as the gate hands it on; what is in it may be anything."""
-        chance, incarnation = self.chance, self.many.view.members[sender]
-        if chance.random() < 0.2 or incarnation < 0:
-            return None
-        if chance.random() < 0.1:
-            incarnation = max(0, incarnation + chance.choice((-1, 1)))
+    def closings(self, sender: int, round_: int) -> list[Closing]:
+        """Mostly the sender's of that round; some that it repeats of others, or of more rounds; or none."""
+        chance = self.chance
+        found = [self.closing(sender, round_)] if chance.random() < 0.8 else []
+        while chance.random() < 0.25:
+            author = chance.randrange(N + 1)
+            next_ = self.many._logs[author].held + 1 if author < N else round_
+            found.append(self.closing(author, max(0, chance.choice((next_, next_, next_ + 1, round_)))))
+        return found
+
+    def closing(self, author: int, round_: int) -> Closing:
+        """What is in it may be anything."""
+        chance, incarnation = self.chance, self.many.view.members[author] if author < N else 0
+        incarnation = max(0, incarnation + chance.choice((-1, 0, 0, 0, 0, 0, 0, 1)))
         if chance.random() < 0.3:
-            return silence(sender, round_, round_, incarnation, stopped=chance.random() < 0.05)
-        some = [write(index, round_ * 10 + sender) for index in range(2) if chance.random() < 0.6]
+            first = round_ if chance.random() < 0.7 else max(0, round_ - chance.randrange(3))
+            return silence(author, first, round_, incarnation, stopped=chance.random() < 0.05)
+        some = [write(index, round_ * 10 + author) for index in range(2) if chance.random() < 0.6]
         if chance.random() < 0.1:
             some = [chance.choice((write(2, 3), write(0, "text"), write(1, 2**63)))]
-        return one(sender, round_, *some, incarnation=incarnation, lock=chance.choice((-1, -1, 0)))
+        return one(author, round_, *some, incarnation=incarnation, lock=chance.choice((-1, -1, 0)))
 
     def row(self) -> Usual:
         chance = self.chance
@@ -117,7 +125,7 @@ class Course:
             size = chance.choice((N, N, N, N - 1, 1, N + 3))
             held = tuple(max(0, self.present + chance.randrange(-5, 3)) for _ in range(size))
             held = (*held[:-1], self.present + AHEAD + 1) if chance.random() < 0.1 else held
-        return row(sender, round_, applied, self.closing(sender, round_), max(0, settled), held)
+        return row(sender, round_, applied, *self.closings(sender, round_), settled=max(0, settled), held=held)
 
     def hear(self) -> None:
         chance = self.chance
@@ -147,9 +155,6 @@ def test_rounds_as_they_mostly_are_go_the_short_way(monkeypatch: pytest.MonkeyPa
     """Else all this would prove nothing."""
     memory = fleet(N)[OWN]
     monkeypatch.setattr(Memory, "take", None)
-    monkeypatch.setattr(Memory, "heard", None)
-    for pid in range(1, N):
-        memory._words[pid].view = 0
     for round_ in range(1, 30):
         memory.close(round_, {}, stopped=False)
         assert memory.usual([regular(pid, round_) for pid in range(1, N)], 0, round_) == []
@@ -180,9 +185,8 @@ def test_how_far_ahead_a_closing_may_be(round_: int, why: list[str]) -> None:
 @pytest.mark.parametrize(("settled", "applied", "why"), [(18, 18, 0), (19, 18, 1), (18, 19, 1), (0, 18, 0), (0, 19, 1)])
 def test_words_that_cannot_be(settled: int, applied: int, why: int) -> None:
     memory = fleet(N)[OWN]
-    memory._words[1].view = 0
-    assert memory.usual([row(1, 10, applied, None, settled)], 0, 10) == ["word does not fit"] * why
-    assert memory._words[1].applied == (0 if why else applied)
+    assert memory.usual([row(1, 10, applied, settled=settled)], 0, 10) == ["word does not fit"] * why
+    assert memory._words._words[1].applied == (0 if why else applied)
 
 
 def test_a_watched_round_is_reached_once_by_each() -> None:
