@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from koordgen.runtime.views import majority
 from koordgen.runtime.wire import View
 
 
@@ -74,7 +75,7 @@ class Words:
             return applied >= round_
         if round_ > applied:
             return False
-        needed = self._n // 2  # of the others, for a majority
+        needed = majority(self._n) - 1  # of the others
         if round_ != self._watched:
             said = sorted([w.applied if w.view == view.number else -1 for w in self._words.values()], reverse=True)
             self._sure = min(applied, said[needed - 1]) if needed else applied

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from koordgen.runtime import views
+from koordgen.runtime import views, words
 from koordgen.runtime.comeback import Comeback
 from koordgen.runtime.views import Word, majority
 from koordgen.runtime.wire import View
@@ -123,7 +123,7 @@ CHOOSE = views.choose
 
 SHARED: list[tuple[str, object, str, object, Bounds, State]] = [
     ("one vote decides", views, "majority", one, RIVALS, BEGIN),
-    ("one word makes stable", memory, "majority", one, SMALL, BEGIN),
+    ("one word makes stable", words, "majority", one, SMALL, BEGIN),
     ("a view ends with the least applied round", views, "choose", least, SMALL, BEGIN),
     ("votes are not heeded", views, "choose", deaf, RIVALS, BEGIN),
     ("a promise binds to nothing", views, "promised", unbound, RIVALS, BEGIN),
