@@ -93,7 +93,9 @@ def test_the_longest_is_taken_and_nothing_beyond() -> None:
     longest = seal(KEY, MEMORY, bytes(LIMIT - MAC_SIZE))
     found = verdicts(opened(), [longest, seal(KEY, MEMORY, bytes(LIMIT - MAC_SIZE + 1)), bytes(65_000), b""])
     assert found == [OTHER, TOO_LONG, TOO_LONG, FALSE]
-    assert verdicts(opened(), [seal(KEY, MEMORY, b""), seal(KEY, MEMORY, b"\0")]) == [FALSE, OTHER], "nor is it nothing"
+    for key in (None, KEY):
+        nothing, little = seal(key, MEMORY, b""), seal(key, MEMORY, b"\0")
+        assert verdicts(opened(key), [nothing, little]) == [FALSE, OTHER], "nor is it nothing"
 
 
 def test_nothing_is_usual_before_the_mission_is_known() -> None:
