@@ -118,6 +118,31 @@ def mixed(given: list[Message]) -> bool:
     return bool(kinds[0] & kinds[1])
 
 
+@pytest.mark.parametrize("name", ["sequence", "sent", "fleet", "round", "applied", "settled", "heard", "answered"])
+def test_numbers_of_every_size(name: str) -> None:
+    low = {"fleet": -TOP, "sequence": ADOPTED + 1}.get(name, 0)
+    for value in [*EDGES, *[-n for n in EDGES], *[-n - 1 for n in EDGES], TOP + 1]:
+        ears = Ears()
+        for ear in (ears.native, ears.plain):
+            ear.fleet_clock._known = True
+        said = {
+            "round": 30,
+            "applied": 29,
+            "settled": 28,
+            "sequence": 99,
+            "sent": 1,
+            "fleet": 0,
+            "heard": 1,
+            "answered": 2,
+        }
+        said[name] = value
+        made = head(**{field: said[field] for field in ("sequence", "sent", "fleet")})
+        made = msgspec.structs.replace(made, echoes=(Echo(OWN, said["heard"], said["answered"]),))
+        ears.hear(sealed(word(made, said["round"], applied=said["applied"], settled=said["settled"])))
+        ears.same()
+        assert (ears.native.usual == 1) == (low <= value <= TOP) == (ears.native.link.rejected == {})
+
+
 @given(st.lists(st.lists(messages, min_size=1, max_size=6), min_size=1, max_size=4), st.data())
 @hypothesis_settings(max_examples=150)
 def test_the_same_is_let_through_counted_and_learned(batches: list[list[Message]], data: st.DataObject) -> None:
