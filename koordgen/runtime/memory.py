@@ -213,7 +213,9 @@ class Memory:
                         self._lacking.discard(sender)
                 else:
                     refused.append(self.take(closing, present))
-            refused.append(self.heard(sender, view, applied, row.held, through, settled, present, asks=False))
+            plain = single and not row.held and applied <= last and settled <= self.settled
+            if not plain or not self._words.content(sender, view, applied, through):
+                refused.append(self.heard(sender, view, applied, row.held, through, settled, present, asks=False))
         return [why for why in refused if why is not None]
 
     def holds(self, through: int) -> bool:
@@ -276,14 +278,15 @@ class Memory:
         """What a peer lacked when it last spoke, and we hold: once for each time it says so; unless this robot `helps`,
         only what it wrote itself. Its turn begins with our
         own closings, so that several robots that answer at once begin with different ones."""
-        word = self._words.unanswered_by(pid) if self.view.members[pid] >= 0 else None
-        if word is None:
+        wanted = self._words.answer(pid) if self.view.members[pid] >= 0 else None
+        if wanted is None:
             return []
+        held, through = wanted
         found: list[Closing] = []
         for author in (*range(self._pid, self._n), *range(self._pid)) if helps else (self._pid,):
-            low = max(word.held[author], self.settled) + 1
-            if low <= word.through:
-                found += self._logs[author].between(low, word.through)
+            low = max(held[author], self.settled) + 1
+            if low <= through:
+                found += self._logs[author].between(low, through)
         return found
 
     def snapshot(self) -> tuple[int, State]:

@@ -106,7 +106,7 @@ def deaf(view: View, words: Mapping[int, Word]) -> View | None:
 
 def everywhere(self: Words, round_: int, applied: int, view: View) -> bool:
     """`stable`, but whatever view was meant."""
-    said = sum(w.applied >= round_ for w in self._words.values())
+    said = sum(self._applied[p] >= round_ for p in self._others)
     return applied >= round_ and 1 + said >= majority(self._n)
 
 

@@ -56,7 +56,7 @@ def snapshot(robot: Robot) -> Any:
     ]
     return (
         logs,
-        str(memory._words),
+        str(vars(memory._words)),
         memory.settled,
         memory.applied,
         memory.shared,

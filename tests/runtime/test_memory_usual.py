@@ -41,10 +41,9 @@ def told(log: Log) -> Any:
 
 
 def everything(memory: Memory) -> Any:
-    heard = memory._words
-    words = {pid: (w.view, w.applied, w.through, w.answered, tuple(w.held)) for pid, w in heard._words.items()}
+    words = str(vars(memory._words))
     state = memory.settled, memory._forgotten, memory.applied, memory.shared, memory.stopped, memory.acted, memory.won
-    asked = heard.unanswered, memory._lacking, memory.lacking, heard._sure, heard._watched, heard._reached, memory.unfit
+    asked = memory._lacking, memory.lacking, memory.unfit
     return [told(log) for log in memory._logs], words, state, asked, memory.view, memory.frozen
 
 
@@ -186,7 +185,7 @@ def test_how_far_ahead_a_closing_may_be(round_: int, why: list[str]) -> None:
 def test_words_that_cannot_be(settled: int, applied: int, why: int) -> None:
     memory = fleet(N)[OWN]
     assert memory.usual([row(1, 10, applied, settled=settled)], 0, 10) == ["word does not fit"] * why
-    assert memory._words._words[1].applied == (0 if why else applied)
+    assert memory._words._applied[1] == (0 if why else applied)
 
 
 def test_a_watched_round_is_reached_once_by_each() -> None:
