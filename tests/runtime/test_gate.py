@@ -349,6 +349,9 @@ def test_slots_of_own_echoes_alone_are_nothing() -> None:
         ear = Ear(True)
         assert ear.hear(taken) == [] and ear.link.rejected == {}
         assert opened().take(taken, 1.0, None) == ([], [NOTHING])
+        sending[0].send(b"")
+        made.wait(PATIENCE)
+        assert ear.hear(made.receive()) == [] and ear.link.rejected == {"not authentic": 1}, "which is not nothing"
 
 
 def test_a_library_of_another_layout_is_refused(tmp_path: Path) -> None:

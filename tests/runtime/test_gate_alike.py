@@ -13,6 +13,7 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from koordgen.runtime import wire
+from koordgen.runtime.metrics import RECENT
 from koordgen.runtime.seal import MEMORY, seal
 from koordgen.runtime.sessions import REPLAY_WINDOW, WORDS
 from koordgen.runtime.wire import (
@@ -295,6 +296,13 @@ def test_delays_and_losses_are_counted_alike(said: list[tuple[int, int, int | No
         for at in range(0, len(given), 7):
             ears.hear(*given[at : at + 7])
             ears.move(0.0123456)
+        ears.same()
+
+
+def test_older_datagrams_come_to_count_half() -> None:
+    ears = Ears()
+    for i in range(RECENT + 90):
+        ears.hear(sealed(word(head(sequence=100 + i), 30 + i + i // 100)))
         ears.same()
 
 
