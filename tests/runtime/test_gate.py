@@ -250,6 +250,14 @@ def test_nesting_that_msgspec_can_follow_is_usual() -> None:
     ears.same()
 
 
+def test_nesting_that_msgspec_cannot_follow_harms_nothing() -> None:
+    """How deep that is depends on Python; the gate follows none."""
+    ears = Ears()
+    deep = crafted(99, closing=own(b"\x91" + raw(0, b"\x91" * 1040 + b"\x01")))
+    assert len(deep) <= LIMIT
+    assert ears.hear(deep, sealed(word(head(sequence=100), 31)))[-1][2] == 31
+
+
 @pytest.mark.parametrize("first", [True, False])
 def test_of_two_echoes_of_ours_the_first_is_learned_from(first: bool) -> None:
     ears = Ears()

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from koordgen.runtime import wire
 from koordgen.runtime.seal import MEMORY, seal
-from koordgen.runtime.sessions import REPLAY_WINDOW
+from koordgen.runtime.sessions import REPLAY_WINDOW, WORDS
 from koordgen.runtime.wire import (
     LIMIT,
     MAX_ECHOES,
@@ -252,6 +252,31 @@ def test_replays_and_what_comes_out_of_order(first: int, steps: list[int]) -> No
         if fresh:
             taken.add(sequence)
             newest = max(newest, sequence)
+        ears.same()
+
+
+@pytest.mark.parametrize("newest", [2000, 2047, 2048, 2 * TOP // 3])
+@pytest.mark.parametrize("jump", [1, 63, 64, 65, REPLAY_WINDOW, 64 * WORDS - 1, 64 * WORDS, 64 * WORDS + 64, 9999])
+def test_the_edges_of_the_window(newest: int, jump: int) -> None:
+    ears, last, taken = Ears(), newest + jump, {newest, newest + jump}
+    assert len(ears.hear(*[sealed(word(head(sequence=n))) for n in (newest, last)])) == 2
+    for back in (
+        0,
+        1,
+        63,
+        64,
+        REPLAY_WINDOW - 1,
+        REPLAY_WINDOW,
+        REPLAY_WINDOW + 1,
+        64 * WORDS,
+        jump - 1,
+        jump,
+        jump + 1,
+    ):
+        for _ in range(2):
+            fresh = back < REPLAY_WINDOW and last - back not in taken
+            assert len(ears.hear(sealed(word(head(sequence=last - back))))) == fresh
+            taken.add(last - back)
         ears.same()
 
 

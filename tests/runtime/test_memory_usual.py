@@ -65,7 +65,7 @@ class Course:
         kind = chance.randrange(12)
         if kind == 0 and self.many.applied >= self.many.view.since:
             pid = chance.randrange(1, N)
-            members[pid] = number + 1 if members[pid] < 0 else -1
+            members[pid] = number + 1 if members[pid] < 0 or chance.random() < 0.3 else -1
             following = View(number + 1, self.many.applied + 1 + chance.randrange(3), tuple(members))
             for memory in self.both():
                 memory.adopt(following)
