@@ -62,3 +62,22 @@ def test_who_has_not_closed_yet_does_not_answer(ahead: int) -> None:
     closed = memory.held[1]
     replica.take(Need(asking, 0, closed + ahead, memory.applied, memory.held, ()), closed + 1)
     assert [*answers.values()] == ([] if ahead else [{0}])
+
+
+@pytest.mark.parametrize("strained", [False, True])
+def test_what_another_lacks_is_repeated_unasked_unless_time_is_short(strained: bool) -> None:
+    fleet = Fleet(n=3, conditions=Conditions(delay=0.001)).boot_all()
+    fleet.run_rounds(20)
+    replica = fleet.robots[1].agent._replica
+    assert replica is not None and replica.memory is not None
+    memory = replica.memory
+    said, through = listen(fleet, 1, Round), memory.held[1]
+    lacks = tuple(held - 2 for held in memory.held)
+    replica.take(
+        Round(replace(replica._speech._head([0]), pid=0), 0, through + 1, through - 2, 0, False, lacks, ()), through
+    )
+    assert memory.unanswered == {0}
+    memory.close(through + 1, {}, stopped=False)
+    replica.publish(through + 1, through + 1, strained)
+    assert said == {fleet.time.time: {0, 2}}
+    assert memory.unanswered == ({0} if strained else set()), "and it is not forgotten"

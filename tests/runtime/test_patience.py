@@ -32,3 +32,10 @@ def test_a_robot_that_is_always_late_asks_in_every_second_round() -> None:
 
 def test_a_late_robot_that_has_not_asked_lately_asks_at_once() -> None:
     assert asked([(9, False), (9, True)]) == [9]
+
+
+def test_it_is_strained_in_the_round_in_which_it_was_late_and_the_next() -> None:
+    patience = Patience()
+    assert not patience.strained(1)
+    patience.wakes(5, timely=False)
+    assert [patience.strained(round_) for round_ in (5, 6, 7)] == [True, True, False]
