@@ -311,6 +311,7 @@ def test_delays_of_every_length() -> None:
     ears = Ears()
     for ear in (ears.native, ears.plain):
         ear.fleet_clock._known = True
+    ears.move(3e-7)
     now, sequence = 2_500_000, ADOPTED
     for power in range(-2, 53):
         for factor in (0.999, 1.0, 1.001, 1.1):
