@@ -1,4 +1,4 @@
-"""When a robot asks for what it lacks, and repeats unasked what others lack.
+"""When and whom a robot asks for what it lacks, and when it repeats unasked what others lack.
 
 Who wakes late shares a busy computer, and the others may be as late: what it lacks is then late rather than lost, and
 a fleet that is short of time must not spend it on asking itself.
@@ -6,8 +6,11 @@ a fleet that is short of time must not spend it on asking itself.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+FEW = 5  # missing closings or words that may have been lost; more of them are late
+HELPERS = 5  # robots that at once repeat what others wrote
 MEMORY = 1  # rounds for which a robot remembers that it woke late
 
 
@@ -34,3 +37,27 @@ class Patience:
             return False
         self._asked = round_
         return True
+
+
+def asked(
+    missing: Sequence[int], unaware: Sequence[int], others: Sequence[int], turn: int
+) -> tuple[Sequence[int], list[list[int]]]:
+    """Which of those are asked whose closings are `missing`; and to whom questions go, each list's at once: to them, to
+    one of the `others` who may hold them, and to those whose word is wanted. Where much is missing it is late rather
+    than lost, and a large fleet in which all ask all has no time to be anything but late: then only one of them is
+    asked, another each `turn`."""
+    peers = _few(missing, turn)
+    rest = [p for p in others if p not in missing] if missing else []
+    to = sorted({*peers, *rest[turn % max(1, len(rest)) :][:1], *_few(unaware, turn)})
+    # Who merely hears a question answers it too: one to few goes to each alone.
+    return peers, [to] if 2 * len(to) > len(others) + 1 else [[p] for p in to]
+
+
+def helps(pid: int, other: int, round_: int, n_sys: int) -> bool:
+    """Whether it is this robot's turn to repeat to another what third ones wrote: if all did so at once, a large fleet
+    in which one is late would have no time for anything else."""
+    return (pid - other - round_) % n_sys < HELPERS
+
+
+def _few(pids: Sequence[int], turn: int) -> Sequence[int]:
+    return pids if len(pids) <= FEW else [pids[turn % len(pids)]]

@@ -16,6 +16,7 @@ from koordgen.runtime.layout import Layout
 from koordgen.runtime.link import Link, Usuals
 from koordgen.runtime.memory import Memory
 from koordgen.runtime.news import News
+from koordgen.runtime.patience import asked, helps
 from koordgen.runtime.speech import Fields
 from koordgen.runtime.views import Out, Views, Vote, Word, fits, majority
 from koordgen.runtime.wire import (
@@ -34,8 +35,6 @@ from koordgen.runtime.wire import (
 )
 
 SLOTS = 5  # moments in a round at which what is missing is asked for
-HELPERS = 5  # robots that at once repeat what others wrote
-FEW = 5  # missing closings or words that may have been lost; more of them are late
 ASKED = 3 * SLOTS  # ticks for which a request to be let in counts
 HEARD = 2 * SLOTS  # ticks for which a robot counts as one that can be heard
 
@@ -140,7 +139,7 @@ class Replica:
             return
         plain: list[int] = []
         for pid, peer in self._peers.items():
-            repeats = memory.repeat(pid, self._helps(pid, round_))
+            repeats = memory.repeat(pid, helps(self._pid, pid, round_, self._n))
             if repeats:
                 known = {c.round for c in own}
                 rest = [c for c in repeats if c.author != self._pid or c.round not in known]
@@ -161,23 +160,16 @@ class Replica:
 
     def ask(self, missing: list[int], unaware: list[int], through: int) -> None:
         """Ask for others' closings up to `through` that are missing, of their authors and of one who may hold them, and
-        for the word of those whose word is wanted. Where much is missing it is late rather than lost, and a large fleet
-        in which all ask all has no time to be anything but late: then only one of them is asked, another each time."""
+        for the word of those whose word is wanted."""
         memory = self.memory
         assert memory is not None
         self._turn += 1
-        others = [p for p in self._peers if p not in missing] if missing else []
-        peers = self._few(missing)
-        to = {*peers, *others[self._turn % max(1, len(others)) :][:1], *self._few(unaware)}
+        peers, each = asked(missing, unaware, self._others, self._turn)
         partly, (view, _, applied, *_) = self._assembly.partly(), self.word(through)
         for pid in peers:
             self._link.metrics.repeated(pid)
-        # Who merely hears a question answers it too: one to few goes to each alone.
-        for each in [sorted(to)] if 2 * len(to) > self._n else [[p] for p in sorted(to)]:
-            self._speech.say(each, Need, view, through, applied, memory.held, partly)
-
-    def _few(self, pids: list[int]) -> list[int]:
-        return pids if len(pids) <= FEW else [pids[self._turn % len(pids)]]
+        for to in each:
+            self._speech.say(to, Need, view, through, applied, memory.held, partly)
 
     def take(self, message: Talk, present: int) -> None:
         """A message of this mission, heard in round `present`, or several usual ones."""
@@ -226,11 +218,6 @@ class Replica:
     def complete(self, present: int) -> None:
         """Note that all closings of round `present` are here, in that round."""
         self._news.complete(present)
-
-    def _helps(self, pid: int, round_: int) -> bool:
-        """Whether it is this robot's turn to repeat to another what third ones wrote: if all did so at once, a large
-        fleet in which one is late would have no time for anything else."""
-        return (self._pid - pid - round_) % self._n < HELPERS
 
     def _doubted(self, present: int) -> list[int]:
         """The members of whom nothing new has come for too long."""
@@ -311,8 +298,8 @@ class Replica:
             return
         peer = self._peers[sender]
         peer.partly = {p.author: p for p in message.partly}
-        helps = message.held[self._pid] >= through or self._helps(sender, present)
-        closings = memory.repeat(sender, helps)
+        ours = message.held[self._pid] >= through  # it wants only what others wrote
+        closings = memory.repeat(sender, ours or helps(self._pid, sender, present, self._n))
         if closings or memory.held[self._pid] >= through:  # else ours is still to come, with our word, to all
             self._speech.round([sender], self.word(present), closings, peer.partly)
 

@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from koordgen.runtime.network import Conditions
-from koordgen.runtime.replica import FEW
+from koordgen.runtime.patience import FEW
 from koordgen.runtime.wire import Need, Round, decode
 from tests.runtime.fleet import KEY, Fleet
 
