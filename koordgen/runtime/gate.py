@@ -67,7 +67,7 @@ class Lesson(Wired, frozen=True):
 
 
 class Usual(Wired, frozen=True):
-    """What nearly all datagrams say: see wire.Round; in the present view, and without an emergency."""
+    """What nearly all datagrams say: see wire.Round; by the present view, and without an emergency."""
 
     sender: Pid
     round: Natural

@@ -12,6 +12,7 @@ from typing import Any
 
 from koordgen.runtime.assembly import Assembly
 from koordgen.runtime.comeback import Comeback, Store
+from koordgen.runtime.gate import Usual
 from koordgen.runtime.layout import Layout
 from koordgen.runtime.link import Link, Usuals
 from koordgen.runtime.memory import Memory
@@ -256,7 +257,7 @@ class Replica:
             self._speech.say(to, kind, *fields)
 
     def _usual(self, messages: Usuals, present: int) -> None:
-        """The same as `_round` of each."""
+        """Words by one view."""
         view, rows = messages
         peers, tick = self._peers, self._tick
         for row in rows:
@@ -268,24 +269,10 @@ class Replica:
             for refused in self.memory.usual(rows, view, present):
                 self._link.reject(refused)
 
-    def _round(self, sender: int, message: Round, present: int) -> None:
-        if message.view < self.views.view.number:
-            self._tell(sender, message.view)
-        if message.emergency:
-            self.emergency = True
-        memory = self.memory
-        if memory is None:
-            return
-        for closing in message.closings:
-            refused = memory.take(closing, present)
-            if refused is not None:
-                self._link.reject(refused)
-        through = message.round - 1 if message.round else 0
-        refused = memory.heard(
-            sender, message.view, message.applied, message.held, through, message.settled, present, False
-        )
-        if refused is not None:
-            self._link.reject(refused)
+    def _round(self, sender: int, word: Round, present: int) -> None:
+        self.emergency = self.emergency or word.emergency
+        row = Usual(sender, word.round, word.applied, word.settled, None, word.held, word.closings)
+        self._usual(Usuals(word.view, [row]), present)
 
     def _need(self, sender: int, message: Need, present: int) -> None:
         self._tell(sender, message.view)
