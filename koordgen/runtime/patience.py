@@ -46,9 +46,9 @@ def asked(
     one of the `others` who may hold them, and to those whose word is wanted. Where much is missing it is late rather
     than lost, and a large fleet in which all ask all has no time to be anything but late: then only one of them is
     asked, another each `turn`."""
-    peers = _few(missing, turn)
+    peers = few(missing, turn)
     rest = [p for p in others if p not in missing] if missing else []
-    to = sorted({*peers, *rest[turn % max(1, len(rest)) :][:1], *_few(unaware, turn)})
+    to = sorted({*peers, *rest[turn % max(1, len(rest)) :][:1], *few(unaware, turn)})
     # Who merely hears a question answers it too: one to few goes to each alone.
     return peers, [to] if 2 * len(to) > len(others) + 1 else [[p] for p in to]
 
@@ -59,5 +59,6 @@ def helps(pid: int, other: int, round_: int, n_sys: int) -> bool:
     return (pid - other - round_) % n_sys < HELPERS
 
 
-def _few(pids: Sequence[int], turn: int) -> Sequence[int]:
+def few(pids: Sequence[int], turn: int) -> Sequence[int]:
+    """All of them, or of many one in turn."""
     return pids if len(pids) <= FEW else [pids[turn % len(pids)]]

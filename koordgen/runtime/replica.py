@@ -17,7 +17,7 @@ from koordgen.runtime.layout import Layout
 from koordgen.runtime.link import Link, Usuals
 from koordgen.runtime.memory import Memory
 from koordgen.runtime.news import News
-from koordgen.runtime.patience import asked, helps
+from koordgen.runtime.patience import asked, few, helps
 from koordgen.runtime.speech import Fields
 from koordgen.runtime.views import Out, Views, Vote, Word, fits, majority
 from koordgen.runtime.wire import (
@@ -127,8 +127,8 @@ class Replica:
         return memory.view.number, round_, memory.applied, memory.settled, self.emergency, held
 
     def publish(self, first: int, round_: int, strained: bool) -> None:
-        """The own closings from `first` on go to everyone, and to each what it lacked when it last spoke; but not where
-        time is short, and what is lacking late rather than lost: see `patience`."""
+        """The own closings from `first` on go to everyone, and to few what they lacked when they last spoke; to none
+        where time is short, and what is lacking late rather than lost: see `patience`."""
         memory, word = self.memory, self.word(round_)
         if memory is None:
             closing = self._silence(round_)
@@ -138,16 +138,14 @@ class Replica:
         if strained or not memory.unanswered:
             self._speech.round(self._others, word, own)
             return
-        plain: list[int] = []
-        for pid, peer in self._peers.items():
+        known, repeated = {c.round for c in own}, []
+        for pid in few(sorted(memory.unanswered), round_):
             repeats = memory.repeat(pid, helps(self._pid, pid, round_, self._n))
             if repeats:
-                known = {c.round for c in own}
                 rest = [c for c in repeats if c.author != self._pid or c.round not in known]
-                self._speech.round([pid], word, [*own, *rest], peer.partly)
-            else:
-                plain.append(pid)
-        self._speech.round(plain, word, own)
+                self._speech.round([pid], word, [*own, *rest], self._peers[pid].partly)
+                repeated.append(pid)
+        self._speech.round([p for p in self._others if p not in repeated], word, own)
 
     def tell(self, round_: int) -> None:
         """This robot's word, to everyone."""

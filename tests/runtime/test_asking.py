@@ -81,3 +81,24 @@ def test_what_another_lacks_is_repeated_unasked_unless_time_is_short(strained: b
     replica.publish(through + 1, through + 1, strained)
     assert said == {fleet.time.time: {0, 2}}
     assert memory.unanswered == ({0} if strained else set()), "and it is not forgotten"
+
+
+def test_of_many_that_lack_something_one_is_sent_it_another_each_round() -> None:
+    n = FEW + 3
+    fleet = Fleet(n=n, conditions=Conditions(delay=0.001)).boot_all()
+    fleet.run_rounds(20)
+    replica = fleet.robots[1].agent._replica
+    assert replica is not None and replica.memory is not None
+    memory, others = replica.memory, {p for p in range(n) if p != 1}
+    through = memory.held[1]
+    lacks = tuple(held - 2 for held in memory.held)
+    for pid in others:
+        head = replace(replica._speech._head([pid]), pid=pid)
+        replica.take(Round(head, 0, through + 1, through - 2, 0, False, lacks, ()), through)
+    answered = []
+    for round_ in (through + 1, through + 2):
+        before = set(memory.unanswered)
+        memory.close(round_, {}, stopped=False)
+        replica.publish(round_, round_, strained=False)
+        answered.append(before - set(memory.unanswered))
+    assert [len(pids) for pids in answered] == [1, 1] and answered[0] != answered[1]
