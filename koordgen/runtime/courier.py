@@ -1,8 +1,7 @@
 """The courier: what waits for datagrams and drains sockets as C (courier.c), and how Python calls it.
 
 It is compiled at the process's first use of it, kept in a cache, and loaded by ctypes: see `native`. Without a compiler
-`inbox` does the same in Python. MACs stay with hashlib: it is as fast as C of ours, and a call by ctypes costs more
-than it would save, above all when the caches are cold.
+`inbox` does the same in Python. What it has taken stays in its slots, where the gate judges it.
 """
 
 from __future__ import annotations

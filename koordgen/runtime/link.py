@@ -69,7 +69,6 @@ class Link:
         self._transport = transport
         self._clock = clock
         self._fleet_clock = fleet_clock
-        self._reference = 0
         self._report = report
         self._reported: set[tuple[int, str]] = set()
         self.speech = Speech(program, settings, key, transport, clock, fleet_clock, boot, self.sessions)
