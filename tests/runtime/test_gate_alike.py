@@ -299,6 +299,15 @@ def test_delays_and_losses_are_counted_alike(said: list[tuple[int, int, int | No
         ears.same()
 
 
+def test_of_two_that_were_sent_at_once_the_first_tells_when_they_arrived() -> None:
+    ears = Ears()
+    for i in (1, 2):
+        ears.hear(sealed(word(head(sequence=ADOPTED + i, sent=1_500_000))))
+        ears.move(0.001)
+    ears.same()
+    assert ears.native.link.sessions.arrived[2] == 2_500_000
+
+
 def test_older_datagrams_come_to_count_half() -> None:
     ears = Ears()
     for i in range(RECENT + 90):
