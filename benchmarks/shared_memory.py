@@ -358,8 +358,8 @@ def main() -> int:
     arguments = parser.parse_args()
     if arguments.plain:
         without_courier()
-    if courier.library() is None:  # else it is compiled by now, for all processes
-        print(f"ours is plain Python: {courier.why()}")
+    if courier.COMPILED.library() is None:  # else it is compiled by now, for all processes
+        print(f"ours is plain Python: {courier.COMPILED.why()}")
     absent = peers_exchange.missing()
     for text in absent.values():
         print(text)

@@ -80,7 +80,7 @@ def main(
         Layout(program.shared, len(settings.peers))
         if program.library is not None:
             program.library.load()  # importing may take longer than a round
-        reasons = courier.why(), gate.why()  # and so may compiling
+        reasons = courier.COMPILED.why(), gate.COMPILED.why()  # and so may compiling
         if any(reasons):
             _say("warning", f"updates take longer to arrive than they could: {reasons[0] or reasons[1]}")
         platform = platform_type(settings, key)

@@ -9,11 +9,11 @@ from __future__ import annotations
 import ctypes
 import mmap
 from collections.abc import Callable, Iterator, Sequence
-from functools import cache
+from ctypes import c_char_p, c_double, c_int32, c_size_t, c_void_p
 from pathlib import Path
-from typing import overload
+from typing import Any, overload
 
-from koordgen.runtime.native import NotCompiled, load
+from koordgen.runtime.native import Compiled, NotCompiled, declare
 from koordgen.runtime.transport import MOST_AT_ONCE
 
 SOURCE = Path(__file__).with_name("courier.c")
@@ -46,49 +46,25 @@ class Shown(ctypes.Structure):
     )
 
 
-def library() -> ctypes.CDLL | None:
-    """The compiled courier, or None. Compiles at its first call in a process, if need be: not in a control loop."""
-    found = _loaded()
-    return found if isinstance(found, ctypes.CDLL) else None
-
-
-def why() -> str:
-    """Why there is no library; empty when there is one."""
-    found = _loaded()
-    return found if isinstance(found, str) else ""
-
-
-@cache
-def _loaded() -> ctypes.CDLL | str:
-    try:
-        return load(SOURCE, FLAGS, prove)
-    except NotCompiled as error:
-        return str(error)
-
-
 def prove(found: ctypes.CDLL) -> None:
     """Declares the functions, and raises NotCompiled where the library is not the one that this module goes with."""
-    _declare(found)
+    declare(found, "courier_", _FUNCTIONS)
     if found.courier_shown_size() != ctypes.sizeof(Shown):
         raise NotCompiled("the compiled courier lays its memory out otherwise than Python reads it")
     if found.courier_wait(CompiledInbox(found, [], lambda number: None).at, 0.0, 1, 0.0, 0):
         raise NotCompiled("the compiled courier finds datagrams where there is no socket")
 
 
-def _declare(found: ctypes.CDLL) -> None:
-    address, text, number, seconds = ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int32, ctypes.c_double
-    size = ctypes.c_size_t
-    for name, result, arguments in (
-        ("inbox_size", size, ()),
-        ("shown_size", size, ()),
-        ("open", None, (address, address, address, number)),
-        ("close", None, (address,)),
-        ("sent", None, (address, text, number)),
-        ("wait", number, (address, seconds, number, seconds, number)),
-        ("receive", number, (address,)),
-    ):
-        function = getattr(found, f"courier_{name}")
-        function.restype, function.argtypes = result, arguments
+_FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
+    "inbox_size": (c_size_t, ()),
+    "shown_size": (c_size_t, ()),
+    "open": (None, (c_void_p, c_void_p, c_void_p, c_int32)),
+    "close": (None, (c_void_p,)),
+    "sent": (None, (c_void_p, c_char_p, c_int32)),
+    "wait": (c_int32, (c_void_p, c_double, c_int32, c_double, c_int32)),
+    "receive": (c_int32, (c_void_p,)),
+}
+COMPILED = Compiled(SOURCE, FLAGS, prove)
 
 
 class Slots(Sequence[bytes]):

@@ -68,7 +68,7 @@ def _program(program: Program, settings: Settings) -> Finding:
 def _compiled() -> Finding:
     """The C code of the shared memory is compiled here and kept, so that the first mission does not wait for it."""
     began = time.perf_counter()
-    reasons = courier.why(), gate.why()
+    reasons = courier.COMPILED.why(), gate.COMPILED.why()
     took = 1e3 * (time.perf_counter() - began)
     if any(reasons):
         why = "all works, and updates take longer to arrive: install a C compiler (`apt install gcc`)"

@@ -12,15 +12,15 @@ import math
 import mmap
 from array import array
 from collections.abc import Mapping, Sequence
-from functools import cache
+from ctypes import c_char_p, c_double, c_int32, c_int64, c_size_t, c_uint32, c_void_p
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 
 from koordgen.runtime.courier import LARGEST, Slots
 from koordgen.runtime.metrics import BUCKETS, PER_OCTAVE, RECENT
-from koordgen.runtime.native import NotCompiled, load
+from koordgen.runtime.native import Compiled, NotCompiled, declare
 from koordgen.runtime.seal import KEY_SIZE, MAC_SIZE
 from koordgen.runtime.sessions import WORDS
 from koordgen.runtime.transport import MOST_AT_ONCE
@@ -101,45 +101,24 @@ class _Shown(ctypes.Structure):
     )
 
 
-def library() -> ctypes.CDLL | None:
-    """The compiled gate, or None. Compiles at its first call in a process, if need be: not in a control loop."""
-    found = _loaded()
-    return found if isinstance(found, ctypes.CDLL) else None
-
-
-def why() -> str:
-    """Why there is no library; empty when there is one."""
-    found = _loaded()
-    return found if isinstance(found, str) else ""
-
-
-@cache
-def _loaded() -> ctypes.CDLL | str:
-    try:
-        return load(SOURCE, FLAGS, prove)
-    except NotCompiled as error:
-        return str(error)
-
-
 def prove(found: ctypes.CDLL) -> None:
     """Declares the functions, and raises NotCompiled where the library is not the one that this module goes with."""
-    address, text, number, seconds = ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int32, ctypes.c_double
-    size = ctypes.c_size_t
-    for name, result, arguments in (
-        ("size", size, ()),
-        ("shown_size", size, ()),
-        ("columns_size", size, ()),
-        ("open", None, (address, number, number, address, address, text, ctypes.c_uint32, text)),
-        ("begin", None, (address, text, number)),
-        ("adopt", None, (address, number, text, number)),
-        ("follow", None, (address, ctypes.c_int64)),
-        ("take", None, (address, address, number, address, number, seconds, seconds)),
-    ):
-        function = getattr(found, f"gate_{name}")
-        function.restype, function.argtypes = result, arguments
+    declare(found, "gate_", _FUNCTIONS)
     if (found.gate_shown_size(), found.gate_columns_size()) != (ctypes.sizeof(_Shown), ctypes.sizeof(_Columns)):
         raise NotCompiled("the compiled gate lays its memory out otherwise than Python reads it")
 
+
+_FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
+    "size": (c_size_t, ()),
+    "shown_size": (c_size_t, ()),
+    "columns_size": (c_size_t, ()),
+    "open": (None, (c_void_p, c_int32, c_int32, c_void_p, c_void_p, c_char_p, c_uint32, c_char_p)),
+    "begin": (None, (c_void_p, c_char_p, c_int32)),
+    "adopt": (None, (c_void_p, c_int32, c_char_p, c_int32)),
+    "follow": (None, (c_void_p, c_int64)),
+    "take": (None, (c_void_p, c_void_p, c_int32, c_void_p, c_int32, c_double, c_double)),
+}
+COMPILED = Compiled(SOURCE, FLAGS, prove)
 
 _rows: msgspec.msgpack.Decoder[list[Usual]] = msgspec.msgpack.Decoder(list[Usual])
 

@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from koordgen.runtime.courier import IN_TURN, LARGEST, MOST_ECHOES, CompiledInbox, library
+from koordgen.runtime.courier import COMPILED, IN_TURN, LARGEST, MOST_ECHOES, CompiledInbox
 from koordgen.runtime.transport import MOST_AT_ONCE
 
 NAP = 20e-6  # seconds for each datagram that is missing
@@ -39,7 +39,7 @@ class Inbox(Protocol):
 def open_inbox(sockets: Sequence[socket.socket], trouble: Callable[[int], None], native: bool) -> Inbox:
     """Of sockets that do not block; `trouble` gets the errno of what went wrong when receiving. Compiled, if `native`
     and there is a compiler."""
-    found = library() if native else None
+    found = COMPILED.library() if native else None
     if found is None:
         return PlainInbox(sockets, trouble)
     return CompiledInbox(found, [each.fileno() for each in sockets], trouble)

@@ -62,7 +62,7 @@ class Link:
         self._interface = bytes.fromhex(program.interface_hash)
         self._program = bytes.fromhex(program.program_hash)
         self._key = key
-        found = gate.library() if native else None
+        found = gate.COMPILED.library() if native else None
         columns = {**self.sessions.columns(), **metrics.columns()}
         self._gate = None if found is None else Gate(found, len(settings.peers), self.pid, columns, key, MEMORY)
         self._view = -1  # the present one's number

@@ -16,11 +16,13 @@ import stat
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 COMPILERS = ("cc", "gcc", "clang")
 DIGITS = 32  # of a digest in a file's name
@@ -58,6 +60,36 @@ def load(
             if ours:
                 return _make(code, [cache, None])
             time.sleep(LOOKS)
+
+
+class Compiled:
+    """The library of one C file, loaded at its first use in a process (see `load`): not in a control loop."""
+
+    def __init__(self, source: Path, flags: Sequence[str], prove: Callable[[ctypes.CDLL], None]) -> None:
+        self._given = source, flags, prove
+
+    @cached_property
+    def found(self) -> ctypes.CDLL | str:
+        """It, or why there is none."""
+        try:
+            return load(*self._given)
+        except NotCompiled as error:
+            return str(error)
+
+    def library(self) -> ctypes.CDLL | None:
+        """It, or None."""
+        return None if isinstance(self.found, str) else self.found
+
+    def why(self) -> str:
+        """Why there is no library; empty when there is one."""
+        return self.found if isinstance(self.found, str) else ""
+
+
+def declare(found: ctypes.CDLL, prefix: str, functions: Mapping[str, tuple[Any, tuple[Any, ...]]]) -> None:
+    """What its functions, by their names behind the prefix, return and take. Raises AttributeError: it lacks one."""
+    for name, (result, arguments) in functions.items():
+        function = getattr(found, prefix + name)
+        function.restype, function.argtypes = result, arguments
 
 
 def cache_folder() -> Path | None:

@@ -17,7 +17,7 @@ from koordgen.runtime.wire import Closing, Head, Hello, Message, Round, View
 from tests.runtime.fleet import KEY, settings
 from tests.runtime.lineform import PROGRAM
 
-NO_GATE = gate.why()
+NO_GATE = gate.COMPILED.why()
 needs_gate = pytest.mark.skipif(bool(NO_GATE), reason=NO_GATE)
 N, OWN = 5, 1
 APPLICATION = 300

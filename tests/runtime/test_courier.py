@@ -43,7 +43,7 @@ def inbox(native: bool, count: int = 1) -> Iterator[Pair]:
         target.setblocking(False)
         target.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
         source.connect(target.getsockname())
-    found = courier.library()
+    found = courier.COMPILED.library()
     made: Inbox = PlainInbox(receiving, troubles.append)
     if native:
         assert found is not None
@@ -70,7 +70,7 @@ def test_both_bodies_take_the_same() -> None:
             for i in [chance.randrange(2) for _ in range(chance.randint(0, 150))]
         ]
         found = []
-        for native in (True, False) if courier.library() else (False,):
+        for native in (True, False) if courier.COMPILED.library() else (False,):
             with inbox(native, 2) as (made, _, sending, troubles):
                 for datagram in own:
                     made.sent(datagram)
@@ -304,7 +304,7 @@ def test_what_is_damaged_is_told_alike() -> None:
             message = Piece(head, 0, 0, 1, token, 0, 1, chance.randbytes(chance.randint(0, 1100)))
             sent.append(damaged(encode(message, chance.choice([key, key, None])), chance))
         expected = [decode(datagram, key) for datagram in sent]
-        for native in (True, False) if courier.library() else (False,):
+        for native in (True, False) if courier.COMPILED.library() else (False,):
             with inbox(native) as (made, _, sending, _):
                 for datagram in sent:
                     sending[0].send(datagram)

@@ -182,7 +182,7 @@ def test_a_computer_without_a_compiler(
     bundles: list[Path], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, lacking: list[ModuleType]
 ) -> None:
     for library in (courier, gate):
-        monkeypatch.setattr(library, "_loaded", lambda told="there is no C compiler" * (library in lacking): told)
+        monkeypatch.setattr(library.COMPILED, "found", "there is no C compiler" * (library in lacking))
     done, found = examined(bundles[0], capsys)
     assert done == 0
     assert (found["compiled"]["state"], found["compiled"]["found"]) == ("warn", "there is no C compiler")

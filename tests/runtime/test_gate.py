@@ -35,7 +35,7 @@ OTHER_KEY = bytes(31) + b"\1"
 
 def opened(key: bytes | None = KEY, found: ctypes.CDLL | None = None, purpose: bytes = MEMORY) -> Gate:
     columns = {**Sessions(N).columns(), **Metrics(OWN, N).columns()}
-    found = found or gate.library()
+    found = found or gate.COMPILED.library()
     assert found is not None
     return Gate(found, N, OWN, columns, key, purpose)
 
@@ -368,8 +368,8 @@ def test_a_library_of_another_layout_is_refused(tmp_path: Path) -> None:
 
 
 def test_without_a_library_the_link_hears_in_plain_Python(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gate, "_loaded", lambda: "there is no C compiler")
-    assert gate.library() is None and gate.why() == "there is no C compiler"
+    monkeypatch.setattr(gate.COMPILED, "found", "there is no C compiler")
+    assert gate.COMPILED.library() is None and gate.COMPILED.why() == "there is no C compiler"
     ear = Ear(True)
     assert ear.link._gate is None
     assert ear.hear([sealed(word(head()))]) and ear.usual == 0

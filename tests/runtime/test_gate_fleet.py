@@ -62,7 +62,7 @@ def runs(monkeypatch: pytest.MonkeyPatch, story: Story, **given: Any) -> None:
     for native in (True, False):
         with monkeypatch.context() as changed:
             if not native:
-                changed.setattr(gate, "_loaded", lambda: "not wanted")
+                changed.setattr(gate.COMPILED, "found", "not wanted")
             fleet = Fleet(**given).boot_all()
             story(fleet)
             found.append(told(fleet))

@@ -236,7 +236,7 @@ def test_what_is_not_compiled_is_told_once_before_a_link_is_open(
 
     monkeypatch.setattr(agent, "open_transport", refused)
     for library in (courier, gate):
-        monkeypatch.setattr(library, "_loaded", lambda told="there is no C compiler" * (library in lacking): told)
+        monkeypatch.setattr(library.COMPILED, "found", "there is no C compiler" * (library in lacking))
     assert run(bundles[1]) == 5
     told = "warning: updates take longer to arrive than they could: there is no C compiler\nerror: no link\n"
     assert capsys.readouterr().err == told

@@ -20,7 +20,7 @@ from koordgen.runtime.settings import Box, Network, Origin, Peer, Settings
 from koordgen.runtime.transport import Transport
 
 NO_ZENOH = importlib.util.find_spec("zenoh") is None
-NO_COURIER = courier.why()
+NO_COURIER = courier.COMPILED.why()
 needs_courier = pytest.mark.skipif(bool(NO_COURIER), reason=NO_COURIER)
 BODIES = [pytest.param(True, marks=needs_courier, id="compiled"), pytest.param(False, id="plain")]
 needs_zenoh = pytest.mark.skipif(NO_ZENOH, reason="the package eclipse-zenoh is not installed")
