@@ -18,7 +18,7 @@ from koordgen.runtime import courier, gate
 from koordgen.runtime.clock import Clock, FleetClock, SystemClock
 from koordgen.runtime.keeping import Keeping
 from koordgen.runtime.layout import Layout
-from koordgen.runtime.link import Link, Usuals
+from koordgen.runtime.link import Link, Usuals, as_usual
 from koordgen.runtime.memory import Memory
 from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.opening import open_transport
@@ -100,18 +100,10 @@ class Update:
         self._transport.wait(seconds)
         memory, other, told, found = self._memory, self._other, self._told, Heard()
         for message in self._link.receive():
-            if isinstance(message, Usuals):
-                memory.usual(message.rows, message.view, max(self._round, 1))
-                if message.rows[0].round == 0:
-                    found.append((other, 0))
-            elif isinstance(message, Round):
-                for closing in message.closings:
-                    memory.take(closing, max(self._round, 1))
-                through, present = max(0, message.round - 1), max(self._round, 1)
-                memory.heard(
-                    other, message.view, message.applied, message.held, through, message.settled, present, False
-                )
-                if message.round == 0:
+            said = as_usual(message) if isinstance(message, Round) else message
+            if isinstance(said, Usuals):
+                memory.usual(said.rows, said.view, max(self._round, 1))
+                if said.rows[0].round == 0:
                     found.append((other, 0))
         memory.advance(self._round + 1)
         self._told = max(told, memory.held[other])

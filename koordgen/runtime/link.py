@@ -34,6 +34,12 @@ class Usuals(NamedTuple):
 Heard = Message | Usuals
 
 
+def as_usual(word: Round) -> Usuals:
+    """The same in the form in which the gate hands on many; its emergency is not in it."""
+    row = Usual(word.head.pid, word.round, word.applied, word.settled, None, word.held, word.closings)
+    return Usuals(word.view, [row])
+
+
 class Link:
     """`report` gets what the people at the robots must know, once for each peer. `speech` is the way back to them.
     `native`: with the gate, where it can be compiled."""

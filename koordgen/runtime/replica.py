@@ -12,9 +12,8 @@ from typing import Any
 
 from koordgen.runtime.assembly import Assembly
 from koordgen.runtime.comeback import Comeback, Store
-from koordgen.runtime.gate import Usual
 from koordgen.runtime.layout import Layout
-from koordgen.runtime.link import Link, Usuals
+from koordgen.runtime.link import Link, Usuals, as_usual
 from koordgen.runtime.memory import Memory
 from koordgen.runtime.news import News
 from koordgen.runtime.patience import asked, few, helps
@@ -178,7 +177,7 @@ class Replica:
         sender = message.head.pid
         self._peers[sender].heard = self._tick
         if isinstance(message, Round):
-            self._round(sender, message, present)
+            self._round(message, present)
             return
         match message:
             case Need():
@@ -267,10 +266,9 @@ class Replica:
             for refused in self.memory.usual(rows, view, present):
                 self._link.reject(refused)
 
-    def _round(self, sender: int, word: Round, present: int) -> None:
+    def _round(self, word: Round, present: int) -> None:
         self.emergency = self.emergency or word.emergency
-        row = Usual(sender, word.round, word.applied, word.settled, None, word.held, word.closings)
-        self._usual(Usuals(word.view, [row]), present)
+        self._usual(as_usual(word), present)
 
     def _need(self, sender: int, message: Need, present: int) -> None:
         self._tell(sender, message.view)
