@@ -7,8 +7,10 @@ from collections.abc import Sequence
 import pytest
 from msgspec.structs import replace
 
+from koordgen.runtime.memory import Memory
 from koordgen.runtime.network import Conditions
 from koordgen.runtime.patience import FEW
+from koordgen.runtime.replica import Replica
 from koordgen.runtime.wire import Need, Round, decode
 from tests.runtime.fleet import KEY, Fleet
 
@@ -49,14 +51,19 @@ def test_of_many_that_lack_one_is_asked_another_each_time() -> None:
     assert len(set().union(*asked.values())) == len(asked), "one after the other"
 
 
-@pytest.mark.parametrize("ahead", [0, 1])
-def test_who_has_not_closed_yet_does_not_answer(ahead: int) -> None:
-    """Its closing goes to all."""
-    fleet = Fleet(n=3, conditions=Conditions(delay=0.001)).boot_all()
+def under_way(n: int) -> tuple[Fleet, Replica, Memory]:
+    """A fleet in its 20th round, and robot 1's memory."""
+    fleet = Fleet(n=n, conditions=Conditions(delay=0.001)).boot_all()
     fleet.run_rounds(20)
     replica = fleet.robots[1].agent._replica
     assert replica is not None and replica.memory is not None
-    memory = replica.memory
+    return fleet, replica, replica.memory
+
+
+@pytest.mark.parametrize("ahead", [0, 1])
+def test_who_has_not_closed_yet_does_not_answer(ahead: int) -> None:
+    """Its closing goes to all."""
+    fleet, replica, memory = under_way(3)
     answers = listen(fleet, 1, Round)
     asking = replace(replica._speech._head([0]), pid=0)
     closed = memory.held[1]
@@ -66,11 +73,7 @@ def test_who_has_not_closed_yet_does_not_answer(ahead: int) -> None:
 
 @pytest.mark.parametrize("strained", [False, True])
 def test_what_another_lacks_is_repeated_unasked_unless_time_is_short(strained: bool) -> None:
-    fleet = Fleet(n=3, conditions=Conditions(delay=0.001)).boot_all()
-    fleet.run_rounds(20)
-    replica = fleet.robots[1].agent._replica
-    assert replica is not None and replica.memory is not None
-    memory = replica.memory
+    fleet, replica, memory = under_way(3)
     said, through = listen(fleet, 1, Round), memory.held[1]
     lacks = tuple(held - 2 for held in memory.held)
     replica.take(
@@ -85,11 +88,8 @@ def test_what_another_lacks_is_repeated_unasked_unless_time_is_short(strained: b
 
 def test_of_many_that_lack_something_one_is_sent_it_another_each_round() -> None:
     n = FEW + 3
-    fleet = Fleet(n=n, conditions=Conditions(delay=0.001)).boot_all()
-    fleet.run_rounds(20)
-    replica = fleet.robots[1].agent._replica
-    assert replica is not None and replica.memory is not None
-    memory, others = replica.memory, {p for p in range(n) if p != 1}
+    _, replica, memory = under_way(n)
+    others = {p for p in range(n) if p != 1}
     through = memory.held[1]
     lacks = tuple(held - 2 for held in memory.held)
     for pid in others:

@@ -14,7 +14,7 @@ from koordgen.runtime.gate import Usual
 from koordgen.runtime.log import Log
 from koordgen.runtime.memory import AHEAD, RECENT, WINDOW, Memory
 from koordgen.runtime.wire import Closing, View, encoder
-from tests.runtime.test_memory import fleet, one, silence, view, write
+from tests.runtime.memories import fleet, one, silence, view, write
 
 N, OWN = 4, 0
 
