@@ -240,5 +240,5 @@ def _target_files(target: Target) -> Files:
 
 def _folder(folder: Path, prefix: str) -> Files:
     """Python, C that is compiled on the robot, and what pages are made of."""
-    found = (p for kind in ("*.py", "*.c", "*.js", "*.css") for p in sorted(folder.rglob(kind)))
+    found = (p for kind in ("*.py", "*.c", "*.h", "*.js", "*.css") for p in sorted(folder.rglob(kind)))
     return {f"{prefix}/{p.relative_to(folder).as_posix()}": p.read_bytes() for p in found}

@@ -14,11 +14,13 @@
 #include <stdint.h>
 #include <string.h>
 
-enum { BLOCK = 64, PURPOSE = 8, WINDOW = 64 * (WORDS - 1), MOST_COMMON = 64, TAIL = 20, WORD_FIELDS = 9 };
+#include "blake2s.h"
+#include "msgpack.h"
+
+enum { PURPOSE = 8, WINDOW = 64 * (WORDS - 1), MOST_COMMON = 64, TAIL = 20, WORD_FIELDS = 9 };
 enum { USUAL, OTHER, FALSE, TOO_LONG, REPLAYED, NOTHING }; /* verdicts */
 
-static const int64_t TOP = (int64_t)1 << 53; /* the largest number in a datagram */
-static const double SHORTEST = 1e-6;         /* s that a histogram tells apart */
+static const double SHORTEST = 1e-6; /* s that a histogram tells apart */
 
 typedef struct { /* entries by pid; see sessions.py and metrics.py */
     int64_t *newest, *sent, *arrived, *round;
@@ -53,11 +55,6 @@ typedef struct {
     Peer peer[MAX_ROBOTS];
 } Gate;
 
-typedef struct {
-    const uint8_t *at;
-    size_t bytes;
-} Text;
-
 typedef struct { /* of a usual datagram */
     int32_t pid;
     int64_t sequence, sent, fleet, round, applied, settled;
@@ -66,59 +63,6 @@ typedef struct { /* of a usual datagram */
     int64_t uttered, heard;
     Text held, closings; /* as they came */
 } Word;
-
-typedef struct {
-    const uint8_t *at, *end;
-} Reader;
-
-/* BLAKE2s, RFC 7693. */
-
-static const uint32_t START[8] = {0x6a09e667, 0xbb67ae85, 0x3c6ef372, 0xa54ff53a,
-                                  0x510e527f, 0x9b05688c, 0x1f83d9ab, 0x5be0cd19};
-static const uint8_t SIGMA[10][16] = {
-    {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15}, {14, 10, 4, 8, 9, 15, 13, 6, 1, 12, 0, 2, 11, 7, 5, 3},
-    {11, 8, 12, 0, 5, 2, 15, 13, 10, 14, 3, 6, 7, 1, 9, 4}, {7, 9, 3, 1, 13, 12, 11, 14, 2, 6, 5, 10, 4, 0, 15, 8},
-    {9, 0, 5, 7, 2, 4, 10, 15, 14, 1, 11, 12, 6, 8, 3, 13}, {2, 12, 6, 10, 0, 11, 8, 3, 4, 13, 7, 5, 15, 14, 1, 9},
-    {12, 5, 1, 15, 14, 13, 4, 10, 0, 7, 6, 3, 9, 2, 8, 11}, {13, 11, 7, 14, 12, 1, 3, 9, 5, 0, 15, 4, 8, 6, 2, 10},
-    {6, 15, 14, 9, 11, 3, 0, 8, 12, 2, 13, 7, 1, 4, 10, 5}, {10, 2, 8, 4, 7, 6, 1, 5, 15, 11, 9, 14, 3, 12, 13, 0}};
-
-static uint32_t turned(uint32_t word, int bits) { return word >> bits | word << (32 - bits); }
-
-static uint32_t little(const uint8_t *at) {
-    return (uint32_t)at[0] | (uint32_t)at[1] << 8 | (uint32_t)at[2] << 16 | (uint32_t)at[3] << 24;
-}
-
-static void mix(uint32_t v[16], int a, int b, int c, int d, uint32_t x, uint32_t y) {
-    v[a] += v[b] + x;
-    v[d] = turned(v[d] ^ v[a], 16);
-    v[c] += v[d];
-    v[b] = turned(v[b] ^ v[c], 12);
-    v[a] += v[b] + y;
-    v[d] = turned(v[d] ^ v[a], 8);
-    v[c] += v[d];
-    v[b] = turned(v[b] ^ v[c], 7);
-}
-
-/* One block into the hash; `count` bytes were taken with it, fewer than 2^32 in all. */
-static void compress(uint32_t hash[8], const uint8_t block[BLOCK], uint32_t count, int last) {
-    uint32_t m[16], v[16];
-    for (int i = 0; i < 16; i++) m[i] = little(block + 4 * i);
-    for (int i = 0; i < 8; i++) v[i] = hash[i], v[i + 8] = START[i];
-    v[12] ^= count;
-    if (last) v[14] = ~v[14];
-    for (int i = 0; i < 10; i++) {
-        const uint8_t *s = SIGMA[i];
-        mix(v, 0, 4, 8, 12, m[s[0]], m[s[1]]);
-        mix(v, 1, 5, 9, 13, m[s[2]], m[s[3]]);
-        mix(v, 2, 6, 10, 14, m[s[4]], m[s[5]]);
-        mix(v, 3, 7, 11, 15, m[s[6]], m[s[7]]);
-        mix(v, 0, 5, 10, 15, m[s[8]], m[s[9]]);
-        mix(v, 1, 6, 11, 12, m[s[10]], m[s[11]]);
-        mix(v, 2, 7, 8, 13, m[s[12]], m[s[13]]);
-        mix(v, 3, 4, 9, 14, m[s[14]], m[s[15]]);
-    }
-    for (int i = 0; i < 8; i++) hash[i] ^= v[i] ^ v[i + 8];
-}
 
 /* The hash before the first byte of a datagram; `key` has 0 to 32 bytes. */
 static void prepare(Gate *gate, const uint8_t *key, uint32_t key_bytes, const uint8_t purpose[PURPOSE]) {
@@ -147,73 +91,6 @@ static int is_genuine(const Gate *gate, const uint8_t *datagram, int32_t length)
     uint8_t wrong = 0; /* looked at as a whole: how long it takes tells nothing */
     for (int i = 0; i < MAC_SIZE; i++) wrong |= (uint8_t)(hash[i / 4] >> i % 4 * 8 ^ datagram[length - MAC_SIZE + i]);
     return !wrong;
-}
-
-/* MessagePack. Each returns whether it was there, and moves on. */
-
-static uint64_t big(const uint8_t *at, int bytes) {
-    uint64_t value = 0;
-    for (int i = 0; i < bytes; i++) value = value << 8 | at[i];
-    return value;
-}
-
-static int byte(Reader *reader, uint8_t wanted) { return reader->at < reader->end && *reader->at++ == wanted; }
-
-/* A whole number from -TOP to TOP. */
-static int whole(Reader *reader, int64_t *value) {
-    if (reader->at >= reader->end) return 0;
-    uint8_t kind = *reader->at++;
-    if (kind < 0x80 || kind >= 0xe0) {
-        *value = (int8_t)kind;
-        return 1;
-    }
-    if (kind < 0xcc || kind > 0xd3) return 0;
-    int bytes = 1 << (kind - 0xcc) % 4;
-    if (reader->end - reader->at < bytes) return 0;
-    uint64_t read = big(reader->at, bytes);
-    reader->at += bytes;
-    int negative = kind >= 0xd0 && read >> (8 * bytes - 1);
-    if (negative && bytes < 8) read |= ~(uint64_t)0 << 8 * bytes;
-    if ((negative ? ~read + 1 : read) > (uint64_t)TOP) return 0;
-    *value = negative ? -(int64_t)(~read + 1) : (int64_t)read;
-    return 1;
-}
-
-static int natural(Reader *reader, int64_t *value) { return whole(reader, value) && *value >= 0; }
-
-/* Anything: its parts are counted instead of called for, so no nesting is too deep. */
-static int skip(Reader *reader) {
-    static const uint8_t LENGTH[32] = {/* 0xc0 */ 0, 0, 0, 0, 1, 2, 4, 1, 2, 4, 4, 8, 1, 2, 4, 8,
-                                       /* 0xd0 */ 1, 2, 4, 8, 1, 1, 1, 1, 1, 1, 2, 4, 2, 4, 2, 4};
-    uint64_t parts = 1;
-    for (; parts; parts--) {
-        if (parts > (uint64_t)(reader->end - reader->at)) return 0; /* each has a byte at least */
-        uint8_t kind = *reader->at++;
-        uint64_t bytes = 0;
-        if (kind < 0x80 || kind >= 0xe0) continue;
-        if (kind < 0xa0) {
-            parts += (uint64_t)(kind & 15) << (kind < 0x90);
-            continue;
-        }
-        if (kind < 0xc0) {
-            bytes = kind & 31;
-        } else {
-            int head = LENGTH[kind - 0xc0];
-            if (kind == 0xc1 || reader->end - reader->at < head) return 0;
-            bytes = big(reader->at, head);
-            reader->at += head;
-            if (kind >= 0xdc) { /* arrays and maps */
-                parts += bytes << (kind >= 0xde);
-                continue;
-            }
-            if (kind >= 0xc7 && kind <= 0xc9) bytes++;             /* extensions: their type, too */
-            else if (kind >= 0xd4 && kind <= 0xd8) bytes = (uint64_t)1 << (kind - 0xd4);
-            else if (!(kind >= 0xc4 && kind <= 0xc6) && kind < 0xd9) bytes = 0; /* numbers, nil, bools */
-        }
-        if (bytes > (uint64_t)(reader->end - reader->at)) return 0;
-        reader->at += bytes;
-    }
-    return 1;
 }
 
 /* The echoes in a head, and among them the first of ours. */
@@ -307,17 +184,6 @@ static void learn(const Columns *columns, const Word *word, double local, double
     columns->round[pid] = word->round;
     double delay = word->known ? fleet - (double)(word->sent + word->fleet) / 1e6 : NAN;
     note(columns, pid, before ? word->round - before : 1, delay, local);
-}
-
-static uint8_t *put(uint8_t *at, int64_t value) {
-    *at++ = 0xd3;
-    for (int i = 56; i >= 0; i -= 8) *at++ = (uint8_t)(value >> i);
-    return at;
-}
-
-static uint8_t *copy(uint8_t *at, const Text *text) {
-    memcpy(at, text->at, text->bytes);
-    return at + text->bytes;
 }
 
 /* As gate.Usual. */

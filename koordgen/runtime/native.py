@@ -11,6 +11,7 @@ import ctypes
 import fcntl
 import os
 import platform
+import re
 import shutil
 import stat
 import subprocess
@@ -27,6 +28,7 @@ from typing import Any
 COMPILERS = ("cc", "gcc", "clang")
 DIGITS = 32  # of a digest in a file's name
 PATIENCE = 60.0  # seconds that a compiler may take, and that another process is waited for
+_OWN_HEADER = re.compile(rb'^#include "(\w+\.h)"$', re.MULTILINE)
 LOOKS = 0.01  # seconds between looks whether that one is done
 
 
@@ -37,15 +39,16 @@ class NotCompiled(Exception):
 def load(
     source: Path, flags: Sequence[str], prove: Callable[[ctypes.CDLL], None], cache: Path | None = None
 ) -> ctypes.CDLL:
-    """The library of one C file, out of the cache (by default `cache_folder()`), compiled if need be: that takes parts
-    of a second or a few, once. Where no cache can be kept, it is compiled at each start.
+    """The library of one C file, with the headers beside it that it includes, out of the cache (by default
+    `cache_folder()`), compiled if need be: that takes parts of a second or a few, once. Where no cache can be kept, it
+    is compiled at each start.
 
     `flags` are the compiler's, `-l` among them. `prove` asks the library something whose answer is known, and raises
     NotCompiled (or AttributeError: the library lacks a function) where it answers otherwise; such a library is not
     used. Raises NotCompiled. Waits: call it before a control loop begins.
     """
     try:
-        code = _Code(source.stem, source.read_bytes(), tuple(flags), prove)
+        code = _Code(source.stem, _whole(source), tuple(flags), prove)
     except OSError as error:
         raise NotCompiled(f"the C code of {source.stem} cannot be read: {_told(error, source)}") from None
     cache = cache if cache is not None else cache_folder()
@@ -102,6 +105,11 @@ def cache_folder() -> Path | None:
         return Path(given if os.path.isabs(given) else Path.home() / ".cache") / "koordgen"
     except RuntimeError:  # no home
         return None
+
+
+def _whole(source: Path) -> bytes:
+    """A C file, in it the headers of its own folder in place of the lines that include them. Raises OSError."""
+    return _OWN_HEADER.sub(lambda found: source.with_name(found[1].decode()).read_bytes(), source.read_bytes())
 
 
 @dataclass(frozen=True, slots=True)
