@@ -90,6 +90,20 @@ static uint8_t *put(uint8_t *at, int64_t value) {
     return at;
 }
 
+/* The shortest encoding, as msgspec's. */
+static uint8_t *shortest(uint8_t *at, int64_t value) {
+    int kind = 0; /* of 1, 2, 4 or 8 bytes */
+    if (value >= -32 && value < 128) {
+        *at++ = (uint8_t)value;
+        return at;
+    }
+    if (value < 0) while (kind < 3 && value < -((int64_t)1 << ((8 << kind) - 1))) kind++;
+    else while (kind < 3 && value >> (8 << kind)) kind++;
+    *at++ = (uint8_t)((value < 0 ? 0xd0 : 0xcc) + kind);
+    for (int i = (8 << kind) - 8; i >= 0; i -= 8) *at++ = (uint8_t)(value >> i);
+    return at;
+}
+
 static uint8_t *copy(uint8_t *at, const Text *text) {
     memcpy(at, text->at, text->bytes);
     return at + text->bytes;

@@ -78,9 +78,7 @@ def compiled(text: str, folder: Path) -> bytes:
 def test_headers_beside_it_are_part_of_it(source: Path, cache: Path) -> None:
     source.with_name("deep.h").write_text("static int half(int x) { return x / 2; }\n")
     code = "int answer(int x) { return half(x) == 882 ? 42 : half(x); }"
-    source.write_text(
-        '#include <stdint.h>\n#include "deep.h"\nint answer(int x) { return half(x) == 882 ? 42 : half(x); }\n'
-    )
+    source.write_text(f'#include <stdint.h>\n#include "deep.h"\n{code}\n')
     assert load(source, FLAGS, prove, cache).answer(10) == 5
     source.with_name("deep.h").write_text("static int half(int x) { return x == 1764 ? 882 : 7; }\n")
     assert load(source, FLAGS, prove, cache).answer(10) == 7, "a changed header is another library"
