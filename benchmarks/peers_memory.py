@@ -10,6 +10,7 @@ sensors, events, the robot's own variables and what leaves the robot, monitors, 
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 
 from peers_agents import KEY, program, settings
 from peers_exchange import Heard, Place
@@ -25,7 +26,7 @@ from koordgen.runtime.opening import open_transport
 from koordgen.runtime.outbox import AHEAD
 from koordgen.runtime.patience import Patience
 from koordgen.runtime.program import Life
-from koordgen.runtime.replica import SLOTS, Replica, Talk
+from koordgen.runtime.replica import SLOTS, Replica
 from koordgen.runtime.rounds import FIRST_SLOT, GATHER, MOST_GATHER, PUBLISH, PUNCTUAL
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.store import Keeper, Store
@@ -72,8 +73,9 @@ def open_link(given: Settings, size: int, transport: Transport, clock: Clock) ->
     return link, Memory.begin(Layout(ours.shared, n), pid, View(0, 1, (0,) * n), inits)
 
 
-def _senders(message: Talk) -> list[int]:
-    return [row.sender for row in message.rows] if isinstance(message, Usuals) else [message.head.pid]
+def _speak(link: Link, pids: Collection[int]) -> set[int]:
+    """Those of whom a datagram has come; of most no message tells."""
+    return {pid for pid in pids if link.sessions.sent[pid] >= 0}
 
 
 class Update:
@@ -84,6 +86,7 @@ class Update:
         self._link, self._memory = open_link(given, size, transport, clock)
         self._link.follow(self._memory.view)
         self._round = self._told = 0
+        self._unheard = {self._other}
         self.missed: list[int] = []  # none ever: nothing is lost between two processes that take turns
 
     def publish(self, round_: int) -> None:
@@ -98,16 +101,16 @@ class Update:
 
     def take(self, seconds: float) -> Heard:
         self._transport.wait(seconds)
-        memory, other, told, found = self._memory, self._other, self._told, Heard()
+        memory, other, told = self._memory, self._other, self._told
         for message in self._link.receive():
             said = as_usual(message) if isinstance(message, Round) else message
             if isinstance(said, Usuals):
                 memory.usual(said.rows, said.view, max(self._round, 1))
-                if said.rows[0].round == 0:
-                    found.append((other, 0))
         memory.advance(self._round + 1)
-        self._told = max(told, memory.held[other])
-        return [*found, *((other, round_) for round_ in range(told + 1, self._told + 1))]
+        heard = _speak(self._link, self._unheard) if self._round == 0 else ()
+        self._unheard.difference_update(heard)
+        self._told = memory.held[other]
+        return [(pid, 0) for pid in heard] + [(other, round_) for round_ in range(told + 1, self._told + 1)]
 
 
 class SharedMemory:
@@ -134,6 +137,7 @@ class SharedMemory:
         self._complete = True  # all of the present round is applied
         self._view = self._returns = 0
         self._told = [0] * n  # up to which each robot's rounds were found
+        self._unheard = set(range(n)) - {pid}
         self._found: Heard = []  # and not returned yet
         self.missed: list[int] = []
 
@@ -149,6 +153,7 @@ class SharedMemory:
             self.missed.append(round_)
             return
         self._round, self._slot, self._open, self._complete, self._wake = round_, -1, True, False, -math.inf
+        self._replica.begin(round_)
         if not self._current():
             self._hear()  # what is lacking may be here, not yet looked at
         if self._current():
@@ -200,19 +205,21 @@ class SharedMemory:
         return memory.lacking, min(GATHER * memory.lacking, MOST_GATHER * self._delta)
 
     def _hear(self) -> None:
-        """Take what has come, and note what is held without a gap since; in round 0 who can be heard."""
-        messages, told, found = self._link.receive(), self._told, self._found
-        for message in messages:
+        """Take what has come, and find what is held without a gap since; in round 0 who can be heard."""
+        take, present = self._replica.take, max(self._round, 1)
+        for message in self._link.receive():
             if not isinstance(message, Hello):
-                self._replica.take(message, max(self._round, 1))
-                if self._round == 0:
-                    found.extend((pid, 0) for pid in _senders(message))
-        memory = self._replica.memory
-        if messages and memory is not None:
+                take(message, present)
+        memory, told = self._replica.memory, self._told
+        if self._round == 0:
+            heard = _speak(self._link, self._unheard)
+            self._unheard -= heard
+            self._found += [(pid, 0) for pid in heard]
+        if memory is not None:
             for pid, held in enumerate(memory.held):
                 if held > told[pid]:
                     if pid != self._pid:
-                        found.extend((pid, round_) for round_ in range(told[pid] + 1, held + 1))
+                        self._found += [(pid, round_) for round_ in range(told[pid] + 1, held + 1)]
                     told[pid] = held
 
     def _apply(self) -> None:

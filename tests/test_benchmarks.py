@@ -13,6 +13,7 @@ from peers_agents import settings
 from peers_memory import SharedMemory
 
 from koordgen.runtime.clock import SimulatedClock
+from koordgen.runtime.link import Heard, Link, Usuals
 from koordgen.runtime.network import Conditions, MemoryNetwork
 from tests.runtime.fleet import Kept
 
@@ -52,6 +53,33 @@ def test_all_updates_of_the_benchmarks_shared_memory_arrive(loss: float) -> None
         assert sorted(heard) == [(other, r) for other in range(N) if other != pid for r in range(1, COUNT + 1)]
     missed = [robot.missed for robot in robots.each]
     assert sum(map(len, missed)) <= 20 * loss * N  # hardly ever is it not made good before the next round
+
+
+def silent(robots: Robots, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From now on usual datagrams are taken where they arrive, and no message tells of them."""
+    receive = Link.receive
+    owners = {robot._link: robot for robot in robots.each}
+
+    def taken(link: Link) -> list[Heard]:
+        left, robot = list[Heard](), owners[link]
+        for message in receive(link):
+            if isinstance(message, Usuals):
+                robot._replica.take(message, max(robot._round, 1))
+            else:
+                left.append(message)
+        return left
+
+    monkeypatch.setattr(Link, "receive", taken)
+
+
+def test_what_comes_without_a_message_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    robots = Robots(0.0)
+    silent(robots, monkeypatch)
+    robots.run(range(COUNT + 1))
+    robots.hear()
+    for pid, heard in enumerate(robots.heard):
+        assert sorted(heard) == [(other, r) for other in range(N) if other != pid for r in range(COUNT + 1)]
+    assert not any(robot.missed for robot in robots.each)
 
 
 def test_a_robot_without_news_closes_its_rounds_empty_and_comes_back() -> None:

@@ -77,7 +77,7 @@ class Replica:
         self._peers = {p: _Peer() for p in self._others}
         self._assembly = Assembly()
         self._stores = Store()
-        self._tick = 0
+        self._tick, self._present = 0, 1
         self._turn = self._pid
         self._asked = -ASKED  # when one asked last to be let in
         self._news = News(self._n)
@@ -115,6 +115,10 @@ class Replica:
         """Tell the others at once to come to rest, and from now on with each word."""
         self.emergency = True
         self._speech.round(self._others, self.word(0), ())
+
+    def begin(self, round_: int) -> None:
+        """A round begins."""
+        self._present = round_
 
     def word(self, round_: int) -> Fields:
         """What this robot says of itself in `round_`; kept before it is said."""

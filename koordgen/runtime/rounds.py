@@ -210,6 +210,7 @@ class Rounds:
                 memory.close(round_ - 1, {}, stopped=self.stopped)
             self.counters.missed += slept
         self.round, self._present = round_, _Present(True, sensed)
+        self._replica.begin(round_)
         self.counters.rounds += 1
 
     def _come_back(self, memory: Memory, now: float) -> None:
