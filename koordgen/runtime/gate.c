@@ -1,13 +1,14 @@
 /* The gate of one robot's shared memory: which datagrams are genuine and new, and the usual ones' way in.
 
    Usual is what nearly all datagrams are: the word (wire.Round) of an adopted boot of a peer, in the present view,
-   without an emergency. It is checked, counted, and handed on as MessagePack (gate.Usual); whether what it says makes
-   sense is not asked here. All else that is genuine is left to Python (link.py), which does the same to the usual ones
-   where there is no compiler; tests compare the two. Nothing of a datagram is looked at before its MAC was found right.
+   without an emergency. It is checked, counted, and noted in the ledger (ledger.h) where there is one and the word says
+   no more than nearly all; else it is handed on as MessagePack (gate.Usual), and whether what it says makes sense is not
+   asked here. All else that is genuine is left to Python (link.py), which does the same to the usual ones where there is
+   no compiler; tests compare the two. Nothing of a datagram is looked at before its MAC was found right.
 
    It allocates nothing, and writes only to what its caller, gate.py, gave it: the columns of sessions.py and metrics.py,
    an entry for each robot. The compiler is told by gate.py: LIMIT, LARGEST, MOST_AT_ONCE, MAC_SIZE, MAX_ROBOTS, MAX_ECHOES,
-   WORDS, BUCKETS, PER_OCTAVE, RECENT. C99. */
+   WORDS, BUCKETS, PER_OCTAVE, RECENT, and what ledger.h wants. C99. */
 
 #include <math.h>
 #include <stddef.h>
@@ -17,8 +18,10 @@
 #include "blake2s.h"
 #include "msgpack.h"
 
+#include "ledger.h"
+
 enum { PURPOSE = 8, WINDOW = 64 * (WORDS - 1), MOST_COMMON = 64, TAIL = 20, WORD_FIELDS = 9 };
-enum { USUAL, OTHER, FALSE, TOO_LONG, REPLAYED, NOTHING }; /* verdicts */
+enum { USUAL, OTHER, FALSE, TOO_LONG, REPLAYED, NOTHING, NOTED }; /* verdicts */
 
 static const double SHORTEST = 1e-6; /* s that a histogram tells apart */
 
@@ -52,17 +55,9 @@ typedef struct {
     int32_t common_bytes;
     uint8_t common[MOST_COMMON];  /* how a word of this mission begins, up to its sender */
     int64_t view;
+    Ledger *ledger;               /* or NULL */
     Peer peer[MAX_ROBOTS];
 } Gate;
-
-typedef struct { /* of a usual datagram */
-    int32_t pid;
-    int64_t sequence, sent, fleet, round, applied, settled;
-    int known; /* whether there is a `fleet` */
-    int echoed; /* whether there is an echo of ours: of what we `uttered`, which the peer `heard` */
-    int64_t uttered, heard;
-    Text held, closings; /* as they came */
-} Word;
 
 /* The hash before the first byte of a datagram; `key` has 0 to 32 bytes. */
 static void prepare(Gate *gate, const uint8_t *key, uint32_t key_bytes, const uint8_t purpose[PURPOSE]) {
@@ -120,12 +115,11 @@ static int read_word(const Gate *gate, const uint8_t *payload, int32_t length, W
     const Peer *peer = &gate->peer[word->pid];
     if (!peer->adopted || memcmp(payload + head + 1, peer->tail, TAIL)) return 0;
     Reader reader = {payload + head + 1 + TAIL, payload + length};
-    int64_t view;
     if (!natural(&reader, &word->sequence) || !natural(&reader, &word->sent)) return 0;
     word->known = reader.at < reader.end && *reader.at != 0xc0;
     if (!(word->known ? whole(&reader, &word->fleet) : byte(&reader, 0xc0))) return 0;
     if (!read_echoes(gate, &reader, word)) return 0;
-    if (!natural(&reader, &view) || view != gate->view || !natural(&reader, &word->round)) return 0;
+    if (!natural(&reader, &word->view) || word->view != gate->view || !natural(&reader, &word->round)) return 0;
     if (!natural(&reader, &word->applied) || !natural(&reader, &word->settled)) return 0;
     if (!byte(&reader, 0xc2)) return 0; /* an emergency */
     word->held.at = reader.at;
@@ -200,6 +194,14 @@ static uint8_t *tell(uint8_t *at, const Word *word) {
     return copy(copy(at, &word->held), &word->closings);
 }
 
+/* The verdict on a word that the ledger has noted: where the clock learns from it, it is told as one that says nothing
+   new. */
+static uint8_t noted(Word *word) {
+    static const uint8_t NONE[] = {0x90};
+    word->closings = (Text){NONE, sizeof NONE};
+    return word->echoed ? USUAL : NOTED;
+}
+
 size_t gate_size(void) { return sizeof(Gate); }
 size_t gate_shown_size(void) { return sizeof(Shown); }
 size_t gate_columns_size(void) { return sizeof(Columns); }
@@ -228,7 +230,16 @@ void gate_adopt(Gate *gate, int32_t pid, const uint8_t *tail, int32_t bytes) {
 }
 
 /* The number of the present view. */
-void gate_follow(Gate *gate, int64_t view) { gate->view = view; }
+void gate_follow(Gate *gate, int64_t view) {
+    gate->view = view;
+    if (gate->ledger) gate->ledger->number[PRESENT] = view;
+}
+
+/* Where usual words are noted from now on; NULL: nowhere. */
+void gate_attach(Gate *gate, Ledger *ledger) {
+    gate->ledger = ledger;
+    gate_follow(gate, gate->view);
+}
 
 /* Judge what arrived: `count` slots, `stride` bytes apart, with so many bytes in each (negative: nothing); at `local`
    seconds of the robot's clock, which is `fleet` of the fleet's (not a number: not known). */
@@ -246,10 +257,13 @@ void gate_take(Gate *gate, const uint8_t *slots, int32_t stride, const int32_t *
         else if (!is_genuine(gate, slots, lengths[i])) verdict = FALSE;
         else if (read_word(gate, slots, lengths[i] - MAC_SIZE, &word))
             verdict = is_fresh(&gate->columns, word.pid, word.sequence) ? USUAL : REPLAYED;
+        if (verdict == USUAL) {
+            learn(&gate->columns, &word, local, fleet);
+            if (gate->ledger && ledger_note(gate->ledger, &word)) verdict = noted(&word);
+        }
         shown->verdict[i] = verdict;
-        shown->others += verdict != USUAL && verdict != NOTHING;
+        shown->others += verdict != USUAL && verdict != NOTHING && verdict != NOTED;
         if (verdict != USUAL) continue;
-        learn(&gate->columns, &word, local, fleet);
         at = tell(at, &word);
         rows++;
     }

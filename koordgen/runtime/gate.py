@@ -18,7 +18,9 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from koordgen.runtime import ledger
 from koordgen.runtime.courier import LARGEST, Slots
+from koordgen.runtime.ledger import Ledger
 from koordgen.runtime.metrics import BUCKETS, PER_OCTAVE, RECENT
 from koordgen.runtime.native import Compiled, NotCompiled, declare
 from koordgen.runtime.seal import KEY_SIZE, MAC_SIZE
@@ -45,11 +47,12 @@ FLAGS = (
             "BUCKETS": BUCKETS,
             "PER_OCTAVE": PER_OCTAVE,
             "RECENT": RECENT,
+            **ledger.GIVEN,
         }.items()
     ),
     "-lm",
 )
-USUAL, OTHER, FALSE, TOO_LONG, REPLAYED, NOTHING = range(6)  # verdicts
+USUAL, OTHER, FALSE, TOO_LONG, REPLAYED, NOTHING, NOTED = range(7)  # verdicts; NOTED: in the ledger, nobody is told
 _ROOM = MOST_AT_ONCE * (LARGEST + 32)
 _COLUMNS = (
     "newest", "sent", "arrived", "round", "seen", "received", "expected", "heard", "longest", "delays", "most",
@@ -79,8 +82,8 @@ class Usual(Wired, frozen=True):
 
 
 class Judged(NamedTuple):
-    """The `usual` ones, as they arrived; None: one of them is malformed. Where not all is well and usual, a verdict on
-    each datagram."""
+    """The `usual` ones, as they arrived, but for those that the ledger noted; None: one of them is malformed. Where not
+    all is well and usual, a verdict on each datagram."""
 
     usual: list[Usual] | None
     verdicts: Sequence[int]
@@ -104,6 +107,7 @@ class _Shown(ctypes.Structure):
 def prove(found: ctypes.CDLL) -> None:
     """Declares the functions, and raises NotCompiled where the library is not the one that this module goes with."""
     declare(found, "gate_", _FUNCTIONS)
+    ledger.prove(found)
     if (found.gate_shown_size(), found.gate_columns_size()) != (ctypes.sizeof(_Shown), ctypes.sizeof(_Columns)):
         raise NotCompiled("the compiled gate lays its memory out otherwise than Python reads it")
 
@@ -116,6 +120,7 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "begin": (None, (c_void_p, c_char_p, c_int32)),
     "adopt": (None, (c_void_p, c_int32, c_char_p, c_int32)),
     "follow": (None, (c_void_p, c_int64)),
+    "attach": (None, (c_void_p, c_void_p)),
     "take": (None, (c_void_p, c_void_p, c_int32, c_void_p, c_int32, c_double, c_double)),
 }
 COMPILED = Compiled(SOURCE, FLAGS, prove)
@@ -136,7 +141,7 @@ class Gate:
         purpose: bytes,
     ) -> None:
         assert key is None or len(key) == KEY_SIZE
-        self._found = found
+        self._found, self._n = found, n_sys
         self._columns = columns  # they live as long as their addresses are known
         self._rows = mmap.mmap(-1, _ROOM)  # the system makes its pages when they are used
         self._state = ctypes.create_string_buffer(found.gate_size())
@@ -160,6 +165,14 @@ class Gate:
         """The number of the present view."""
         self._found.gate_follow(self._at, view)
 
+    def attach(self, noting: Ledger | None) -> None:
+        """Where usual words are noted from now on; None: nowhere."""
+        if noting is not None:
+            assert noting.n_sys == self._n
+            noting.attach(self._found)
+        self._ledger = noting  # it lives as long as its address is known
+        self._found.gate_attach(self._at, None if noting is None else noting.at)
+
     def take(self, datagrams: Sequence[bytes], local: float, fleet: float | None) -> Judged:
         """Judge what arrived by `local` seconds of the robot's clock, which is `fleet` of the fleet's."""
         time = math.nan if fleet is None else fleet
@@ -175,7 +188,7 @@ class Gate:
             self._take(self._at, slots, LARGEST, lengths.buffer_info()[0], count, local, time)
         shown = self._shown
         if not shown.bytes:
-            return Judged([], shown.verdict[:count])
+            return Judged([], shown.verdict[:count] if shown.others else ())
         try:
             return Judged(_rows.decode(self._rows[: shown.bytes]), shown.verdict[:count] if shown.others else ())
         except (ValueError, RecursionError):

@@ -16,7 +16,7 @@ import msgspec
 import pytest
 
 from koordgen.runtime import courier, gate
-from koordgen.runtime.gate import FALSE, NOTHING, OTHER, TOO_LONG, Gate
+from koordgen.runtime.gate import FALSE, OTHER, TOO_LONG, Gate
 from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.native import COMPILERS, NotCompiled, load
 from koordgen.runtime.seal import CONTROL, MAC_SIZE, MEMORY, POSITION, seal
@@ -348,7 +348,7 @@ def test_slots_of_own_echoes_alone_are_nothing() -> None:
         assert isinstance(taken, courier.Slots) and taken.used == 1
         ear = Ear(True)
         assert ear.hear(taken) == [] and ear.link.rejected == {}
-        assert opened().take(taken, 1.0, None) == ([], [NOTHING])
+        assert opened().take(taken, 1.0, None) == ([], ())
         sending[0].send(b"")
         made.wait(PATIENCE)
         assert ear.hear(made.receive()) == [] and ear.link.rejected == {"not authentic": 1}, "which is not nothing"

@@ -1,0 +1,272 @@
+"""A gate with a ledger, and a model of the ledger in plain Python beside it: both are told the same."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import msgspec
+
+from koordgen.runtime import gate
+from koordgen.runtime.gate import NOTED, USUAL, Gate
+from koordgen.runtime.ledger import (
+    APPLIED,
+    DEPTH,
+    LACKING,
+    LAST,
+    LEAST,
+    NEXT,
+    OPEN,
+    PRESENT,
+    REACHED,
+    ROW,
+    SETTLED,
+    TICK,
+    TOLD,
+    WATCHED,
+    Collected,
+    Ledger,
+)
+from koordgen.runtime.metrics import Metrics
+from koordgen.runtime.seal import MEMORY, seal
+from koordgen.runtime.sessions import Sessions
+from koordgen.runtime.wire import Closing, Echo, Write, encoder
+from tests.runtime.fleet import KEY
+
+BEGINS = b"words of this mission begin so"
+COLUMNS = ("held", "floor", "view", "incarnation", "applied", "through", "heard", "wanting", "gap", "number")
+encode = encoder.encode
+_closings = msgspec.msgpack.Decoder(tuple[Closing, ...])
+_parts = msgspec.msgpack.Decoder(list[list[msgspec.Raw]])
+
+
+def write(index: int, value: Any, patch: bool = False) -> Write:
+    return Write(index, msgspec.Raw(encode(value)), patch)
+
+
+def single(pid: int, round_: int, *writes: Write, incarnation: int = 0, acted: bool = True, **more: Any) -> Closing:
+    return Closing(pid, incarnation, round_, round_, False, acted, writes=writes, **more)
+
+
+class Said(NamedTuple):
+    """A word, by what the ledger looks at."""
+
+    pid: int
+    round: int
+    applied: int
+    settled: int = 0
+    closings: bytes = b"\x90"
+    held: bytes = b"\x90"
+    echoes: tuple[Echo, ...] = ()
+
+    @staticmethod
+    def of(closing: Closing, applied: int | None = None, **more: Any) -> Said:
+        """The closing's author says it in the round after."""
+        word = Said(closing.author, closing.round + 1, closing.round if applied is None else applied, **more)
+        return word._replace(closings=encode([closing]))
+
+
+def strict(closings: bytes) -> Closing | bool | None:
+    """Of an encoded array of closings its only one; True: it is empty; None: there is more, or it is not written as our
+    robots write it."""
+    if closings == b"\x90":
+        return True
+    try:
+        (closing,) = _closings.decode(closings)
+        ((*fields, writes),) = _parts.decode(closings)
+        each = _parts.decode(writes)
+    except (ValueError, RecursionError):
+        return None
+    ours = closings[0] == 0x91 and closings[1] == 0x99 and len(fields) == 8 and bytes(writes)[0] != 0xDD
+    return closing if ours and all(len(parts) == 3 for parts in each) and heads_are_short(bytes(writes)) else None
+
+
+def heads_are_short(writes: bytes) -> bool:
+    """Whether the heads of all writes are one byte."""
+    decoded = msgspec.msgpack.decode(writes, type=list[msgspec.Raw])
+    return all(bytes(each)[0] == 0x93 for each in decoded)
+
+
+class Model:
+    """What ledger.h does, in other words."""
+
+    def __init__(self, pid: int, n_sys: int) -> None:
+        self.plain = Ledger(pid, n_sys)
+        self.kept: dict[tuple[int, int], tuple[int, bytes]] = {}  # by pid and slot: of which round
+
+    def row(self, pid: int, round_: int) -> bytes | None:
+        """The row of a round, if it is there."""
+        found = self.kept.get((pid, round_ % DEPTH))
+        if not self.plain.floor[pid] < round_ <= self.plain.held[pid] or found is None or found[0] != round_:
+            return None
+        return found[1]
+
+    def note(self, word: Said, view: int) -> bool:
+        plain, number, pid = self.plain, self.plain.number, word.pid
+        through = max(0, word.round - 1)
+        closing = strict(word.closings)
+        ok = number[OPEN] != 0 and word.held == b"\x90" and max(word.applied, word.settled) <= number[LAST]
+        ok = ok and plain.view[pid] == view and not plain.wanting[pid]
+        ok = ok and max(plain.applied[pid], through) <= word.applied
+        if not ok or closing is None:
+            return False
+        if isinstance(closing, Closing):
+            if closing.author != pid:
+                return False
+            if closing.round > plain.held[pid]:
+                same = closing.incarnation == plain.incarnation[pid] and not closing.stopped
+                if not same or not closing.first == closing.round <= number[LAST]:
+                    return False
+                if not self.keep(pid, closing.round, word.closings[1:]):
+                    return False
+        if plain.applied[pid] < number[WATCHED] <= word.applied:
+            number[REACHED] += 1
+        plain.applied[pid] = word.applied
+        plain.through[pid] = max(plain.through[pid], through)
+        plain.heard[pid] = number[TICK]
+        number[TOLD] = max(number[TOLD], word.settled)
+        return True
+
+    def keep(self, pid: int, round_: int, row: bytes) -> bool:
+        plain, number = self.plain, self.plain.number
+        if plain.incarnation[pid] < 0 or plain.gap[pid] or round_ != plain.held[pid] + 1 or len(row) > ROW:
+            return False
+        if round_ - DEPTH > max(plain.floor[pid], min(number[SETTLED], number[APPLIED])):
+            return False
+        self.kept[pid, round_ % DEPTH] = round_, row
+        plain.held[pid] = round_
+        number[LACKING] -= round_ == number[APPLIED] + 1
+        return True
+
+    def close(self, round_: int, acted: bool, prompt: bool, lock: int, writes: Sequence[Write]) -> bool:
+        pid = self.plain.pid
+        closing = Closing(pid, self.plain.incarnation[pid], round_, round_, False, acted, prompt, lock, tuple(writes))
+        return self.plain.number[OPEN] != 0 and self.keep(pid, round_, encode(closing))
+
+    def collect(self, round_: int) -> Collected | None:
+        plain, number = self.plain, self.plain.number
+        members = [p for p in range(plain.n_sys) if plain.incarnation[p] >= 0]
+        acted, prompt, changed = list[int](), list[int](), dict[int, list[tuple[int, bytes]]]()
+        for pid in members:
+            row = self.row(pid, round_)
+            if row is None:
+                return None
+            closing = msgspec.msgpack.decode(row, type=Closing)
+            indices = [w.index for w in closing.writes]
+            if closing.lock >= 0 or any(w.patch for w in closing.writes) or indices != sorted(set(indices)):
+                return None
+            acted += [pid] * closing.acted
+            prompt += [pid] * closing.prompt
+            for each in closing.writes:
+                changed.setdefault(each.index, []).append((pid, bytes(each.value)))
+        number[NEXT] = sum(plain.held[p] <= round_ for p in members)
+        said = [plain.applied[p] if plain.view[p] == number[PRESENT] else -1 for p in members if p != plain.pid]
+        number[LEAST] = min(said, default=round_)
+        writes = [
+            (index, [p for p, _ in each], msgspec.Raw(encode([msgspec.Raw(value) for _, value in each])))
+            for index, each in sorted(changed.items())
+        ]
+        return Collected(acted, prompt, writes)
+
+    def rows(self, pid: int) -> list[bytes]:
+        plain = self.plain
+        first, plain.floor[pid] = max(plain.floor[pid], plain.held[pid] - DEPTH) + 1, plain.held[pid]
+        return [self.kept[pid, round_ % DEPTH][1] for round_ in range(first, plain.held[pid] + 1)]
+
+
+class Table:
+    """The gate of robot `pid` of `n_sys`, in view `view`, its ledger, and the model."""
+
+    def __init__(self, n_sys: int, pid: int = 0, view: int = 0, **numbers: int) -> None:
+        found = gate.COMPILED.library()
+        assert found is not None
+        self.n, self.pid, self.view, self.sequence = n_sys, pid, view, 0
+        columns: dict[str, array[int] | array[float]] = {**Sessions(n_sys).columns(), **Metrics(pid, n_sys).columns()}
+        self.gate = Gate(found, n_sys, pid, columns, KEY, MEMORY)
+        self.gate.begin(BEGINS)
+        self.ledger, self.model = Ledger(pid, n_sys), Model(pid, n_sys)
+        for peer in range(n_sys):
+            if peer != pid:
+                self.gate.adopt(peer, bytes([peer]) * 20)
+        self.gate.follow(view)
+        self.gate.attach(self.ledger)
+        self.set("view", *[view] * n_sys)
+        self.set("incarnation", *[0] * n_sys)
+        self.number({OPEN: 1, LAST: 20, PRESENT: view, WATCHED: -1, LACKING: n_sys})
+
+    def both(self) -> tuple[Ledger, Ledger]:
+        return self.ledger, self.model.plain
+
+    def set(self, column: str, *values: int) -> None:
+        for each in self.both():
+            getattr(each, column)[: len(values)] = array(getattr(each, column).typecode, values)
+
+    def put(self, column: str, pid: int, value: int) -> None:
+        for each in self.both():
+            getattr(each, column)[pid] = value
+
+    def number(self, values: dict[int, int]) -> None:
+        for each in self.both():
+            for index, value in values.items():
+                each.number[index] = value
+
+    def datagram(self, word: Said) -> bytes:
+        self.sequence += 1
+        stamps = encode(self.sequence) + encode(5) + b"\xc0" + encode(word.echoes)
+        counts = b"".join(map(encode, (self.view, word.round, word.applied, word.settled)))
+        payload = BEGINS + bytes([word.pid]) * 21 + stamps + counts + b"\xc2" + word.held + word.closings
+        return seal(KEY, MEMORY, payload)
+
+    def hear(self, *words: Said) -> list[bool]:
+        """Which were noted; all is as the model says."""
+        judged = self.gate.take([self.datagram(word) for word in words], 1.0, None)
+        noted = [self.model.note(word, self.view) for word in words]
+        told = [not n or any(e.pid == self.pid for e in w.echoes) for n, w in zip(noted, words, strict=True)]
+        if judged.usual is not None:
+            expected = [self.told(w, n) for w, n, t in zip(words, noted, told, strict=True) if t]
+            assert [
+                encode((r.sender, r.round, r.applied, r.settled, r.held, r.closings)) for r in judged.usual
+            ] == expected
+            assert judged.verdicts in ((), [])
+        else:
+            assert list(judged.verdicts) == [USUAL if t else NOTED for t in told]
+        self.same()
+        return noted
+
+    def told(self, word: Said, noted: bool) -> bytes:
+        held, closings = (b"\x90", b"\x90") if noted else (word.held, word.closings)
+        decoded = (msgspec.msgpack.decode(held, type=tuple[int, ...]), _closings.decode(closings))
+        return encode((word.pid, word.round, word.applied, word.settled, *decoded))
+
+    def same(self) -> None:
+        """All columns, byte for byte, and all rows that are there."""
+        ours, theirs = self.both()
+        for name in COLUMNS:
+            assert getattr(ours, name) == getattr(theirs, name), name
+        for (pid, _), (round_, row) in self.model.kept.items():
+            if self.model.row(pid, round_) is not None:
+                assert ours._row(pid, round_) == row
+        pid, held = ours.pid, ours.held[ours.pid]
+        for round_ in range(held - DEPTH, held + 2):
+            assert ours.own(round_) == (self.model.row(pid, round_) is not None)
+
+    def close(self, round_: int, *writes: Write, acted: bool = True, prompt: bool = False, lock: int = -1) -> bool:
+        kept = self.ledger.close(round_, acted, prompt, lock, encode(writes))
+        assert kept == self.model.close(round_, acted, prompt, lock, writes)
+        self.same()
+        return kept
+
+    def collect(self, round_: int) -> Collected | None:
+        found, expected = self.ledger.collect(round_), self.model.collect(round_)
+        assert (found is None) == (expected is None)
+        if found is not None:
+            assert encode(found) == encode(expected)
+            self.same()
+        return found
+
+    def rows(self, pid: int) -> list[bytes]:
+        found = self.ledger.rows(pid)
+        assert found == self.model.rows(pid)
+        self.same()
+        return found
