@@ -156,12 +156,15 @@ class SharedMemory:
             self.missed.append(round_)
             return
         self._round, self._slot, self._open, self._complete, self._wake = round_, -1, True, False, -math.inf
-        self._replica.begin(round_)
+        calm = self._replica.begin(round_)
         if not (current := self._current()):
             self._hear()  # what is lacking may be here, not yet looked at
             current = self._current()
-        if current:
-            self._close(current=True)
+        if not current:
+            return
+        self._close(current=True)
+        if calm and now < self._moment(PUNCTUAL):  # there is nothing to do at the first slot
+            self._slot, self._wake = 0, self._moment(FIRST_SLOT)
 
     def take(self, seconds: float) -> Heard:
         """Do what is due, then wait for something to arrive, then do what follows from that; but when it is time for

@@ -116,9 +116,12 @@ class Replica:
         self.emergency = True
         self._speech.round(self._others, self.word(0), ())
 
-    def begin(self, round_: int) -> None:
-        """A round begins."""
-        self._present = round_
+    def begin(self, round_: int) -> bool:
+        """A round begins, and with it its first tick; whether nothing else is due at that, as in nearly all rounds.
+        Else `poll` it."""
+        self._present, self._tick = round_, (round_ - 1) * SLOTS
+        self.views.tick = self._tick
+        return not self.emergency and self._calm(round_)
 
     def word(self, round_: int) -> Fields:
         """What this robot says of itself in `round_`; kept before it is said."""
