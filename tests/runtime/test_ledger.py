@@ -7,7 +7,7 @@ from pathlib import Path
 
 from koordgen.runtime import ledger
 from koordgen.runtime.gate import SOURCE
-from koordgen.runtime.ledger import APPLIED, DEPTH, LACKING, LEAST, NEXT, TICK, TOLD, Collected, Ledger
+from koordgen.runtime.ledger import APPLIED, DEPTH, LACKING, LEAST, LONG_AGO, NEXT, TICK, TOLD, Collected, Ledger
 from koordgen.runtime.wire import Echo, encoder
 from tests.runtime.gates import needs_gate
 from tests.runtime.ledgers import Said, Table, single, write
