@@ -84,20 +84,26 @@ class Update:
 
     def __init__(self, given: Settings, size: int, transport: Transport, clock: Clock) -> None:
         self._other, self._size, self._transport = 1 - given.pid, size, transport
+        self._to = [self._other]
         self._link, self._memory = open_link(given, size, transport, clock)
         self._link.follow(self._memory.view)
+        self._link.attach(self._memory.ledger)
         self._round = self._told = 0
         self._unheard = {self._other}
         self.missed: list[int] = []  # none ever: nothing is lost between two processes that take turns
 
     def publish(self, round_: int) -> None:
-        memory = self._memory
-        if round_ > 0:
-            self._round = round_
-            memory.close(round_, {"report": f"{round_:0{self._size}}"}, stopped=False, acted=True)
+        memory, to, speech = self._memory, self._to, self._link.speech
         held = memory.held if memory.applied < round_ - 1 else ()
         word = (0, round_, memory.applied, memory.settled, False, held)
-        self._link.speech.round([self._other], word, memory.own(round_) if round_ > 0 else ())
+        if round_ == 0:
+            speech.round(to, word, ())
+            return
+        self._round = round_
+        memory.present(round_, 0)
+        memory.close(round_, {"report": f"{round_:0{self._size}}"}, stopped=False, acted=True)
+        if not speech.own(to, word, round_, memory.ledger):
+            speech.round(to, word, memory.own(round_))
         memory.advance(round_ + 1)
 
     def take(self, seconds: float) -> Heard:
@@ -110,7 +116,7 @@ class Update:
         memory.advance(self._round + 1)
         heard = _speak(self._link, self._unheard) if self._round == 0 else ()
         self._unheard.difference_update(heard)
-        self._told = memory.held[other]
+        self._told = memory.ledger.held[other]
         return [(pid, 0) for pid in heard] + [(other, round_) for round_ in range(told + 1, self._told + 1)]
 
 
