@@ -44,6 +44,7 @@ class Layout:
         self._shared = tuple(shared)
         self._index = {v.name: i for i, v in enumerate(shared)}
         self._decoders = tuple(msgspec.msgpack.Decoder(v.type) for v in shared)
+        self._lists = tuple(msgspec.msgpack.Decoder(list[v.type]) for v in shared)  # type: ignore[name-defined]
         self._plain = tuple(v.type if v.type in _PLAIN else None for v in shared)
         self._fits = tuple(_test(v) for v in shared)
         self._encoded: dict[int, tuple[Any, bytes]] = {}
@@ -163,6 +164,26 @@ class Layout:
                 values.append((index, value))
             before = index
         return values
+
+    def together(self, index: int, pids: Sequence[int], values: msgspec.Raw, store: Mapping[str, Any]) -> Any | None:
+        """What a variable becomes when these robots (ascending) write these values in one round; None when one does not
+        fit this program."""
+        if index >= len(self._lists):
+            return None
+        try:
+            found = self._lists[index].decode(values)
+        except (ValueError, RecursionError):
+            return None
+        if len(found) != len(pids) or not all(map(self._fits[index], found)):
+            return None
+        if not self.is_slots[index]:
+            return found[-1]
+        if len(found) == self.n_sys:
+            return tuple(found)
+        slots = list(store[self.names[index]])
+        for pid, value in zip(pids, found, strict=True):
+            slots[pid] = value
+        return tuple(slots)
 
     def resolve(self, index: int, item: Any, base: Any) -> Any | None:
         """The value of what `read` gave, where the round began with `base` (see there); None for a patch that does not

@@ -12,6 +12,7 @@ from typing import NamedTuple
 from koordgen.runtime import gate
 from koordgen.runtime.clock import Clock, FleetClock
 from koordgen.runtime.gate import Gate, Lesson, Usual
+from koordgen.runtime.ledger import Ledger
 from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.program import Program
 from koordgen.runtime.seal import MAC_SIZE, MEMORY, unseal_all
@@ -77,7 +78,7 @@ class Link:
         self._fleet_clock = fleet_clock
         self._report = report
         self._reported: set[tuple[int, str]] = set()
-        self.speech = Speech(program, settings, key, transport, clock, fleet_clock, boot, self.sessions)
+        self.speech = Speech(program, settings, key, transport, clock, fleet_clock, boot, self.sessions, self._gate)
 
     @property
     def epoch(self) -> bytes:
@@ -95,6 +96,11 @@ class Link:
         if self._gate is not None:
             self._gate.follow(view.number)
 
+    def attach(self, ledger: Ledger | None) -> None:
+        """From now on words of the present view that need no thought are noted there, and `receive` does not tell."""
+        if self._gate is not None:
+            self._gate.attach(ledger)
+
     def receive(self) -> list[Heard]:
         """What arrived and may be listened to. A Hello of a boot that was not adopted is among it: `joining` judges."""
         datagrams = self._transport.receive()
@@ -108,8 +114,8 @@ class Link:
         for row in usual or ():
             if row.lesson is not None:
                 self._learn(row.sender, row.lesson, local)
-        if not verdicts and usual:
-            return [Usuals(self._view, usual)]
+        if not verdicts:
+            return [Usuals(self._view, usual)] if usual else []
         return self._sorted(datagrams, usual, verdicts, local, fleet)
 
     def _heard(self, datagrams: Iterable[tuple[bytes, bytes | None]], local: float, fleet: float | None) -> list[Heard]:
@@ -134,6 +140,8 @@ class Link:
                 if not run:
                     found.append(Usuals(self._view, run))
                 run.append(next(rows))
+                continue
+            if verdict == gate.NOTED:
                 continue
             if verdict in _REASONS:
                 self.reject(_REASONS[verdict])
@@ -163,11 +171,13 @@ class Link:
         if self._gate is None:
             return
         head = Head(self._application, self._interface, self._program, self.pid, self.boot, self.epoch, 0, 0, None, ())
-        common = pack(Round(head, 0, 0, 0, 0, False, (), ()))
-        until = common.index(encoder.encode(self.boot)) - 1  # the pid is one byte
+        common, epoch = pack(Round(head, 0, 0, 0, 0, False, (), ())), encoder.encode(self.epoch)
+        tail = encoder.encode(self.boot) + epoch
+        until = common.index(tail) - 1  # the pid is one byte
         self._gate.begin(common[:until] if self.epoch else b"")
+        self._gate.introduce(common[: until + 1 + len(tail)] if self.epoch else b"")
         for pid in pids:
-            self._gate.adopt(pid, encoder.encode(self.sessions.boots[pid]) + encoder.encode(self.epoch))
+            self._gate.adopt(pid, encoder.encode(self.sessions.boots[pid]) + epoch)
 
     def reject(self, reason: str) -> None:
         self.rejected[reason] = self.rejected.get(reason, 0) + 1
