@@ -113,7 +113,8 @@ class Replica:
     def begin(self, round_: int) -> None:
         """From now on everything is heard in this round."""
         self._present = round_
-        self._attach()
+        if self.memory is not None:
+            self.memory.present(round_, self._tick)
 
     def _attach(self) -> None:
         """Let the gate note in the memory what needs no thought."""
