@@ -48,12 +48,12 @@ class Log:
     next round: then `read` finds what is in each, and `misfit` is called when one, and so those behind it, does not fit
     and is dropped."""
 
-    __slots__ = ("_entries", "_ledger", "_pid", "_read", "later", "misfit")
+    __slots__ = ("_ledger", "_pid", "_read", "kept", "later", "misfit")
 
     def __init__(self, ledger: Ledger, pid: int, read: Read, misfit: Callable[[], None]) -> None:
         self._ledger, self._pid = ledger, pid
         self._read, self.misfit = read, misfit
-        self._entries: list[Entry] = []
+        self.kept: list[Entry] = []
         self.later: dict[int, Entry] = {}
 
     @property
@@ -63,11 +63,11 @@ class Log:
     @property
     def entries(self) -> list[Entry]:
         self.fetch()
-        return self._entries
+        return self.kept
 
     def __len__(self) -> int:
         ledger, pid = self._ledger, self._pid
-        return len(self._entries) + min(DEPTH, ledger.held[pid] - ledger.floor[pid])
+        return len(self.kept) + min(DEPTH, ledger.held[pid] - ledger.floor[pid])
 
     def fetch(self) -> None:
         """Take the closings that are in the ledger."""
@@ -120,7 +120,7 @@ class Log:
 
     def _join(self, entry: Entry) -> None:
         """Keep what comes next; silence is joined to silence."""
-        closing, entries = entry.closing, self._entries
+        closing, entries = entry.closing, self.kept
         if entries and not entry.single:
             last = entries[-1]
             same = last.closing.stopped == closing.stopped and last.closing.incarnation == closing.incarnation
@@ -149,7 +149,7 @@ class Log:
 
     def forget(self, through: int) -> None:
         """Drop what ends by a round; what is in the ledger goes by itself."""
-        entries = self._entries
+        entries = self.kept
         if entries:
             count = through + 1 - entries[0].closing.first  # where each is of one round
             if not 0 < count <= len(entries) or entries[count - 1].closing.round != through:

@@ -17,7 +17,7 @@ from koordgen.runtime.layout import Layout
 from koordgen.runtime.ledger import APPLIED, LACKING, LAST, LEAST, NEXT, OPEN, SETTLED, TICK, TOLD, Ledger
 from koordgen.runtime.log import GAPS, Entry, Log, detached
 from koordgen.runtime.outcome import Past, all_alike, all_of
-from koordgen.runtime.wire import Closing, State, View, closing_of, encoder
+from koordgen.runtime.wire import Closing, State, View, closing_of
 from koordgen.runtime.words import Words
 
 AHEAD = 8  # rounds that a peer's clock may be ahead of ours
@@ -97,7 +97,7 @@ class Memory:
     @property
     def crowded(self) -> bool:
         """Whether this robot must write nothing because others lag too far behind to be repeated more."""
-        return len(self._logs[self._pid]) >= WINDOW
+        return self.ledger.held[self._pid] - self.settled >= WINDOW and len(self._logs[self._pid]) >= WINDOW
 
     @property
     def laggard(self) -> int:
@@ -123,9 +123,8 @@ class Memory:
         known = self._past.at(last)
         if known is None or self.applied < last:
             return None
-        shared, acted = known
         stopped = {p: r for p, r in self.stopped.items() if r <= last}
-        memory = Memory(self._layout, self._pid, view, shared, last, stopped, acted)
+        memory = Memory(self._layout, self._pid, view, known[0], last, stopped, known[1])
         memory.ledger, memory._number, memory._logs, memory._words = self.ledger, self._number, self._logs, self._words
         for log in memory._logs:
             log.misfit = memory._drop
@@ -173,10 +172,10 @@ class Memory:
             log.append(Entry(Closing(self._pid, incarnation, before + 1, round_ - 1, stopped), ()))
             self._heard(self._pid, before)
             before = log.held
+        plain = None if stopped else self._layout.plain(shared)
+        if plain is not None and self.ledger.close(round_, acted, prompt, lock, plain):
+            return  # nearly always
         writes, values = self._layout.written(shared, self.shared, self._pid) if shared else ((), ())
-        simple = not stopped and values is not None
-        if simple and self.ledger.close(round_, acted, prompt, lock, encoder.encode(writes)):
-            return
         first = round_ if single else before + 1
         closing = Closing(self._pid, incarnation, first, round_, stopped, acted, prompt, lock, writes)
         log.take(Entry(closing, values or ()))
@@ -326,7 +325,8 @@ class Memory:
             if through >= self._forgotten + FORGET_EVERY:
                 self._forgotten = through
                 for log in self._logs:
-                    log.forget(through)
+                    if log.kept:
+                        log.forget(through)
 
     def _look(self) -> None:
         """After a round was applied or the view has changed: what is lacking now, and who is in from when."""

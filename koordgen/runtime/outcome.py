@@ -9,7 +9,7 @@ from koordgen.runtime.layout import Layout, Unpatched
 from koordgen.runtime.ledger import Collected
 from koordgen.runtime.log import Entry
 
-FORGET_EVERY = 4  # stores: to look which are of no use any more costs more than to keep some a little longer
+FORGET_EVERY = 16  # stores: to look which are of no use any more costs more than to keep some a little longer
 
 Store = Mapping[str, Any]
 

@@ -65,31 +65,27 @@ class Replica:
     ) -> None:
         self._link, self._speech = link, link.speech
         self._layout = layout
-        self._pid, self._n = link.pid, layout.n_sys
+        self.pid, self._n = link.pid, layout.n_sys
         self._peer_timeout = peer_timeout
         self._announce = announce
         self._said = applied
-        self._others = tuple([p for p in range(self._n) if p != self._pid])
+        self._others = tuple([p for p in range(self._n) if p != self.pid])
         self._peers = {p: _Peer() for p in self._others}
         self._heard = [-HEARD] * self._n  # a message of each, beside what the gate notes; ticks
         self._assembly = Assembly()
         self._stores = Store()
         self._tick, self._present = 0, 1
-        self._turn = self._pid
+        self._turn = self.pid
         self._asked = -ASKED  # when one asked last to be let in
         self._news = News(self._n)
         self.memory = memory
         self._spare: Memory | None = None  # at the beginning of a view that left this robot out: all others may lose it
-        self.comeback = None if memory is not None else Comeback(self._pid, view.number)
-        self.views = Views(self._pid, view, vote, self._own_word, self._holds, self._follow, self._save)
+        self.comeback = None if memory is not None else Comeback(self.pid, view.number)
+        self.views = Views(self.pid, view, vote, self._own_word, self._holds, self._follow, self._save)
         self._link.follow(view)
         self._attach()
         self.emergency = False  # heard of one
         self.returns = 0  # times that the store became another one, or none, instead of going on
-
-    @property
-    def pid(self) -> int:
-        return self._pid
 
     @property
     def out(self) -> bool:
@@ -112,15 +108,18 @@ class Replica:
         """From now on all is heard in this round, at its first tick; whether nothing is due at that, so no `poll`."""
         self._present, self._tick = round_, (round_ - 1) * SLOTS
         self.views.tick = self._tick
-        self._attach()
+        self._now()
         return not self.emergency and self._calm(round_)
+
+    def _now(self) -> None:
+        """Let the memory know the time."""
+        if self.memory is not None:
+            self.memory.present(self._present, self._tick)
 
     def _attach(self) -> None:
         """Let the gate note in the memory what needs no thought."""
-        memory = self.memory
-        if memory is not None:
-            memory.present(self._present, self._tick)
-        self._link.attach(None if memory is None else memory.ledger)
+        self._now()
+        self._link.attach(None if self.memory is None else self.memory.ledger)
 
     def alarm(self) -> None:
         """Tell the others at once to come to rest, and from now on with each word."""
@@ -153,9 +152,9 @@ class Replica:
             return
         known, repeated = {c.round for c in own}, []
         for pid in few(sorted(memory.unanswered), round_):
-            repeats = memory.repeat(pid, helps(self._pid, pid, round_, self._n))
+            repeats = memory.repeat(pid, helps(self.pid, pid, round_, self._n))
             if repeats:
-                rest = [c for c in repeats if c.author != self._pid or c.round not in known]
+                rest = [c for c in repeats if c.author != self.pid or c.round not in known]
                 self._speech.round([pid], word, [*own, *rest], self._peers[pid].partly)
                 repeated.append(pid)
         self._speech.round([p for p in self._others if p not in repeated], word, own)
@@ -166,7 +165,7 @@ class Replica:
 
     def confirm(self, round_: int) -> None:
         """Tell those who wait for it that this robot has applied a round."""
-        waiting = [p for p in self.memory.prompt if p != self._pid] if self.memory is not None else []
+        waiting = [p for p in self.memory.prompt if p != self.pid] if self.memory is not None else []
         if waiting:
             self._speech.round(waiting, self.word(round_), ())
 
@@ -208,10 +207,9 @@ class Replica:
     def poll(self, tick: int, present: int) -> None:
         """What is due at the beginning of a tick in round `present`."""
         self._tick = self.views.tick = tick
-        if self.memory is not None:
-            self.memory.present(present, tick)
-            for _ in range(self.memory.misfits()):
-                self._link.reject("closing does not fit")
+        self._now()
+        for _ in range(0 if self.memory is None else self.memory.misfits()):
+            self._link.reject("closing does not fit")
         if self.emergency:
             self._speech.round(self._others, self.word(present), ())
         if tick % SLOTS == 0 and self._calm(present):
@@ -242,7 +240,7 @@ class Replica:
             return []
         self._news.note(memory.held, present)
         last = present - self._peer_timeout
-        return self._news.silent([p for p in memory.missing(last - 1) if p != self._pid], last)
+        return self._news.silent([p for p in memory.missing(last - 1) if p != self.pid], last)
 
     def keep(self) -> None:
         """Keep the last applied round, before anyone is told of it or acts on it."""
@@ -260,8 +258,8 @@ class Replica:
         and is not let in. Else what such a view begins with could be in the hands of one robot alone."""
         memory, last = self.memory, value.since - 1
         if memory is None:
-            return value.members[self._pid] >= 0
-        stays = value.number == memory.view.number + 1 and value.members[self._pid] >= 0
+            return value.members[self.pid] >= 0
+        stays = value.number == memory.view.number + 1 and value.members[self.pid] >= 0
         return stays and (memory.applied >= last or not memory.missing(last))
 
     def _save(self) -> None:
@@ -299,9 +297,9 @@ class Replica:
             return
         peer = self._peers[sender]
         peer.partly = {p.author: p for p in message.partly}
-        ours = message.held[self._pid] >= through  # it wants only what others wrote
-        closings = memory.repeat(sender, ours or helps(self._pid, sender, present, self._n))
-        if closings or memory.held[self._pid] >= through:  # else ours is still to come, with our word, to all
+        ours = message.held[self.pid] >= through  # it wants only what others wrote
+        closings = memory.repeat(sender, ours or helps(self.pid, sender, present, self._n))
+        if closings or memory.held[self.pid] >= through:  # else ours is still to come, with our word, to all
             self._speech.round([sender], self.word(present), closings, peer.partly)
 
     def _piece(self, piece: Piece, present: int) -> None:
@@ -335,7 +333,7 @@ class Replica:
             return
         memory = None
         if fits(found.view, self._n) and found.view.number == view.number and found.applied >= view.since - 1:
-            memory = Memory.resume(self._layout, self._pid, found)
+            memory = Memory.resume(self._layout, self.pid, found)
         if memory is None:
             self._link.reject("store does not fit")
             return
@@ -356,10 +354,10 @@ class Replica:
 
     def _follow(self, before: View) -> None:
         """There is another view."""
-        view, memory, own = self.views.view, self.memory, self.views.view.members[self._pid]
+        view, memory, own = self.views.view, self.memory, self.views.view.members[self.pid]
         self._link.follow(view)
         following = view.number == before.number + 1
-        if memory is not None and following and own == before.members[self._pid]:
+        if memory is not None and following and own == before.members[self.pid]:
             memory.adopt(view)
         else:
             self._change(view, before, following)
@@ -379,8 +377,8 @@ class Replica:
         last = self.memory or self._spare
         kept = last.rewound(view) if last is not None and following else None
         if self.memory is not None:
-            self.comeback = Comeback(self._pid, before.number, news=self._tick)
-        anew = kept is not None and view.members[self._pid] == view.number
+            self.comeback = Comeback(self.pid, before.number, news=self._tick)
+        anew = kept is not None and view.members[self.pid] == view.number
         self.returns += anew or self.memory is not None
         self.memory, self._spare = (kept, None) if anew else (None, kept)
         if kept is not None:
