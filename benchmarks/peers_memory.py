@@ -17,6 +17,7 @@ from peers_exchange import Heard, Place
 
 from koordgen.runtime import courier, gate
 from koordgen.runtime.clock import Clock, FleetClock, SystemClock
+from koordgen.runtime.course import FAR
 from koordgen.runtime.keeping import Keeping
 from koordgen.runtime.layout import Layout
 from koordgen.runtime.link import Link, Usuals, as_usual
@@ -83,20 +84,26 @@ class Update:
 
     def __init__(self, given: Settings, size: int, transport: Transport, clock: Clock) -> None:
         self._other, self._size, self._transport = 1 - given.pid, size, transport
+        self._to = [self._other]
         self._link, self._memory = open_link(given, size, transport, clock)
         self._link.follow(self._memory.view)
+        self._link.attach(self._memory.ledger)
         self._round = self._told = 0
         self._unheard = {self._other}
         self.missed: list[int] = []  # none ever: nothing is lost between two processes that take turns
 
     def publish(self, round_: int) -> None:
-        memory = self._memory
-        if round_ > 0:
-            self._round = round_
-            memory.close(round_, {"report": f"{round_:0{self._size}}"}, stopped=False, acted=True)
+        memory, to, speech = self._memory, self._to, self._link.speech
         held = memory.held if memory.applied < round_ - 1 else ()
         word = (0, round_, memory.applied, memory.settled, False, held)
-        self._link.speech.round([self._other], word, memory.own(round_) if round_ > 0 else ())
+        if round_ == 0:
+            speech.round(to, word, ())
+            return
+        self._round = round_
+        memory.present(round_, 0)
+        memory.close(round_, {"report": f"{round_:0{self._size}}"}, stopped=False, acted=True)
+        if not speech.own(to, word, round_, memory.ledger):
+            speech.round(to, word, memory.own(round_))
         memory.advance(round_ + 1)
 
     def take(self, seconds: float) -> Heard:
@@ -109,7 +116,7 @@ class Update:
         memory.advance(self._round + 1)
         heard = _speak(self._link, self._unheard) if self._round == 0 else ()
         self._unheard.difference_update(heard)
-        self._told = memory.held[other]
+        self._told = memory.ledger.held[other]
         return [(pid, 0) for pid in heard] + [(other, round_) for round_ in range(told + 1, self._told + 1)]
 
 
@@ -136,7 +143,8 @@ class SharedMemory:
         self._open = False  # the present round is not closed yet
         self._complete = True  # all of the present round is applied
         self._view = self._returns = 0
-        self._told = [0] * n  # up to which each robot's rounds were found
+        self._told = [0] * n  # up to which each robot's rounds were found; of its own none ever is
+        self._told[pid] = FAR
         self._unheard = set(range(n)) - {pid}
         self._found: Heard = []  # and not returned yet
         self.missed: list[int] = []
@@ -154,12 +162,15 @@ class SharedMemory:
             self.missed.append(round_)
             return
         self._round, self._slot, self._open, self._complete, self._wake = round_, -1, True, False, -math.inf
-        self._replica.begin(round_)
+        calm = self._replica.begin(round_)
         if not (current := self._current()):
             self._hear()  # what is lacking may be here, not yet looked at
             current = self._current()
-        if current:
-            self._close(current=True)
+        if not current:
+            return
+        self._close(current=True)
+        if calm and now < self._moment(PUNCTUAL):  # there is nothing to do at the first slot
+            self._slot, self._wake = 0, self._moment(FIRST_SLOT)
 
     def take(self, seconds: float) -> Heard:
         """Do what is due, then wait for something to arrive, then do what follows from that; but when it is time for
@@ -222,17 +233,18 @@ class SharedMemory:
         for message in self._link.receive():
             if not isinstance(message, Hello):
                 take(message, present)
-        memory, told = self._replica.memory, self._told
+        memory, told, found = self._replica.memory, self._told, self._found
         if self._round == 0:
             heard = _speak(self._link, self._unheard)
             self._unheard -= heard
-            self._found += [(pid, 0) for pid in heard]
+            found += [(pid, 0) for pid in heard]
         if memory is not None:
             for pid, held in enumerate(memory.held):
-                if held > told[pid]:
-                    if pid != self._pid:
-                        self._found += [(pid, round_) for round_ in range(told[pid] + 1, held + 1)]
+                if held > (last := told[pid]):
                     told[pid] = held
+                    if held > last + 1:
+                        found += [(pid, round_) for round_ in range(last + 1, held)]
+                    found.append((pid, held))
 
     def _apply(self, now: float) -> None:
         """What has come may complete the round, or change who counts."""

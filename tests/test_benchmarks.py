@@ -15,6 +15,7 @@ from peers_memory import SharedMemory
 from koordgen.runtime.clock import SimulatedClock
 from koordgen.runtime.link import Heard, Link, Usuals
 from koordgen.runtime.network import Conditions, MemoryNetwork
+from koordgen.runtime.replica import Replica
 from tests.runtime.fleet import Kept
 
 N, DELTA, COUNT, STEPS = 3, 0.01, 20, 20
@@ -80,6 +81,23 @@ def test_what_comes_without_a_message_is_found(monkeypatch: pytest.MonkeyPatch) 
     for pid, heard in enumerate(robots.heard):
         assert sorted(heard) == [(other, r) for other in range(N) if other != pid for r in range(COUNT + 1)]
     assert not any(robot.missed for robot in robots.each)
+
+
+def test_in_calm_rounds_nothing_is_due_at_the_slots(monkeypatch: pytest.MonkeyPatch) -> None:
+    polled, poll = [0], Replica.poll
+
+    def counted(self: Replica, tick: int, present: int) -> None:
+        polled[0] += 1
+        poll(self, tick, present)
+
+    monkeypatch.setattr(Replica, "poll", counted)
+    robots = Robots(0.0)
+    robots.run(range(COUNT))
+    assert polled == [0]
+    robots.each.pop()
+    robots.heard.pop()
+    robots.run(range(COUNT, COUNT + 3))
+    assert polled[0] > 10  # one is missed
 
 
 def test_a_robot_without_news_closes_its_rounds_empty_and_comes_back() -> None:

@@ -6,12 +6,12 @@ nothing, so that nobody waits for it; and it gathers the store, piece by piece, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from koordgen.runtime.pieces import Gathering, cut, lacking
 from koordgen.runtime.views import Out
-from koordgen.runtime.wire import State, StatePiece, View, Want, encoder, state_of
+from koordgen.runtime.wire import Closing, State, StatePiece, View, Want, encoder, state_of
 
 PATIENCE = 5  # ticks without a new piece, then another member is asked
 BURST = 16  # pieces for one request
@@ -20,7 +20,7 @@ KEPT = 2  # stores kept in pieces for those who have begun to gather them
 
 @dataclass(slots=True)
 class Comeback:
-    """`since` is the view that was known when it fell out."""
+    """`since` is the view that was known when it fell out; the rounds closed since there is no store are `silent`."""
 
     pid: int
     since: int
@@ -28,11 +28,21 @@ class Comeback:
     round: int = 0
     source: int = 0
     news: int = 0  # the tick of the last new piece, or of the last change of the source
+    silent: Closing | None = None
 
     def incarnation(self, view: View) -> int:
         """Under which it is in again; -1: not yet."""
         own = view.members[self.pid]
         return own if own > self.since else -1
+
+    def silence(self, round_: int, view: View) -> Closing | None:
+        """The closing of one that is in again and has no store yet: it does nothing."""
+        incarnation = self.incarnation(view)
+        if incarnation < 0 or round_ < view.since:
+            return None
+        first = self.silent.first if self.silent is not None else view.since
+        self.silent = Closing(self.pid, incarnation, first, round_)
+        return self.silent
 
     def poll(self, tick: int, view: View) -> list[Out]:
         """What to ask for at this tick."""
@@ -70,11 +80,12 @@ class Store:
     def __init__(self) -> None:
         self._kept: list[tuple[int, list[tuple[bytes, int, int, bytes]]]] = []
 
-    def answer(self, sender: int, want: Want, state: State, room: int) -> list[Out]:
-        """The pieces that `sender` lacks, of the store it has begun to gather or else of `state`."""
+    def answer(self, sender: int, want: Want, applied: int, make: Callable[[], State], room: int) -> list[Out]:
+        """The pieces that `sender` lacks, of the store it has begun to gather, or else of the present one, which has
+        `applied` so many rounds; it is made when it is needed."""
         known = [k for k in self._kept if k[0] == want.round and k[1][0][0] == want.digest]
-        if not known and (not self._kept or self._kept[-1][0] != state.applied):
-            self._kept = [*self._kept[1 - KEPT :], (state.applied, cut(encoder.encode(state), room))]
+        if not known and (not self._kept or self._kept[-1][0] != applied):
+            self._kept = [*self._kept[1 - KEPT :], (applied, cut(encoder.encode(make()), room))]
         round_, pieces = known[0] if known else self._kept[-1]
         wanted: Sequence[int] = lacking(len(pieces), want.mask if known else b"")
         return [((sender,), StatePiece, (round_, *pieces[index])) for index in wanted[:BURST]]

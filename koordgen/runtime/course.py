@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
-from koordgen.runtime.log import shortened
+from koordgen.runtime.log import Log, shortened
 from koordgen.runtime.wire import Closing, View
 
 FAR = 2**53  # a round that never comes
@@ -50,7 +50,14 @@ class Course:
                 return shortened(closing, view.since - 1) if began and not single else None
         return None
 
-    def absences(self, pid: int) -> Iterator[tuple[int, int]]:
+    def pass_over(self, logs: Sequence[Log]) -> None:
+        """Take for held what is not to come: the rounds, before the latest view, in which a robot does not count."""
+        for pid, log in enumerate(logs):
+            for begins, ends in self._absences(pid):
+                if begins <= log.held + 1 <= ends:
+                    log.skip(ends)
+
+    def _absences(self, pid: int) -> Iterator[tuple[int, int]]:
         """The rounds, first and last, in which a robot does not count, before the latest view."""
         for i, (view, following) in enumerate(pairwise(self._views)):
             if view.members[pid] < 0:

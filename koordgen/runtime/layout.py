@@ -19,6 +19,7 @@ PATCH_FROM = 256  # bytes: a shorter value goes whole; to find the difference wo
 
 _CLOSING = 1 + 1 + 3 * 9 + 3 + 3 + 3  # array, author, incarnation, first, round, three bools, lock, array of writes
 _WRITE = 1 + 3 + 1  # array, index, bool
+_NOTHING = encoder.encode(())
 _PLAIN = str, int, float, bool  # types whose values any encoding gives back as they were
 _parts = msgspec.msgpack.Decoder(list[msgspec.Raw])
 
@@ -44,8 +45,10 @@ class Layout:
         self._shared = tuple(shared)
         self._index = {v.name: i for i, v in enumerate(shared)}
         self._decoders = tuple(msgspec.msgpack.Decoder(v.type) for v in shared)
+        self._lists = tuple(msgspec.msgpack.Decoder(list[v.type]) for v in shared)  # type: ignore[name-defined]
         self._plain = tuple(v.type if v.type in _PLAIN else None for v in shared)
-        self._fits = tuple(_test(v) for v in shared)
+        tests = [_tests(v) for v in shared]
+        self._fits, self._all_fit = tuple([one for one, _ in tests]), tuple([every for _, every in tests])
         self._encoded: dict[int, tuple[Any, bytes]] = {}
         if n_sys > MAX_ROBOTS:
             raise TooLarge(f"a fleet of {n_sys} robots; at most {MAX_ROBOTS} are supported")
@@ -109,6 +112,20 @@ class Layout:
             store[name] = found if slots else found[0]
         return store
 
+    def plain(self, shared: Mapping[str, Any]) -> bytes | None:
+        """The encoded writes of an event that wrote little, and only numbers and texts of just the variables' types, as
+        `written` has them; None for all else."""
+        if not shared:
+            return _NOTHING
+        writes, names = [], self._index
+        for name, item in shared.items():
+            index = names[name]
+            if type(item) is not self._plain[index] or not self._fits[index](item):
+                return None
+            writes.append((index, item, False))
+        encoded = encoder.encode(writes if len(writes) < 2 else sorted(writes))
+        return encoded if len(encoded) <= PATCH_FROM else None
+
     def written(
         self, shared: Mapping[str, Any], store: Mapping[str, Any] | None = None, author: int = 0
     ) -> tuple[tuple[Write, ...], Sequence[tuple[int, Any]] | None]:
@@ -164,6 +181,26 @@ class Layout:
             before = index
         return values
 
+    def together(self, index: int, pids: Sequence[int], values: msgspec.Raw, store: Mapping[str, Any]) -> Any | None:
+        """What a variable becomes when these robots (ascending) write these values in one round; None when one does not
+        fit this program."""
+        if index >= len(self._lists):
+            return None
+        try:
+            found = self._lists[index].decode(values)
+        except (ValueError, RecursionError):
+            return None
+        if len(found) != len(pids) or not self._all_fit[index](found):
+            return None
+        if not self.is_slots[index]:
+            return found[-1]
+        if len(found) == self.n_sys:
+            return tuple(found)
+        slots = list(store[self.names[index]])
+        for pid, value in zip(pids, found, strict=True):
+            slots[pid] = value
+        return tuple(slots)
+
     def resolve(self, index: int, item: Any, base: Any) -> Any | None:
         """The value of what `read` gave, where the round began with `base` (see there); None for a patch that does not
         fit it. That depends on nothing else, so all robots take the write, or none does."""
@@ -188,20 +225,28 @@ class Layout:
         return known[1]
 
 
-def _test(variable: Variable) -> Callable[[Any], bool]:
-    """Whether a value of the variable's type is one that this program can write."""
+def _tests(variable: Variable) -> tuple[Callable[[Any], bool], Callable[[Sequence[Any]], bool]]:
+    """Whether a value, and whether all of several, of the variable's type are such as this program can write."""
     bound = variable.bound
 
     def fits(value: Any) -> bool:
         return transmissible(value) and not bound.flaw(value)
 
+    def all_fit(values: Sequence[Any]) -> bool:
+        return all(map(fits, values))
+
     def text_fits(value: str) -> bool:
         return len(value) <= capacity if value.isascii() else fits(value)
 
+    def all_texts_fit(values: Sequence[str]) -> bool:
+        if "".join(values).isascii():
+            return max(map(len, values)) <= capacity
+        return all(map(text_fits, values))
+
     if variable.type is str and isinstance(bound, Text):  # the kind of value that is the longest to go through
         capacity = bound.capacity
-        return text_fits
-    return fits
+        return text_fits, all_texts_fit
+    return fits, all_fit
 
 
 def most_closing(n_sys: int) -> int:

@@ -17,6 +17,7 @@ from koordgen.runtime.wire import LIMIT, MAX_ROBOTS
 
 OPEN, LAST, TICK, APPLIED, SETTLED, LACKING, WATCHED, REACHED, TOLD, NEXT, LEAST, PRESENT = range(12)  # of `number`
 NUMBERS = 12
+LONG_AGO = -(2**62)  # a tick
 DEPTH = 8  # rounds of each robot whose closings are kept as they came
 ROW = LIMIT  # bytes of one
 GIVEN = {"DEPTH": DEPTH, "ROW": ROW, "MOST_WRITES": 256}  # to the compiler
@@ -79,7 +80,8 @@ class Ledger:
         none = bytes(8 * n_sys)
         self.held, self.floor = array("q", [applied] * n_sys), array("q", [applied] * n_sys)
         self.view, self.incarnation = array("q", [-1] * n_sys), array("q", [-1] * n_sys)
-        self.applied, self.through, self.heard = array("q", none), array("q", none), array("q", none)
+        self.applied, self.through = array("q", none), array("q", none)
+        self.heard = array("q", [LONG_AGO] * n_sys)
         self.wanting, self.gap = array("B", bytes(n_sys)), array("B", bytes(n_sys))
         self.number = array("q", [0] * NUMBERS)
         self.native, self.at = False, 0
@@ -118,13 +120,14 @@ class Ledger:
             return []
         held = self.held[pid]
         first, self.floor[pid] = max(self.floor[pid], held - DEPTH) + 1, held  # everyone holds what was before it
-        return [self._row(pid, round_) for round_ in range(first, held + 1)]
+        return [self.row(pid, round_) for round_ in range(first, held + 1)]
 
     def own(self, round_: int) -> bool:
         """Whether the own closing of a round is here."""
         pid, held = self.pid, self.held[self.pid]
         return self.native and max(self.floor[pid], held - DEPTH) < round_ <= held
 
-    def _row(self, pid: int, round_: int) -> bytes:
+    def row(self, pid: int, round_: int) -> bytes:
+        """The encoded closing of a round that is here."""
         slot = round_ % DEPTH * self.n_sys + pid
         return self._rows[slot * ROW : slot * ROW + self._length[slot]]

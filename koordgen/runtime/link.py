@@ -12,6 +12,7 @@ from typing import NamedTuple
 from koordgen.runtime import gate
 from koordgen.runtime.clock import Clock, FleetClock
 from koordgen.runtime.gate import Gate, Lesson, Usual
+from koordgen.runtime.ledger import Ledger
 from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.program import Program
 from koordgen.runtime.seal import MAC_SIZE, MEMORY, unseal_all
@@ -95,6 +96,11 @@ class Link:
         if self._gate is not None:
             self._gate.follow(view.number)
 
+    def attach(self, ledger: Ledger | None) -> None:
+        """From now on words of the present view that need no thought are noted there, and `receive` does not tell."""
+        if self._gate is not None:
+            self._gate.attach(ledger)
+
     def receive(self) -> list[Heard]:
         """What arrived and may be listened to. A Hello of a boot that was not adopted is among it: `joining` judges."""
         datagrams = self._transport.receive()
@@ -108,8 +114,8 @@ class Link:
         for row in usual or ():
             if row.lesson is not None:
                 self._learn(row.sender, row.lesson, local)
-        if not verdicts and usual:
-            return [Usuals(self._view, usual)]
+        if not verdicts:
+            return [Usuals(self._view, usual)] if usual else []
         return self._sorted(datagrams, usual, verdicts, local, fleet)
 
     def _heard(self, datagrams: Iterable[tuple[bytes, bytes | None]], local: float, fleet: float | None) -> list[Heard]:
@@ -134,6 +140,8 @@ class Link:
                 if not run:
                     found.append(Usuals(self._view, run))
                 run.append(next(rows))
+                continue
+            if verdict == gate.NOTED:
                 continue
             if verdict in _REASONS:
                 self.reject(_REASONS[verdict])

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import msgspec
 
-from koordgen.runtime.wire import Closing, Write
+from koordgen.runtime.ledger import DEPTH, Ledger
+from koordgen.runtime.wire import Closing, Write, closing_of
 
 GAPS = 64  # closings kept while one before them is missing
+
+Values = Sequence[tuple[int, Any]]
+Read = Callable[[Closing], Values | None]
 
 
 class Entry(msgspec.Struct, frozen=True, gc=False):
     """A closing and the values in it by index."""
 
     closing: Closing
-    values: Sequence[tuple[int, Any]]
+    values: Values
 
     @property
     def single(self) -> bool:
@@ -39,21 +42,62 @@ def shortened(closing: Closing, last: int) -> Closing:
     return msgspec.structs.replace(closing, round=last)
 
 
-@dataclass(slots=True)
 class Log:
     """`entries` are without a gap up to `held` (from some round on that everyone holds), `later`, by their first round,
-    beyond a gap."""
+    beyond a gap. Those above the `floor` of a `ledger` are there, as they came, until someone asks for more than the
+    next round: then `read` finds what is in each, and `misfit` is called when one, and so those behind it, does not fit
+    and is dropped."""
 
-    held: int = 0
-    entries: list[Entry] = field(default_factory=list)
-    later: dict[int, Entry] = field(default_factory=dict)
+    __slots__ = ("_ledger", "_pid", "_read", "kept", "later", "misfit")
+
+    def __init__(self, ledger: Ledger, pid: int, read: Read, misfit: Callable[[], None]) -> None:
+        self._ledger, self._pid = ledger, pid
+        self._read, self.misfit = read, misfit
+        self.kept: list[Entry] = []
+        self.later: dict[int, Entry] = {}
+
+    @property
+    def held(self) -> int:
+        return self._ledger.held[self._pid]
+
+    @property
+    def entries(self) -> list[Entry]:
+        self.fetch()
+        return self.kept
+
+    def __len__(self) -> int:
+        ledger, pid = self._ledger, self._pid
+        return len(self.kept) + min(DEPTH, ledger.held[pid] - ledger.floor[pid])
+
+    def fetch(self) -> None:
+        """Take the closings that are in the ledger."""
+        ledger, pid = self._ledger, self._pid
+        if ledger.floor[pid] == ledger.held[pid]:
+            return
+        rows = ledger.rows(pid)
+        held = ledger.held[pid] - len(rows)
+        for text in rows:
+            closing = closing_of(text)
+            values = None if closing is None else self._read(closing)
+            if closing is None or values is None:
+                self._reach(held)
+                self.misfit()
+                return
+            self._join(Entry(closing, values))
+            held = closing.round
+
+    def _reach(self, held: int) -> None:
+        """Nothing is in the ledger, and this is held."""
+        ledger, pid = self._ledger, self._pid
+        ledger.held[pid] = ledger.floor[pid] = held
+        ledger.gap[pid] = bool(self.later)
 
     def take(self, entry: Entry) -> None:
         """Keep a closing that reaches beyond `held`."""
         closing = entry.closing
         if closing.first == self.held + 1 and closing.acted and not self.later:  # nearly always, so first
             self.entries.append(entry)
-            self.held = closing.round
+            self._reach(closing.round)
             return
         if closing.first <= self.held + 1:
             self.append(entry)
@@ -63,32 +107,40 @@ class Log:
         known = self.later.get(closing.first)
         if known is None or known.closing.round < closing.round:
             self.later[closing.first] = entry
+            self._ledger.gap[self._pid] = True
 
     def append(self, entry: Entry) -> None:
-        """Keep a closing that begins where `held` ends; silence is joined to silence."""
-        closing = entry.closing
-        if closing.first <= self.held:
-            closing = msgspec.structs.replace(closing, first=self.held + 1)
-        if self.entries and not entry.single:
-            last = self.entries[-1]
+        """Keep a closing that begins where `held` ends."""
+        self.fetch()
+        closing, held = entry.closing, self.held
+        if closing.first <= held:
+            entry = Entry(msgspec.structs.replace(closing, first=held + 1), entry.values)
+        self._join(entry)
+        self._reach(closing.round)
+
+    def _join(self, entry: Entry) -> None:
+        """Keep what comes next; silence is joined to silence."""
+        closing, entries = entry.closing, self.kept
+        if entries and not entry.single:
+            last = entries[-1]
             same = last.closing.stopped == closing.stopped and last.closing.incarnation == closing.incarnation
             if same and not last.single and last.closing.round == closing.first - 1:
                 closing = msgspec.structs.replace(closing, first=last.closing.first)
-                self.entries.pop()
-        self.entries.append(entry if closing is entry.closing else Entry(closing, entry.values))
-        self.held = closing.round
+                entries.pop()
+        entries.append(entry if closing is entry.closing else Entry(closing, entry.values))
 
     def at(self, round_: int) -> Entry:
         """The entry that covers a round which is held and not forgotten."""
-        last = self.entries[-1]
+        entries = self.entries
+        last = entries[-1]
         if last.closing.first <= round_ <= last.closing.round:
             return last
-        return self.entries[bisect_left(self.entries, round_, key=lambda e: e.closing.round)]
+        return entries[bisect_left(entries, round_, key=lambda e: e.closing.round)]
 
     def between(self, low: int, high: int) -> list[Closing]:
         """The closings of these rounds, as far as they are held and not forgotten."""
-        found = []
-        for entry in self.entries[bisect_left(self.entries, low, key=lambda e: e.closing.round) :]:
+        found, entries = [], self.entries
+        for entry in entries[bisect_left(entries, low, key=lambda e: e.closing.round) :]:
             closing = entry.closing
             if closing.first > high:
                 break
@@ -96,8 +148,8 @@ class Log:
         return found
 
     def forget(self, through: int) -> None:
-        """Drop what ends by a round."""
-        entries = self.entries
+        """Drop what ends by a round; what is in the ledger goes by itself."""
+        entries = self.kept
         if entries:
             count = through + 1 - entries[0].closing.first  # where each is of one round
             if not 0 < count <= len(entries) or entries[count - 1].closing.round != through:
@@ -106,17 +158,20 @@ class Log:
 
     def cut(self, last: int) -> None:
         """Drop everything beyond a round: it does not count."""
+        entries = self.entries
         self.later.clear()
-        while self.entries and self.entries[-1].closing.first > last:
-            self.entries.pop()
-        if self.entries and self.entries[-1].closing.round > last:
-            final = self.entries.pop()
-            self.entries.append(Entry(shortened(final.closing, last), final.values))
-        self.held = min(self.held, last)
+        while entries and entries[-1].closing.first > last:
+            entries.pop()
+        if entries and entries[-1].closing.round > last:
+            final = entries.pop()
+            entries.append(Entry(shortened(final.closing, last), final.values))
+        self._reach(min(self.held, last))
 
     def skip(self, last: int) -> None:
         """Take the rounds up to `last` for held: their author did not count."""
-        self.held = max(self.held, last)
+        if last > self.held:
+            self.fetch()
+            self._reach(last)
         self._absorb()
 
     def _absorb(self) -> None:
@@ -128,3 +183,4 @@ class Log:
             entry = self.later.pop(first)
             if entry.closing.round > self.held:
                 self.append(entry)
+        self._ledger.gap[self._pid] = False

@@ -6,15 +6,18 @@ all have. A round is stable once a majority has said to have applied it: no late
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from koordgen.runtime.commits import counting
 from koordgen.runtime.course import Course
 from koordgen.runtime.gate import Usual
-from koordgen.runtime.layout import Layout, Unpatched
+from koordgen.runtime.layout import Layout
+from koordgen.runtime.ledger import APPLIED, LACKING, LAST, LEAST, NEXT, OPEN, SETTLED, TICK, TOLD, Ledger
 from koordgen.runtime.log import GAPS, Entry, Log, detached
-from koordgen.runtime.wire import Closing, State, View
+from koordgen.runtime.outcome import Past, all_alike, all_of
+from koordgen.runtime.wire import Closing, State, View, closing_of
 from koordgen.runtime.words import Words
 
 AHEAD = 8  # rounds that a peer's clock may be ahead of ours
@@ -42,21 +45,20 @@ class Memory:
         self._course = Course(view)
         self.view = view  # the latest
         n = self._n = layout.n_sys
-        self._logs = [Log(applied) for _ in range(n)]
-        self._words = Words(pid, n)
-        self._lacking: set[int] = set()  # members whose closing of round applied + 1 is not here
-        self._snapshot: tuple[int, State] | None = None
+        self.ledger = Ledger(pid, n, applied)
+        self._number = self.ledger.number  # LACKING: members whose closing of round applied + 1 is not here
+        self._logs = [Log(self.ledger, p, layout.read, self._drop) for p in range(n)]
+        self._words = Words(self.ledger)
         self.frozen = False
-        self.settled = 0  # all members hold everything up to here
-        self._forgotten = 0  # ... and it was dropped up to here
+        self._misfits = 0  # closings that the gate took, and that do not fit
+        self._forgotten = 0  # what all hold was dropped up to here
         self.applied = applied  # `shared` is S_{applied + 1}
         self.shared = shared
         self.stopped = dict(stopped or {})  # pid -> the round it stopped in
         self.acted = list(acted) or [0] * n  # the last round in which an event counted
         self.won = 0  # the last round in which a commit of ours counted
         self.unfit = 0  # patches that fitted no value: a fault of their author's, dropped by everyone alike
-        # Store and `acted` after a round and the silent ones behind it; the first is of a stable round.
-        self._past: list[tuple[int, Mapping[str, Any], list[int]]] = [(applied, shared, self.acted)]
+        self._past = Past(applied, shared, self.acted)
         self.prompt: tuple[int, ...] = ()  # who waits to hear that the last applied round was applied
         self._look()
 
@@ -80,7 +82,12 @@ class Memory:
     @property
     def held(self) -> tuple[int, ...]:
         """For each robot the last round up to which its closings are held without a gap."""
-        return tuple([log.held for log in self._logs])
+        return tuple(self.ledger.held)
+
+    @property
+    def settled(self) -> int:
+        """All members hold everything up to here."""
+        return self._number[SETTLED]
 
     @property
     def unanswered(self) -> Collection[int]:
@@ -90,7 +97,7 @@ class Memory:
     @property
     def crowded(self) -> bool:
         """Whether this robot must write nothing because others lag too far behind to be repeated more."""
-        return len(self._logs[self._pid].entries) >= WINDOW
+        return self.ledger.held[self._pid] - self.settled >= WINDOW and len(self._logs[self._pid]) >= WINDOW
 
     @property
     def laggard(self) -> int:
@@ -107,26 +114,35 @@ class Memory:
     @property
     def lacking(self) -> int:
         """How many closings are missing that the next round to be applied needs."""
-        return len(self._lacking)
+        return self._number[LACKING]
 
     def rewound(self, view: View) -> Memory | None:
         """The replica as it was when the rounds before `view` had been applied, for one that had gone further; None
         when that is not known any more."""
         last = view.since - 1
-        known = [entry for entry in self._past if entry[0] <= last]
-        if not known or self.applied < last:
+        known = self._past.at(last)
+        if known is None or self.applied < last:
             return None
-        _, shared, acted = known[-1]
         stopped = {p: r for p, r in self.stopped.items() if r <= last}
-        memory = Memory(self._layout, self._pid, view, shared, last, stopped, acted)
-        memory.settled = self.settled
-        memory._logs, memory._words = self._logs, self._words
+        memory = Memory(self._layout, self._pid, view, known[0], last, stopped, known[1])
+        memory.ledger, memory._number, memory._logs, memory._words = self.ledger, self._number, self._logs, self._words
+        for log in memory._logs:
+            log.misfit = memory._drop
         memory._words.renew()
         memory._forget(self.view, view)
         for log in memory._logs:
             log.skip(last)  # also of those who did not count
         memory._look()
         return memory
+
+    def present(self, round_: int, tick: int) -> None:
+        """What the gate notes from now on is heard in this round and at this tick."""
+        self._number[LAST], self._number[TICK] = round_ + AHEAD, tick
+
+    def misfits(self) -> int:
+        """How many closings were dropped, since this was asked last, because they did not fit after all."""
+        found, self._misfits = self._misfits, 0
+        return found
 
     def adopt(self, view: View) -> None:
         """Go by the next view. Closings of those who no longer count, or count anew, are dropped from its beginning
@@ -151,22 +167,37 @@ class Memory:
         """Close the own rounds up to `round_`, in which an event (`lock` is -1 for a plain one) wrote `shared`; earlier
         ones not closed yet had none."""
         log, incarnation = self._logs[self._pid], self.view.members[self._pid]
-        single = bool(shared) or acted or lock >= 0
-        if round_ > log.held + 1 and single:
-            log.append(Entry(Closing(self._pid, incarnation, log.held + 1, round_ - 1, stopped), ()))
-        first = round_ if single else log.held + 1
+        single, before = bool(shared) or acted or lock >= 0, log.held
+        if round_ > before + 1 and single:
+            log.append(Entry(Closing(self._pid, incarnation, before + 1, round_ - 1, stopped), ()))
+            self._heard(self._pid, before)
+            before = log.held
+        plain = None if stopped else self._layout.plain(shared)
+        if plain is not None and self.ledger.close(round_, acted, prompt, lock, plain):
+            return  # nearly always
         writes, values = self._layout.written(shared, self.shared, self._pid) if shared else ((), ())
+        first = round_ if single else before + 1
         closing = Closing(self._pid, incarnation, first, round_, stopped, acted, prompt, lock, writes)
         log.take(Entry(closing, values or ()))
-        self._lacking.discard(self._pid)
+        self._heard(self._pid, before)
+
+    def _heard(self, author: int, before: int) -> None:
+        """More of an author's closings is held than `before`."""
+        if before <= self.applied < self.ledger.held[author] and author in self._course.members:
+            self._number[LACKING] -= 1
+
+    def _drop(self) -> None:
+        """A closing that the gate took does not fit."""
+        self._misfits += 1
+        self._count()
 
     def take(self, closing: Closing, present: int) -> str | None:
         """Take a closing heard in round `present`; None, or why it is refused. A known one is no news, no error."""
         author, round_ = closing.author, closing.round
         if author >= self._n:
             return "closing does not fit"
-        log = self._logs[author]
-        if round_ <= log.held:
+        log, before = self._logs[author], self.ledger.held[author]
+        if round_ <= before:
             return None
         if not 1 <= closing.first <= round_:
             return "closing does not fit"
@@ -182,13 +213,12 @@ class Memory:
         values = self._layout.read(closing)
         if values is None:
             return "closing does not fit"
-        count, next_ = len(log.entries), closing.first <= log.held + 1
+        count, next_ = len(log), closing.first <= before + 1
         if count >= 2 * WINDOW or (not next_ and len(log.later) >= GAPS):
             return "no room for a closing"
         few = count < RECENT and next_
         log.take(Entry(closing if few else detached(closing), values))
-        if log.held > self.applied:
-            self._lacking.discard(author)
+        self._heard(author, before)
         return None
 
     def usual(self, rows: Sequence[Usual], view: int, present: int) -> list[str]:
@@ -196,35 +226,23 @@ class Memory:
         the few steps are left that make a difference."""
         refused: list[str | None] = []
         single = self._course.single and view == self.view.number
-        logs, members, last = self._logs, self.view.members, present + AHEAD
+        logs, members, held, last = self._logs, self.view.members, self.ledger.held, present + AHEAD
         for row in rows:
             sender, round_, applied, settled = row.sender, row.round, row.applied, row.settled
             through = round_ - 1 if round_ else 0
             for closing in row.closings:
                 log, next_ = logs[sender], closing.author == sender and closing.first == closing.round
-                fits = single and next_ and closing.incarnation == members[sender] and len(log.entries) < RECENT
-                if (
-                    fits
-                    and closing.round == log.held + 1 <= last
-                    and (values := self._layout.read(closing)) is not None
-                ):
+                fits = single and next_ and closing.incarnation == members[sender] and len(log) < RECENT
+                before = held[sender]
+                if fits and closing.round == before + 1 <= last and (values := self._layout.read(closing)) is not None:
                     log.take(Entry(closing, values))
-                    if log.held > self.applied:
-                        self._lacking.discard(sender)
+                    self._heard(sender, before)
                 else:
                     refused.append(self.take(closing, present))
             plain = single and not row.held and applied <= last and settled <= self.settled
             if not plain or not self._words.content(sender, view, applied, through):
                 refused.append(self.heard(sender, view, applied, row.held, through, settled, present, asks=False))
         return [why for why in refused if why is not None]
-
-    def holds(self, through: int) -> bool:
-        """Whether the closings of all members are here up to a round."""
-        return self.applied >= through or not self.missing(through)
-
-    def wants(self, author: int, round_: int, present: int) -> bool:
-        """Whether a closing of that author and round would be news."""
-        return self._logs[author].held < round_ <= present + AHEAD
 
     def heard(self, pid: int, view: int, applied: int, held: Sequence[int], through: int, settled: int, present: int,
               asks: bool) -> str | None:  # fmt: skip
@@ -242,10 +260,17 @@ class Memory:
     def advance(self, round_: int) -> bool:
         """Go through the boundaries before `round_` as far as closings are held; True iff an event may run in it: all
         before it is there, and it is not itself behind this robot, as for one that was let in within a round."""
-        while self.applied < round_ - 1 and not self._lacking:
+        number = self._number
+        if number[TOLD] > number[SETTLED]:
+            self._settle(min(number[TOLD], self.applied))
+        while self.applied < round_ - 1 and not number[LACKING]:
             if self.frozen and self.applied >= self.view.since - 1:
                 break
             through, logs = self.applied + 1, self._logs
+            if number[OPEN] and self._pass_alike(through):
+                continue
+            if self._fetch():
+                break
             entries = [logs[p].at(through) for p in self._course.members]
             if not entries[0].closing.acted and not any(e.single for e in entries):
                 through = min(round_ - 1, self._course.end(through), min([e.closing.round for e in entries]))
@@ -265,19 +290,18 @@ class Memory:
         if through <= self.applied and self._course.single:
             return []
         members = self.view.members
-        return [p for p, log in enumerate(self._logs) if members[p] >= 0 and log.held < through]
+        return [p for p, held in enumerate(self.ledger.held) if held < through and members[p] >= 0]
 
     def own(self, first: int) -> list[Closing]:
         """The own closings from `first` on."""
-        log = self._logs[self._pid]
-        if log.entries and log.entries[-1].closing.first == first:  # nearly always
-            return [log.entries[-1].closing]
+        log, ledger = self._logs[self._pid], self.ledger
+        if first == log.held and ledger.own(first) and (kept := closing_of(ledger.row(self._pid, first))) is not None:
+            return [kept]
         return log.between(first, log.held)
 
     def repeat(self, pid: int, helps: bool = True) -> list[Closing]:
         """What a peer lacked when it last spoke, and we hold: once for each time it says so; unless this robot `helps`,
-        only what it wrote itself. Its turn begins with our
-        own closings, so that several robots that answer at once begin with different ones."""
+        only its own. Those are first, so that several robots that answer at once begin with different ones."""
         wanted = self._words.answer(pid) if self.view.members[pid] >= 0 else None
         if wanted is None:
             return []
@@ -289,35 +313,34 @@ class Memory:
                 found += self._logs[author].between(low, through)
         return found
 
-    def snapshot(self) -> tuple[int, State]:
-        """The round and the store for one who comes in; made once for each round and view."""
-        view = self._course.first
-        made = self._snapshot
-        if made is None or (made[0], made[1].view) != (self.applied, view):
-            stopped = tuple([self.stopped.get(p, -1) for p in range(self._n)])
-            values = self._layout.pack(self.shared)
-            made = self._snapshot = self.applied, State(view, self.applied, values, stopped, tuple(self.acted))
-        return made
+    def snapshot(self) -> State:
+        """The store for one who comes in."""
+        stopped = tuple([self.stopped.get(p, -1) for p in range(self._n)])
+        return State(self._course.first, self.applied, self._layout.pack(self.shared), stopped, tuple(self.acted))
 
     def _settle(self, through: int) -> None:
         """Forget what everyone holds."""
         if through > self.settled:
-            self.settled = through
+            self._number[SETTLED] = through
             if through >= self._forgotten + FORGET_EVERY:
                 self._forgotten = through
                 for log in self._logs:
-                    log.forget(through)
+                    if log.kept:
+                        log.forget(through)
 
     def _look(self) -> None:
         """After a round was applied or the view has changed: what is lacking now, and who is in from when."""
         if not self._course.single:
-            for pid, log in enumerate(self._logs):
-                for begins, ends in self._course.absences(pid):
-                    if begins <= log.held + 1 <= ends:
-                        log.skip(ends)
+            self._course.pass_over(self._logs)
             self._course.drop(self.applied)
-        applied, logs = self.applied, self._logs
-        self._lacking = {p for p in self._course.members if logs[p].held <= applied}
+        self.ledger.incarnation[:] = array("q", self.view.members)
+        self._number[OPEN] = self._course.single
+        self._count()
+
+    def _count(self) -> None:
+        """How many closings of the next round are lacking."""
+        number, held, applied = self._number, self.ledger.held, self.applied
+        number[APPLIED], number[LACKING] = applied, len([p for p in self._course.members if held[p] <= applied])
 
     def _apply(self, entries: Sequence[Entry], through: int) -> None:
         """Apply one closing of each member, given in ascending pid: first the commits, then the plain writes, so that
@@ -335,53 +358,43 @@ class Memory:
             if any(e.closing.author == self._pid for e in commits):
                 self.won = through
             entries = [*commits, *others]
-        shared, acted = self._done(entries, through)
-        self.applied = through
-        if shared is not self.shared or acted is not self.acted:
-            self.shared, self.acted = shared, acted
-            if len(self._past) >= FORGET_EVERY:
-                self._forget_past()
-            self._past.append((through, shared, acted))
-        self._look()
+        shared, acted, unfit = all_of(self._layout, entries, self.shared, self.acted)
+        self.unfit += unfit
+        for closing in [e.closing for e in entries if e.closing.stopped]:
+            self.stopped.setdefault(closing.author, max(closing.first, self.applied + 1) if through else 0)
+        self._pass(through, shared, acted)
+        if self._course.single:
+            self._count()
+        else:
+            self._look()
         if through >= self.settled + SETTLE_AFTER:
             self._settle(min([through, *self._words.applied(self.view).values()]))
 
-    def _forget_past(self) -> None:
-        """Drop what is before the last stable round. Without them no event runs for long, so not much stays."""
-        for index in range(len(self._past) - 1, 0, -1):
-            if self.stable(self._past[index][0]):
-                del self._past[:index]
-                return
+    def _pass(self, through: int, shared: Mapping[str, Any], acted: list[int]) -> None:
+        """Go on to the store after a round."""
+        self.applied = through
+        if shared is not self.shared or acted is not self.acted:
+            self.shared, self.acted = shared, acted
+            self._past.add(through, shared, acted, self.stable)
 
-    def _done(self, entries: Sequence[Entry], through: int) -> tuple[Mapping[str, Any], list[int]]:
-        """The store with what these closings wrote, in their order, and the rounds in which events counted; who stopped
-        is noted."""
-        layout, shared, acted = self._layout, self.shared, self.acted
-        is_slots = layout.is_slots
-        changed: dict[int, Any] = {}
-        for entry in entries:
-            closing = entry.closing
-            author = closing.author
-            if closing.acted:
-                if acted is self.acted:
-                    acted = acted.copy()
-                acted[author] = closing.round
-            if closing.stopped:
-                self.stopped.setdefault(author, max(closing.first, self.applied + 1) if through else 0)
-            for index, item in entry.values:
-                if type(item) is Unpatched:
-                    item = layout.resolve(index, item, layout.base(index, shared, author))
-                    if item is None:
-                        self.unfit += 1
-                        continue
-                if is_slots[index]:
-                    slots = changed.get(index)
-                    if slots is None:
-                        slots = changed[index] = list(shared[layout.names[index]])
-                    slots[author] = item
-                else:
-                    changed[index] = item
-        if not changed:
-            return shared, acted
-        written = {layout.names[i]: tuple(v) if is_slots[i] else v for i, v in changed.items()}
-        return {**shared, **written}, acted
+    def _fetch(self) -> int:
+        """Have all closings in the logs; how many are lacking, should some not fit."""
+        if self.ledger.native:
+            for log in self._logs:
+                log.fetch()
+        return self._number[LACKING]
+
+    def _pass_alike(self, through: int) -> bool:
+        """Go on by a round that the ledger can collect; False, and nothing is done, where it cannot, or where something
+        does not fit."""
+        found = self.ledger.collect(through)
+        after = None if found is None else all_alike(self._layout, found, through, self.shared, self.acted)
+        if found is None or after is None:
+            return False
+        self.prompt = tuple(found.prompt)
+        self._pass(through, *after)
+        number = self._number
+        number[APPLIED], number[LACKING] = through, number[NEXT]
+        if through >= number[SETTLED] + SETTLE_AFTER:
+            self._settle(min(through, number[LEAST]))
+        return True

@@ -14,14 +14,13 @@ from koordgen.runtime.assembly import Assembly
 from koordgen.runtime.comeback import Comeback, Store
 from koordgen.runtime.layout import Layout
 from koordgen.runtime.link import Link, Usuals, as_usual
-from koordgen.runtime.memory import Memory
+from koordgen.runtime.memory import AHEAD, Memory
 from koordgen.runtime.news import News
 from koordgen.runtime.patience import asked, few, helps
 from koordgen.runtime.speech import Fields
 from koordgen.runtime.views import Out, Views, Vote, Word, fits, majority
 from koordgen.runtime.wire import (
     Accept,
-    Closing,
     Decided,
     Need,
     Partly,
@@ -44,8 +43,7 @@ Announce = Callable[[View, int, Vote], None]
 
 @dataclass(slots=True)
 class _Peer:
-    heard: int = -HEARD  # ticks
-    asked: int = -ASKED
+    asked: int = -ASKED  # ticks
     told: int = -1
     partly: dict[int, Partly] = field(default_factory=dict)
 
@@ -65,34 +63,29 @@ class Replica:
         peer_timeout: int,
         announce: Announce,
     ) -> None:
-        self._link = link
-        self._speech = link.speech
+        self._link, self._speech = link, link.speech
         self._layout = layout
-        self._pid = link.pid
-        self._n = layout.n_sys
+        self.pid, self._n = link.pid, layout.n_sys
         self._peer_timeout = peer_timeout
         self._announce = announce
         self._said = applied
-        self._others = tuple([p for p in range(self._n) if p != self._pid])
+        self._others = tuple([p for p in range(self._n) if p != self.pid])
         self._peers = {p: _Peer() for p in self._others}
+        self._heard = [-HEARD] * self._n  # a message of each, beside what the gate notes; ticks
         self._assembly = Assembly()
         self._stores = Store()
         self._tick, self._present = 0, 1
-        self._turn = self._pid
+        self._turn = self.pid
         self._asked = -ASKED  # when one asked last to be let in
         self._news = News(self._n)
-        self._silent: Closing | None = None  # the rounds closed while there is no store
         self.memory = memory
         self._spare: Memory | None = None  # at the beginning of a view that left this robot out: all others may lose it
-        self.comeback = None if memory is not None else Comeback(self._pid, view.number)
-        self.views = Views(self._pid, view, vote, self._own_word, self._holds, self._follow, self._save)
+        self.comeback = None if memory is not None else Comeback(self.pid, view.number)
+        self.views = Views(self.pid, view, vote, self._own_word, self._holds, self._follow, self._save)
         self._link.follow(view)
+        self._attach()
         self.emergency = False  # heard of one
         self.returns = 0  # times that the store became another one, or none, instead of going on
-
-    @property
-    def pid(self) -> int:
-        return self._pid
 
     @property
     def out(self) -> bool:
@@ -111,14 +104,27 @@ class Replica:
             return "not current: let in again, gathers the shared store"
         return "not current: does not count in the fleet, asks to be let in"
 
+    def begin(self, round_: int) -> bool:
+        """From now on all is heard in this round, at its first tick; whether nothing is due at that, so no `poll`."""
+        self._present, self._tick = round_, (round_ - 1) * SLOTS
+        self.views.tick = self._tick
+        self._now()
+        return not self.emergency and self._calm(round_)
+
+    def _now(self) -> None:
+        """Let the memory know the time."""
+        if self.memory is not None:
+            self.memory.present(self._present, self._tick)
+
+    def _attach(self) -> None:
+        """Let the gate note in the memory what needs no thought."""
+        self._now()
+        self._link.attach(None if self.memory is None else self.memory.ledger)
+
     def alarm(self) -> None:
         """Tell the others at once to come to rest, and from now on with each word."""
         self.emergency = True
         self._speech.round(self._others, self.word(0), ())
-
-    def begin(self, round_: int) -> None:
-        """A round begins."""
-        self._present = round_
 
     def word(self, round_: int) -> Fields:
         """What this robot says of itself in `round_`; kept before it is said."""
@@ -134,18 +140,21 @@ class Replica:
         where time is short, and what is lacking late rather than lost: see `patience`."""
         memory, word = self.memory, self.word(round_)
         if memory is None:
-            closing = self._silence(round_)
+            closing = None if self.comeback is None else self.comeback.silence(round_, self.views.view)
             self._speech.round(self._others, word, () if closing is None else (closing,))
             return
+        calm = strained or not memory.unanswered
+        if calm and first == round_ and self._speech.own(self._others, word, round_, memory.ledger):
+            return  # nearly always
         own = memory.own(first)
-        if strained or not memory.unanswered:
+        if calm:
             self._speech.round(self._others, word, own)
             return
         known, repeated = {c.round for c in own}, []
         for pid in few(sorted(memory.unanswered), round_):
-            repeats = memory.repeat(pid, helps(self._pid, pid, round_, self._n))
+            repeats = memory.repeat(pid, helps(self.pid, pid, round_, self._n))
             if repeats:
-                rest = [c for c in repeats if c.author != self._pid or c.round not in known]
+                rest = [c for c in repeats if c.author != self.pid or c.round not in known]
                 self._speech.round([pid], word, [*own, *rest], self._peers[pid].partly)
                 repeated.append(pid)
         self._speech.round([p for p in self._others if p not in repeated], word, own)
@@ -156,7 +165,7 @@ class Replica:
 
     def confirm(self, round_: int) -> None:
         """Tell those who wait for it that this robot has applied a round."""
-        waiting = [p for p in self.memory.prompt if p != self._pid] if self.memory is not None else []
+        waiting = [p for p in self.memory.prompt if p != self.pid] if self.memory is not None else []
         if waiting:
             self._speech.round(waiting, self.word(round_), ())
 
@@ -179,7 +188,7 @@ class Replica:
             self._usual(message, present)
             return
         sender = message.head.pid
-        self._peers[sender].heard = self._tick
+        self._heard[sender] = self._tick
         if isinstance(message, Round):
             self._round(message, present)
             return
@@ -198,15 +207,18 @@ class Replica:
     def poll(self, tick: int, present: int) -> None:
         """What is due at the beginning of a tick in round `present`."""
         self._tick = self.views.tick = tick
+        self._now()
+        for _ in range(0 if self.memory is None else self.memory.misfits()):
+            self._link.reject("closing does not fit")
         if self.emergency:
             self._speech.round(self._others, self.word(present), ())
         if tick % SLOTS == 0 and self._calm(present):
             return
         since = tick - HEARD
-        heard = 1 + len([p for p in self._peers.values() if p.heard > since])
+        noted = self._heard if self.memory is None else self.memory.ledger.heard
+        heard = 1 + len([p for p in self._others if max(self._heard[p], noted[p]) > since])
         if heard >= majority(self._n):
-            since = tick - ASKED
-            asking = [pid for pid, peer in self._peers.items() if peer.asked > since]
+            asking = [pid for pid, peer in self._peers.items() if peer.asked > tick - ASKED]
             self._send(self.views.poll(tick, self._doubted(present), asking))
             self._freeze()
         if self.comeback is not None:
@@ -228,7 +240,7 @@ class Replica:
             return []
         self._news.note(memory.held, present)
         last = present - self._peer_timeout
-        return self._news.silent([p for p in memory.missing(last - 1) if p != self._pid], last)
+        return self._news.silent([p for p in memory.missing(last - 1) if p != self.pid], last)
 
     def keep(self) -> None:
         """Keep the last applied round, before anyone is told of it or acts on it."""
@@ -244,11 +256,11 @@ class Replica:
     def _holds(self, value: View) -> bool:
         """Whether this robot's vote helps the view to last: who would lose its store by it gives none, nor who has none
         and is not let in. Else what such a view begins with could be in the hands of one robot alone."""
-        memory = self.memory
+        memory, last = self.memory, value.since - 1
         if memory is None:
-            return value.members[self._pid] >= 0
-        stays = value.number == memory.view.number + 1 and value.members[self._pid] >= 0
-        return stays and memory.holds(value.since - 1)
+            return value.members[self.pid] >= 0
+        stays = value.number == memory.view.number + 1 and value.members[self.pid] >= 0
+        return stays and (memory.applied >= last or not memory.missing(last))
 
     def _save(self) -> None:
         self._announce(self.views.view, self._said, self.views.vote)
@@ -260,9 +272,9 @@ class Replica:
     def _usual(self, messages: Usuals, present: int) -> None:
         """Words by one view."""
         view, rows = messages
-        peers, tick = self._peers, self._tick
+        heard, tick = self._heard, self._tick
         for row in rows:
-            peers[row.sender].heard = tick
+            heard[row.sender] = tick
         if view < self.views.view.number:
             for row in rows:
                 self._tell(row.sender, view)
@@ -285,16 +297,16 @@ class Replica:
             return
         peer = self._peers[sender]
         peer.partly = {p.author: p for p in message.partly}
-        ours = message.held[self._pid] >= through  # it wants only what others wrote
-        closings = memory.repeat(sender, ours or helps(self._pid, sender, present, self._n))
-        if closings or memory.held[self._pid] >= through:  # else ours is still to come, with our word, to all
+        ours = message.held[self.pid] >= through  # it wants only what others wrote
+        closings = memory.repeat(sender, ours or helps(self.pid, sender, present, self._n))
+        if closings or memory.held[self.pid] >= through:  # else ours is still to come, with our word, to all
             self._speech.round([sender], self.word(present), closings, peer.partly)
 
     def _piece(self, piece: Piece, present: int) -> None:
         memory = self.memory
         if memory is None or piece.author >= self._n:
             return
-        found = self._assembly.take(piece, lambda author, round_: memory.wants(author, round_, present))
+        found = self._assembly.take(piece, lambda author, round_: memory.held[author] < round_ <= present + AHEAD)
         if isinstance(found, str):
             self._link.reject(found)
         elif found is not None and (refused := memory.take(found, present)) is not None:
@@ -307,7 +319,7 @@ class Replica:
             if want.view >= view.members[sender]:
                 self._peers[sender].asked = self._asked = self._tick
         elif memory is not None and want.incarnation == view.members[sender] and memory.applied >= view.since - 1:
-            self._send(self._stores.answer(sender, want, memory.snapshot()[1], self._speech.room))
+            self._send(self._stores.answer(sender, want, memory.applied, memory.snapshot, self._speech.room))
 
     def _state(self, piece: StatePiece) -> None:
         comeback, view = self.comeback, self.views.view
@@ -321,14 +333,15 @@ class Replica:
             return
         memory = None
         if fits(found.view, self._n) and found.view.number == view.number and found.applied >= view.since - 1:
-            memory = Memory.resume(self._layout, self._pid, found)
+            memory = Memory.resume(self._layout, self.pid, found)
         if memory is None:
             self._link.reject("store does not fit")
             return
-        if self._silent is not None and self._silent.round > memory.applied:
-            memory.close(self._silent.round, {}, stopped=False)
-        self._silent = self._spare = self.comeback = None
+        if comeback.silent is not None and comeback.silent.round > memory.applied:
+            memory.close(comeback.silent.round, {}, stopped=False)
+        self._spare = self.comeback = None
         self.memory = memory
+        self._attach()
         self.returns += 1
 
     def _ballot(self, sender: int, message: Prepare | Promise | Accept | Decided) -> None:
@@ -341,13 +354,14 @@ class Replica:
 
     def _follow(self, before: View) -> None:
         """There is another view."""
-        view, memory, own = self.views.view, self.memory, self.views.view.members[self._pid]
+        view, memory, own = self.views.view, self.memory, self.views.view.members[self.pid]
         self._link.follow(view)
         following = view.number == before.number + 1
-        if memory is not None and following and own == before.members[self._pid]:
+        if memory is not None and following and own == before.members[self.pid]:
             memory.adopt(view)
         else:
             self._change(view, before, following)
+            self._attach()
         self._assembly.clear()
         for pid, peer in self._peers.items():
             peer.asked = -ASKED
@@ -355,15 +369,16 @@ class Replica:
                 self._news.renew(pid)
         if self.memory is None:
             self._said = min(self._said, view.since - 1)
-            self._silent = None
+            if self.comeback is not None:
+                self.comeback.silent = None
 
     def _change(self, view: View, before: View, following: bool) -> None:
         """The store does not go on: it is taken back to where the view begins, or kept aside, or gone."""
         last = self.memory or self._spare
         kept = last.rewound(view) if last is not None and following else None
         if self.memory is not None:
-            self.comeback = Comeback(self._pid, before.number, news=self._tick)
-        anew = kept is not None and view.members[self._pid] == view.number
+            self.comeback = Comeback(self.pid, before.number, news=self._tick)
+        anew = kept is not None and view.members[self.pid] == view.number
         self.returns += anew or self.memory is not None
         self.memory, self._spare = (kept, None) if anew else (None, kept)
         if kept is not None:
@@ -381,13 +396,3 @@ class Replica:
         if view < self.views.view.number and peer.told != self._tick:
             peer.told = self._tick
             self._speech.say([sender], Decided, self.views.view)
-
-    def _silence(self, round_: int) -> Closing | None:
-        """The closing of one that is in again and has no store yet: it does nothing."""
-        view = self.views.view
-        incarnation = -1 if self.comeback is None else self.comeback.incarnation(view)
-        if incarnation < 0 or round_ < view.since:
-            return None
-        first = self._silent.first if self._silent is not None else view.since
-        self._silent = Closing(self._pid, incarnation, first, round_)
-        return self._silent

@@ -41,6 +41,7 @@ class _Present:
     """How far this robot is in the round that is going on."""
 
     open: bool = False
+    calm: bool = False  # nothing is due at its first tick
     sensed: Sensed | None = None
     slot: int = -1  # the last slot that was looked at
     confirmed: bool = False  # those who wait for it were told that the round is applied
@@ -189,7 +190,7 @@ class Rounds:
             if not present.open:
                 self._replica.keep()  # the next closing says so, and should not have to wait for it
                 self._confirm(memory.applied)
-        if ripe:  # only now: all others wait for the closing
+        if ripe and not (present.calm and slot == 0):  # only now: all others wait for the closing
             self._replica.poll((self.round - 1) * SLOTS + slot, self.round)
         self._wake = self._ask(slot, fresh, timely)
         return self._wake
@@ -209,8 +210,7 @@ class Rounds:
             if memory.held[self._pid] < round_ - 1:
                 memory.close(round_ - 1, {}, stopped=self.stopped)
             self.counters.missed += slept
-        self.round, self._present = round_, _Present(True, sensed)
-        self._replica.begin(round_)
+        self.round, self._present = round_, _Present(True, self._replica.begin(round_), sensed)
         self.counters.rounds += 1
 
     def _come_back(self, memory: Memory, now: float) -> None:

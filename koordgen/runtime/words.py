@@ -4,31 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from koordgen.runtime.ledger import REACHED, TOLD, WATCHED, Ledger
 from koordgen.runtime.views import majority
 from koordgen.runtime.wire import View
 
 
 class Words:
-    """Of the others, as robot `pid` of `n_sys` has heard them; columns by pid, as all are looked at in every round.
+    """Of the others; in columns of the `ledger`, where the gate notes those of which there is nothing else to be said.
     `unanswered`: those that by their last word lack something, and were not sent it yet."""
 
-    def __init__(self, pid: int, n_sys: int) -> None:
-        self._others = [p for p in range(n_sys) if p != pid]
-        self._n = n_sys
-        self._view, self._applied = [-1] * n_sys, [0] * n_sys  # goes by this view, has applied
-        self._through = [0] * n_sys  # wanted closings up to here
+    def __init__(self, ledger: Ledger) -> None:
+        pid, n = ledger.pid, ledger.n_sys
+        self._others = [p for p in range(n) if p != pid]
+        self._n = n
+        self._view, self._applied, self._through = ledger.view, ledger.applied, ledger.through
+        self._wanting, self._number = ledger.wanting, ledger.number
         self._held: dict[int, Sequence[int]] = {}  # holds, when it lacked something
         self.unanswered: set[int] = set()
         self._sure = -1  # a round that is stable, as are all before it; -1: none is known in this view
-        self._watched, self._reached = -1, 0  # a round, and how many have said to have applied it
+        self._number[WATCHED] = -1  # a round; and how many have said to have applied it is REACHED
 
     def renew(self) -> None:
         """There is another view."""
-        self._sure = self._watched = -1
+        self._sure = self._number[WATCHED] = -1
+        self._number[TOLD] = 0
 
     def forget(self, pid: int) -> None:
         """It no longer counts, or counts anew."""
-        self.unanswered.discard(pid)
+        self._answered(pid)
         self._view[pid], self._applied[pid], self._through[pid] = -1, 0, 0
 
     def content(self, pid: int, view: int, applied: int, through: int) -> bool:
@@ -37,8 +40,8 @@ class Words:
         before = self._applied[pid]
         if self._view[pid] != view or pid in self.unanswered or not before <= applied >= through:
             return False
-        if applied >= self._watched > before:
-            self._reached += 1
+        if applied >= self._number[WATCHED] > before:
+            self._number[REACHED] += 1
         self._applied[pid] = applied
         if through > self._through[pid]:
             self._through[pid] = through
@@ -49,23 +52,24 @@ class Words:
         """Note a peer's word: see Memory.heard. `ours`: it goes by the present view."""
         before, so_far = self._view[pid], self._applied[pid]
         if view >= before and applied >= so_far:
-            if ours and applied >= self._watched > (so_far if before == view else -1):
-                self._reached += 1
+            if ours and applied >= self._number[WATCHED] > (so_far if before == view else -1):
+                self._number[REACHED] += 1
             self._view[pid], self._applied[pid] = view, applied
         if through > self._through[pid] or (asks and through == self._through[pid]):
             self._through[pid] = through
             if (min(held) if held else applied) < through:
                 self._held[pid] = held or (applied,) * self._n
                 self.unanswered.add(pid)
+                self._wanting[pid] = True
             else:
-                self.unanswered.discard(pid)
+                self._answered(pid)
 
     def answer(self, pid: int) -> tuple[Sequence[int], int] | None:
         """What a peer that lacks something holds, and up to which round it wants the rest, answered from now on; None
         when there is nothing to answer."""
         if pid not in self.unanswered:
             return None
-        self.unanswered.discard(pid)
+        self._answered(pid)
         return self._held[pid], self._through[pid]
 
     def stable(self, round_: int, applied: int, view: View) -> bool:
@@ -77,12 +81,13 @@ class Words:
         if round_ > applied:
             return False
         needed = majority(self._n) - 1  # of the others
-        if round_ != self._watched:
+        counts = self._number
+        if round_ != counts[WATCHED]:
             number, views, applieds = view.number, self._view, self._applied
             said = sorted([applieds[p] if views[p] == number else -1 for p in self._others], reverse=True)
             self._sure = min(applied, said[needed - 1]) if needed else applied
-            self._watched, self._reached = round_, len([a for a in said if a >= round_])
-        return self._reached >= needed
+            counts[WATCHED], counts[REACHED] = round_, len([a for a in said if a >= round_])
+        return counts[REACHED] >= needed
 
     def unaware(self, round_: int, view: View) -> list[int]:
         """The members that have not said to have applied a round."""
@@ -92,3 +97,7 @@ class Words:
         """How far the other members, by their words in this view, have applied; -1: not heard in it."""
         members, number, views, applied = view.members, view.number, self._view, self._applied
         return {p: applied[p] if views[p] == number else -1 for p in self._others if members[p] >= 0}
+
+    def _answered(self, pid: int) -> None:
+        self.unanswered.discard(pid)
+        self._wanting[pid] = False

@@ -14,6 +14,7 @@ from typing import Any, cast
 
 from koordgen.runtime.bounds import Fixed
 from koordgen.runtime.layout import Layout
+from koordgen.runtime.ledger import Ledger
 from koordgen.runtime.memory import Memory
 from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.platform import Sensed
@@ -86,8 +87,15 @@ class Wire:
     ) -> None:
         self._flights.extend(Flight(p, _round(self._head, *word, tuple(closings))) for p in to)
 
+    def own(self, *_: object) -> bool:
+        """Words take the long way."""
+        return False
+
     def follow(self, view: View) -> None:
         """There is no gate that must know it."""
+
+    def attach(self, ledger: Ledger | None) -> None:
+        """Nor one that would note anything."""
 
     def reject(self, reason: str) -> None:
         self.rejected.append(reason)

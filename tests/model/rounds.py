@@ -8,6 +8,7 @@ from typing import Any
 
 from koordgen.runtime.comeback import Comeback
 from koordgen.runtime.commits import counting
+from koordgen.runtime.ledger import Ledger
 from koordgen.runtime.log import Entry
 from koordgen.runtime.views import Vote
 from koordgen.runtime.wire import Closing, View
@@ -204,7 +205,7 @@ class Rounds:
         key = state.decided[robot.view], robot.applied, heard, robot.pending
         found = self._stable.get(key)
         if found is None:
-            words = Words(N, N)
+            words = Words(Ledger(N, N))
             for other, (view, applied) in enumerate(heard):
                 words.hear(other, True, view, applied, (), 0, asks=False)
             found = self._stable[key] = words.stable(robot.pending, robot.applied, key[0])

@@ -163,7 +163,7 @@ def test_a_store_that_was_handed_over_can_be_gone_back_to() -> None:
     rounds_of_all(fleet, 3)
     giver = fleet.robots[0].memory
     assert giver is not None
-    state = giver.snapshot()[1]
+    state = giver.snapshot()
     memory = Memory.resume(fleet.layout, 2, state)
     assert memory is not None and memory.applied == state.applied
     for pid in range(3):

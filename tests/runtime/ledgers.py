@@ -246,7 +246,7 @@ class Table:
             assert getattr(ours, name) == getattr(theirs, name), name
         for (pid, _), (round_, row) in self.model.kept.items():
             if self.model.row(pid, round_) is not None:
-                assert ours._row(pid, round_) == row
+                assert ours.row(pid, round_) == row
         pid, held = ours.pid, ours.held[ours.pid]
         for round_ in range(held - DEPTH, held + 2):
             assert ours.own(round_) == (self.model.row(pid, round_) is not None)

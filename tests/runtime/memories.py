@@ -8,6 +8,8 @@ import msgspec
 
 from koordgen.runtime.bounds import Fixed
 from koordgen.runtime.layout import Layout
+from koordgen.runtime.ledger import Ledger
+from koordgen.runtime.log import Log
 from koordgen.runtime.memory import Memory
 from koordgen.runtime.program import Variable
 from koordgen.runtime.wire import Closing, View, Write
@@ -29,6 +31,11 @@ def view(n: int = 3) -> View:
 def fleet(n: int = 3) -> list[Memory]:
     inits = [Closing(pid, 0, 0, 0) for pid in range(n)]
     return [Memory.begin(layout(n), pid, view(n), inits) for pid in range(n)]
+
+
+def log_of(pid: int, n: int = 3) -> Log:
+    """One that no memory looks at."""
+    return Log(Ledger(0, n), pid, layout(n).read, lambda: None)
 
 
 def write(index: int, value: Any) -> Write:

@@ -16,6 +16,10 @@ CLEO = 2
 ROOM = 100
 
 
+def answer(store: Store, sender: int, want: Want, present: State) -> list[Out]:
+    return store.answer(sender, want, present.applied, lambda: present, ROOM)
+
+
 def head(pid: int) -> Head:
     return Head(0, bytes(8), bytes(8), pid, bytes(8), bytes(8), 0, 0, None, ())
 
@@ -52,7 +56,7 @@ def gather(comeback: Comeback, stores: dict[int, Store], now: dict[int, State], 
         for pid in to:
             if rng.random() < loss or pid not in stores:
                 continue
-            answers = pieces(stores[pid].answer(CLEO, want, now[pid], ROOM), pid)
+            answers = pieces(answer(stores[pid], CLEO, want, now[pid]), pid)
             assert len(answers) <= BURST
             rng.shuffle(answers)
             for piece in answers:
@@ -83,11 +87,11 @@ def test_a_member_that_does_not_answer_is_not_asked_for_long() -> None:
 def test_who_has_begun_to_gather_gets_the_rest_of_the_same_store() -> None:
     store, comeback = Store(), Comeback(CLEO, 3)
     _, want = wanted(comeback.poll(1, VIEW))
-    first = pieces(store.answer(CLEO, want, state(40), ROOM))
+    first = pieces(answer(store, CLEO, want, state(40)))
     for piece in first[:10]:
         assert comeback.take(piece, 1) is None
     _, want = wanted(comeback.poll(2, VIEW))
-    rest = pieces(store.answer(CLEO, want, state(45), ROOM))
+    rest = pieces(answer(store, CLEO, want, state(45)))
     assert {p.round for p in rest} == {40} and len(rest) == first[0].count - 10
     assert not {p.index for p in rest} & {p.index for p in first[:10]}
 
@@ -95,13 +99,13 @@ def test_who_has_begun_to_gather_gets_the_rest_of_the_same_store() -> None:
 def test_only_the_last_stores_are_kept_and_who_gathers_an_older_one_begins_anew() -> None:
     store, comeback = Store(), Comeback(CLEO, 3)
     _, want = wanted(comeback.poll(1, VIEW))
-    comeback.take(pieces(store.answer(CLEO, want, state(40), ROOM))[0], 1)
+    comeback.take(pieces(answer(store, CLEO, want, state(40)))[0], 1)
     other = Want(head(1), 4, 2, 0, b"", b"")
     for applied in range(41, 41 + KEPT):
-        store.answer(1, other, state(applied), ROOM)
+        answer(store, 1, other, state(applied))
     assert len(store._kept) == KEPT
     _, want = wanted(comeback.poll(2, VIEW))
-    newer = pieces(store.answer(CLEO, want, state(50), ROOM))
+    newer = pieces(answer(store, CLEO, want, state(50)))
     assert {p.round for p in newer} == {50}
     assert comeback.take(newer[0], 2) == "piece of something else"
     ticks = range(3, 4 + 2 * PATIENCE)

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from koordgen.runtime.bounds import Cells, Distinct, Fixed, Many, Text
+from koordgen.runtime.bounds import Bound, Cells, Distinct, Fixed, Many, Text
 from koordgen.runtime.gridmap import GridMap, area, mark_occupied
 from koordgen.runtime.layout import MOST_CLOSING, MOST_SHARED, Layout, TooLarge, Unpatched, most_closing
 from koordgen.runtime.patch import difference
@@ -253,3 +253,50 @@ def test_no_closing_is_longer_than_is_reckoned() -> None:
     }
     made = Closing(MAX_ROBOTS - 1, top, top, top, True, True, True, 65535, layout.written(longest)[0])
     assert layout.closing_bytes - 80 < len(encoder.encode(made)) <= layout.closing_bytes
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_little_that_is_plain_is_written_as_all_else(seed: int) -> None:
+    """Texts that are not ASCII, too long, not Unicode; numbers of another type or too large; in any order."""
+    chance = Random(seed)
+    kinds: dict[str, tuple[type, Bound]] = {
+        "text": (str, Text(9)),
+        "count": (int, Fixed(9)),
+        "share": (float, Fixed(9)),
+    }
+    layout = Layout([Variable(name, "allwrite", kind, bound, kind) for name, (kind, bound) in kinds.items()], 3)
+    texts = ["", "nine char", "ten chars!", "\u00e9\u00e8", "\ud800", "y" * 300]
+    values = [*texts, 0, -1, 2**53, 2**63 - 1, 1.5, float("nan"), True, None]
+    plain = 0
+    for _ in range(3000):
+        shared = {name: chance.choice(values) for name in chance.sample(list(kinds), chance.randrange(4))}
+        encoded = layout.plain(shared)
+        simple = all(type(value) is kinds[name][0] for name, value in shared.items())
+        if "\ud800" in shared.values():  # which no encoder takes
+            assert encoded is None
+            continue
+        writes, found = layout.written(shared)
+        assert (encoded is not None) == (simple and found is not None)
+        if encoded is not None:
+            plain += bool(shared)
+            assert encoded == encoder.encode(writes)
+    assert plain > 100
+
+
+@pytest.mark.parametrize(
+    "texts",
+    [
+        ["abc", "nine char"],
+        ["ten chars!"],
+        ["\u00e9" * 4],
+        ["\u00e9" * 5],
+        ["a", "\u20ac" * 3],
+        ["a", "\u20ac" * 4],
+        [""],
+    ],
+)
+def test_several_texts_fit_if_each_does(texts: list[str]) -> None:
+    layout = Layout((Variable("text", "allread", str, Text(9), str),), len(texts))
+    store = {"text": ("",) * len(texts)}
+    found = layout.together(0, range(len(texts)), msgspec.Raw(encoder.encode(texts)), store)
+    assert (found == tuple(texts)) == all(len(text.encode()) <= 9 for text in texts) and found in (None, tuple(texts))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from koordgen.runtime import ledger
 from koordgen.runtime.gate import SOURCE
-from koordgen.runtime.ledger import APPLIED, DEPTH, LACKING, LEAST, NEXT, TICK, TOLD, Collected, Ledger
+from koordgen.runtime.ledger import APPLIED, DEPTH, LACKING, LEAST, LONG_AGO, NEXT, TICK, TOLD, Collected, Ledger
 from koordgen.runtime.wire import Echo, encoder
 from tests.runtime.gates import needs_gate
 from tests.runtime.ledgers import Said, Table, single, write
@@ -34,7 +34,7 @@ def test_a_round_as_nearly_all_are() -> None:
         assert [(index, pids) for index, pids, _ in found.writes] == [(0, [0, 1, 2, 3]), (3, [0]), (5, [2]), (6, [3])]
         assert bytes(found.writes[0][2]) == encoder.encode([100 * round_, "ours", 100 * round_ + 2, 100 * round_ + 3])
         assert (table.ledger.number[NEXT], table.ledger.number[LEAST]) == (N, round_)
-    assert list(table.ledger.held) == [39] * N and list(table.ledger.heard) == [7, 0, 7, 7]
+    assert list(table.ledger.held) == [39] * N and list(table.ledger.heard) == [7, LONG_AGO, 7, 7]
     assert [len(table.rows(pid)) for pid in range(N)] == [DEPTH] * N
     assert list(table.ledger.floor) == [39] * N and table.rows(2) == [] and table.collect(39) is None
 

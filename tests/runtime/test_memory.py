@@ -9,10 +9,10 @@ import msgspec
 import pytest
 
 from koordgen.runtime.commits import winner
-from koordgen.runtime.log import GAPS, Entry, Log
+from koordgen.runtime.log import GAPS, Entry
 from koordgen.runtime.memory import AHEAD, WINDOW
 from koordgen.runtime.wire import Closing, View, Write
-from tests.runtime.memories import everything, fleet, give, one, said, silence, write
+from tests.runtime.memories import everything, fleet, give, log_of, one, said, silence, write
 
 
 def test_plain_writes_by_ascending_pid_after_the_commits() -> None:
@@ -241,7 +241,7 @@ def test_words_that_cannot_be_are_refused() -> None:
 
 
 def test_a_log_joins_silence_and_keeps_what_lies_beyond_a_gap() -> None:
-    log = Log()
+    log = log_of(1)
     log.take(Entry(silence(1, 1, 3), ()))
     log.take(Entry(silence(1, 7, 9), ()))
     log.take(Entry(silence(1, 7, 8), ()))
@@ -259,7 +259,7 @@ def test_a_log_joins_silence_and_keeps_what_lies_beyond_a_gap() -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_closings_between_two_rounds_are_found_wherever_they_lie(seed: int) -> None:
-    rng, log, held = Random(seed), Log(), 0
+    rng, log, held = Random(seed), log_of(1), 0
     while held < 60:
         first, held = held + 1, held + rng.randrange(1, 4)
         log.take(Entry(one(1, first) if first == held else silence(1, first, held), ()))
@@ -270,7 +270,7 @@ def test_closings_between_two_rounds_are_found_wherever_they_lie(seed: int) -> N
 
 
 def test_a_stopped_robot_tells_it_with_each_silence() -> None:
-    log = Log()
+    log = log_of(1)
     log.take(Entry(silence(1, 1, 3), ()))
     log.take(Entry(silence(1, 4, 6, stopped=True), ()))
     assert [e.closing.round for e in log.entries] == [3, 6]

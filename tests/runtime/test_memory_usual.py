@@ -43,7 +43,7 @@ def told(log: Log) -> Any:
 def everything(memory: Memory) -> Any:
     words = str(vars(memory._words))
     state = memory.settled, memory._forgotten, memory.applied, memory.shared, memory.stopped, memory.acted, memory.won
-    asked = memory._lacking, memory.lacking, memory.unfit
+    asked = memory.lacking, memory.unfit
     return [told(log) for log in memory._logs], words, state, asked, memory.view, memory.frozen
 
 

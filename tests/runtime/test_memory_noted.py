@@ -1,0 +1,135 @@
+"""What the gate notes in the memory without a word to Python: rounds go on by it, and what does not fit after all is
+dropped as if it had never come."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+
+from koordgen.runtime.link import Usuals
+from koordgen.runtime.log import Log
+from koordgen.runtime.memory import AHEAD, Memory
+from koordgen.runtime.wire import Closing, View, Write
+from tests.runtime.gates import ADOPTED, OWN, VIEW, Ear, N, head, needs_gate, sealed, word
+from tests.runtime.memories import layout, one, silence, write
+
+pytestmark = needs_gate
+LIVES = (0, 3, 200, -1, -1)  # robots 0 to 2 count, and all have been heard
+NOW = 30
+
+
+class Robot:
+    """A memory behind a gate. In the words of others everything up to the last round is applied."""
+
+    def __init__(self) -> None:
+        self.ear, self.sequence = Ear(True), ADOPTED
+        view = View(VIEW.number, VIEW.since, LIVES)
+        self.memory = Memory(layout(N), OWN, view, layout(N).initial(), NOW - 1)
+        self.memory.present(NOW, 7)
+        self.ear.link.follow(view)
+        self.ear.link.attach(self.memory.ledger)
+        assert self.hear(0, NOW - 1) == self.hear(2, NOW - 1) == 1, "the first word in a view is one to think of"
+
+    def hear(self, pid: int, round_: int, *closings: Closing, held: Sequence[int] = ()) -> int:
+        """How many words the memory itself had to take."""
+        self.sequence += 1
+        said = word(head(pid, self.sequence), round_, closings, settled=0, held=tuple(held))
+        self.ear.waiting = [sealed(said)]
+        taken = 0
+        for message in self.ear.link.receive():
+            assert isinstance(message, Usuals)
+            assert self.memory.usual(message.rows, message.view, NOW) == []
+            taken += len(message.rows)
+        return taken
+
+    def close(self, round_: int, value: int) -> None:
+        self.memory.close(round_, {"x": value}, stopped=False, acted=True)
+
+
+def single(pid: int, round_: int, *writes: Write) -> Closing:
+    return one(pid, round_, *writes, incarnation=LIVES[pid])
+
+
+def test_usual_rounds_go_on_without_a_word_to_python(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = Robot()
+    memory = robot.memory
+    for name in ("usual", "take", "heard", "_apply"):
+        monkeypatch.setattr(Memory, name, None)
+    monkeypatch.setattr(Log, "fetch", None)
+    for round_ in range(NOW, NOW + AHEAD):
+        assert not memory.advance(round_ + 1) and memory.lacking == 3
+        robot.close(round_, round_)
+        assert robot.hear(0, round_, single(0, round_, write(0, -round_))) == 0
+        assert robot.hear(2, round_, single(2, round_, write(1, round_))) == 0
+        assert memory.lacking == 0 and memory.advance(round_ + 1)
+        assert memory.shared == {"x": (-round_, round_, 0, 0, 0), "last": round_}
+        assert memory.acted == [round_] * 3 + [0, 0] and memory.held == (round_,) * 3 + (NOW - 1,) * 2
+
+
+@pytest.mark.parametrize(
+    "wrong", [(write(0, "text"),), (write(2, 3),), (write(0, 1), write(1, 2**63))], ids=("type", "index", "size")
+)
+@pytest.mark.parametrize("first", ["apply", "fetch"])
+def test_what_does_not_fit_is_dropped_with_what_follows(wrong: tuple[Write, ...], first: str) -> None:
+    """Its author is asked again, as for one that never came; and it is counted."""
+    robot = Robot()
+    memory = robot.memory
+    robot.close(NOW, 5)
+    assert robot.hear(0, NOW, single(0, NOW, write(0, 1))) == 0
+    assert robot.hear(2, NOW, single(2, NOW, *wrong)) == 0
+    assert robot.hear(2, NOW, single(2, NOW + 1)) == 0
+    assert memory.lacking == 0 and memory.held[2] == NOW + 1 and memory.misfits() == 0
+    if first == "fetch":
+        assert memory._logs[2].between(NOW, NOW + 1) == []
+    assert not memory.advance(NOW + 1) and memory.shared == layout(N).initial()
+    assert memory.misfits() == 1 and memory.misfits() == 0
+    assert memory.lacking == 1 and memory.missing(NOW) == [2] and memory.held[2] == NOW - 1
+    robot.hear(2, NOW, single(2, NOW, write(0, 9)))
+    assert memory.advance(NOW + 1) and memory.shared == {"x": (1, 5, 9, 0, 0), "last": -1}
+
+
+def test_closings_that_were_noted_are_repeated_to_who_lacks_them() -> None:
+    robot = Robot()
+    memory = robot.memory
+    robot.close(NOW, 5)
+    noted = single(0, NOW, write(0, 1))
+    assert robot.hear(0, NOW, noted) == 0
+    lacks = (NOW - 1,) * N
+    assert memory.heard(2, VIEW.number, NOW - 1, lacks, NOW, 0, NOW, asks=True) is None
+    assert memory.repeat(2) == [single(OWN, NOW, write(0, 5)), noted]
+    assert robot.hear(2, NOW, single(2, NOW)) == 0, "who was sent what it lacks says nothing to think of any more"
+    assert memory.advance(NOW + 1) and memory.shared["x"] == (1, 5, 0, 0, 0)
+
+
+def test_a_view_cuts_what_was_noted_of_who_does_not_count_in_it() -> None:
+    robot = Robot()
+    memory = robot.memory
+    robot.close(NOW, 5)
+    assert robot.hear(0, NOW, single(0, NOW, write(0, 1))) == robot.hear(2, NOW, single(2, NOW)) == 0
+    memory.adopt(View(VIEW.number + 1, NOW, (0, 3, -1, -1, -1)))
+    assert memory.held == (NOW, NOW, NOW - 1, NOW - 1, NOW - 1) and memory.lacking == 0
+    assert memory.advance(NOW + 1) and memory.shared["x"] == (1, 5, 0, 0, 0)
+
+
+def test_a_memory_goes_back_to_where_a_view_begins_with_what_was_noted() -> None:
+    robot = Robot()
+    memory = robot.memory
+    for round_ in (NOW, NOW + 1):
+        robot.close(round_, round_)
+        robot.hear(0, round_, single(0, round_, write(0, 1)))
+        robot.hear(2, round_, single(2, round_, write(0, 2)))
+        assert memory.advance(round_ + 1)
+    again = memory.rewound(View(VIEW.number + 1, NOW + 1, (0, 3, -1, -1, -1)))
+    assert again is not None and again.shared["x"] == (1, NOW, 2, 0, 0) and again.applied == NOW
+    assert again.advance(NOW + 2) and again.shared["x"] == (1, NOW + 1, 2, 0, 0)
+
+
+def test_own_rounds_without_events_before_one_are_closed_too() -> None:
+    robot = Robot()
+    memory = robot.memory
+    robot.close(NOW + 2, 5)
+    assert memory.held[OWN] == NOW + 2 and memory.lacking == 2
+    for pid in (0, 2):
+        robot.hear(pid, NOW, silence(pid, NOW, NOW + 2, LIVES[pid]))
+    assert memory.advance(NOW + 3) and memory.shared["x"][OWN] == 5
