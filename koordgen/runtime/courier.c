@@ -34,17 +34,19 @@ static const int64_t LIGHT = 150000;      /* the end of a long sleep, slept alon
 static const int32_t MOST_RESTING = 64;   /* waits that do not spin after a failure */
 static const double LONGEST = 1e6;        /* s that can be waited */
 
-typedef struct { /* what courier.py reads, field by field */
-    int32_t errors, error[MOST_ERRORS]; /* of receiving; courier.py empties it */
-    int32_t length[MOST_AT_ONCE];       /* of what is in each slot, or ECHO */
+typedef struct { /* what courier.py reads and writes, field by field */
+    double seconds, patience;           /* s, of the next wait */
     int64_t spins, failed;              /* times that it began to spin, and that nothing came of it */
     int64_t pace;                       /* from one of several datagrams to the next, as it was of late */
+    int32_t used, arrived;              /* slots, from the first on; those of them that hold no echo */
+    int32_t kept;                       /* whether they hold what courier.py has not taken yet */
+    int32_t errors, error[MOST_ERRORS]; /* of receiving; courier.py empties it */
+    int32_t length[MOST_AT_ONCE];       /* of what is in each slot, or ECHO */
 } Shown;
 
 typedef struct {
     Shown shown;
     uint8_t *slots;                       /* MOST_AT_ONCE of LARGEST bytes */
-    int32_t used, arrived;                /* slots; those of them that hold no echo */
     int32_t looked;                       /* whether the last wait looked what is at the sockets */
     int32_t sockets;
     struct pollfd socket[MOST_SOCKETS];
@@ -89,8 +91,8 @@ void courier_open(Inbox *inbox, uint8_t *slots, const int32_t *sockets, int32_t 
     prctl(PR_SET_TIMERSLACK, SLACK, 0, 0, 0);
 }
 
-/* From now on its sockets are not looked at: their numbers may become another's. */
-void courier_close(Inbox *inbox) { inbox->sockets = inbox->used = inbox->arrived = 0; }
+/* From now on its sockets are not looked at: their numbers may become another's. What was not taken is gone. */
+void courier_close(Inbox *inbox) { inbox->sockets = inbox->shown.kept = 0; }
 
 /* Where a place is, as the system writes addresses. One that it cannot have is none. */
 void courier_address(Inbox *inbox, int32_t place, const uint8_t *address, int32_t size) {
@@ -135,19 +137,19 @@ static int is_echo(Inbox *inbox, const uint8_t *datagram, int32_t length) {
 
 /* Up to IN_TURN datagrams from one socket; whether there may be more. */
 static int take(Inbox *inbox, int number) {
-    int room = (int)least(IN_TURN, MOST_AT_ONCE - inbox->used);
+    int room = (int)least(IN_TURN, MOST_AT_ONCE - inbox->shown.used);
     if (!room || inbox->shown.errors == MOST_ERRORS) return 0;
-    int count = recvmmsg(inbox->socket[number].fd, inbox->message + inbox->used, (unsigned)room, MSG_DONTWAIT, NULL);
+    int count = recvmmsg(inbox->socket[number].fd, inbox->message + inbox->shown.used, (unsigned)room, MSG_DONTWAIT, NULL);
     if (count < 0) {
         if (errno == EAGAIN || errno == EWOULDBLOCK || errno == EINTR) return 0;
         inbox->shown.error[inbox->shown.errors++] = errno; /* an earlier send's, nothing about what waits */
         return 1;
     }
-    for (int i = 0; i < count; i++, inbox->used++) {
-        int32_t length = (int32_t)inbox->message[inbox->used].msg_len;
-        int echo = is_echo(inbox, inbox->slots + (size_t)inbox->used * LARGEST, length);
-        inbox->shown.length[inbox->used] = echo ? ECHO : length;
-        inbox->arrived += !echo;
+    for (int i = 0; i < count; i++, inbox->shown.used++) {
+        int32_t length = (int32_t)inbox->message[inbox->shown.used].msg_len;
+        int echo = is_echo(inbox, inbox->slots + (size_t)inbox->shown.used * LARGEST, length);
+        inbox->shown.length[inbox->shown.used] = echo ? ECHO : length;
+        inbox->shown.arrived += !echo;
     }
     return count == room;
 }
@@ -162,7 +164,7 @@ static void drain(Inbox *inbox) {
 }
 
 /* Whether there is reason to end a wait, whatever it waits for. */
-static int full(const Inbox *inbox) { return inbox->shown.errors || inbox->used == MOST_AT_ONCE; }
+static int full(const Inbox *inbox) { return inbox->shown.errors || inbox->shown.used == MOST_AT_ONCE; }
 
 /* Sleep, at most so long; where `wakes`, until something is at a socket. Whether something is; -1: a signal came, which
    Python must see. */
@@ -184,7 +186,7 @@ static int spin(Inbox *inbox, int32_t expected, int64_t end) {
     int64_t at = now(), yielded = 0;
     for (end = least(end, at + SPIN); at < end && yielded <= YIELDED; at += yielded) {
         drain(inbox);
-        if (inbox->arrived >= expected || full(inbox)) {
+        if (inbox->shown.arrived >= expected || full(inbox)) {
             inbox->penalty = 0;
             return 1;
         }
@@ -201,7 +203,7 @@ static int spin(Inbox *inbox, int32_t expected, int64_t end) {
 /* Until so many have arrived, or the end; 0: a signal came. What comes while the end passes is left for the next look:
    the caller has something to do now, and others may wait for it. */
 static int wait_for(Inbox *inbox, int32_t expected, int64_t end) {
-    for (int tried = 0; inbox->arrived < expected && !full(inbox); tried = 1) {
+    for (int tried = 0; inbox->shown.arrived < expected && !full(inbox); tried = 1) {
         if (!tried && now() < end && spin(inbox, expected, end)) break;
         int64_t left = end - now();
         if (left <= 0) break;
@@ -235,31 +237,32 @@ static void learn(Inbox *inbox, int32_t count, int64_t begin) {
 /* Until so many have arrived, or the end; 0: a signal came. To look when all should be there is cheaper than to wake
    for each; the last one, which completes what is waited for, is worth to be seen at once. */
 static int gather(Inbox *inbox, int32_t expected, int64_t begin, int64_t end) {
-    int32_t before = inbox->arrived, missing;
+    int32_t before = inbox->shown.arrived, missing;
     int64_t left;
-    while ((missing = expected - inbox->arrived) > 1 && !full(inbox) && (left = end - now()) > 0) {
+    while ((missing = expected - inbox->shown.arrived) > 1 && !full(inbox) && (left = end - now()) > 0) {
         if (rest(inbox, least(inbox->shown.pace * missing, left), 0) < 0) return 0;
         drain(inbox);
     }
-    if (inbox->arrived - before > 1) learn(inbox, inbox->arrived - before, begin);
+    if (inbox->shown.arrived - before > 1) learn(inbox, inbox->shown.arrived - before, begin);
     return wait_for(inbox, expected, end);
 }
 
-/* See Transport.wait; both times in seconds. `keep`: what the last call left was not taken, and counts. Ends early when
-   a signal comes. Returns how many slots are used, from the first on. */
-int32_t courier_wait(Inbox *inbox, double seconds, int32_t expected, double patience, int32_t keep) {
-    int64_t begin = now(), end = begin + nanoseconds(seconds), until = least(end, begin + nanoseconds(patience));
+/* See Transport.wait. What was not taken is kept, and counts. Ends early when a signal comes. */
+void courier_wait(Inbox *inbox, int32_t expected) {
+    Shown *shown = &inbox->shown;
+    int64_t begin = now(), end = begin + nanoseconds(shown->seconds);
+    int64_t until = least(end, begin + nanoseconds(shown->patience));
+    int keep = shown->kept && shown->used;
     int look = keep || expected > 1 || end == begin || !inbox->looked; /* of two waits at least one looks */
-    if (!keep) inbox->used = inbox->arrived = 0;
+    if (!keep) shown->used = shown->arrived = 0;
+    shown->kept = 1;
     inbox->looked = 0;
     if (look) drain(inbox);
     if (expected < 2 || gather(inbox, expected, begin, until)) wait_for(inbox, 1, end);
-    return inbox->used;
 }
 
-/* Take what waits, without waiting. Returns how many slots are used, from the first on. */
-int32_t courier_receive(Inbox *inbox) {
-    inbox->used = inbox->arrived = 0;
+/* Take what waits, without waiting. */
+void courier_receive(Inbox *inbox) {
+    inbox->shown.used = inbox->shown.arrived = 0;
     drain(inbox);
-    return inbox->used;
 }

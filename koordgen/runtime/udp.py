@@ -40,13 +40,8 @@ class UnicastTransport:
 
     def send(self, to: Sequence[int], datagram: bytes) -> None:
         for pid in to:
-            self._send(pid, datagram)
-
-    def receive(self) -> Sequence[bytes]:
-        return self._inbox.receive()
-
-    def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
-        self._inbox.wait(seconds, expected, gather)
+            if error := self._inbox.send(pid, datagram):
+                self._count("send", error)
 
     def close(self) -> None:
         self._inbox.close()
@@ -57,10 +52,7 @@ class UnicastTransport:
         self._inbox = open_inbox(self._sockets, self._received_badly, self._native)
         for place, address in self._addresses.items():
             self._inbox.address(place, address)
-
-    def _send(self, place: int, datagram: bytes) -> None:
-        if error := self._inbox.send(place, datagram):
-            self._count("send", error)
+        self.wait, self.receive = self._inbox.wait, self._inbox.receive
 
     def _listen(self, family: socket.AddressFamily, address: Address, what: str, shared: bool = False) -> socket.socket:
         """A socket that the inbox will look at; `shared`: other robots of this host listen there too."""
@@ -117,10 +109,10 @@ class GroupTransport(UnicastTransport):
         self._open_inbox()
 
     def send(self, to: Sequence[int], datagram: bytes) -> None:
-        if len(to) > 1:
-            self._send(GROUP, datagram)
-        else:
+        if len(to) <= 1:
             super().send(to, datagram)
+        elif error := self._inbox.send(GROUP, datagram):
+            self._count("send", error)
 
     def _join(self, group: socket.socket, interface: str) -> None:
         """Listen and send on one interface, given by its address or its name. Raises OSError."""

@@ -108,6 +108,18 @@ static int take_all(Inbox *inbox, int32_t used) {
     return used;
 }
 
+static int32_t wait_and_see(Inbox *inbox, double seconds, int32_t expected, double patience) {
+    inbox->shown.seconds = seconds;
+    inbox->shown.patience = patience;
+    courier_wait(inbox, expected);
+    return inbox->shown.used;
+}
+
+static int32_t receive(Inbox *inbox) {
+    courier_receive(inbox);
+    return inbox->shown.used;
+}
+
 int main(int count, char **arguments) {
     check(count == 3, "usage: courier_driver DATAGRAMS SEED");
     int todo = atoi(arguments[1]), from, sockets[MOST_SOCKETS];
@@ -121,24 +133,25 @@ int main(int count, char **arguments) {
     for (int i = 0; i < MOST_SOCKETS; i++) know(inbox, i, &address[i]);
     check_places(inbox, &nobody);
     while (todo > 0) {
-        int batch = rand() % BATCH, taken = 0, keep = 0;
+        int batch = rand() % BATCH, taken = 0;
+        int32_t *kept = &inbox->shown.kept;
         memset(sent, 0, sizeof sent);
         memset(seen, 0, sizeof seen);
         for (int i = 0; i < batch; i++) {
             int to = rand() % MOST_SOCKETS;
             send_one(inbox, from, to, &address[to]);
-            if (rand() % 8 == 0) courier_wait(inbox, 0.0, 1 + rand() % 4, 1e-6 * (rand() % 3), keep), keep = 1;
+            if (rand() % 8 == 0) wait_and_see(inbox, 0.0, 1 + rand() % 4, 1e-6 * (rand() % 3));
         }
-        if (rand() % 2) taken += take_all(inbox, courier_wait(inbox, 1e-5 * (rand() % 3), batch, 1e-4, keep));
-        else if (keep) taken += take_all(inbox, courier_wait(inbox, 0.0, 1, 0.0, keep));
-        while (taken < batch) taken += take_all(inbox, courier_receive(inbox));
+        if (rand() % 2) wait_and_see(inbox, 1e-5 * (rand() % 3), batch, 1e-4);
+        if (*kept) taken += take_all(inbox, inbox->shown.used);
+        for (*kept = 0; taken < batch;) taken += take_all(inbox, receive(inbox));
         check(taken == batch && !inbox->shown.errors, "too many");
         todo -= batch;
     }
     for (int i = 0; i < 100; i++) learn(inbox, 1, now()); /* what came had come before */
     check(inbox->shown.pace == SHORT_PACE, "pace");
     courier_close(inbox);
-    check(!courier_receive(inbox) && !courier_wait(inbox, 0.0, 1, 0.0, 0), "closed");
+    check(!receive(inbox) && !wait_and_see(inbox, 0.0, 1, 0.0), "closed");
     check(courier_send(inbox, 0, slots, 1) == EBADF, "closed, and sends");
     for (int i = 0; i < MOST_SOCKETS; i++) close(sockets[i]);
     close(from);

@@ -102,6 +102,32 @@ def test_an_echo_is_dropped_once_and_only_of_the_last_sent(native: bool) -> None
 
 
 @pytest.mark.parametrize("native", BODIES)
+def test_echoes_alone_are_nothing(native: bool) -> None:
+    with inbox(native) as (made, _, sending, _):
+        for echoes, others in ((1, 0), (2, 0), (2, 3), (0, 1), (0, 0)):
+            for i in range(echoes):
+                made.send(GROUP, b"echo %d" % i)
+                sending[0].send(b"echo %d" % i)
+            for _ in range(others):
+                sending[0].send(b"")
+            made.wait(0.0)
+            taken = made.receive()
+            assert (bool(taken), len(taken), list(taken)) == (others > 0, others, [b""] * others)
+
+
+@pytest.mark.parametrize("native", BODIES)
+def test_closed_what_was_not_taken_is_gone(native: bool) -> None:
+    with inbox(native) as (made, _, sending, _):
+        sending[0].send(b"taken from the socket")
+        made.wait(PATIENCE)
+        sending[0].send(b"not yet")
+        made.close()
+        for _ in range(2):
+            assert list(made.receive()) == []
+            made.wait(0.0, 2, 0.0)
+
+
+@pytest.mark.parametrize("native", BODIES)
 def test_a_flood_at_one_socket_leaves_the_other_its_turn(native: bool) -> None:
     with inbox(native, 2) as (made, _, sending, _):
         for i in range(1500):

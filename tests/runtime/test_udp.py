@@ -11,6 +11,7 @@ import pytest
 
 from koordgen.runtime import udp
 from koordgen.runtime.courier import GROUP
+from koordgen.runtime.inbox import PlainInbox
 from koordgen.runtime.opening import open_transport
 from koordgen.runtime.settings import Network, Peer
 from koordgen.runtime.transport import CannotOpen, Transport
@@ -160,9 +161,9 @@ def test_sending_fails_alike_for_one_and_for_several(native: bool) -> None:
 
 def test_a_group_takes_one_datagram_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
     sent: list[int] = []
-    monkeypatch.setattr(udp.GroupTransport, "_send", lambda self, place, datagram: sent.append(place))
+    monkeypatch.setattr(PlainInbox, "send", lambda self, place, datagram: sent.append(place))
     ports, network = free_ports(4), groups()[0]
-    transport = open_one(ports, network)
+    transport = open_transport(settings(0, ports, network), native=False)
     transport.send([1, 2, 3], b"x")
     transport.send([2], b"x")
     assert sent == [GROUP, 2]
