@@ -1,7 +1,7 @@
 /* The ledger of one robot's memory: how far each robot's closings are held, and those of the last rounds as they came.
 
-   Its columns are ledger.py's, an entry for each robot. Noted here is what is said in nearly all words: that nothing is
-   lacking, and the closing of the one next round. All else is left to Python (memory.py), which does the same to these
+   Its columns are ledger.py's, an entry for each robot. Noted here are the words by the present view, and
+   with them the closing of the one next round. All else is left to Python (memory.py), which does the same to these
    where there is no compiler. What a word says was sealed with the fleet's key and may be anything all the same.
 
    There are DEPTH rows for each robot. That of robot p's round r is there iff floor[p] < r <= held[p] and held[p] - DEPTH
@@ -11,12 +11,13 @@
 #include <string.h>
 
 enum { INDICES = 65536, CLOSING_FIELDS = 9, WRITE_FIELDS = 3, MOST_BEFORE_WRITES = 40 };
-enum { OPEN, LAST, TICK, APPLIED, SETTLED, LACKING, WATCHED, REACHED, TOLD, NEXT, LEAST, PRESENT }; /* of `number` */
+enum { OPEN, LAST, TICK, APPLIED, SETTLED, LACKING, WATCHED, REACHED, TOLD, NEXT, LEAST, PRESENT, WANTING }; /* of `number` */
 
 typedef struct { /* see ledger.py */
     int64_t *held, *floor, *view, *incarnation, *applied, *through, *heard;
     uint8_t *wanting, *gap;
     int64_t *number;
+    int64_t *lacks;  /* of each robot, what it held of each one's when it said that it lacks something */
     uint8_t *rows;   /* DEPTH of ROW bytes for each robot */
     int32_t *length; /* of each row */
     int32_t robots, own;
@@ -109,20 +110,46 @@ static void ledger_keep(Ledger *ledger, int32_t pid, int64_t round, const uint8_
     if (round == ledger->number[APPLIED] + 1) ledger->number[LACKING]--;
 }
 
-/* Words.content: whether a word tells no more than that its sender has applied on. */
-static int ledger_content(const Ledger *ledger, const Word *word) {
-    int32_t pid = word->pid;
-    int64_t through = word->round ? word->round - 1 : 0, last = ledger->number[LAST];
-    if (word->held.at[0] != 0x90 || word->applied > last || word->settled > last || word->applied < through) return 0;
-    return ledger->view[pid] == word->view && !ledger->wanting[pid] && ledger->applied[pid] <= word->applied;
+/* What a word's sender holds, by pid; nothing (0 of them): everyone's up to what it has applied. -1: that cannot be. */
+static int ledger_told(const Ledger *ledger, const Word *word, int64_t *held) {
+    Reader reader = {word->held.at, word->held.at + word->held.bytes};
+    int64_t last = ledger->number[LAST];
+    int parts = *reader.at++;
+    if (word->applied > last || word->settled > last || word->round - 1 > last) return -1;
+    if (parts == 0xdc && word->held.bytes > 2) parts = (int)big(reader.at, 2), reader.at += 2;
+    else parts = (parts & 0xf0) == 0x90 ? parts & 15 : -1;
+    if (parts && parts != ledger->robots) return -1;
+    for (int i = 0; i < parts; i++)
+        if (!natural(&reader, &held[i]) || held[i] > last) return -1;
+    return reader.at == reader.end ? parts : -1;
+}
+
+/* Words.hear, of one that goes by the present view and does not ask; `held` as it told. */
+static void ledger_hear(Ledger *ledger, const Word *word, const int64_t *held, int parts) {
+    int64_t *number = ledger->number, watched = number[WATCHED], through = word->round ? word->round - 1 : 0;
+    const int32_t pid = word->pid;
+    if (word->view >= ledger->view[pid] && word->applied >= ledger->applied[pid]) {
+        int64_t before = ledger->view[pid] == word->view ? ledger->applied[pid] : -1;
+        number[REACHED] += word->applied >= watched && watched > before;
+        ledger->view[pid] = word->view;
+        ledger->applied[pid] = word->applied;
+    }
+    if (through <= ledger->through[pid]) return;
+    ledger->through[pid] = through;
+    int64_t *lacks = ledger->lacks + (size_t)pid * (size_t)ledger->robots, least = word->applied;
+    for (int i = 0; i < parts; i++) least = !i || held[i] < least ? held[i] : least;
+    const uint8_t wanting = least < through;
+    number[WANTING] += wanting - ledger->wanting[pid];
+    ledger->wanting[pid] = wanting;
+    for (int i = 0; wanting && i < ledger->robots; i++) lacks[i] = parts ? held[i] : word->applied;
 }
 
 /* Note a usual word; 0: there is more to it, and nothing was changed. */
 static int ledger_note(Ledger *ledger, const Word *word) {
-    int64_t *number = ledger->number, through = word->round ? word->round - 1 : 0;
-    int32_t pid = word->pid;
+    int64_t *number = ledger->number, held[MAX_ROBOTS];
+    const int32_t pid = word->pid, parts = number[OPEN] ? ledger_told(ledger, word, held) : -1;
     Text text = {word->closings.at + 1, word->closings.bytes - 1};
-    if (!number[OPEN] || !ledger_content(ledger, word) || (word->closings.at[0] & 0xfe) != 0x90) return 0;
+    if (parts < 0 || (word->closings.at[0] & 0xfe) != 0x90) return 0;
     if (word->closings.at[0] & 1) {
         Closing closing;
         if (!read_whole_closing(&text, &closing) || closing.author != pid) return 0;
@@ -133,9 +160,7 @@ static int ledger_note(Ledger *ledger, const Word *word) {
             ledger_keep(ledger, pid, closing.round, text.at, text.bytes);
         }
     }
-    if (word->applied >= number[WATCHED] && number[WATCHED] > ledger->applied[pid]) number[REACHED]++;
-    ledger->applied[pid] = word->applied;
-    if (ledger->through[pid] < through) ledger->through[pid] = through;
+    ledger_hear(ledger, word, held, parts);
     ledger->heard[pid] = number[TICK];
     if (number[TOLD] < word->settled) number[TOLD] = word->settled;
     return 1;

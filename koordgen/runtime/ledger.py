@@ -15,8 +15,10 @@ import msgspec
 from koordgen.runtime.native import NotCompiled, declare
 from koordgen.runtime.wire import LIMIT, MAX_ROBOTS
 
-OPEN, LAST, TICK, APPLIED, SETTLED, LACKING, WATCHED, REACHED, TOLD, NEXT, LEAST, PRESENT = range(12)  # of `number`
-NUMBERS = 12
+OPEN, LAST, TICK, APPLIED, SETTLED, LACKING, WATCHED, REACHED, TOLD, NEXT, LEAST, PRESENT, WANTING = range(
+    13
+)  # of `number`
+NUMBERS = 13
 LONG_AGO = -(2**62)  # a tick
 DEPTH = 8  # rounds of each robot whose closings are kept as they came
 ROW = LIMIT  # bytes of one
@@ -38,7 +40,7 @@ class _Columns(ctypes.Structure):
     """Ledger in ledger.h."""
 
     _fields_ = (
-        *((name, c_void_p) for name in (*_BY_PID, "number", "rows", "length")),
+        *((name, c_void_p) for name in (*_BY_PID, "number", "lacks", "rows", "length")),
         ("robots", c_int32),
         ("own", c_int32),
     )
@@ -64,13 +66,14 @@ class Ledger:
     """Of robot `pid` in a fleet of `n_sys`. Columns by pid: closings are `held` without a gap up to a round, those up
     to `floor` not here but in the robot's log; there is a `gap`: some are kept beyond `held`. The `incarnation` that
     counts, or -1. Of the last word: by which `view` (-1: none), `applied` up to there, wanted closings up to `through`,
-    and is `wanting`: lacks something that it was not sent. It was `heard` at a tick.
+    and is `wanting`: lacks something that it was not sent, and what it held then of each robot's closings is in its row
+    of `lacks`. It was `heard` at a tick.
 
     `number` holds, by OPEN and so on: whether the gate may note; the last round that may be heard of now; the tick;
     the rounds up to which all is applied, and everyone holds everything; how many members lack the next round; a
     watched round (-1: none), and how many have said to have applied it since; how far all is settled, as the gate was
     told; as `collect` found them, how many members lack the round after, and the least that another has applied in the
-    present view (-1: one was not heard in it); and that view's number, which the gate sets.
+    present view (-1: one was not heard in it); that view's number, which the gate sets; and how many are wanting.
 
     It is `native`, and has an address `at`, once it is attached to the library. Columns must not be resized."""
 
@@ -83,6 +86,7 @@ class Ledger:
         self.applied, self.through = array("q", none), array("q", none)
         self.heard = array("q", [LONG_AGO] * n_sys)
         self.wanting, self.gap = array("B", bytes(n_sys)), array("B", bytes(n_sys))
+        self.lacks = array("q", none * n_sys)
         self.number = array("q", [0] * NUMBERS)
         self.native, self.at = False, 0
 
@@ -93,7 +97,7 @@ class Ledger:
         self._length = array("i", [0] * (self.n_sys * DEPTH))
         self._rows = mmap.mmap(-1, self.n_sys * DEPTH * ROW)  # the system makes its pages when they are used
         self._out = mmap.mmap(-1, found.ledger_room(self.n_sys))
-        columns = [getattr(self, name).buffer_info()[0] for name in (*_BY_PID, "number")]
+        columns = [getattr(self, name).buffer_info()[0] for name in (*_BY_PID, "number", "lacks")]
         rows, self._place = (ctypes.addressof(ctypes.c_char.from_buffer(each)) for each in (self._rows, self._out))
         self._columns = _Columns(*columns, rows, self._length.buffer_info()[0], self.n_sys, self.pid)
         self.native, self.at = True, ctypes.addressof(self._columns)

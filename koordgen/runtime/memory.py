@@ -7,7 +7,7 @@ all have. A round is stable once a majority has said to have applied it: no late
 from __future__ import annotations
 
 from array import array
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from koordgen.runtime.commits import counting
@@ -90,7 +90,7 @@ class Memory:
         return self._number[SETTLED]
 
     @property
-    def unanswered(self) -> Collection[int]:
+    def unanswered(self) -> Sequence[int]:
         """The peers that by their last word lack something, and were not sent it yet."""
         return self._words.unanswered
 

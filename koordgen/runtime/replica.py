@@ -151,7 +151,7 @@ class Replica:
             self._speech.round(self._others, word, own)
             return
         known, repeated = {c.round for c in own}, []
-        for pid in few(sorted(memory.unanswered), round_):
+        for pid in few(memory.unanswered, round_):
             repeats = memory.repeat(pid, helps(self.pid, pid, round_, self._n))
             if repeats:
                 rest = [c for c in repeats if c.author != self.pid or c.round not in known]

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Sequence
 
-from koordgen.runtime.ledger import REACHED, TOLD, WATCHED, Ledger
+from koordgen.runtime.ledger import REACHED, TOLD, WANTING, WATCHED, Ledger
 from koordgen.runtime.views import majority
 from koordgen.runtime.wire import View
 
 
 class Words:
-    """Of the others; in columns of the `ledger`, where the gate notes those of which there is nothing else to be said.
-    `unanswered`: those that by their last word lack something, and were not sent it yet."""
+    """Of the others; in columns of the `ledger`, where the gate notes most of them."""
 
     def __init__(self, ledger: Ledger) -> None:
         pid, n = ledger.pid, ledger.n_sys
@@ -19,10 +19,14 @@ class Words:
         self._n = n
         self._view, self._applied, self._through = ledger.view, ledger.applied, ledger.through
         self._wanting, self._number = ledger.wanting, ledger.number
-        self._held: dict[int, Sequence[int]] = {}  # holds, when it lacked something
-        self.unanswered: set[int] = set()
+        self._lacks = ledger.lacks
         self._sure = -1  # a round that is stable, as are all before it; -1: none is known in this view
         self._number[WATCHED] = -1  # a round; and how many have said to have applied it is REACHED
+
+    @property
+    def unanswered(self) -> list[int]:
+        """Those that by their last word lack something, and were not sent it yet."""
+        return [pid for pid, wanting in enumerate(self._wanting) if wanting] if self._number[WANTING] else []
 
     def renew(self) -> None:
         """There is another view."""
@@ -31,14 +35,14 @@ class Words:
 
     def forget(self, pid: int) -> None:
         """It no longer counts, or counts anew."""
-        self._answered(pid)
+        self._want(pid, False)
         self._view[pid], self._applied[pid], self._through[pid] = -1, 0, 0
 
     def content(self, pid: int, view: int, applied: int, through: int) -> bool:
         """Note the word of one that goes by the present view, as it did before, and lacks nothing, now or before; False
         where there is more to be noted of it, and nothing was."""
         before = self._applied[pid]
-        if self._view[pid] != view or pid in self.unanswered or not before <= applied >= through:
+        if self._view[pid] != view or self._wanting[pid] or not before <= applied >= through:
             return False
         if applied >= self._number[WATCHED] > before:
             self._number[REACHED] += 1
@@ -58,19 +62,18 @@ class Words:
         if through > self._through[pid] or (asks and through == self._through[pid]):
             self._through[pid] = through
             if (min(held) if held else applied) < through:
-                self._held[pid] = held or (applied,) * self._n
-                self.unanswered.add(pid)
-                self._wanting[pid] = True
+                self._lacks[pid * self._n : (pid + 1) * self._n] = array("q", held or (applied,) * self._n)
+                self._want(pid, True)
             else:
-                self._answered(pid)
+                self._want(pid, False)
 
     def answer(self, pid: int) -> tuple[Sequence[int], int] | None:
         """What a peer that lacks something holds, and up to which round it wants the rest, answered from now on; None
         when there is nothing to answer."""
-        if pid not in self.unanswered:
+        if not self._wanting[pid]:
             return None
-        self._answered(pid)
-        return self._held[pid], self._through[pid]
+        self._want(pid, False)
+        return self._lacks[pid * self._n : (pid + 1) * self._n], self._through[pid]
 
     def stable(self, round_: int, applied: int, view: View) -> bool:
         """Whether no view can leave out what was done up to this round, where all is applied up to `applied`."""
@@ -98,6 +101,6 @@ class Words:
         members, number, views, applied = view.members, view.number, self._view, self._applied
         return {p: applied[p] if views[p] == number else -1 for p in self._others if members[p] >= 0}
 
-    def _answered(self, pid: int) -> None:
-        self.unanswered.discard(pid)
-        self._wanting[pid] = False
+    def _want(self, pid: int, wanting: bool) -> None:
+        self._number[WANTING] += wanting - self._wanting[pid]
+        self._wanting[pid] = wanting

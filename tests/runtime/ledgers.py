@@ -24,6 +24,7 @@ from koordgen.runtime.ledger import (
     SETTLED,
     TICK,
     TOLD,
+    WANTING,
     WATCHED,
     Collected,
     Ledger,
@@ -35,7 +36,7 @@ from koordgen.runtime.wire import Closing, Echo, Write, encoder
 from tests.runtime.fleet import KEY
 
 BEGINS = b"words of this mission begin so"
-COLUMNS = ("held", "floor", "view", "incarnation", "applied", "through", "heard", "wanting", "gap", "number")
+COLUMNS = ("held", "floor", "view", "incarnation", "applied", "through", "heard", "wanting", "gap", "number", "lacks")
 encode = encoder.encode
 _closings = msgspec.msgpack.Decoder(tuple[Closing, ...])
 _parts = msgspec.msgpack.Decoder(list[list[msgspec.Raw]])
@@ -106,10 +107,11 @@ class Model:
         plain, number, pid = self.plain, self.plain.number, word.pid
         through = max(0, word.round - 1)
         closing = strict(word.closings)
-        ok = number[OPEN] != 0 and word.held == b"\x90" and max(word.applied, word.settled) <= number[LAST]
-        ok = ok and plain.view[pid] == view and not plain.wanting[pid]
-        ok = ok and max(plain.applied[pid], through) <= word.applied
-        if not ok or closing is None:
+        held = msgspec.msgpack.decode(word.held)
+        ours = isinstance(held, list) and all(type(each) is int for each in held) and len(held) in (0, plain.n_sys)
+        if not number[OPEN] or closing is None or not ours or word.held[0] == 0xDD or min(held, default=0) < 0:
+            return False
+        if max(word.applied, word.settled, through, *held) > number[LAST]:
             return False
         if isinstance(closing, Closing):
             if closing.author != pid:
@@ -120,13 +122,24 @@ class Model:
                     return False
                 if not self.keep(pid, closing.round, word.closings[1:]):
                     return False
-        if plain.applied[pid] < number[WATCHED] <= word.applied:
-            number[REACHED] += 1
-        plain.applied[pid] = word.applied
-        plain.through[pid] = max(plain.through[pid], through)
+        self.hear(word, view, through, held)
         plain.heard[pid] = number[TICK]
         number[TOLD] = max(number[TOLD], word.settled)
         return True
+
+    def hear(self, word: Said, view: int, through: int, held: Sequence[int]) -> None:
+        plain, number, pid = self.plain, self.plain.number, word.pid
+        known = plain.applied[pid] if plain.view[pid] == view else -1
+        if (plain.view[pid], plain.applied[pid]) <= (view, plain.applied[pid]) and plain.applied[pid] <= word.applied:
+            number[REACHED] += known < number[WATCHED] <= word.applied
+            plain.view[pid], plain.applied[pid] = view, word.applied
+        if through > plain.through[pid]:
+            plain.through[pid] = through
+            holds = held or [word.applied] * plain.n_sys
+            plain.wanting[pid] = min(holds) < through
+            if plain.wanting[pid]:
+                plain.lacks[pid * plain.n_sys : (pid + 1) * plain.n_sys] = array("q", holds)
+        number[WANTING] = sum(plain.wanting)
 
     def keep(self, pid: int, round_: int, row: bytes) -> bool:
         plain, number = self.plain, self.plain.number
