@@ -27,7 +27,7 @@ static int own_row(const Ledger *ledger, int64_t round, Text *row) {
 /* The payload of a word with one closing, or none (NULL); `fields`: the array of what is said between how all begin and
    the closings. How long it is; 0: longer than a datagram can be, or nothing is said here. */
 static int32_t compose(Voice *voice, const uint8_t *fields, int32_t bytes, const Text *closing) {
-    if (!voice->bytes || bytes < 1 || bytes > LIMIT || fields[0] != 0x90 + SAID_FIELDS) return 0;
+    if (!voice->bytes || bytes < 1 || fields[0] != 0x90 + SAID_FIELDS) return 0;
     const Text begin = {voice->begin, (size_t)voice->bytes}, rest = {fields + 1, (size_t)bytes - 1};
     const size_t length = begin.bytes + rest.bytes + 1 + (closing ? closing->bytes : 0);
     if (length > LIMIT - MAC_SIZE) return 0;

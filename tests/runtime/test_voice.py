@@ -242,6 +242,10 @@ def test_echoes_come_as_often_and_to_the_same(n: int) -> None:
     assert mouths[0].sent == mouths[1].sent and mouths[0].state() == mouths[1].state()
     echoes = [len(wire.decode(datagram, KEY).head.echoes) for _, datagram in mouths[0].sent]  # type: ignore[union-attr]
     assert max(echoes) == min(MAX_ECHOES, n - 1) and 0 in echoes
+    for mouth in mouths:
+        for _ in range(3):
+            mouth.speech.round(mouth.others, WORD, ())
+        assert mouth.speech._next_echo > mouth.clock.time, "nobody looks for whose turn it is while it is nobody's"
 
 
 def test_what_is_too_long_goes_the_long_way_as_if_nobody_had_tried() -> None:
