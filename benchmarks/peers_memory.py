@@ -131,7 +131,7 @@ class SharedMemory:
         self._replica = Replica(self._link, layout, memory, view, Vote(), 0, timeout, keeping.announce)
         self._round, self._slot, self._published = 0, -1, 0
         self._patience = Patience()
-        self._start = math.inf  # of round 1: no round was published before its beginning
+        self._start = self._begun = math.inf  # round 1, at the earliest that any was published; the present round
         self._wake = math.inf
         self._open = False  # the present round is not closed yet
         self._complete = True  # all of the present round is applied
@@ -147,35 +147,55 @@ class SharedMemory:
             return
         if self._open:
             self._close(current=False)
-        now = self._clock.now()
-        self._start = min(self._start, now - (round_ - 1) * self._delta)
-        if now >= self._start + round_ * self._delta:  # slept through: it is closed with the next one
+        now, before = self._clock.now(), (round_ - 1) * self._delta
+        self._start = min(self._start, now - before)
+        self._begun = self._start + before
+        if now >= self._begun + self._delta:  # slept through: it is closed with the next one
             self.missed.append(round_)
             return
         self._round, self._slot, self._open, self._complete, self._wake = round_, -1, True, False, -math.inf
         self._replica.begin(round_)
-        if not self._current():
+        if not (current := self._current()):
             self._hear()  # what is lacking may be here, not yet looked at
-        if self._current():
+            current = self._current()
+        if current:
             self._close(current=True)
 
     def take(self, seconds: float) -> Heard:
-        self._step(seconds)
+        """Do what is due, then wait for something to arrive, then do what follows from that; but when it is time for
+        the next closing, that comes first, as in an agent."""
+        clock = self._clock
+        now = clock.now()
+        end = now + seconds
+        if not self._calm():
+            self._apply(now)
+        if now >= self._wake and self._round:
+            self._poll(now)
+        rest = (end if end < self._wake else self._wake) - clock.now()
+        if rest > 0:
+            self._wait(rest)
+        if seconds <= 0 or (now := clock.now()) < end:
+            self._hear()
+            if not self._calm():
+                self._apply(now)
         found, self._found = self._found, []
         return found
 
-    def _step(self, seconds: float) -> None:
-        """Do what is due, then wait for something to arrive, then do what follows from that; but when it is time for
-        the next closing, that comes first, as in an agent."""
-        end = self._clock.now() + seconds
-        self._apply()
-        self._poll()
-        rest = min(end, self._wake) - self._clock.now()
-        if rest > 0:
-            self._transport.wait(rest, *self._expects)
-        if seconds <= 0 or self._clock.now() < end:
-            self._hear()
-            self._apply()
+    def _wait(self, seconds: float) -> None:
+        """Gathers as many closings as Rounds expects."""
+        memory = self._replica.memory
+        lacking = 0 if memory is None or self._open or memory.applied >= self._round else memory.lacking
+        if lacking:
+            self._transport.wait(seconds, lacking, min(GATHER * lacking, MOST_GATHER * self._delta))
+        else:
+            self._transport.wait(seconds)
+
+    def _calm(self) -> bool:
+        """Whether nothing that has come makes a difference to this round, as Rounds finds."""
+        replica, memory = self._replica, self._replica.memory
+        if memory is None or self._open or replica.returns != self._returns or memory.view.number != self._view:
+            return False
+        return self._complete or (memory.lacking > 0 and memory.applied < self._round)
 
     def _current(self) -> bool:
         """Whether an event may run, as Rounds finds."""
@@ -196,14 +216,6 @@ class SharedMemory:
         self._replica.publish(self._published + 1, round_, self._patience.strained(round_))
         self._published = round_
 
-    @property
-    def _expects(self) -> tuple[int, float]:
-        """As Rounds says."""
-        memory = self._replica.memory
-        if memory is None or self._open or memory.applied >= self._round or not memory.lacking:
-            return 1, 0.0
-        return memory.lacking, min(GATHER * memory.lacking, MOST_GATHER * self._delta)
-
     def _hear(self) -> None:
         """Take what has come, and find what is held without a gap since; in round 0 who can be heard."""
         take, present = self._replica.take, max(self._round, 1)
@@ -222,7 +234,7 @@ class SharedMemory:
                         self._found += [(pid, round_) for round_ in range(told[pid] + 1, held + 1)]
                     told[pid] = held
 
-    def _apply(self) -> None:
+    def _apply(self, now: float) -> None:
         """What has come may complete the round, or change who counts."""
         replica, round_ = self._replica, self._round
         if replica.returns != self._returns:
@@ -230,7 +242,7 @@ class SharedMemory:
         memory = replica.memory
         if self._open:
             current = self._current()
-            if current or self._clock.now() >= self._moment(PUBLISH * SLOTS) - 1e-9:
+            if current or now >= self._moment(PUBLISH * SLOTS) - 1e-9:
                 self._close(current)
         if memory is None:
             return
@@ -241,8 +253,10 @@ class SharedMemory:
             replica.tell(round_)
         if memory.applied >= round_ and not self._complete:
             self._complete = True
-            self._wake = -math.inf  # to be found anew
+            replica.keep()  # the next closing says so, and should not have to wait for it
             replica.confirm(round_)
+            if self._slot >= 0:
+                self._ask(memory, self._slot)
 
     def _come_back(self) -> None:
         """Go on where the others say that this robot was."""
@@ -255,42 +269,46 @@ class SharedMemory:
             self._replica.publish(self._published + 1, self._round, self._patience.strained(self._round))
             self._published = self._round
 
-    def _poll(self) -> None:
+    def _poll(self, now: float) -> None:
         """What is due at the slots of a round; the last round's go on until nothing is missing."""
-        now = self._clock.now()
-        if now < self._wake or self._round == 0:
-            return
-        slots = (now - self._start - (self._round - 1) * self._delta) / self._delta * SLOTS
+        replica, slots = self._replica, (now - self._begun) / self._delta * SLOTS
         slot = math.floor(slots + 1e-6)
         fresh = slot > self._slot
         if fresh:
             self._slot = slot
-            self._replica.poll((self._round - 1) * SLOTS + slot, self._round)
-        self._ask(slot, fresh, timely=slots < slot + PUNCTUAL)
-
-    def _ask(self, slot: int, fresh: bool, timely: bool) -> None:
-        """Ask for what should have come by now, and find when there is something to do again."""
-        replica, memory, round_ = self._replica, self._replica.memory, self._round
-        following = self._moment(slot + 1)
-        if self._open:
-            following = min(following, self._moment(PUBLISH * SLOTS))
+            replica.poll((self._round - 1) * SLOTS + slot, self._round)
+        memory = replica.memory
         if memory is None:
-            self._wake = following
+            self._wake = self._following(slot)
             return
-        through = round_ if slot >= FIRST_SLOT else round_ - 1
-        missing = [p for p in memory.missing(through) if p != self._pid]
+        self._ask(memory, slot, fresh, timely=slots < slot + PUNCTUAL)
+        if fresh and not self._calm():  # there may be another view
+            self._apply(now)
+
+    def _ask(self, memory: Memory, slot: int, fresh: bool = False, timely: bool = False) -> None:
+        """Ask for what should have come by now, and find when there is something to do again."""
+        replica, round_ = self._replica, self._round
         if fresh:
             self._patience.wakes(round_, timely)
-        if fresh and missing and self._patience.asks(round_, timely):
-            replica.ask(missing, [], through)
-        if missing or replica.busy or self._open:
-            self._wake = following
+        through = round_ if slot >= FIRST_SLOT else round_ - 1
+        missing = memory.missing(through)
+        if missing:
+            missing = [p for p in missing if p != self._pid]
+            if fresh and missing and self._patience.asks(round_, timely):
+                replica.ask(missing, [], through)
+        if missing or self._open or replica.busy:
+            self._wake = self._following(slot)
         elif not self._complete:
-            self._wake = max(following, self._moment(FIRST_SLOT))
+            self._wake = self._moment(max(slot + 1, FIRST_SLOT))
         else:
             replica.complete(round_)
             self._wake = math.inf
 
+    def _following(self, slot: int) -> float:
+        """The next moment at which there is something to do while something is outstanding."""
+        following = self._moment(slot + 1)
+        return min(following, self._moment(PUBLISH * SLOTS)) if self._open else following
+
     def _moment(self, slot: float) -> float:
         """The time of a slot of the present round."""
-        return self._start + (self._round - 1 + slot / SLOTS) * self._delta
+        return self._begun + slot / SLOTS * self._delta

@@ -11,10 +11,9 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from dataclasses import dataclass
 from functools import reduce
 from math import inf
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 CRYSTAL = 100e-6
 DRIFT = 2 * CRYSTAL  # two of them, running apart
@@ -38,8 +37,7 @@ class Clock(Protocol):
 class SystemClock:
     """The operating system's monotonic clock: setting the time of day does not move it."""
 
-    def now(self) -> float:
-        return time.monotonic()
+    now = staticmethod(time.monotonic)
 
 
 class SimulatedClock:
@@ -59,32 +57,27 @@ class SimulatedClock:
         return local if self._base is None else (local - self._offset) / self._rate
 
 
-@dataclass(frozen=True, slots=True)
-class _Edge:
-    """At local time `at` the peer's clock is ahead of ours by at least (a low edge) or at most (a high one) `value`."""
+class _Edges(NamedTuple):
+    """The peer's clock is ahead of ours by at least `low`, at local time `low_at`, and by at most `high`, at `high_at`:
+    of an exchange, or the best of many."""
 
-    at: float
-    value: float
-
-    def on(self, now: float, rate: float) -> float:
-        return self.value + rate * (now - self.at)
-
-
-@dataclass(frozen=True, slots=True)
-class _Edges:
-    """A low and a high one: of an exchange, or the best of many."""
-
-    low: _Edge
-    high: _Edge
+    low_at: float
+    low: float
+    high_at: float
+    high: float
 
     def merged(self, other: _Edges, rates: tuple[float, float]) -> _Edges:
         """The better one on either side; which it is does not depend on the time."""
-        low = other.low if other.low.value >= self.low.on(other.low.at, rates[0]) else self.low
-        high = other.high if other.high.value <= self.high.on(other.high.at, rates[1]) else self.high
-        return _Edges(low, high)
+        low_at, low, high_at, high = self
+        if other.low >= low + rates[0] * (other.low_at - low_at):
+            low_at, low = other.low_at, other.low
+        if other.high <= high + rates[1] * (other.high_at - high_at):
+            high_at, high = other.high_at, other.high
+        return _Edges(low_at, low, high_at, high)
 
     def on(self, now: float, rates: tuple[float, float]) -> tuple[float, float]:
-        return self.low.on(now, rates[0]), self.high.on(now, rates[1])
+        low_at, low, high_at, high = self
+        return low + rates[0] * (now - low_at), high + rates[1] * (now - high_at)
 
 
 class _Peer:
@@ -120,13 +113,13 @@ class _Peer:
 
     def _add(self, edges: _Edges, fleet: float | None) -> bool:
         """False, and nothing is changed, if it contradicts what is known."""
-        now = edges.low.at
+        now = edges.low_at
         best = edges if self._best is None else self._best.merged(edges, self.rates)
         low, high = best.on(now, self.rates)
         if low > high or (fleet is not None and self.fleet is not None and abs(fleet - self.fleet) > STEP):
             return False
-        if fleet is not None and edges.high.at >= self.said:
-            self.fleet, self.said = fleet, edges.high.at
+        if fleet is not None and edges.high_at >= self.said:
+            self.fleet, self.said = fleet, edges.high_at
         self._best = best
         number = now // SLOT
         if self._slots and number == self._number:
@@ -144,10 +137,10 @@ class _Peer:
         slowest, fastest = -inf, inf
         for old in slots[:half]:
             for new in slots[half:]:
-                if new.low.at - old.high.at >= APART:
-                    slowest = max(slowest, (new.low.value - old.high.value) / (new.low.at - old.high.at))
-                if new.high.at - old.low.at >= APART:
-                    fastest = min(fastest, (new.high.value - old.low.value) / (new.high.at - old.low.at))
+                if new.low_at - old.high_at >= APART:
+                    slowest = max(slowest, (new.low - old.high) / (new.low_at - old.high_at))
+                if new.high_at - old.low_at >= APART:
+                    fastest = min(fastest, (new.high - old.low) / (new.high_at - old.low_at))
         slowest, fastest = slowest - WANDER, fastest + WANDER
         if max(slowest, -DRIFT) <= min(fastest, DRIFT):
             slowest, fastest = max(slowest, -DRIFT), min(fastest, DRIFT)
@@ -221,11 +214,11 @@ class FleetClock:
     def take(self, peer: int, sent: float, received: float, answered: float, now: float, fleet: float | None) -> bool:
         """Learn from an exchange with a peer: sent and back (`now`) by the local clock, received and answered by the
         peer's; `fleet` is the peer's `offset`. False for stamps that no honest exchange yields."""
-        edges = _Edges(_Edge(now, answered - now - ROUNDING), _Edge(sent, received - sent + ROUNDING))
+        edges = _Edges(now, answered - now - ROUNDING, sent, received - sent + ROUNDING)
         low, high = edges.on(now, (-DRIFT, DRIFT))
         if not (peer != self._pid and sent <= now and received <= answered and low <= high):
             return False
-        before = self._exchanges.setdefault(peer, _Peer())
+        before = self._exchanges.get(peer) or _Peer()
         after = self._exchanges[peer] = before.take(edges, fleet)
         self._estimated = -inf
         if peer == self.reference:

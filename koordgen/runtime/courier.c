@@ -1,14 +1,15 @@
-/* The courier of one robot's process: waits for datagrams and drains its sockets.
+/* The courier of one robot's process: waits for datagrams, drains its sockets, and sends from the first of them.
 
-   It knows nothing of what a datagram says, allocates nothing, opens and closes nothing, sends nothing, and writes
-   only where its caller, courier.py, tells it to. Where there is no compiler, inbox.py does the same in Python; tests
-   compare the two. The compiler is told by courier.py: LARGEST, MOST_AT_ONCE, IN_TURN, MOST_ECHOES.
+   It knows nothing of what a datagram says, allocates nothing, opens and closes nothing, and writes only where its
+   caller, courier.py, tells it to. Where there is no compiler, inbox.py does the same in Python; tests compare the two.
+   The compiler is told by courier.py: LARGEST, MOST_AT_ONCE, IN_TURN, MOST_ECHOES, GROUP.
 
    C99, POSIX, and Linux's recvmmsg. */
 
 #define _GNU_SOURCE
 #include <errno.h>
 #include <linux/sockios.h>
+#include <netinet/in.h>
 #include <poll.h>
 #include <sched.h>
 #include <stddef.h>
@@ -19,7 +20,7 @@
 #include <sys/socket.h>
 #include <time.h>
 
-enum { MOST_SOCKETS = 2, MOST_ERRORS = 16, ECHO = -1 };
+enum { MOST_SOCKETS = 2, MOST_ERRORS = 16, ECHO = -1, PLACES = GROUP + 1 };
 
 static const int64_t SECOND = 1000000000; /* ns, as all that follows */
 static const int64_t SPIN = 200000;       /* of looking without sleep: a peer that must wake has answered by then */
@@ -53,6 +54,8 @@ typedef struct {
     uint8_t sent[MOST_ECHOES][LARGEST];   /* to the group, which gives it back to us too */
     struct iovec place[MOST_AT_ONCE];     /* of each slot, as `message`; made once, as few are touched at a time */
     struct mmsghdr message[MOST_AT_ONCE];
+    struct sockaddr_in6 address[PLACES];  /* where datagrams go: robots, and behind them the group; IPv4's are shorter */
+    socklen_t address_size[PLACES];       /* 0: not known */
 } Inbox;
 
 static int64_t now(void) {
@@ -89,11 +92,34 @@ void courier_open(Inbox *inbox, uint8_t *slots, const int32_t *sockets, int32_t 
 /* From now on its sockets are not looked at: their numbers may become another's. */
 void courier_close(Inbox *inbox) { inbox->sockets = inbox->used = inbox->arrived = 0; }
 
+/* Where a place is, as the system writes addresses. One that it cannot have is none. */
+void courier_address(Inbox *inbox, int32_t place, const uint8_t *address, int32_t size) {
+    if (place < 0 || place >= PLACES) return;
+    inbox->address_size[place] = 0;
+    if ((size_t)size > sizeof inbox->address[place]) return; /* as is one of less than no bytes */
+    memcpy(&inbox->address[place], address, (size_t)size);
+    inbox->address_size[place] = (socklen_t)size;
+}
+
 /* This goes to the group. One that is too long for it comes back cut, and so unlike what was sent. */
-void courier_sent(Inbox *inbox, const uint8_t *datagram, int32_t length) {
+static void remember(Inbox *inbox, const uint8_t *datagram, int32_t length) {
     uint32_t place = inbox->next++ % MOST_ECHOES;
     inbox->length[place] = length;
     memcpy(inbox->sent[place], datagram, (size_t)(length < LARGEST ? length : LARGEST));
+}
+
+/* Send to a place, or not at all: it never blocks. Returns 0 or errno. What goes to the group is remembered first, and
+   also when it fails: the system may have given it back by then. */
+int32_t courier_send(Inbox *inbox, int32_t place, const uint8_t *datagram, int32_t length) {
+    if (!inbox->sockets) return EBADF;
+    if (place < 0 || place >= PLACES || !inbox->address_size[place]) return EDESTADDRREQ;
+    if (place == GROUP) remember(inbox, datagram, length);
+    const struct sockaddr *to = (const struct sockaddr *)&inbox->address[place];
+    ssize_t sent;
+    do sent = sendto(inbox->socket[0].fd, datagram, (size_t)length, MSG_DONTWAIT | MSG_NOSIGNAL, to,
+                     inbox->address_size[place]);
+    while (sent < 0 && errno == EINTR);
+    return sent < 0 ? errno : 0;
 }
 
 /* Whether it is one of those that were sent; each comes back once. */

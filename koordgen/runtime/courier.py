@@ -1,4 +1,4 @@
-"""The courier: what waits for datagrams and drains sockets as C (courier.c), and how Python calls it.
+"""The courier: what sends and waits for datagrams and drains sockets as C (courier.c), and how Python calls it.
 
 It is compiled at the process's first use of it, kept in a cache, and loaded by ctypes: see `native`. Without a compiler
 `inbox` does the same in Python. What it has taken stays in its slots, where the gate judges it.
@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import ctypes
 import mmap
+import socket
+import struct
 from collections.abc import Callable, Iterator, Sequence
 from ctypes import c_char_p, c_double, c_int32, c_size_t, c_void_p
 from pathlib import Path
@@ -20,6 +22,8 @@ SOURCE = Path(__file__).with_name("courier.c")
 LARGEST = 1201  # bytes of a datagram that are taken: one more than wire.LIMIT, which tells that it was too long
 IN_TURN = 64  # datagrams taken from one socket before another is looked at
 MOST_ECHOES = 16  # own datagrams under way back from the group; more than one round sends
+GROUP = 128  # the place of the group; those before it are the robots', by pid
+Address = tuple[str, int] | tuple[str, int, int, int]  # as Python's sockets have it: of IPv4, of IPv6
 FLAGS = (
     "-std=c99",
     "-O2",
@@ -29,6 +33,7 @@ FLAGS = (
     f"-DMOST_AT_ONCE={MOST_AT_ONCE}",
     f"-DIN_TURN={IN_TURN}",
     f"-DMOST_ECHOES={MOST_ECHOES}",
+    f"-DGROUP={GROUP}",
 )
 _MOST_ERRORS = 16
 
@@ -60,7 +65,8 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "shown_size": (c_size_t, ()),
     "open": (None, (c_void_p, c_void_p, c_void_p, c_int32)),
     "close": (None, (c_void_p,)),
-    "sent": (None, (c_void_p, c_char_p, c_int32)),
+    "address": (None, (c_void_p, c_int32, c_char_p, c_int32)),
+    "send": (c_int32, (c_void_p, c_int32, c_char_p, c_int32)),
     "wait": (c_int32, (c_void_p, c_double, c_int32, c_double, c_int32)),
     "receive": (c_int32, (c_void_p,)),
 }
@@ -107,12 +113,17 @@ class CompiledInbox:
         self.at = ctypes.addressof(self._state)
         self._used = -1  # slots that hold what was not taken; -1: nobody has looked
         self._wait, self._receive = found.courier_wait, found.courier_receive
-        self._sent, self._close = found.courier_sent, found.courier_close
+        self._address, self._send, self._close = found.courier_address, found.courier_send, found.courier_close
         self._place = ctypes.addressof(ctypes.c_char.from_buffer(self._slots))
         found.courier_open(self.at, self._place, (ctypes.c_int32 * len(sockets))(*sockets), len(sockets))
 
-    def sent(self, datagram: bytes) -> None:
-        self._sent(self.at, datagram, len(datagram))
+    def address(self, place: int, address: Address) -> None:
+        written = as_written(address)
+        self._address(self.at, place, written, len(written))
+
+    def send(self, place: int, datagram: bytes) -> int:
+        error: int = self._send(self.at, place, datagram, len(datagram))
+        return error
 
     def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
         self._used = self._wait(self.at, seconds, expected, gather, self._used > 0)
@@ -130,3 +141,13 @@ class CompiledInbox:
     def close(self) -> None:
         self._used = -1
         self._close(self.at)
+
+
+def as_written(address: Address) -> bytes:
+    """As the system reads it: struct sockaddr_in or sockaddr_in6. Raises OSError: that is no address."""
+    host, port = address[:2]
+    if len(address) == 2:
+        return struct.pack("=H", socket.AF_INET) + struct.pack("!H4s8x", port, socket.inet_pton(socket.AF_INET, host))
+    flow, scope = address[2:]
+    inner = struct.pack("!HI16s", port, flow, socket.inet_pton(socket.AF_INET6, host))
+    return struct.pack("=H", socket.AF_INET6) + inner + struct.pack("=I", scope)

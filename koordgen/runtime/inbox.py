@@ -1,8 +1,9 @@
-"""What has arrived at a robot's sockets: waiting for it, and taking it. In Python; `courier.CompiledInbox` is the same
-as C."""
+"""What arrives at a robot's sockets and leaves from them: waiting for it, taking it, sending. In Python;
+`courier.CompiledInbox` is the same as C."""
 
 from __future__ import annotations
 
+import errno
 import select
 import socket
 import time
@@ -10,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from koordgen.runtime.courier import COMPILED, IN_TURN, LARGEST, MOST_ECHOES, CompiledInbox
+from koordgen.runtime.courier import COMPILED, GROUP, IN_TURN, LARGEST, MOST_ECHOES, Address, CompiledInbox
 from koordgen.runtime.transport import MOST_AT_ONCE
 
 NAP = 20e-6  # seconds for each datagram that is missing
@@ -19,8 +20,13 @@ NAP = 20e-6  # seconds for each datagram that is missing
 class Inbox(Protocol):
     """Of one thread. No call raises."""
 
-    def sent(self, datagram: bytes) -> None:
-        """This goes to the group, and will come back: the inbox drops it then."""
+    def address(self, place: int, address: Address) -> None:
+        """Where a place is: a robot's, by its pid, or GROUP."""
+        ...
+
+    def send(self, place: int, datagram: bytes) -> int:
+        """From the first of its sockets, without blocking; what goes to the group comes back, and the inbox drops it
+        then. Returns 0, or errno: it was not sent."""
         ...
 
     def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
@@ -52,12 +58,26 @@ class PlainInbox:
         self._sockets = {each.fileno(): each for each in sockets}
         for number in self._sockets:
             self._poll.register(number, select.POLLIN)
+        self._addresses: dict[int, Address] = {}
         self._echoes: deque[bytes | None] = deque(maxlen=MOST_ECHOES)
         self._arrived: list[bytes] = []
         self._troubled = False
 
-    def sent(self, datagram: bytes) -> None:
-        self._echoes.append(datagram)
+    def address(self, place: int, address: Address) -> None:
+        self._addresses[place] = address
+
+    def send(self, place: int, datagram: bytes) -> int:
+        if not self._sockets:
+            return errno.EBADF
+        if place not in self._addresses:
+            return errno.EDESTADDRREQ
+        if place == GROUP:  # also when it fails: the system may have given it back by then
+            self._echoes.append(datagram)
+        try:
+            next(iter(self._sockets.values())).sendto(datagram, self._addresses[place])
+        except OSError as error:
+            return error.errno or errno.EIO
+        return 0
 
     def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
         begin = time.monotonic()

@@ -33,7 +33,7 @@ _HEADER = 512  # bytes; less than a page, so no death of the process leaves half
 _DIGEST = 16
 _HEAD = struct.Struct("!BQI")  # kind, sequence number, length of the payload
 
-_encoder = msgspec.msgpack.Encoder()
+_encode = msgspec.msgpack.Encoder().encode
 
 
 class Mission(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
@@ -69,6 +69,7 @@ class Acceptor(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fiel
 
 Kept = Mission | Locals | Acceptor
 _KINDS: tuple[type[Mission] | type[Locals] | type[Acceptor], ...] = (Mission, Locals, Acceptor)
+_NUMBERS = {kind: number for number, kind in enumerate(_KINDS)}
 _SLOTS = (2, KEPT + 1, 2)  # one more of each kind than is to be found: the one being written may be cut short
 _DECODERS: tuple[msgspec.msgpack.Decoder[Kept], ...] = tuple(msgspec.msgpack.Decoder(kind) for kind in _KINDS)
 
@@ -156,22 +157,25 @@ class Store:
         return self._file >= 0
 
     def write(self, record: Kept) -> bool:
-        """Keep a record. False when it is not kept; why, was warned of once."""
+        """Keep a record. False when it is not kept; why, was warned of once. All others wait for the closing that waits
+        for this: it is done in few steps."""
         if self._file < 0:
             return False
-        kind = _KINDS.index(type(record))
-        payload = _encoder.encode(record)
-        slot = self._next[kind]
+        kind, payload = _NUMBERS[type(record)], _encode(record)
+        length, slot = len(payload), self._next[kind]
+        self._sequence += 1
+        body, digest = _HEAD.pack(kind, self._sequence, length) + payload, self._keyed.copy()
+        digest.update(body)
+        body += digest.digest()
         try:
-            if len(payload) > self._identity.rooms[kind]:
-                raise OSError(errno.EFBIG, f"a record of {len(payload)} bytes where there is room for fewer")
-            self._sequence += 1
-            body = _HEAD.pack(kind, self._sequence, len(payload)) + payload
-            _put(self._file, body + self._digest(body), self._begins[kind] + slot * self._lengths[kind])
+            if length > self._identity.rooms[kind]:
+                raise OSError(errno.EFBIG, f"a record of {length} bytes where there is room for fewer")
+            if os.pwrite(self._file, body, self._begins[kind] + slot * self._lengths[kind]) != len(body):
+                raise _full()
         except OSError as error:
             self._give_up(error)
             return False
-        self._next[kind] = (slot + 1) % _SLOTS[kind]
+        self._next[kind] = slot + 1 if slot + 1 < _SLOTS[kind] else 0
         return True
 
     def load(self) -> Loaded:
@@ -242,7 +246,7 @@ class Store:
 
     def _begin_anew(self) -> None:
         self._identify(msgspec.structs.replace(self._identity, token=os.urandom(16)))
-        text = _encoder.encode(self._identity)
+        text = _encode(self._identity)
         body = (_MAGIC + len(text).to_bytes(2, "big") + text).ljust(_HEADER - _DIGEST, b"\0")
         _put(self._file, body + blake2s(body, digest_size=_DIGEST).digest(), 0)
 
@@ -305,7 +309,11 @@ def _length(room: int) -> int:
 
 def _put(file: int, data: bytes, offset: int) -> None:
     if os.pwrite(file, data, offset) != len(data):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        raise _full()
+
+
+def _full() -> OSError:
+    return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def _identity(header: bytes) -> _Identity | None:
@@ -351,8 +359,8 @@ class LocalsCodec:
 
     def encode(self, locals_: Mapping[str, Any], actuators: Mapping[str, Any]) -> tuple[bytes, bytes]:
         return (
-            _encoder.encode([locals_[v.name] for v in self._locals]),
-            _encoder.encode([actuators.get(p.name) for p in self._actuators]),
+            _encode([locals_[v.name] for v in self._locals]),
+            _encode([actuators.get(p.name) for p in self._actuators]),
         )
 
     def decode(self, locals_: bytes, actuators: bytes) -> tuple[dict[str, Any], dict[str, Any]] | None:

@@ -7,7 +7,9 @@ import socket
 import struct
 from collections.abc import Sequence
 from ipaddress import AddressValueError, IPv4Address
+from typing import cast
 
+from koordgen.runtime.courier import GROUP, Address
 from koordgen.runtime.inbox import open_inbox
 from koordgen.runtime.settings import Network, Peer
 from koordgen.runtime.transport import CannotOpen
@@ -29,7 +31,7 @@ class UnicastTransport:
     ) -> None:
         own = peers[pid]
         family, address = _resolve(Peer(own.name, bind or own.host, own.port), family)
-        self._addresses = [_resolve(peer, family)[1] for peer in peers]
+        self._addresses = dict(enumerate(_resolve(peer, family)[1] for peer in peers))  # of each place
         self.troubles: dict[str, int] = {}
         self._native = native
         self._sockets: list[socket.socket] = []
@@ -38,7 +40,7 @@ class UnicastTransport:
 
     def send(self, to: Sequence[int], datagram: bytes) -> None:
         for pid in to:
-            self._send(datagram, self._addresses[pid])
+            self._send(pid, datagram)
 
     def receive(self) -> Sequence[bytes]:
         return self._inbox.receive()
@@ -51,18 +53,16 @@ class UnicastTransport:
         self._close_sockets()
 
     def _open_inbox(self) -> None:
-        """One for all sockets."""
+        """One for all sockets; the robot's own is the first, which it sends from."""
         self._inbox = open_inbox(self._sockets, self._received_badly, self._native)
+        for place, address in self._addresses.items():
+            self._inbox.address(place, address)
 
-    def _send(self, datagram: bytes, address: tuple[str, int]) -> None:
-        try:
-            self._own.sendto(datagram, address)
-        except OSError as error:
-            self._count("send", error.errno or 0)
+    def _send(self, place: int, datagram: bytes) -> None:
+        if error := self._inbox.send(place, datagram):
+            self._count("send", error)
 
-    def _listen(
-        self, family: socket.AddressFamily, address: tuple[str, int], what: str, shared: bool = False
-    ) -> socket.socket:
+    def _listen(self, family: socket.AddressFamily, address: Address, what: str, shared: bool = False) -> socket.socket:
         """A socket that the inbox will look at; `shared`: other robots of this host listen there too."""
         opened = socket.socket(family, socket.SOCK_DGRAM)
         try:
@@ -101,7 +101,7 @@ class GroupTransport(UnicastTransport):
         place = f"{network.group}:{network.port}, the {network.transport} group of robot {peers[pid].name}"
         _check_group(network, place)
         super().__init__(peers, pid, bind, socket.AF_INET, native)
-        self._group = (network.group, network.port)
+        self._group = self._addresses[GROUP] = (network.group, network.port)
         group = self._listen(socket.AF_INET, self._group, place, shared=True)
         try:
             if multicast:
@@ -118,8 +118,7 @@ class GroupTransport(UnicastTransport):
 
     def send(self, to: Sequence[int], datagram: bytes) -> None:
         if len(to) > 1:
-            self._inbox.sent(datagram)
-            self._send(datagram, self._group)
+            self._send(GROUP, datagram)
         else:
             super().send(to, datagram)
 
@@ -166,7 +165,7 @@ def _reason(error: OSError, shared: bool) -> str:
     return f": {error.strerror or error}"
 
 
-def _resolve(peer: Peer, family: socket.AddressFamily) -> tuple[socket.AddressFamily, tuple[str, int]]:
+def _resolve(peer: Peer, family: socket.AddressFamily) -> tuple[socket.AddressFamily, Address]:
     """Its address, once for all: a name server that fails later is of no concern."""
     if not 1 <= peer.port <= 65535:
         raise CannotOpen(f"robot {peer.name}: {peer.host}:{peer.port} is no address: ports are 1 to 65535")
@@ -175,4 +174,4 @@ def _resolve(peer: Peer, family: socket.AddressFamily) -> tuple[socket.AddressFa
     except (OSError, UnicodeError) as error:
         raise CannotOpen(f"robot {peer.name}: no address for {peer.host}:{peer.port}: {error}") from None
     actual, _, _, _, address = found[0]
-    return actual, (str(address[0]), int(address[1]))
+    return actual, cast(Address, address)

@@ -1,9 +1,14 @@
 /* Puts random datagrams through the courier, under the compiler's sanitizers: courier.c is compiled together with this.
    Arguments: how many datagrams, and the seed. Exit status 0 when all that was sent came out, in order, and each echo once. */
 
-#include "courier.c"
+#define _GNU_SOURCE
+#include <sys/socket.h>
 
-#include <netinet/in.h>
+static ssize_t send_interrupted(int, const void *, size_t, int, const struct sockaddr *, socklen_t);
+#define sendto send_interrupted /* by the courier */
+#include "courier.c"
+#undef sendto
+
 #include <stdio.h>
 #include <stdlib.h>
 #include <unistd.h>
@@ -25,6 +30,17 @@ static void check(int good, const char *what) {
     }
 }
 
+static int interrupts; /* that the next sends meet */
+
+static ssize_t send_interrupted(int from, const void *data, size_t length, int flags, const struct sockaddr *to, socklen_t size) {
+    check(flags == (MSG_DONTWAIT | MSG_NOSIGNAL), "a send that may block");
+    if (interrupts && interrupts--) {
+        errno = EINTR;
+        return -1;
+    }
+    return sendto(from, data, length, flags, to, size);
+}
+
 static int open_socket(struct sockaddr_in *address) {
     socklen_t size = sizeof *address;
     int made = socket(AF_INET, SOCK_DGRAM, 0), room = 1 << 20;
@@ -35,15 +51,41 @@ static int open_socket(struct sockaddr_in *address) {
     return made;
 }
 
-/* A datagram that one socket gets: random, and now and then as from the group, one of our own. */
+static void know(Inbox *inbox, int place, const struct sockaddr_in *address) {
+    courier_address(inbox, place, (const uint8_t *)address, (int32_t)sizeof *address);
+}
+
+/* A datagram that one socket gets, from a stranger or by our own sending: random, and now and then one to the group. */
 static void send_one(Inbox *inbox, int from, int to, const struct sockaddr_in *address) {
     Datagram *made = &queue[to][sent[to]++];
     made->length = rand() % 4 ? rand() % LONGEST_SENT : rand() % 3 + LARGEST - 1;
     made->own = made->length >= 16 && rand() % 5 == 0; /* shorter ones may be like others */
     for (int i = 0; i < made->length; i++) made->data[i] = (uint8_t)rand();
-    if (made->own) courier_sent(inbox, made->data, made->length);
+    if (made->own) know(inbox, GROUP, address);
+    interrupts = rand() % 4;
+    if (made->own || rand() % 2) check(!courier_send(inbox, made->own ? GROUP : to, made->data, made->length), "send");
+    else check(sendto(from, made->data, (size_t)made->length, 0, (const struct sockaddr *)address, sizeof *address) >= 0, "send");
     made->own = made->own && made->length <= LARGEST;
-    check(sendto(from, made->data, (size_t)made->length, 0, (const struct sockaddr *)address, sizeof *address) >= 0, "send");
+}
+
+/* Places that are none, addresses that are none. */
+static void check_places(Inbox *inbox, const struct sockaddr_in *address) {
+    static uint8_t large[sizeof(struct sockaddr_in6) + 1];
+    int none[] = {-1, PLACES, INT32_MIN, INT32_MAX, 7};
+    for (int i = 0; i < 5; i++) {
+        if (i < 4) know(inbox, none[i], address);
+        check(courier_send(inbox, none[i], large, 1) == EDESTADDRREQ, "sent to no place");
+    }
+    for (int32_t size = -1; size <= (int32_t)sizeof large; size += (int32_t)sizeof large + 1) {
+        know(inbox, 7, address);
+        courier_address(inbox, 7, large, size);
+        check(courier_send(inbox, 7, large, 1) == EDESTADDRREQ, "sent to no address");
+    }
+    large[0] = large[1] = UINT8_MAX;
+    courier_address(inbox, 7, large, (int32_t)sizeof large - 1);
+    check(courier_send(inbox, 7, large, 1) == EAFNOSUPPORT, "sent to an address of no kind");
+    know(inbox, 7, address);
+    check(courier_send(inbox, 7, large, 70000) == EMSGSIZE, "too long");
 }
 
 /* Whether it is the next of one socket. */
@@ -76,6 +118,8 @@ int main(int count, char **arguments) {
     from = open_socket(&nobody);
     for (int i = 0; i < MOST_SOCKETS; i++) sockets[i] = open_socket(&address[i]);
     courier_open(inbox, slots, sockets, MOST_SOCKETS);
+    for (int i = 0; i < MOST_SOCKETS; i++) know(inbox, i, &address[i]);
+    check_places(inbox, &nobody);
     while (todo > 0) {
         int batch = rand() % BATCH, taken = 0, keep = 0;
         memset(sent, 0, sizeof sent);
@@ -95,6 +139,7 @@ int main(int count, char **arguments) {
     check(inbox->shown.pace == SHORT_PACE, "pace");
     courier_close(inbox);
     check(!courier_receive(inbox) && !courier_wait(inbox, 0.0, 1, 0.0, 0), "closed");
+    check(courier_send(inbox, 0, slots, 1) == EBADF, "closed, and sends");
     for (int i = 0; i < MOST_SOCKETS; i++) close(sockets[i]);
     close(from);
     free(slots);

@@ -20,12 +20,12 @@ from types import FrameType
 import pytest
 
 from koordgen.runtime import courier
-from koordgen.runtime.courier import CompiledInbox
+from koordgen.runtime.courier import GROUP, CompiledInbox
 from koordgen.runtime.inbox import Inbox, PlainInbox
 from koordgen.runtime.native import COMPILERS
 from koordgen.runtime.seal import MEMORY, unseal_all
 from koordgen.runtime.transport import MOST_AT_ONCE
-from koordgen.runtime.wire import LIMIT, Head, Piece, decode, encode, opened
+from koordgen.runtime.wire import LIMIT, MAX_ROBOTS, Head, Piece, decode, encode, opened
 from tests.runtime.transports import BODIES, PATIENCE, needs_courier
 
 COMPILER = next((found for name in COMPILERS if (found := shutil.which(name))), None)
@@ -34,7 +34,8 @@ Pair = tuple[Inbox, list[socket.socket], list[socket.socket], list[int]]
 
 @contextmanager
 def inbox(native: bool, count: int = 1) -> Iterator[Pair]:
-    """An inbox with so many sockets, those sockets, one that is connected to each, and the errors that it told."""
+    """An inbox with so many sockets, those sockets, one that is connected to each, and the errors that it told. What
+    goes to the group does not come back."""
     receiving = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
     sending = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
     troubles: list[int] = []
@@ -43,21 +44,28 @@ def inbox(native: bool, count: int = 1) -> Iterator[Pair]:
         target.setblocking(False)
         target.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
         source.connect(target.getsockname())
+    sink = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sink.bind(("127.0.0.1", 0))
     found = courier.COMPILED.library()
     made: Inbox = PlainInbox(receiving, troubles.append)
     if native:
         assert found is not None
         made = CompiledInbox(found, [s.fileno() for s in receiving], troubles.append)
+    made.address(GROUP, sink.getsockname())
     try:
         yield made, receiving, sending, troubles
     finally:
         made.close()
-        for each in (*receiving, *sending):
+        for each in (*receiving, *sending, sink):
             each.close()
 
 
 def test_the_largest_datagram_is_one_more_than_the_limit() -> None:
     assert courier.LARGEST == LIMIT + 1
+
+
+def test_each_robot_has_its_place() -> None:
+    assert GROUP == MAX_ROBOTS
 
 
 def test_both_bodies_take_the_same() -> None:
@@ -73,7 +81,7 @@ def test_both_bodies_take_the_same() -> None:
         for native in (True, False) if courier.COMPILED.library() else (False,):
             with inbox(native, 2) as (made, _, sending, troubles):
                 for datagram in own:
-                    made.sent(datagram)
+                    made.send(GROUP, datagram)
                 for i, datagram in sent:
                     sending[i].send(datagram)
                 made.wait(0.0, 500, 0.0)
@@ -86,7 +94,7 @@ def test_both_bodies_take_the_same() -> None:
 def test_an_echo_is_dropped_once_and_only_of_the_last_sent(native: bool) -> None:
     with inbox(native) as (made, _, sending, _):
         for i in range(courier.MOST_ECHOES + 1):
-            made.sent(b"%d, and its MAC of 16" % i)
+            made.send(GROUP, b"%d, and its MAC of 16" % i)
         for i in (0, 5, 5, courier.MOST_ECHOES):
             sending[0].send(b"%d, and its MAC of 16" % i)
         sending[0].send(b"5, like its MAC of 16")

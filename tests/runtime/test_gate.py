@@ -318,7 +318,7 @@ def test_what_lies_in_the_couriers_slots_is_taken_from_there() -> None:
     for native in (True, False):
         with inbox(native) as (made, _, sending, _):
             for echo in echoes:
-                made.sent(echo)
+                made.send(courier.GROUP, echo)
             ear, heard = Ear(native), []
             for batch in (sent, [b"\xff" * LIMIT] * 60, echoes, usual[5:9]):
                 for datagram in batch:
@@ -341,7 +341,7 @@ def test_what_lies_in_the_couriers_slots_is_taken_from_there() -> None:
 def test_slots_of_own_echoes_alone_are_nothing() -> None:
     echo = sealed(word(head(OWN)))
     with inbox(True) as (made, _, sending, _):
-        made.sent(echo)
+        made.send(courier.GROUP, echo)
         sending[0].send(echo)
         made.wait(PATIENCE)
         taken = made.receive()

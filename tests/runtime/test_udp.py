@@ -10,10 +10,11 @@ from typing import Any
 import pytest
 
 from koordgen.runtime import udp
+from koordgen.runtime.courier import GROUP
 from koordgen.runtime.opening import open_transport
-from koordgen.runtime.settings import Network
+from koordgen.runtime.settings import Network, Peer
 from koordgen.runtime.transport import CannotOpen, Transport
-from tests.runtime.transports import BODIES, BROADCAST, MULTICAST, free_ports, opened, settings
+from tests.runtime.transports import BODIES, BROADCAST, LINK_LOCAL, MULTICAST, free_ports, needs_ipv6, opened, settings
 
 UNICAST = Network()
 
@@ -105,22 +106,66 @@ def test_listening_everywhere() -> None:
     transport.close()
 
 
-def test_what_cannot_be_sent_is_counted_by_reason() -> None:
-    transport = open_one(free_ports(2))
+@pytest.mark.parametrize("native", BODIES)
+def test_what_cannot_be_sent_is_counted_by_reason(native: bool) -> None:
+    transport = open_transport(settings(0, free_ports(2), UNICAST), native)
     transport.send([1], bytes(70_000))
     transport.send([1, 1], bytes(70_000))
     assert transport.troubles == {"send: EMSGSIZE": 3}
     transport.close()
 
 
+@pytest.mark.parametrize("native", BODIES)
+@pytest.mark.parametrize("host", [pytest.param("::1", marks=needs_ipv6), "localhost", "127.0.0.1"])
+def test_every_kind_of_address(host: str, native: bool) -> None:
+    check_unicast(host, native)
+
+
+@pytest.mark.parametrize("native", BODIES)
+@pytest.mark.skipif(not LINK_LOCAL, reason="no network interface has a link-local address")
+def test_addresses_of_one_link(native: bool) -> None:
+    check_unicast(LINK_LOCAL, native)
+
+
+def check_unicast(host: str, native: bool) -> None:
+    peers = [Peer(f"r{i}", host, port) for i, port in enumerate(free_ports(2))]
+    first, second = (udp.UnicastTransport(peers, pid, native=native) for pid in range(2))
+    for source, target in ((first, second), (second, first), (first, first)):
+        source.send([0 if target is first else 1], b"x")
+        target.wait(5)
+        assert list(target.receive()) == [b"x"]
+        assert source.troubles == {}
+    first.close()
+    second.close()
+
+
+@pytest.mark.parametrize("native", BODIES)
+def test_sending_fails_alike_for_one_and_for_several(native: bool) -> None:
+    """Of several, the others still get theirs."""
+    ports = free_ports(3)
+    first = open_transport(settings(0, ports, UNICAST), native)
+    second = open_transport(settings(1, ports, UNICAST), native)
+    first.send([2], b"nobody listens, and UDP does not tell")
+    first.send([2, 2, 1], b"x")
+    second.wait(5)
+    assert list(second.receive()) == [b"x"]
+    first.send([1, 2], bytes(70_000))
+    assert first.troubles == {"send: EMSGSIZE": 2}
+    first.close()
+    first.send([1, 2], b"x")
+    first.send([2], b"x")
+    assert first.troubles == {"send: EMSGSIZE": 2, "send: EBADF": 3}
+    second.close()
+
+
 def test_a_group_takes_one_datagram_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    sent: list[tuple[str, int]] = []
-    monkeypatch.setattr(udp.GroupTransport, "_send", lambda self, datagram, address: sent.append(address))
+    sent: list[int] = []
+    monkeypatch.setattr(udp.GroupTransport, "_send", lambda self, place, datagram: sent.append(place))
     ports, network = free_ports(4), groups()[0]
     transport = open_one(ports, network)
     transport.send([1, 2, 3], b"x")
     transport.send([2], b"x")
-    assert sent == [(network.group, network.port), ("127.0.0.1", ports[2])]
+    assert sent == [GROUP, 2]
     transport.close()
 
 

@@ -8,6 +8,8 @@ import socket
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from ipaddress import IPv6Address
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -24,6 +26,11 @@ NO_COURIER = courier.COMPILED.why()
 needs_courier = pytest.mark.skipif(bool(NO_COURIER), reason=NO_COURIER)
 BODIES = [pytest.param(True, marks=needs_courier, id="compiled"), pytest.param(False, id="plain")]
 needs_zenoh = pytest.mark.skipif(NO_ZENOH, reason="the package eclipse-zenoh is not installed")
+_INTERFACES = [line.split() for line in Path("/proc/net/if_inet6").read_text().splitlines()] if socket.has_ipv6 else []
+needs_ipv6 = pytest.mark.skipif(not _INTERFACES, reason="this host has no IPv6")
+LINK_LOCAL = next(
+    (f"{IPv6Address(bytes.fromhex(a[0]))}%{a[5]}" for a in _INTERFACES if a[0].startswith("fe80") and a[4] == "80"), ""
+)
 PATIENCE = 5.0  # seconds until a test gives up; never waited for when all is well
 MULTICAST = "239.255.71.1"
 BROADCAST = "127.255.255.255"
