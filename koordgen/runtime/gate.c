@@ -17,8 +17,8 @@
 
 #include "blake2s.h"
 #include "msgpack.h"
-
 #include "ledger.h"
+#include "voice.h"
 
 enum { PURPOSE = 8, WINDOW = 64 * (WORDS - 1), MOST_COMMON = 64, TAIL = 20, WORD_FIELDS = 9 };
 enum { USUAL, OTHER, FALSE, TOO_LONG, REPLAYED, NOTHING, NOTED }; /* verdicts */
@@ -57,6 +57,7 @@ typedef struct {
     int64_t view;
     Ledger *ledger;               /* or NULL */
     Peer peer[MAX_ROBOTS];
+    Voice voice;
 } Gate;
 
 /* The hash before the first byte of a datagram; `key` has 0 to 32 bytes. */
@@ -72,19 +73,24 @@ static void prepare(Gate *gate, const uint8_t *key, uint32_t key_bytes, const ui
     compress(gate->keyed, block, BLOCK, 0);
 }
 
-/* Whether the MAC at its end is right; something must be before it. */
-static int is_genuine(const Gate *gate, const uint8_t *datagram, int32_t length) {
-    int32_t rest = length - MAC_SIZE;
-    if (rest <= 0) return 0;
+/* The MAC of a payload, which has a byte at least. */
+static void make_mac(const Gate *gate, const uint8_t *at, int32_t rest, uint8_t mac[MAC_SIZE]) {
     uint32_t hash[8], count = gate->keyed_bytes;
     memcpy(hash, gate->keyed, sizeof hash);
-    const uint8_t *at = datagram;
     for (; rest > BLOCK; rest -= BLOCK, at += BLOCK) compress(hash, at, count += BLOCK, 0);
     uint8_t block[BLOCK] = {0};
     memcpy(block, at, (size_t)rest);
     compress(hash, block, count + (uint32_t)rest, 1);
-    uint8_t wrong = 0; /* looked at as a whole: how long it takes tells nothing */
-    for (int i = 0; i < MAC_SIZE; i++) wrong |= (uint8_t)(hash[i / 4] >> i % 4 * 8 ^ datagram[length - MAC_SIZE + i]);
+    for (int i = 0; i < MAC_SIZE; i++) mac[i] = (uint8_t)(hash[i / 4] >> i % 4 * 8);
+}
+
+/* Whether the MAC at its end is right; something must be before it. */
+static int is_genuine(const Gate *gate, const uint8_t *datagram, int32_t length) {
+    const int32_t payload = length - MAC_SIZE;
+    if (payload <= 0) return 0;
+    uint8_t mac[MAC_SIZE], wrong = 0; /* looked at as a whole: how long it takes tells nothing */
+    make_mac(gate, datagram, payload, mac);
+    for (int i = 0; i < MAC_SIZE; i++) wrong |= (uint8_t)(mac[i] ^ datagram[payload + i]);
     return !wrong;
 }
 
@@ -270,4 +276,24 @@ void gate_take(Gate *gate, const uint8_t *slots, int32_t stride, const int32_t *
     shown->rows[0] = 0xdd;
     for (int i = 0; i < 4; i++) shown->rows[1 + i] = (uint8_t)(rows >> (24 - 8 * i));
     shown->bytes = rows ? (int32_t)(at - shown->rows) : 0;
+}
+
+/* How own words begin in this mission, up to their sequence number; nothing: none is said here. */
+void voice_introduce(Gate *gate, const uint8_t *begin, int32_t bytes) {
+    gate->voice.bytes = bytes <= MOST_BEGIN ? bytes : 0;
+    memcpy(gate->voice.begin, begin, (size_t)gate->voice.bytes);
+}
+
+/* Where the last own word lies. */
+const uint8_t *voice_said(const Gate *gate) { return gate->voice.said; }
+
+/* Say a word of these `fields`, see compose; with the closing of round `own` that lies in the ledger, if it is not 0. How
+   long it is with its MAC; 0: that is not possible here. */
+int32_t voice_say(Gate *gate, const uint8_t *fields, int32_t bytes, const Ledger *ledger, int64_t own) {
+    uint8_t *said = gate->voice.said;
+    Text row;
+    if (own && !own_row(ledger, own, &row)) return 0;
+    const int32_t length = compose(&gate->voice, fields, bytes, own ? &row : NULL);
+    if (length) make_mac(gate, said, length, said + length);
+    return length ? length + MAC_SIZE : 0;
 }

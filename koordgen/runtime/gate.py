@@ -26,7 +26,18 @@ from koordgen.runtime.native import Compiled, NotCompiled, declare
 from koordgen.runtime.seal import KEY_SIZE, MAC_SIZE
 from koordgen.runtime.sessions import WORDS
 from koordgen.runtime.transport import MOST_AT_ONCE
-from koordgen.runtime.wire import LIMIT, MAX_ECHOES, MAX_ROBOTS, Closing, MaybePerRobot, Natural, Pid, Shift, Wired
+from koordgen.runtime.wire import (
+    LIMIT,
+    MAX_ECHOES,
+    MAX_ROBOTS,
+    Closing,
+    Echo,
+    MaybePerRobot,
+    Natural,
+    Pid,
+    Shift,
+    Wired,
+)
 
 SOURCE = Path(__file__).with_name("gate.c")
 FLAGS = (
@@ -107,6 +118,7 @@ class _Shown(ctypes.Structure):
 def prove(found: ctypes.CDLL) -> None:
     """Declares the functions, and raises NotCompiled where the library is not the one that this module goes with."""
     declare(found, "gate_", _FUNCTIONS)
+    declare(found, "voice_", _VOICE)
     ledger.prove(found)
     if (found.gate_shown_size(), found.gate_columns_size()) != (ctypes.sizeof(_Shown), ctypes.sizeof(_Columns)):
         raise NotCompiled("the compiled gate lays its memory out otherwise than Python reads it")
@@ -123,8 +135,17 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "attach": (None, (c_void_p, c_void_p)),
     "take": (None, (c_void_p, c_void_p, c_int32, c_void_p, c_int32, c_double, c_double)),
 }
+_VOICE: dict[str, tuple[Any, tuple[Any, ...]]] = {
+    "introduce": (None, (c_void_p, c_char_p, c_int32)),
+    "said": (c_void_p, (c_void_p,)),
+    "say": (c_int32, (c_void_p, c_char_p, c_int32, c_void_p, c_int64)),
+}
 COMPILED = Compiled(SOURCE, FLAGS, prove)
 
+# From wire.Head.sequence to wire.Round.held.
+Said = tuple[int, int, int | None, tuple[Echo, ...], int, int, int, int, bool, tuple[int, ...]]
+
+_encode = msgspec.msgpack.Encoder().encode
 _rows: msgspec.msgpack.Decoder[list[Usual]] = msgspec.msgpack.Decoder(list[Usual])
 
 
@@ -152,6 +173,9 @@ class Gate:
         key = key or b""
         found.gate_open(self._at, n_sys, pid, ctypes.addressof(addresses), rows, key, len(key), purpose)
         self._take = found.gate_take
+        self._say = found.voice_say
+        said: Any = (ctypes.c_char * LIMIT).from_address(found.voice_said(self._at))  # in `_state`
+        self._said: bytes = said  # parts of it are
 
     def begin(self, common: bytes) -> None:
         """How words of this mission begin, up to their sender; empty: none is usual."""
@@ -172,6 +196,16 @@ class Gate:
             noting.attach(self._found)
         self._ledger = noting  # it lives as long as its address is known
         self._found.gate_attach(self._at, None if noting is None else noting.at)
+
+    def introduce(self, begin: bytes) -> None:
+        """How own words of this mission begin, up to their sequence number; empty: none is said here."""
+        self._found.voice_introduce(self._at, begin, len(begin))
+
+    def say(self, fields: Said, ledger: int, own: int) -> bytes:
+        """A word, sealed; with the own closing of round `own` (0: with none) out of the ledger at that address. Empty:
+        that is not possible here."""
+        told = _encode(fields)
+        return self._said[: self._say(self._at, told, len(told), ledger, own)]
 
     def take(self, datagrams: Sequence[bytes], local: float, fleet: float | None) -> Judged:
         """Judge what arrived by `local` seconds of the robot's clock, which is `fleet` of the fleet's."""

@@ -77,7 +77,7 @@ class Link:
         self._fleet_clock = fleet_clock
         self._report = report
         self._reported: set[tuple[int, str]] = set()
-        self.speech = Speech(program, settings, key, transport, clock, fleet_clock, boot, self.sessions)
+        self.speech = Speech(program, settings, key, transport, clock, fleet_clock, boot, self.sessions, self._gate)
 
     @property
     def epoch(self) -> bytes:
@@ -163,11 +163,13 @@ class Link:
         if self._gate is None:
             return
         head = Head(self._application, self._interface, self._program, self.pid, self.boot, self.epoch, 0, 0, None, ())
-        common = pack(Round(head, 0, 0, 0, 0, False, (), ()))
-        until = common.index(encoder.encode(self.boot)) - 1  # the pid is one byte
+        common, epoch = pack(Round(head, 0, 0, 0, 0, False, (), ())), encoder.encode(self.epoch)
+        tail = encoder.encode(self.boot) + epoch
+        until = common.index(tail) - 1  # the pid is one byte
         self._gate.begin(common[:until] if self.epoch else b"")
+        self._gate.introduce(common[: until + 1 + len(tail)] if self.epoch else b"")
         for pid in pids:
-            self._gate.adopt(pid, encoder.encode(self.sessions.boots[pid]) + encoder.encode(self.epoch))
+            self._gate.adopt(pid, encoder.encode(self.sessions.boots[pid]) + epoch)
 
     def reject(self, reason: str) -> None:
         self.rejected[reason] = self.rejected.get(reason, 0) + 1

@@ -6,9 +6,11 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 from koordgen.runtime.clock import Clock, FleetClock
+from koordgen.runtime.gate import Gate
+from koordgen.runtime.ledger import Ledger
 from koordgen.runtime.pieces import cut, lacking
 from koordgen.runtime.program import Program
 from koordgen.runtime.seal import MEMORY, seal
@@ -42,8 +44,20 @@ NOTHING: Mapping[int, Partly] = MappingProxyType({})
 Fields = tuple[int, int, int, int, bool, tuple[int, ...]]  # of Round, between its head and its closings
 
 
+class _Turn(NamedTuple):
+    """What is echoed in one datagram, to whom it is due, and when there may be some due again."""
+
+    echoes: tuple[Echo, ...]
+    due: Sequence[int]
+    next_echo: float
+
+
+_NOBODY = _Turn((), (), -math.inf)
+
+
 class Speech:
-    """`sessions` are those of the peers that may be listened to."""
+    """`sessions` are those of the peers that may be listened to. A `gate`, told how own words begin, puts most of them
+    together and seals them, into the same bytes."""
 
     def __init__(
         self,
@@ -55,6 +69,7 @@ class Speech:
         fleet_clock: FleetClock,
         boot: bytes,
         sessions: Sessions,
+        gate: Gate | None = None,
     ) -> None:
         self.epoch = b""
         self.room = LIMIT - overhead(len(settings.peers))  # bytes for closings or a piece in one datagram
@@ -66,6 +81,7 @@ class Speech:
         self._clock = clock
         self._fleet_clock = fleet_clock
         self._sessions = sessions
+        self._gate = gate
         self._sequence = 0
         self._echoed: dict[int, float] = {}  # when each peer was last sent an echo
         self._next_echo = -math.inf  # none is due to anyone before
@@ -83,7 +99,7 @@ class Speech:
               partly: Mapping[int, Partly] = NOTHING) -> None:  # fmt: skip
         """A word with closings: one datagram, or as few as they fit in, at most MOST_DATAGRAMS; the rest waits to be
         asked for. Of a closing that is longer than a datagram go those pieces that are not in `partly`, by author."""
-        if not to:
+        if not to or (not closings and self.own(to, word, 0, None)):
             return
         head = self._head(to)
         payload = pack(Round(head, *word, tuple(closings)))
@@ -91,6 +107,26 @@ class Speech:
             self._transport.send(to, seal(self._key, MEMORY, payload))
             return
         self._divided(to, head, word, closings, partly)
+
+    def own(self, to: Sequence[int], word: Fields, round_: int, ledger: Ledger | None) -> bool:
+        """A word with the own closing of a round, out of the ledger, or with none (0), by the gate. False: not possible
+        here, nothing was said nor changed, and `round` says the same."""
+        gate = self._gate
+        if gate is None or not to:
+            return not to
+        now = self._clock.now()
+        offset = self._fleet_clock.offset(now)
+        turn = _NOBODY if now < self._next_echo else self._turn(to, now)
+        sequence, sent = self._sequence + 1, round(now * 1e6) if now > 0.0 else 0  # as microseconds, but for the call
+        fields = sequence, sent, None if offset is None else round(offset * 1e6), turn[0], *word
+        datagram = gate.say(fields, 0 if ledger is None else ledger.at, round_)
+        if not datagram:
+            return False
+        self._sequence = sequence
+        if turn is not _NOBODY:
+            self._take_turn(turn, now)
+        self._transport.send(to, datagram)
+        return True
 
     def _divided(self, to: Collection[int], head: Head, word: Fields, closings: Sequence[Closing],
                  partly: Mapping[int, Partly]) -> None:  # fmt: skip
@@ -108,23 +144,30 @@ class Speech:
         self._sequence += 1
         now = self._clock.now()
         offset = self._fleet_clock.offset(now)
-        echoes = () if every is None and now < self._next_echo else self._echoes(to, now, every)
+        turn = _NOBODY
+        if every is not None or now >= self._next_echo:
+            turn = self._turn(to, now, every)
+            self._take_turn(turn, now)
         fleet = None if offset is None else round(offset * 1e6)
-        return Head(*self._own, self.epoch, self._sequence, microseconds(now), fleet, echoes)
+        return Head(*self._own, self.epoch, self._sequence, microseconds(now), fleet, turn.echoes)
 
-    def _echoes(self, to: Collection[int], now: float, every: float | None) -> tuple[Echo, ...]:
+    def _turn(self, to: Collection[int], now: float, every: float | None = None) -> _Turn:
         """Of those whose turn it is: as often as they learn from it, which from the reference they do most."""
         if every is None:
             reference = self._fleet_clock.reference == self._pid
             every = (REFERENCE_EVERY if reference else OTHERS_EVERY) / ECHOES_A_LESSON
-        sessions, echoed = self._sessions, self._echoed
+        sessions, echoed, next_ = self._sessions, self._echoed, self._next_echo
         due = [p for p in to if now - echoed.get(p, -math.inf) >= every and p in sessions.boots]
         if len(due) <= MAX_ECHOES and len(to) == len(sessions.boots):  # nobody is left
-            self._next_echo = now + every / ECHOES_A_LESSON
+            next_ = now + every / ECHOES_A_LESSON
         if len(due) > MAX_ECHOES:
             due = sorted(due, key=lambda p: (echoed.get(p, -math.inf), p))[:MAX_ECHOES]
-        echoed.update(dict.fromkeys(due, now))
-        return tuple([Echo(p, sent, sessions.arrived[p]) for p in due if (sent := sessions.sent[p]) >= 0])
+        echoes = tuple([Echo(p, sent, sessions.arrived[p]) for p in due if (sent := sessions.sent[p]) >= 0])
+        return _Turn(echoes, due, next_)
+
+    def _take_turn(self, turn: _Turn, now: float) -> None:
+        self._next_echo = turn.next_echo
+        self._echoed.update(dict.fromkeys(turn.due, now))
 
     def _pieces(self, to: Collection[int], closing: Closing, blob: bytes, known: Partly | None) -> None:
         pieces = cut(blob, self.room)
