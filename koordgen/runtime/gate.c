@@ -204,7 +204,7 @@ static uint8_t *tell(uint8_t *at, const Word *word) {
    new. */
 static uint8_t noted(Word *word) {
     static const uint8_t NONE[] = {0x90};
-    word->closings = (Text){NONE, sizeof NONE};
+    word->held = word->closings = (Text){NONE, sizeof NONE};
     return word->echoed ? USUAL : NOTED;
 }
 

@@ -1,6 +1,7 @@
 /* Puts damaged datagrams with right MACs through the gate, under the compiler's sanitizers: gate.c is compiled together
-   with this. Arguments: how many datagrams, and the seed. Exit status 0 when nothing was read or written beyond its end,
-   the rows are as many as the verdicts tell, and each of them is MessagePack of seven. */
+   with this. What is noted of them in a ledger is collected, amid own closings. Arguments: how many datagrams, and the
+   seed. Exit status 0 when nothing was read or written beyond its end, the rows are as many as the verdicts tell, each
+   of them is MessagePack of seven, and what is collected is MessagePack of three. */
 
 #include "gate.c"
 
@@ -13,6 +14,9 @@ static int64_t naturals[5][ROBOTS];
 static uint64_t words[ROBOTS * WORDS], buckets[ROBOTS * BUCKETS];
 static int64_t received[ROBOTS], expected[ROBOTS];
 static double times[3][ROBOTS];
+static uint8_t room[1 << 20]; /* for what is longer than a datagram */
+static Ledger ledger;
+static int members, quiet; /* so many were noted */
 static const uint8_t key[32] = {1, 2, 3}, begins[] = {3, 0x99, 1, 0x9a, 7};
 
 static void check(int good, const char *what) {
@@ -48,35 +52,64 @@ static uint8_t *value(uint8_t *at, int depth) {
     return at;
 }
 
+/* The writes of a closing, nearly always as they should be: in its room. */
+static uint8_t *make_writes(uint8_t *at) {
+    int count = below(3) ? below(4) : below(20), index = 0;
+    if (!below(20)) count = below(260), *at++ = 0xdc, *at++ = (uint8_t)(count >> 8), *at++ = (uint8_t)count;
+    else if (count < 16) *at++ = (uint8_t)(0x90 + count);
+    else *at++ = 0xdc, *at++ = 0, *at++ = (uint8_t)count;
+    for (; count; count--) {
+        *at++ = 0x93;
+        at = shortest(at, index += 1 + below(3) * below(200));
+        at = below(10) ? number(at) : value(at, 5);
+        *at++ = below(2000) ? 0xc2 : 0xc3;
+    }
+    return at;
+}
+
+/* What the ledger notes, but for what chance has damaged. */
+static uint8_t *make_closing(uint8_t *at, int pid) {
+    int64_t round = ledger.held[pid] + (below(12) ? 1 : below(5) - 2);
+    *at++ = 0x99;
+    at = shortest(shortest(at, below(30) ? pid : below(ROBOTS)), below(30) ? 9 : below(300));
+    at = shortest(shortest(at, below(30) ? round : below(30)), round);
+    for (int i = 0; i < 3; i++) *at++ = (uint8_t)(0xc2 + (i && below(2)));
+    return make_writes(shortest(at, below(400) ? -1 : below(70000) - 2));
+}
+
 /* A word that is usual but for what chance has damaged; how long its payload is. */
 static int make(uint8_t *payload, int32_t sequence) {
-    int pid = below(20) ? below(ROBOTS) : below(256), round = below(256), echoes = below(3);
+    int pid = below(20) ? below(below(3) ? members : ROBOTS) : below(256), round = below(256);
+    const int plain = below(3) && pid < ROBOTS, echoes = plain && below(8) ? 0 : below(3); /* may be noted */
     uint8_t *at = payload;
     memcpy(at, begins, sizeof begins), at += sizeof begins;
     *at++ = (uint8_t)pid;
     memset(at, pid, TAIL), at += TAIL;
     *at++ = 0xce;
     for (int i = 24; i >= 0; i -= 8) *at++ = (uint8_t)(sequence >> i);
-    at = number(at);
-    if (below(3)) at = number(at);
+    at = plain ? small(at, 3) : number(at);
+    if (!plain && below(3)) at = number(at);
     else *at++ = 0xc0;
     *at++ = (uint8_t)(0x90 + echoes);
     for (int i = 0; i < echoes; i++) *at++ = 0x93, at = number(number(small(at, below(ROBOTS))));
-    at = number(number(small(small(at, 1), round)));
+    at = small(small(at, 1), plain ? below(4) : round);
+    if (plain) at = shortest(shortest(at, 9 - !below(9)), below(9));
+    else at = number(number(at));
     *at++ = below(30) ? 0xc2 : 0xc3;
-    if (below(2)) *at++ = 0x90;
+    if (plain || below(2)) *at++ = 0x90;
     else at = value(at, 0);
-    int closings = below(3);
+    int closings = plain ? below(9) > 0 : below(3);
     *at++ = (uint8_t)(0x90 + closings);
-    for (int i = 0; i < closings; i++) {
+    for (int i = 0; i < closings && plain; i++) at = make_closing(at, pid);
+    for (int i = 0; i < closings && !plain; i++) {
         *at++ = 0x99;
         at = small(small(small(small(at, pid), 9), round), round);
         for (int j = 0; j < 5; j++) at = value(at, j);
     }
     int length = (int)(at - payload);
     if (length > MOST) length = MOST;
-    for (int flips = below(4) ? 0 : 1 + below(6); flips; flips--) payload[below(length)] = (uint8_t)rand();
-    if (!below(8)) length = below(length + 1);
+    for (int flips = below(plain ? 8 : 4) ? 0 : 1 + below(6); flips; flips--) payload[below(length)] = (uint8_t)rand();
+    if (!below(plain ? 40 : 8)) length = below(length + 1);
     return length;
 }
 
@@ -98,9 +131,9 @@ static uint32_t look(const Shown *shown, int count) {
     uint32_t rows = 0, usual = 0;
     int others = 0;
     for (int i = 0; i < count; i++) {
-        check(shown->verdict[i] <= NOTHING, "verdict");
-        usual += shown->verdict[i] == USUAL;
-        others += shown->verdict[i] != USUAL && shown->verdict[i] != NOTHING;
+        check(shown->verdict[i] <= NOTED, "verdict");
+        usual += shown->verdict[i] == USUAL, quiet += shown->verdict[i] == NOTED;
+        others += shown->verdict[i] != USUAL && shown->verdict[i] != NOTHING && shown->verdict[i] != NOTED;
     }
     check(others == shown->others, "others");
     if (!usual) return check(!shown->bytes, "bytes of nothing"), 0;
@@ -108,6 +141,56 @@ static uint32_t look(const Shown *shown, int count) {
     for (; reader.at < reader.end; rows++) check(*reader.at == 0x97 && skip(&reader), "row");
     check(rows == usual && shown->rows[0] == 0xdd && big(shown->rows + 1, 4) == rows, "rows");
     return rows;
+}
+
+static void *fresh(void *old, size_t bytes) {
+    free(old);
+    void *found = calloc(bytes, 1);
+    return check(found != NULL, "no memory"), found;
+}
+
+/* A ledger, whose columns have exactly the room that they need. */
+static void begin_ledger(void) {
+    int64_t **const columns[] = {&ledger.held, &ledger.floor, &ledger.view, &ledger.incarnation, &ledger.applied,
+                                 &ledger.through, &ledger.heard};
+    for (int i = 0; i < 7; i++) *columns[i] = fresh(*columns[i], ROBOTS * sizeof(int64_t));
+    ledger.wanting = fresh(ledger.wanting, ROBOTS), ledger.gap = fresh(ledger.gap, ROBOTS);
+    ledger.number = fresh(ledger.number, (PRESENT + 1) * sizeof(int64_t));
+    ledger.rows = fresh(ledger.rows, (size_t)ROBOTS * DEPTH * ROW);
+    ledger.length = fresh(ledger.length, ROBOTS * DEPTH * sizeof(int32_t));
+    ledger.robots = ROBOTS, ledger.own = OWN;
+}
+
+/* What Python does to its columns before datagrams come; robots up to `members` count. */
+static void change_ledger(void) {
+    const int64_t applied = ledger.number[APPLIED];
+    ledger.number[OPEN] = below(30) > 0, ledger.number[LAST] = applied + 600, ledger.number[WATCHED] = applied;
+    if (!members || !below(4)) members = 2 + below(below(8) ? 9 : ROBOTS - 2);
+    for (int pid = 0; pid < ROBOTS; pid++) {
+        ledger.incarnation[pid] = pid % 30 && pid < members ? 9 : -1; /* others are not adopted */
+        ledger.applied[pid] = below(6);
+        if (ledger.held[pid] < applied) ledger.held[pid] = ledger.floor[pid] = applied;
+        ledger.view[pid] = below(400) > 0, ledger.gap[pid] = !below(400), ledger.wanting[pid] = !below(400);
+    }
+}
+
+/* Own closings, and rounds as far as they can be collected; also such as are not here. How many could be. */
+static int collect(void) {
+    int found = 0;
+    for (int i = 0; i < 30; i++) {
+        uint8_t *out = malloc(ledger_room(ROBOTS));
+        const int32_t bytes = (int32_t)(make_writes(room) - room), lock = below(40) ? -1 : below(65536);
+        uint8_t *exact = fresh(NULL, (size_t)bytes);
+        memcpy(exact, room, (size_t)bytes);
+        ledger_close(&ledger, ledger.held[OWN] + below(2), below(2), below(2), lock, exact, bytes);
+        int64_t round = below(3) ? ledger.number[APPLIED] + 1 : below(40);
+        int32_t size = ledger_collect(&ledger, round, out);
+        Reader reader = {out, out + size};
+        if (size) check(*out == 0x93 && skip(&reader) && reader.at == reader.end, "collected"), found++;
+        if (size || !below(60)) ledger.number[APPLIED]++, ledger.number[SETTLED]++;
+        free(exact), free(out);
+    }
+    return found;
 }
 
 static void begin(Gate *gate, uint8_t *rows, uint32_t key_bytes) {
@@ -122,6 +205,9 @@ static void begin(Gate *gate, uint8_t *rows, uint32_t key_bytes) {
         gate_adopt(gate, pid, tail, pid % 30 ? TAIL : 12);
     }
     gate_follow(gate, 1);
+    begin_ledger();
+    change_ledger();
+    gate_attach(gate, below(9) ? &ledger : NULL);
 }
 
 /* One alone, of which not a byte too many may be read. */
@@ -137,15 +223,16 @@ int main(int count, char **arguments) {
     check(count == 3, "usage: gate_driver DATAGRAMS SEED");
     const int todo = atoi(arguments[1]);
     uint32_t usual = 0;
+    int collected = 0;
     Gate *gate = malloc(gate_size());
     uint8_t *rows = malloc((size_t)MOST_AT_ONCE * (LARGEST + 32)), *slots = calloc(MOST_AT_ONCE, LARGEST);
     int32_t *lengths = malloc(MOST_AT_ONCE * sizeof *lengths);
     srand((unsigned)atoi(arguments[2]));
-    for (int done = 0, batch; done < todo; done += batch) {
-        if (done % (100 * BATCH) == 0) begin(gate, rows, below(2) ? sizeof key : 0);
-        batch = done % (50 * BATCH) ? BATCH : MOST_AT_ONCE;
+    for (int done = 0, turn = 0, batch; done < todo; done += batch, turn++) {
+        if (turn % 100 == 0) begin(gate, rows, below(2) ? sizeof key : 0);
+        batch = turn % 50 ? BATCH : MOST_AT_ONCE;
         for (int i = 0; i < batch; i++) {
-            uint8_t made[4 * LARGEST];
+            uint8_t *made = room;
             int payload = make(made, 5000 + done + i - below(below(9) ? 9 : 1500));
             lengths[i] = close_up(gate, made, payload);
             if (!below(50)) made[below(lengths[i])] ^= 1;
@@ -153,11 +240,16 @@ int main(int count, char **arguments) {
             memcpy(slots + (size_t)i * LARGEST, made, LARGEST);
             if (lengths[i] > 0) usual += take_one(gate, made, lengths[i]);
         }
-        memset(words, 0, sizeof words);
+        memset(words, 0, sizeof words), memset(naturals[0], 0, sizeof naturals[0]);
         gate_take(gate, slots, LARGEST, lengths, batch, 12.5, 1e3);
         usual += look(&gate->shown, batch);
+        collected += collect();
+        change_ledger();
+        memset(words, 0, sizeof words), memset(naturals[0], 0, sizeof naturals[0]); /* damaged numbers are high */
     }
     check(usual > (uint32_t)todo / 5, "hardly any was usual");
+    check(quiet > todo / 10, "hardly any was noted");
+    check(collected > todo / 100, "hardly any round was collected");
     free(lengths), free(slots), free(rows), free(gate);
     return 0;
 }

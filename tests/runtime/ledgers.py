@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from koordgen.runtime import gate
-from koordgen.runtime.gate import NOTED, USUAL, Gate
+from koordgen.runtime import gate, wire
+from koordgen.runtime.gate import NOTED, OTHER, USUAL, Gate
 from koordgen.runtime.ledger import (
     APPLIED,
     DEPTH,
@@ -39,6 +39,7 @@ BEGINS = b"words of this mission begin so"
 COLUMNS = ("held", "floor", "view", "incarnation", "applied", "through", "heard", "wanting", "gap", "number", "lacks")
 encode = encoder.encode
 _closings = msgspec.msgpack.Decoder(tuple[Closing, ...])
+_held = msgspec.msgpack.Decoder(wire.MaybePerRobot)
 _parts = msgspec.msgpack.Decoder(list[list[msgspec.Raw]])
 
 
@@ -66,6 +67,14 @@ class Said(NamedTuple):
         """The closing's author says it in the round after."""
         word = Said(closing.author, closing.round + 1, closing.round if applied is None else applied, **more)
         return word._replace(closings=encode([closing]))
+
+
+def is_whole(encoded: bytes) -> bool:
+    """Whether it is one thing, with nothing behind it."""
+    try:
+        return len(_parts.decode(b"\x91\x91" + encoded)) == 1
+    except (ValueError, RecursionError):
+        return False
 
 
 def strict(closings: bytes) -> Closing | bool | None:
@@ -107,7 +116,10 @@ class Model:
         plain, number, pid = self.plain, self.plain.number, word.pid
         through = max(0, word.round - 1)
         closing = strict(word.closings)
-        held = msgspec.msgpack.decode(word.held)
+        try:
+            held = msgspec.msgpack.decode(word.held)
+        except ValueError:
+            return False
         ours = isinstance(held, list) and all(type(each) is int for each in held) and len(held) in (0, plain.n_sys)
         if not number[OPEN] or closing is None or not ours or word.held[0] == 0xDD or min(held, default=0) < 0:
             return False
@@ -208,6 +220,12 @@ class Table:
         self.set("incarnation", *[0] * n_sys)
         self.number({OPEN: 1, LAST: 20, PRESENT: view, WATCHED: -1, LACKING: n_sys})
 
+    def follow(self, view: int) -> None:
+        self.view = view
+        self.gate.follow(view)
+        self.model.plain.number[PRESENT] = view
+        self.same()
+
     def both(self) -> tuple[Ledger, Ledger]:
         return self.ledger, self.model.plain
 
@@ -218,6 +236,10 @@ class Table:
     def put(self, column: str, pid: int, value: int) -> None:
         for each in self.both():
             getattr(each, column)[pid] = value
+
+    def want(self, pid: int, wanting: bool) -> None:
+        self.put("wanting", pid, wanting)
+        self.number({WANTING: sum(self.ledger.wanting)})
 
     def number(self, values: dict[int, int]) -> None:
         for each in self.both():
@@ -234,22 +256,29 @@ class Table:
     def hear(self, *words: Said) -> list[bool]:
         """Which were noted; all is as the model says."""
         judged = self.gate.take([self.datagram(word) for word in words], 1.0, None)
-        noted = [self.model.note(word, self.view) for word in words]
-        told = [not n or any(e.pid == self.pid for e in w.echoes) for n, w in zip(noted, words, strict=True)]
+        noted, told, verdicts = list[bool](), list[bytes | None](), list[int]()
+        for word in words:
+            usual = is_whole(word.held) and is_whole(word.closings)
+            noted.append(usual and self.model.note(word, self.view))
+            quiet = noted[-1] and all(echo.pid != self.pid for echo in word.echoes)
+            verdicts.append(NOTED if quiet else USUAL if usual else OTHER)
+            if verdicts[-1] == USUAL:
+                told.append(self.told(word, noted[-1]))
+        assert list(judged.verdicts) == ([] if OTHER not in verdicts and judged.usual is not None else verdicts)
+        assert (judged.usual is None) == (None in told)
         if judged.usual is not None:
-            expected = [self.told(w, n) for w, n, t in zip(words, noted, told, strict=True) if t]
-            assert [
-                encode((r.sender, r.round, r.applied, r.settled, r.held, r.closings)) for r in judged.usual
-            ] == expected
-            assert judged.verdicts in ((), [])
-        else:
-            assert list(judged.verdicts) == [USUAL if t else NOTED for t in told]
+            rows = [(r.sender, r.round, r.applied, r.settled, r.held, r.closings) for r in judged.usual]
+            assert [*map(encode, rows)] == told
         self.same()
         return noted
 
-    def told(self, word: Said, noted: bool) -> bytes:
+    def told(self, word: Said, noted: bool) -> bytes | None:
+        """How the gate hands it on; None: what it says is malformed."""
         held, closings = (b"\x90", b"\x90") if noted else (word.held, word.closings)
-        decoded = (msgspec.msgpack.decode(held, type=tuple[int, ...]), _closings.decode(closings))
+        try:
+            decoded = (_held.decode(held), _closings.decode(closings))
+        except (ValueError, RecursionError):
+            return None
         return encode((word.pid, word.round, word.applied, word.settled, *decoded))
 
     def same(self) -> None:
