@@ -37,6 +37,9 @@ static void compress(uint32_t hash[8], const uint8_t block[BLOCK], uint32_t coun
     for (int i = 0; i < 8; i++) v[i] = hash[i], v[i + 8] = START[i];
     v[12] ^= count;
     if (last) v[14] = ~v[14];
+#if defined __GNUC__ && !defined __clang__
+#pragma GCC unroll 10 /* a third faster: which words of the block are taken is known then */
+#endif
     for (int i = 0; i < 10; i++) {
         const uint8_t *s = SIGMA[i];
         mix(v, 0, 4, 8, 12, m[s[0]], m[s[1]]);

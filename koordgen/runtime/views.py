@@ -166,7 +166,7 @@ class Views:
     @property
     def busy(self) -> bool:
         """Whether another view is on its way."""
-        return self.frozen or self._reason is not None
+        return self._reason is not None or self.vote.number > self.view.number
 
     def poll(self, tick: int, doubted: Collection[int], asking: Collection[int]) -> list[Out]:
         """What is to be sent at this tick, given members that are missed and others that want to be let in."""
