@@ -97,7 +97,7 @@ class Memory:
     @property
     def crowded(self) -> bool:
         """Whether this robot must write nothing because others lag too far behind to be repeated more."""
-        return self.ledger.held[self._pid] - self.settled >= WINDOW and len(self._logs[self._pid]) >= WINDOW
+        return self.ledger.held[self._pid] - self.settled > WINDOW // 2 and len(self._logs[self._pid]) >= WINDOW
 
     @property
     def laggard(self) -> int:

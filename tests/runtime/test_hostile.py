@@ -15,6 +15,8 @@ from hypothesis import strategies as st
 
 from koordgen.runtime import wire
 from koordgen.runtime.bounds import Fixed
+from koordgen.runtime.ledger import DEPTH, LAST, TICK, Ledger
+from koordgen.runtime.log import Log
 from koordgen.runtime.program import Program, Variable
 from koordgen.runtime.seal import MEMORY, POSITION, seal, unseal
 from koordgen.runtime.values import Point
@@ -36,6 +38,7 @@ from koordgen.runtime.wire import (
     View,
     Want,
     Write,
+    encoder,
 )
 from tests.runtime.fleet import KEY, Fleet, Robot
 from tests.runtime.lineform import PROGRAM
@@ -44,19 +47,35 @@ TOP = 2**53
 CLEO = 2
 
 
+NOTED = ("view", "incarnation", "applied", "through", "wanting", "gap", "lacks", "heard")
+
+
+def _rows(ledger: Ledger, pid: int) -> list[bytes]:
+    """The closings of a robot that the gate has noted."""
+    held = ledger.held[pid]
+    first = max(ledger.floor[pid], held - DEPTH) + 1
+    return [ledger.row(pid, round_) for round_ in range(first, held + 1)] if ledger.native else []
+
+
+def _later(log: Log) -> list[bytes]:
+    return [encoder.encode(log.later[first].closing) for first in sorted(log.later)]
+
+
 def snapshot(robot: Robot) -> Any:
     """All state that datagrams could change, as plain values; what was dropped is counted elsewhere."""
     agent = robot.agent
     replica = agent._replica
     assert replica is not None and replica.memory is not None
     memory = replica.memory
+    ledger, columns = memory.ledger, vars(memory.ledger)
     logs = [
-        (log.held, [str(e) for e in log.entries], sorted((k, str(e)) for k, e in log.later.items()))
-        for log in memory._logs
+        (log.held, [encoder.encode(e.closing) for e in log.kept] + _rows(ledger, pid), _later(log))
+        for pid, log in enumerate(memory._logs)
     ]
+    number = [value for index, value in enumerate(ledger.number) if index not in (LAST, TICK)]  # time goes on
     return (
         logs,
-        str(vars(memory._words)),
+        (number, memory._words._sure, {k: str(v) for k, v in columns.items() if k in NOTED}),
         memory.settled,
         memory.applied,
         memory.shared,
@@ -87,6 +106,7 @@ class Wiretap:
         self.fleet.boot_all().run_rounds(20)
         self.fleet.run(0.05)  # between publishing and the next asking: nothing is under way
         self.victim = self.fleet.robots[0]
+        self.look()
         self.before = snapshot(self.victim)
 
     def play(self, *datagrams: bytes) -> dict[str, int]:
@@ -98,7 +118,16 @@ class Wiretap:
         self.victim.agent.poll(self.victim.clock.now())
         assert not queue
         assert not self.victim.agent._broken
+        self.look()
         return {k: v - counted.get(k, 0) for k, v in link.rejected.items() if v != counted.get(k, 0)}
+
+    def look(self) -> None:
+        """What the gate has noted is looked at when it is applied, or someone asks for it; here at once."""
+        replica = self.victim.agent._replica
+        if replica is not None and replica.memory is not None:
+            replica.memory._fetch()
+            for _ in range(replica.memory.misfits()):
+                self.victim.agent._link.reject("closing does not fit")
 
     def unharmed(self) -> bool:
         return bool(snapshot(self.victim) == self.before)
