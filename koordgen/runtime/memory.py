@@ -269,7 +269,7 @@ class Memory:
             through, logs = self.applied + 1, self._logs
             if number[OPEN] and self._pass_alike(through):
                 continue
-            if self._fetch():
+            if self.fetch():
                 break
             entries = [logs[p].at(through) for p in self._course.members]
             if not entries[0].closing.acted and not any(e.single for e in entries):
@@ -377,8 +377,8 @@ class Memory:
             self.shared, self.acted = shared, acted
             self._past.add(through, shared, acted, self.stable)
 
-    def _fetch(self) -> int:
-        """Have all closings in the logs; how many are lacking, should some not fit."""
+    def fetch(self) -> int:
+        """Have all closings in the logs, where each was looked at; how many are lacking, should some not fit."""
         if self.ledger.native:
             for log in self._logs:
                 log.fetch()

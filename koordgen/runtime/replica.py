@@ -259,6 +259,7 @@ class Replica:
         memory, last = self.memory, value.since - 1
         if memory is None:
             return value.members[self.pid] >= 0
+        memory.fetch()  # what it says to hold must fit
         stays = value.number == memory.view.number + 1 and value.members[self.pid] >= 0
         return stays and (memory.applied >= last or not memory.missing(last))
 

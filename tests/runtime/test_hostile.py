@@ -125,7 +125,7 @@ class Wiretap:
         """What the gate has noted is looked at when it is applied, or someone asks for it; here at once."""
         replica = self.victim.agent._replica
         if replica is not None and replica.memory is not None:
-            replica.memory._fetch()
+            replica.memory.fetch()
             for _ in range(replica.memory.misfits()):
                 self.victim.agent._link.reject("closing does not fit")
 

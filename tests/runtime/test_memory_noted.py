@@ -10,6 +10,8 @@ import pytest
 from koordgen.runtime.link import Usuals
 from koordgen.runtime.log import Log
 from koordgen.runtime.memory import AHEAD, Memory
+from koordgen.runtime.replica import Replica
+from koordgen.runtime.views import Vote
 from koordgen.runtime.wire import Closing, View, Write
 from tests.runtime.gates import ADOPTED, OWN, VIEW, Ear, N, head, needs_gate, sealed, word
 from tests.runtime.memories import layout, one, silence, write
@@ -70,7 +72,7 @@ def test_usual_rounds_go_on_without_a_word_to_python(monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize(
     "wrong", [(write(0, "text"),), (write(2, 3),), (write(0, 1), write(1, 2**63))], ids=("type", "index", "size")
 )
-@pytest.mark.parametrize("first", ["apply", "fetch"])
+@pytest.mark.parametrize("first", ["apply", "repeat", "vote"])
 def test_what_does_not_fit_is_dropped_with_what_follows(wrong: tuple[Write, ...], first: str) -> None:
     """Its author is asked again, as for one that never came; and it is counted."""
     robot = Robot()
@@ -80,8 +82,10 @@ def test_what_does_not_fit_is_dropped_with_what_follows(wrong: tuple[Write, ...]
     assert robot.hear(2, NOW, single(2, NOW, *wrong)) == 0
     assert robot.hear(2, NOW, single(2, NOW + 1)) == 0
     assert memory.lacking == 0 and memory.held[2] == NOW + 1 and memory.misfits() == 0
-    if first == "fetch":
-        assert memory._logs[2].between(NOW, NOW + 1) == []
+    if first == "repeat":
+        assert memory._logs[2].between(NOW - 1, NOW + 1) == []
+    if first == "vote":
+        assert memory.fetch() == 1
     assert not memory.advance(NOW + 1) and memory.shared == layout(N).initial()
     assert memory.misfits() == 1 and memory.misfits() == 0
     assert memory.lacking == 1 and memory.missing(NOW) == [2] and memory.held[2] == NOW - 1
@@ -133,3 +137,14 @@ def test_own_rounds_without_events_before_one_are_closed_too() -> None:
     for pid in (0, 2):
         robot.hear(pid, NOW, silence(pid, NOW, NOW + 2, LIVES[pid]))
     assert memory.advance(NOW + 3) and memory.shared["x"][OWN] == 5
+
+
+@pytest.mark.parametrize(("written", "votes"), [(write(0, 2), True), (write(0, "text"), False)])
+def test_who_votes_for_a_view_has_looked_at_what_it_says_to_hold(written: Write, votes: bool) -> None:
+    robot = Robot()
+    robot.close(NOW, 5)
+    for pid, each in ((0, write(0, 1)), (2, written)):
+        assert robot.hear(pid, NOW, single(pid, NOW, each)) == 0
+    link, view = robot.ear.link, robot.memory.view
+    replica = Replica(link, layout(N), robot.memory, view, Vote(), NOW - 1, 10, lambda *_: None)
+    assert replica._holds(View(VIEW.number + 1, NOW + 1, LIVES)) == votes
