@@ -155,7 +155,8 @@ static void begin_ledger(void) {
                                  &ledger.through, &ledger.heard};
     for (int i = 0; i < 7; i++) *columns[i] = fresh(*columns[i], ROBOTS * sizeof(int64_t));
     ledger.wanting = fresh(ledger.wanting, ROBOTS), ledger.gap = fresh(ledger.gap, ROBOTS);
-    ledger.number = fresh(ledger.number, (PRESENT + 1) * sizeof(int64_t));
+    ledger.number = fresh(ledger.number, (WANTING + 1) * sizeof(int64_t));
+    ledger.lacks = fresh(ledger.lacks, (size_t)ROBOTS * ROBOTS * sizeof(int64_t));
     ledger.rows = fresh(ledger.rows, (size_t)ROBOTS * DEPTH * ROW);
     ledger.length = fresh(ledger.length, ROBOTS * DEPTH * sizeof(int32_t));
     ledger.robots = ROBOTS, ledger.own = OWN;

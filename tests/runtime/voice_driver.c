@@ -63,9 +63,10 @@ int main(int count, char **arguments) {
     const uint8_t key[32] = {1, 2, 3}, purpose[PURPOSE] = {'t', 'e', 's', 't'};
     int32_t *length = calloc(ROBOTS * DEPTH, sizeof *length);
     uint8_t *rows = malloc((size_t)ROBOTS * DEPTH * ROW);
+    int64_t *lacks = calloc((size_t)ROBOTS * ROBOTS, sizeof *lacks);
     Columns none = {0};
     Ledger ledger = {columns[0], columns[1], columns[2], columns[3], columns[4], columns[5], columns[6],
-                     flags[0],   flags[1],   number,     rows,       length,     ROBOTS,     OWN};
+                     flags[0],   flags[1],   number,     lacks,      rows,       length,     ROBOTS,     OWN};
     Gate *gate = malloc(gate_size());
     int said = 0, full = 0;
     srand((unsigned)atoi(arguments[2]));
@@ -79,6 +80,6 @@ int main(int count, char **arguments) {
         full += found == LIMIT;
     }
     check(said > todo / 10 && full > todo / 500, "hardly any was said");
-    free(gate), free(rows), free(length);
+    free(gate), free(rows), free(length), free(lacks);
     return 0;
 }
