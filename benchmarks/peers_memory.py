@@ -80,7 +80,9 @@ def _speak(link: Link, pids: Collection[int]) -> set[int]:
 
 
 class Update:
-    """Link and memory of one of two robots without what else a round may need: questions, ballots, the word on disk."""
+    """Link and memory of one of two robots without what else a round may need: questions, ballots, the word on disk.
+    Who answers has applied what it answers to, as its memory applies no round before it has closed it too: an agent
+    would send its closing first."""
 
     def __init__(self, given: Settings, size: int, transport: Transport, clock: Clock) -> None:
         self._other, self._size, self._transport = 1 - given.pid, size, transport
@@ -94,17 +96,15 @@ class Update:
 
     def publish(self, round_: int) -> None:
         memory, to, speech = self._memory, self._to, self._link.speech
+        if round_ > 0:
+            self._round = round_
+            memory.present(round_, 0)
+            memory.close(round_, {"report": f"{round_:0{self._size}}"}, stopped=False, acted=True)
+            memory.advance(round_ + 1)
         held = memory.held if memory.applied < round_ - 1 else ()
         word = (0, round_, memory.applied, memory.settled, False, held)
-        if round_ == 0:
-            speech.round(to, word, ())
-            return
-        self._round = round_
-        memory.present(round_, 0)
-        memory.close(round_, {"report": f"{round_:0{self._size}}"}, stopped=False, acted=True)
-        if not speech.own(to, word, round_, memory.ledger):
-            speech.round(to, word, memory.own(round_))
-        memory.advance(round_ + 1)
+        if round_ == 0 or not speech.own(to, word, round_, memory.ledger):
+            speech.round(to, word, memory.own(round_) if round_ else ())
 
     def take(self, seconds: float) -> Heard:
         self._transport.wait(seconds)
