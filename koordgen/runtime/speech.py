@@ -41,6 +41,7 @@ MOST_DATAGRAMS = 4  # to one peer for one catch-up
 MOST_PIECES_AT_ONCE = 16
 NOTHING: Mapping[int, Partly] = MappingProxyType({})
 
+Stamps = tuple[int, int, int | None, tuple[Echo, ...]]  # of Head, from its sequence on
 Fields = tuple[int, int, int, int, bool, tuple[int, ...]]  # of Round, between its head and its closings
 
 
@@ -114,17 +115,11 @@ class Speech:
         gate = self._gate
         if gate is None or not to:
             return not to
-        now = self._clock.now()
-        offset = self._fleet_clock.offset(now)
-        turn = _NOBODY if now < self._next_echo else self._turn(to, now)
-        sequence, sent = self._sequence + 1, round(now * 1e6) if now > 0.0 else 0  # as microseconds, but for the call
-        fields = sequence, sent, None if offset is None else round(offset * 1e6), turn[0], *word
-        datagram = gate.say(fields, 0 if ledger is None else ledger.at, round_)
+        now, stamps, turn = self._stamps(to)
+        datagram = gate.say((*stamps, *word), 0 if ledger is None else ledger.at, round_)
         if not datagram:
             return False
-        self._sequence = sequence
-        if turn is not _NOBODY:
-            self._take_turn(turn, now)
+        self._spend(now, turn)
         self._transport.send(to, datagram)
         return True
 
@@ -141,17 +136,26 @@ class Speech:
             self._send(to, Round(self._head(to) if index else head, *word, batch))
 
     def _head(self, to: Collection[int], every: float | None = None) -> Head:
-        self._sequence += 1
+        now, stamps, turn = self._stamps(to, every)
+        self._spend(now, turn)
+        return Head(*self._own, self.epoch, *stamps)
+
+    def _stamps(self, to: Collection[int], every: float | None = None) -> tuple[float, Stamps, _Turn]:
+        """The time, what a head ends with, and the turn in it; nothing is spent of it yet."""
         now = self._clock.now()
         offset = self._fleet_clock.offset(now)
-        turn = _NOBODY
-        if every is not None or now >= self._next_echo:
-            turn = self._turn(to, now, every)
-            self._take_turn(turn, now)
+        turn = _NOBODY if every is None and now < self._next_echo else self._turn(to, now, every)
         fleet = None if offset is None else round(offset * 1e6)
-        return Head(*self._own, self.epoch, self._sequence, microseconds(now), fleet, turn.echoes)
+        return now, (self._sequence + 1, microseconds(now), fleet, turn.echoes), turn
 
-    def _turn(self, to: Collection[int], now: float, every: float | None = None) -> _Turn:
+    def _spend(self, now: float, turn: _Turn) -> None:
+        """That was said."""
+        self._sequence += 1
+        if turn is not _NOBODY:
+            self._next_echo = turn.next_echo
+            self._echoed.update(dict.fromkeys(turn.due, now))
+
+    def _turn(self, to: Collection[int], now: float, every: float | None) -> _Turn:
         """Of those whose turn it is: as often as they learn from it, which from the reference they do most."""
         if every is None:
             reference = self._fleet_clock.reference == self._pid
@@ -164,10 +168,6 @@ class Speech:
             due = sorted(due, key=lambda p: (echoed.get(p, -math.inf), p))[:MAX_ECHOES]
         echoes = tuple([Echo(p, sent, sessions.arrived[p]) for p in due if (sent := sessions.sent[p]) >= 0])
         return _Turn(echoes, due, next_)
-
-    def _take_turn(self, turn: _Turn, now: float) -> None:
-        self._next_echo = turn.next_echo
-        self._echoed.update(dict.fromkeys(turn.due, now))
 
     def _pieces(self, to: Collection[int], closing: Closing, blob: bytes, known: Partly | None) -> None:
         pieces = cut(blob, self.room)
