@@ -292,7 +292,7 @@ const uint8_t *voice_said(const Gate *gate) { return gate->voice.said; }
 int32_t voice_say(Gate *gate, const uint8_t *fields, int32_t bytes, const Ledger *ledger, int64_t own) {
     uint8_t *said = gate->voice.said;
     Text row;
-    if (own && !own_row(ledger, own, &row)) return 0;
+    if (own && (!ledger || !ledger_row(ledger, ledger->own, own, &row))) return 0;
     const int32_t length = compose(&gate->voice, fields, bytes, own ? &row : NULL);
     if (length) make_mac(gate, said, length, said + length);
     return length ? length + MAC_SIZE : 0;

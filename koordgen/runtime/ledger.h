@@ -1,8 +1,8 @@
 /* The ledger of one robot's memory: how far each robot's closings are held, and those of the last rounds as they came.
 
-   Its columns are ledger.py's, an entry for each robot. Noted here are the words by the present view, and
-   with them the closing of the one next round. All else is left to Python (memory.py), which does the same to these
-   where there is no compiler. What a word says was sealed with the fleet's key and may be anything all the same.
+   Its columns are ledger.py's, an entry for each robot. Noted here are the words by the present view, and with them the
+   closing of the one next round. All else is left to Python (memory.py), which does the same to these where there is no
+   compiler. What a word says was sealed with the fleet's key and may be anything all the same.
 
    There are DEPTH rows for each robot. That of robot p's round r is there iff floor[p] < r <= held[p] and held[p] - DEPTH
    < r. Allocates nothing. The compiler is told by gate.py: DEPTH, ROW (bytes), MAX_ROBOTS, MOST_WRITES. C99. */
@@ -92,6 +92,15 @@ static size_t ledger_slot(const Ledger *ledger, int32_t pid, int64_t round) {
     return (size_t)round % DEPTH * (size_t)ledger->robots + (size_t)pid;
 }
 
+/* A robot's closing of a round; whether it is here. */
+static int ledger_row(const Ledger *ledger, int32_t pid, int64_t round, Text *row) {
+    const int64_t held = ledger->held[pid], floor = ledger->floor[pid];
+    if (round > held || round <= (floor < held - DEPTH ? held - DEPTH : floor)) return 0;
+    const size_t slot = ledger_slot(ledger, pid, round);
+    *row = (Text){ledger->rows + slot * ROW, (size_t)ledger->length[slot]};
+    return 1;
+}
+
 /* Whether a robot's closing of a round, which has so many bytes, is the next one, and there is room for it: whose place
    it takes must be everyone's, and applied. */
 static int ledger_follows(const Ledger *ledger, int32_t pid, int64_t round, size_t bytes) {
@@ -179,13 +188,12 @@ static int ledger_advance(Cursor *cursor) {
 
 /* Begin with a robot's row; whether it is there and can be collected. */
 static int ledger_begin(const Ledger *ledger, int32_t pid, int64_t round, Cursor *cursor) {
-    if (round <= ledger->floor[pid] || round > ledger->held[pid]) return 0;
-    size_t slot = ledger_slot(ledger, pid, round);
-    cursor->reader.at = ledger->rows + slot * ROW;
-    cursor->reader.end = cursor->reader.at + ledger->length[slot];
+    Text row;
+    if (!ledger_row(ledger, pid, round, &row)) return 0;
+    cursor->reader = (Reader){row.at, row.at + row.bytes};
     if (!read_closing(&cursor->reader, &cursor->closing) || cursor->closing.lock >= 0) return 0;
     cursor->write.index = -1;
-    return cursor->closing.round == round && ledger_advance(cursor); /* else another has taken its place */
+    return ledger_advance(cursor);
 }
 
 /* The head of an array of less than 2^16. */

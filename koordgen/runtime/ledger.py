@@ -15,10 +15,8 @@ import msgspec
 from koordgen.runtime.native import NotCompiled, declare
 from koordgen.runtime.wire import LIMIT, MAX_ROBOTS
 
-OPEN, LAST, TICK, APPLIED, SETTLED, LACKING, WATCHED, REACHED, TOLD, NEXT, LEAST, PRESENT, WANTING = range(
-    13
-)  # of `number`
 NUMBERS = 13
+OPEN, LAST, TICK, APPLIED, SETTLED, LACKING, WATCHED, REACHED, TOLD, NEXT, LEAST, PRESENT, WANTING = range(NUMBERS)
 LONG_AGO = -(2**62)  # a tick
 DEPTH = 8  # rounds of each robot whose closings are kept as they came
 ROW = LIMIT  # bytes of one

@@ -13,17 +13,6 @@ typedef struct {
     uint8_t said[LIMIT];       /* the last one, sealed */
 } Voice;
 
-/* The own closing of a round; whether it lies in the ledger. */
-static int own_row(const Ledger *ledger, int64_t round, Text *row) {
-    if (!ledger) return 0;
-    const int64_t held = ledger->held[ledger->own];
-    if (round <= ledger->floor[ledger->own] || round <= held - DEPTH || round > held) return 0;
-    const size_t slot = ledger_slot(ledger, ledger->own, round);
-    row->at = ledger->rows + slot * ROW;
-    row->bytes = (size_t)ledger->length[slot];
-    return 1;
-}
-
 /* The payload of a word with one closing, or none (NULL); `fields`: the array of what is said between how all begin and
    the closings. How long it is; 0: longer than a datagram can be, or nothing is said here. */
 static int32_t compose(Voice *voice, const uint8_t *fields, int32_t bytes, const Text *closing) {
