@@ -77,6 +77,14 @@ static uint8_t *make_closing(uint8_t *at, int pid) {
     return make_writes(shortest(at, below(400) ? -1 : below(70000) - 2));
 }
 
+/* What somebody who lacks something holds, now and then of one too many. */
+static uint8_t *make_held(uint8_t *at) {
+    const int parts = ROBOTS + !below(50);
+    *at++ = 0xdc, *at++ = (uint8_t)(parts >> 8), *at++ = (uint8_t)parts;
+    for (int i = 0; i < parts; i++) *at++ = (uint8_t)below(60);
+    return at;
+}
+
 /* A word that is usual but for what chance has damaged; how long its payload is. */
 static int make(uint8_t *payload, int32_t sequence) {
     int pid = below(20) ? below(below(3) ? members : ROBOTS) : below(256), round = below(256);
@@ -96,7 +104,8 @@ static int make(uint8_t *payload, int32_t sequence) {
     if (plain) at = shortest(shortest(at, 9 - !below(9)), below(9));
     else at = number(number(at));
     *at++ = below(30) ? 0xc2 : 0xc3;
-    if (plain || below(2)) *at++ = 0x90;
+    if (plain && !below(4)) at = make_held(at);
+    else if (plain || below(2)) *at++ = 0x90;
     else at = value(at, 0);
     int closings = plain ? below(9) > 0 : below(3);
     *at++ = (uint8_t)(0x90 + closings);
@@ -175,6 +184,19 @@ static void change_ledger(void) {
     }
 }
 
+/* Closings that end anywhere: not a byte behind them may be read. */
+static void cut(void) {
+    const size_t whole = (size_t)(make_closing(room, below(ROBOTS)) - room);
+    for (size_t bytes = 1; bytes < whole && bytes < 60; bytes++) {
+        uint8_t *exact = fresh(NULL, bytes);
+        const Text text = {exact, bytes};
+        Closing closing;
+        memcpy(exact, room, bytes);
+        read_whole_closing(&text, &closing);
+        free(exact);
+    }
+}
+
 /* Own closings, and rounds as far as they can be collected; also such as are not here. How many could be. */
 static int collect(void) {
     int found = 0;
@@ -244,6 +266,7 @@ int main(int count, char **arguments) {
         memset(words, 0, sizeof words), memset(naturals[0], 0, sizeof naturals[0]);
         gate_take(gate, slots, LARGEST, lengths, batch, 12.5, 1e3);
         usual += look(&gate->shown, batch);
+        cut();
         collected += collect();
         change_ledger();
         memset(words, 0, sizeof words), memset(naturals[0], 0, sizeof naturals[0]); /* damaged numbers are high */

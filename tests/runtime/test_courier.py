@@ -6,10 +6,8 @@ import errno
 import os
 import random
 import resource
-import shutil
 import signal
 import socket
-import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -22,13 +20,13 @@ import pytest
 from koordgen.runtime import courier
 from koordgen.runtime.courier import GROUP, CompiledInbox
 from koordgen.runtime.inbox import Inbox, PlainInbox
-from koordgen.runtime.native import COMPILERS
 from koordgen.runtime.seal import MEMORY, unseal_all
 from koordgen.runtime.transport import MOST_AT_ONCE
 from koordgen.runtime.wire import LIMIT, MAX_ROBOTS, Head, Piece, decode, encode, opened
+from tests.runtime import sanitized
+from tests.runtime.sanitized import needs_compiler
 from tests.runtime.transports import BODIES, PATIENCE, needs_courier
 
-COMPILER = next((found for name in COMPILERS if (found := shutil.which(name))), None)
 Pair = tuple[Inbox, list[socket.socket], list[socket.socket], list[int]]
 
 
@@ -348,13 +346,6 @@ def test_what_is_damaged_is_told_alike() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(COMPILER is None, reason="there is no C compiler")
+@needs_compiler
 def test_sanitizers_find_nothing(tmp_path: Path) -> None:
-    driver, program = Path(__file__).with_name("courier_driver.c"), tmp_path / "driver"
-    flags = [flag for flag in courier.FLAGS if flag not in ("-shared", "-fPIC")]
-    strict = ["-g", "-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror"]
-    sanitizers = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-    files = ["-I", str(courier.SOURCE.parent), "-o", str(program), str(driver)]
-    subprocess.run([str(COMPILER), *flags, *strict, *sanitizers, *files], check=True)
-    for seed in ("1", "2"):
-        subprocess.run([program, "100000", seed], check=True, timeout=300)
+    sanitized.run("courier_driver.c", courier.SOURCE, courier.FLAGS, tmp_path, 100_000)

@@ -4,8 +4,6 @@ Python; and the library that is not the one it should be."""
 from __future__ import annotations
 
 import ctypes
-import shutil
-import subprocess
 from collections.abc import Sequence
 from hashlib import blake2s
 from pathlib import Path
@@ -18,18 +16,19 @@ import pytest
 from koordgen.runtime import courier, gate
 from koordgen.runtime.gate import FALSE, OTHER, TOO_LONG, Gate
 from koordgen.runtime.metrics import Metrics
-from koordgen.runtime.native import COMPILERS, NotCompiled, load
+from koordgen.runtime.native import NotCompiled, load
 from koordgen.runtime.seal import CONTROL, MAC_SIZE, MEMORY, POSITION, seal
 from koordgen.runtime.sessions import Sessions
 from koordgen.runtime.transport import MOST_AT_ONCE
 from koordgen.runtime.wire import LIMIT, MAX_ECHOES, Closing, Echo, Hello, Round, Write, encoder, pack
+from tests.runtime import sanitized
 from tests.runtime.fleet import KEY
 from tests.runtime.gates import ADOPTED, OWN, VIEW, Ear, Ears, N, head, needs_gate, plain, sealed, word
+from tests.runtime.sanitized import needs_compiler
 from tests.runtime.test_courier import inbox
 from tests.runtime.transports import PATIENCE, needs_courier
 
 pytestmark = needs_gate
-COMPILER = next((found for name in COMPILERS if (found := shutil.which(name))), None)
 OTHER_KEY = bytes(31) + b"\1"
 
 
@@ -376,13 +375,6 @@ def test_without_a_library_the_link_hears_in_plain_Python(monkeypatch: pytest.Mo
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(COMPILER is None, reason="there is no C compiler")
+@needs_compiler
 def test_sanitizers_find_nothing(tmp_path: Path) -> None:
-    driver, program = Path(__file__).with_name("gate_driver.c"), tmp_path / "driver"
-    flags = [flag for flag in gate.FLAGS if flag not in ("-shared", "-fPIC", "-lm", "-O3")]
-    strict = ["-O1", "-g", "-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror"]
-    sanitizers = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-    files = ["-I", str(gate.SOURCE.parent), "-o", str(program), str(driver), "-lm"]
-    subprocess.run([str(COMPILER), *flags, *strict, *sanitizers, *files], check=True)
-    for seed in ("1", "2"):
-        subprocess.run([program, "100000", seed], check=True, timeout=300)
+    sanitized.run("gate_driver.c", gate.SOURCE, gate.FLAGS, tmp_path, 100_000)

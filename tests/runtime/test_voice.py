@@ -3,8 +3,6 @@ sequence numbers and echoes; and what it leaves to Python."""
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from random import Random
@@ -20,7 +18,6 @@ from koordgen.runtime.ledger import APPLIED as APPLIED_TO
 from koordgen.runtime.ledger import DEPTH, OPEN, SETTLED, Ledger
 from koordgen.runtime.link import Link
 from koordgen.runtime.metrics import Metrics
-from koordgen.runtime.native import COMPILERS
 from koordgen.runtime.network import Conditions
 from koordgen.runtime.seal import MEMORY, seal
 from koordgen.runtime.sessions import Sessions
@@ -37,13 +34,14 @@ from koordgen.runtime.wire import (
     Write,
     encoder,
 )
+from tests.runtime import sanitized
 from tests.runtime.fleet import KEY, Fleet, settings
 from tests.runtime.gates import APPLICATION, BOOT, EPOCH, OWN, N, head, needs_gate
 from tests.runtime.lineform import PROGRAM
+from tests.runtime.sanitized import needs_compiler
 from tests.runtime.test_gate_fleet import CALM, ROUGH, Story, restarts, runs_on
 
 pytestmark = needs_gate
-COMPILER = next((found for name in COMPILERS if (found := shutil.which(name))), None)
 TOP = 2**53
 EDGES = [0, 1, 127, 128, 255, 256, 2**16 - 1, 2**16, 2**32 - 1, 2**32, TOP - 1, TOP]
 SHIFTS = [None, -1, -32, -33, -128, -129, -(2**15), -(2**15) - 1, -(2**31), -(2**31) - 1, -TOP, *EDGES]
@@ -342,13 +340,6 @@ def test_fleets_send_the_same_bytes(monkeypatch: pytest.MonkeyPatch, story: Stor
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(COMPILER is None, reason="there is no C compiler")
+@needs_compiler
 def test_sanitizers_find_nothing(tmp_path: Path) -> None:
-    driver, program = Path(__file__).with_name("voice_driver.c"), tmp_path / "driver"
-    flags = [flag for flag in gate.FLAGS if flag not in ("-shared", "-fPIC", "-lm", "-O3")]
-    strict = ["-O1", "-g", "-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror"]
-    sanitizers = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-    files = ["-I", str(gate.SOURCE.parent), "-o", str(program), str(driver), "-lm"]
-    subprocess.run([str(COMPILER), *flags, *strict, *sanitizers, *files], check=True)
-    for seed in ("1", "2"):
-        subprocess.run([program, "200000", seed], check=True, timeout=300)
+    sanitized.run("voice_driver.c", gate.SOURCE, gate.FLAGS, tmp_path, 200_000)
