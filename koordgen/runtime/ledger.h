@@ -121,11 +121,11 @@ static void ledger_keep(Ledger *ledger, int32_t pid, int64_t round, const uint8_
 
 /* What a word's sender holds, by pid; nothing (0 of them): everyone's up to what it has applied. -1: that cannot be. */
 static int ledger_told(const Ledger *ledger, const Word *word, int64_t *held) {
-    Reader reader = {word->held.at, word->held.at + word->held.bytes};
+    Reader reader = {word->held.at, word->held.at + word->held.bytes}; /* a whole value */
     int64_t last = ledger->number[LAST];
     int parts = *reader.at++;
     if (word->applied > last || word->settled > last || word->round - 1 > last) return -1;
-    if (parts == 0xdc && word->held.bytes > 2) parts = (int)big(reader.at, 2), reader.at += 2;
+    if (parts == 0xdc) parts = (int)big(reader.at, 2), reader.at += 2;
     else parts = (parts & 0xf0) == 0x90 ? parts & 15 : -1;
     if (parts && parts != ledger->robots) return -1;
     for (int i = 0; i < parts; i++)

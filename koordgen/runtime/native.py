@@ -108,8 +108,16 @@ def cache_folder() -> Path | None:
 
 
 def _whole(source: Path) -> bytes:
-    """A C file, in it the headers of its own folder in place of the lines that include them. Raises OSError."""
-    return _OWN_HEADER.sub(lambda found: source.with_name(found[1].decode()).read_bytes(), source.read_bytes())
+    """A C file, in it the headers of its own folder in place of the lines that include them; compilers still tell of
+    each by its own name and lines. Raises OSError."""
+    text = source.read_bytes()
+
+    def header(found: re.Match[bytes]) -> bytes:
+        name, following = found[1], text.count(b"\n", 0, found.end()) + 2
+        own = source.with_name(name.decode()).read_bytes()
+        return b'#line 1 "%b"\n%b\n#line %d "%b"' % (name, own, following, source.name.encode())
+
+    return _OWN_HEADER.sub(header, text)
 
 
 @dataclass(frozen=True, slots=True)

@@ -59,6 +59,7 @@ def test_a_round_as_nearly_all_are() -> None:
         assert bytes(found.writes[0][2]) == encoder.encode([100 * round_, "ours", 100 * round_ + 2, 100 * round_ + 3])
         assert (table.ledger.number[NEXT], table.ledger.number[LEAST]) == (N, round_)
     assert list(table.ledger.held) == [39] * N and list(table.ledger.heard) == [7, LONG_AGO, 7, 7]
+    assert table.collect(40 - DEPTH) is not None and table.collect(39 - DEPTH) is None, "others have taken their places"
     assert [len(table.rows(pid)) for pid in range(N)] == [DEPTH] * N
     assert list(table.ledger.floor) == [39] * N and table.rows(2) == [] and table.collect(39) is None
 

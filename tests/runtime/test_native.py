@@ -82,6 +82,13 @@ def test_headers_beside_it_are_part_of_it(source: Path, cache: Path) -> None:
     assert load(source, FLAGS, prove, cache).answer(10) == 5
     source.with_name("deep.h").write_text("static int half(int x) { return x == 1764 ? 882 : 7; }\n")
     assert load(source, FLAGS, prove, cache).answer(10) == 7, "a changed header is another library"
+    source.with_name("deep.h").write_text("static int half(int x) { return x / 2; }\nint wrong = ;\n")
+    with pytest.raises(NotCompiled, match=r"deep\.h:2:"):
+        load(source, FLAGS, prove, cache)
+    source.with_name("deep.h").write_text("static int half(int x) { return x / 2; }\n")
+    source.write_text(source.read_text() + "int wrong = ;\n")
+    with pytest.raises(NotCompiled, match=r"tiny\.c:4:"):
+        load(source, FLAGS, prove, cache)
     source.with_name("deep.h").unlink()
     with pytest.raises(NotCompiled, match=r"cannot be read: .*deep\.h: No such file"):
         load(source, FLAGS, prove, cache)
