@@ -25,7 +25,7 @@ from koordgen.runtime.memory import Memory
 from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.opening import open_transport
 from koordgen.runtime.outbox import AHEAD
-from koordgen.runtime.patience import Patience
+from koordgen.runtime.patience import Patience, many
 from koordgen.runtime.program import Life
 from koordgen.runtime.replica import SLOTS, Replica
 from koordgen.runtime.rounds import FIRST_SLOT, GATHER, MOST_GATHER, PUBLISH, PUNCTUAL
@@ -194,8 +194,8 @@ class SharedMemory:
 
     def _wait(self, seconds: float) -> None:
         """Gathers as many closings as Rounds expects."""
-        memory = self._replica.memory
-        lacking = 0 if memory is None or self._open or memory.applied >= self._round else memory.lacking
+        memory, at_once = self._replica.memory, self._open and not self._patience.strained(self._round)
+        lacking = 0 if memory is None or at_once or memory.applied >= self._round else memory.lacking
         if lacking:
             self._transport.wait(seconds, lacking, min(GATHER * lacking, MOST_GATHER * self._delta))
         else:
@@ -300,13 +300,13 @@ class SharedMemory:
     def _ask(self, memory: Memory, slot: int, fresh: bool = False, timely: bool = False) -> None:
         """Ask for what should have come by now, and find when there is something to do again."""
         replica, round_ = self._replica, self._round
-        if fresh:
-            self._patience.wakes(round_, timely)
         through = round_ if slot >= FIRST_SLOT else round_ - 1
         missing = memory.missing(through)
+        if fresh:
+            self._patience.wakes(round_, timely and not many(len(missing), len(self._told)))
         if missing:
             missing = [p for p in missing if p != self._pid]
-            if fresh and missing and self._patience.asks(round_, timely):
+            if fresh and missing and self._patience.asks(round_, timely, memory.lost(missing)):
                 replica.ask(missing, [], through)
         if missing or self._open or replica.busy:
             self._wake = self._following(slot)

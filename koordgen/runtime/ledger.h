@@ -1,11 +1,11 @@
 /* The ledger of one robot's memory: how far each robot's closings are held, and those of the last rounds as they came.
 
-   Its columns are ledger.py's, an entry for each robot. Noted here are the words by the present view, and with them the
-   closing of the one next round. All else is left to Python (memory.py), which does the same to these where there is no
+   Its columns are ledger.py's, an entry for each robot. Noted here are the words by the present view, and with them those
+   closings that come next. All else is left to Python (memory.py), which does the same to these where there is no
    compiler. What a word says was sealed with the fleet's key and may be anything all the same.
 
    There are DEPTH rows for each robot. That of robot p's round r is there iff floor[p] < r <= held[p] and held[p] - DEPTH
-   < r. Allocates nothing. The compiler is told by gate.py: DEPTH, ROW (bytes), MAX_ROBOTS, MOST_WRITES. C99. */
+   < r; the silence of several rounds is in the row of each. Allocates nothing. The compiler is told by gate.py: DEPTH, ROW (bytes), MAX_ROBOTS, MOST_WRITES. C99. */
 
 #include <stdint.h>
 #include <string.h>
@@ -77,14 +77,15 @@ static int read_write(Reader *reader, Write *write) {
     return truth(reader, &write->patch);
 }
 
-/* A closing with nothing behind it. */
-static int read_whole_closing(const Text *text, Closing *closing) {
-    Reader reader = {text->at, text->at + text->bytes};
+/* A closing with its writes; where it lies. */
+static int read_whole_closing(Reader *reader, Closing *closing, Text *text) {
     Write write;
-    if (!read_closing(&reader, closing)) return 0;
+    text->at = reader->at;
+    if (!read_closing(reader, closing)) return 0;
     for (int i = 0; i < closing->writes; i++)
-        if (!read_write(&reader, &write)) return 0;
-    return reader.at == reader.end;
+        if (!read_write(reader, &write)) return 0;
+    text->bytes = (size_t)(reader->at - text->at);
+    return 1;
 }
 
 /* Rows of one round lie side by side. */
@@ -101,22 +102,28 @@ static int ledger_row(const Ledger *ledger, int32_t pid, int64_t round, Text *ro
     return 1;
 }
 
-/* Whether a robot's closing of a round, which has so many bytes, is the next one, and there is room for it: whose place
-   it takes must be everyone's, and applied. */
-static int ledger_follows(const Ledger *ledger, int32_t pid, int64_t round, size_t bytes) {
-    const int64_t *number = ledger->number;
+/* Whether a closing, which has so many bytes, is what comes next of its author, and there is room for it: whose places it
+   takes must be everyone's, and applied. Of several rounds it says that nothing was done in them. */
+static int ledger_follows(const Ledger *ledger, const Closing *closing, size_t bytes) {
+    const int64_t pid = closing->author, *number = ledger->number, next = ledger->held[pid] + 1;
+    const int silent = !closing->acted && !closing->prompt && !closing->writes && closing->lock < 0;
     int64_t done = number[SETTLED] < number[APPLIED] ? number[SETTLED] : number[APPLIED];
     if (done < ledger->floor[pid]) done = ledger->floor[pid];
-    if (ledger->incarnation[pid] < 0 || ledger->gap[pid] || round != ledger->held[pid] + 1) return 0;
-    return round - DEPTH <= done && bytes <= ROW;
+    if (closing->incarnation != ledger->incarnation[pid] || closing->stopped || ledger->gap[pid]) return 0;
+    if (silent ? closing->first < 1 || closing->first > next : closing->first != next || closing->round != next) return 0;
+    return closing->round >= next && closing->round - DEPTH <= done && bytes <= ROW;
 }
 
-static void ledger_keep(Ledger *ledger, int32_t pid, int64_t round, const uint8_t *closing, size_t bytes) {
-    size_t slot = ledger_slot(ledger, pid, round);
-    memcpy(ledger->rows + slot * ROW, closing, bytes);
-    ledger->length[slot] = (int32_t)bytes;
-    ledger->held[pid] = round;
-    if (round == ledger->number[APPLIED] + 1) ledger->number[LACKING]--;
+static void ledger_keep(Ledger *ledger, const Closing *closing, const Text *text) {
+    const int32_t pid = (int32_t)closing->author;
+    const int64_t before = ledger->held[pid], applied = ledger->number[APPLIED];
+    for (int64_t round = before + 1; round <= closing->round; round++) {
+        size_t slot = ledger_slot(ledger, pid, round);
+        memcpy(ledger->rows + slot * ROW, text->at, text->bytes);
+        ledger->length[slot] = (int32_t)text->bytes;
+    }
+    ledger->held[pid] = closing->round;
+    ledger->number[LACKING] -= before <= applied && applied < closing->round;
 }
 
 /* What a word's sender holds, by pid; nothing (0 of them): everyone's up to what it has applied. -1: that cannot be. */
@@ -153,24 +160,33 @@ static void ledger_hear(Ledger *ledger, const Word *word, const int64_t *held, i
     for (int i = 0; wanting && i < ledger->robots; i++) lacks[i] = parts ? held[i] : word->applied;
 }
 
-/* Note a usual word; 0: there is more to it, and nothing was changed. */
+/* Go through the closings of a word, whoever wrote them; 0: one is none, or is new and not what comes next. Those before
+   it are kept then, if any are to be `kept`. */
+static int ledger_take(Ledger *ledger, const Text *closings, int kept) {
+    Reader reader = {closings->at, closings->at + closings->bytes};
+    int count = *reader.at++;
+    if (count == 0xdc) count = (int)big(reader.at, 2), reader.at += 2;
+    else if ((count & 0xf0) == 0x90) count &= 15;
+    else return 0;
+    for (; count; count--) {
+        Closing closing;
+        Text text;
+        if (!read_whole_closing(&reader, &closing, &text) || closing.author >= ledger->robots) return 0;
+        if (!kept || closing.round <= ledger->held[closing.author]) continue;
+        if (closing.author == ledger->own || closing.round > ledger->number[LAST]) return 0;
+        if (!ledger_follows(ledger, &closing, text.bytes)) return 0;
+        ledger_keep(ledger, &closing, &text);
+    }
+    return 1;
+}
+
+/* Note a usual word; 0: there is more to it. Closings of it may be kept then, and are known when Python takes it. */
 static int ledger_note(Ledger *ledger, const Word *word) {
     int64_t *number = ledger->number, held[MAX_ROBOTS];
-    const int32_t pid = word->pid, parts = number[OPEN] ? ledger_told(ledger, word, held) : -1;
-    Text text = {word->closings.at + 1, word->closings.bytes - 1};
-    if (parts < 0 || (word->closings.at[0] & 0xfe) != 0x90) return 0;
-    if (word->closings.at[0] & 1) {
-        Closing closing;
-        if (!read_whole_closing(&text, &closing) || closing.author != pid) return 0;
-        if (closing.round > ledger->held[pid]) {
-            if (closing.incarnation != ledger->incarnation[pid] || closing.stopped) return 0;
-            if (closing.first != closing.round || closing.round > number[LAST]) return 0;
-            if (!ledger_follows(ledger, pid, closing.round, text.bytes)) return 0;
-            ledger_keep(ledger, pid, closing.round, text.at, text.bytes);
-        }
-    }
+    const int parts = number[OPEN] ? ledger_told(ledger, word, held) : -1;
+    if (parts < 0 || !ledger_take(ledger, &word->closings, 0) || !ledger_take(ledger, &word->closings, 1)) return 0;
     ledger_hear(ledger, word, held, parts);
-    ledger->heard[pid] = number[TICK];
+    ledger->heard[word->pid] = number[TICK];
     if (number[TOLD] < word->settled) number[TOLD] = word->settled;
     return 1;
 }
@@ -284,21 +300,22 @@ int32_t ledger_collect(Ledger *ledger, int64_t round, uint8_t *out) {
     return (int32_t)(at - out);
 }
 
-/* Keep the own closing of a round; `writes` is an encoded array. 0: it is not the next, or there is no room. */
-int32_t ledger_close(Ledger *ledger, int64_t round, int32_t acted, int32_t prompt, int32_t lock, const uint8_t *writes,
-                     int32_t bytes) {
-    uint8_t closing[MOST_BEFORE_WRITES + ROW], *at = closing;
+/* Keep the own closing of these rounds; `writes` is an encoded array. 0: it is not the next, or there is no room. */
+int32_t ledger_close(Ledger *ledger, int64_t first, int64_t round, int32_t acted, int32_t prompt, int32_t lock,
+                     const uint8_t *writes, int32_t bytes) {
+    uint8_t row[MOST_BEFORE_WRITES + ROW], *at = row;
     const Text text = {writes, (size_t)bytes};
-    const int32_t own = ledger->own;
-    if (!ledger->number[OPEN] || text.bytes > ROW) return 0;
+    const Closing closing = {ledger->own, ledger->incarnation[ledger->own], first, round, lock, 0, acted, prompt, bytes > 1};
+    if (!ledger->number[OPEN] || closing.incarnation < 0 || text.bytes > ROW) return 0;
     *at++ = 0x90 + CLOSING_FIELDS;
-    at = shortest(shortest(at, own), ledger->incarnation[own]);
-    at = shortest(shortest(at, round), round);
+    at = shortest(shortest(at, closing.author), closing.incarnation);
+    at = shortest(shortest(at, first), round);
     *at++ = 0xc2;
     *at++ = acted ? 0xc3 : 0xc2;
     *at++ = prompt ? 0xc3 : 0xc2;
     at = copy(shortest(at, lock), &text);
-    if (!ledger_follows(ledger, own, round, (size_t)(at - closing))) return 0;
-    ledger_keep(ledger, own, round, closing, (size_t)(at - closing));
+    const Text whole_row = {row, (size_t)(at - row)};
+    if (!ledger_follows(ledger, &closing, whole_row.bytes)) return 0;
+    ledger_keep(ledger, &closing, &whole_row);
     return 1;
 }

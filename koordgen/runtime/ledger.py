@@ -18,7 +18,7 @@ from koordgen.runtime.wire import LIMIT, MAX_ROBOTS
 NUMBERS = 13
 OPEN, LAST, TICK, APPLIED, SETTLED, LACKING, WATCHED, REACHED, TOLD, NEXT, LEAST, PRESENT, WANTING = range(NUMBERS)
 LONG_AGO = -(2**62)  # a tick
-DEPTH = 8  # rounds of each robot whose closings are kept as they came
+DEPTH = 32  # rounds of each robot whose closings are kept as they came
 ROW = LIMIT  # bytes of one
 GIVEN = {"DEPTH": DEPTH, "ROW": ROW, "MOST_WRITES": 256}  # to the compiler
 _BY_PID = ("held", "floor", "view", "incarnation", "applied", "through", "heard", "wanting", "gap")
@@ -48,7 +48,7 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "size": (c_size_t, ()),
     "room": (c_size_t, (c_int32,)),
     "collect": (c_int32, (c_void_p, c_int64, c_void_p)),
-    "close": (c_int32, (c_void_p, c_int64, c_int32, c_int32, c_int32, c_char_p, c_int32)),
+    "close": (c_int32, (c_void_p, c_int64, c_int64, c_int32, c_int32, c_int32, c_char_p, c_int32)),
 }
 _collected: msgspec.msgpack.Decoder[Collected] = msgspec.msgpack.Decoder(Collected)
 
@@ -101,10 +101,10 @@ class Ledger:
         self.native, self.at = True, ctypes.addressof(self._columns)
         self._close, self._collect = found.ledger_close, found.ledger_collect
 
-    def close(self, round_: int, acted: bool, prompt: bool, lock: int, writes: bytes) -> bool:
-        """Keep the own closing of a round, with this encoded array of writes. False: it is not the next one, or there
-        is no room for it."""
-        return self.native and bool(self._close(self.at, round_, acted, prompt, lock, writes, len(writes)))
+    def close(self, first: int, round_: int, acted: bool, prompt: bool, lock: int, writes: bytes) -> bool:
+        """Keep the own closing of these rounds, with this encoded array of writes. False: it is not the next one, or
+        there is no room for it."""
+        return self.native and bool(self._close(self.at, first, round_, acted, prompt, lock, writes, len(writes)))
 
     def collect(self, round_: int) -> Collected | None:
         """All members' closings of a round; None where not all are here, or such as must be looked at one by one."""
@@ -117,11 +117,17 @@ class Ledger:
             return None
 
     def rows(self, pid: int) -> list[bytes]:
-        """The encoded closings of one author that are here, which from now on are in the robot's log."""
+        """The encoded closings of one author that are here, which from now on are in the robot's log: of each round
+        one, that of several rounds at each of them."""
+        rows, self.floor[pid] = self.peek(pid, 0), self.held[pid]
+        return rows
+
+    def peek(self, pid: int, low: int) -> list[bytes]:
+        """The same from round `low` on, and they stay here."""
         if not self.native:
             return []
         held = self.held[pid]
-        first, self.floor[pid] = max(self.floor[pid], held - DEPTH) + 1, held  # everyone holds what was before it
+        first = max(self.floor[pid], held - DEPTH, low - 1) + 1  # everyone holds what was before it
         return [self.row(pid, round_) for round_ in range(first, held + 1)]
 
     def own(self, round_: int) -> bool:
@@ -130,6 +136,6 @@ class Ledger:
         return self.native and max(self.floor[pid], held - DEPTH) < round_ <= held
 
     def row(self, pid: int, round_: int) -> bytes:
-        """The encoded closing of a round that is here."""
+        """The encoded closing of a round that is here, and maybe of others, in which nothing was done either."""
         slot = round_ % DEPTH * self.n_sys + pid
         return self._rows[slot * ROW : slot * ROW + self._length[slot]]

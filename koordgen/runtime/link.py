@@ -18,7 +18,7 @@ from koordgen.runtime.program import Program
 from koordgen.runtime.seal import MAC_SIZE, MEMORY, unseal_all
 from koordgen.runtime.sessions import Sessions
 from koordgen.runtime.settings import Settings
-from koordgen.runtime.speech import OTHERS_EVERY, REFERENCE_EVERY, Speech, microseconds
+from koordgen.runtime.speech import REFERENCE_EVERY, Speech, microseconds, others_every
 from koordgen.runtime.transport import Transport
 from koordgen.runtime.wire import Head, Hello, Message, Round, View, encoder, opened, pack
 
@@ -73,6 +73,7 @@ class Link:
         columns = {**self.sessions.columns(), **metrics.columns()}
         self._gate = None if found is None else Gate(found, len(settings.peers), self.pid, columns, key, MEMORY)
         self._view = -1  # the present one's number
+        self._others_every = others_every(len(settings.peers))
         self._transport = transport
         self._clock = clock
         self._fleet_clock = fleet_clock
@@ -262,7 +263,7 @@ class Link:
     def _learn(self, pid: int, lesson: Lesson, local: float) -> None:
         """From what this peer heard of us and answered, here at `local`."""
         clock, timed = self._fleet_clock, self.sessions.timed
-        if local - timed[pid] < (REFERENCE_EVERY if pid == clock.reference else OTHERS_EVERY):
+        if local - timed[pid] < (REFERENCE_EVERY if pid == clock.reference else self._others_every):
             return
         timed[pid] = local
         now, fleet = microseconds(local) / 1e6, None if lesson.fleet is None else lesson.fleet / 1e6

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import msgspec
@@ -26,7 +26,7 @@ class Entry(msgspec.Struct, frozen=True, gc=False):
     @property
     def single(self) -> bool:
         """Whether it is of one round in which something was done, not of several in which nothing was."""
-        return bool(self.closing.writes) or self.closing.acted or self.closing.lock >= 0
+        return not _is_silent(self.closing)
 
 
 def detached(closing: Closing) -> Closing:
@@ -40,6 +40,24 @@ def detached(closing: Closing) -> Closing:
 def shortened(closing: Closing, last: int) -> Closing:
     """The closing up to a round."""
     return msgspec.structs.replace(closing, round=last)
+
+
+def _since(closing: Closing, first: int) -> Closing:
+    """The closing from a round on."""
+    return closing if closing.first >= first else msgspec.structs.replace(closing, first=first)
+
+
+def _is_silent(closing: Closing) -> bool:
+    return not (closing.writes or closing.acted or closing.lock >= 0)
+
+
+def _joined(before: Closing, closing: Closing) -> Closing | None:
+    """Both as one, where both are silence, and one goes on where the other ends."""
+    if not _is_silent(before) or not _is_silent(closing) or before.round != closing.first - 1:
+        return None
+    if before.stopped != closing.stopped or before.incarnation != closing.incarnation:
+        return None
+    return msgspec.structs.replace(closing, first=before.first)
 
 
 class Log:
@@ -83,8 +101,9 @@ class Log:
                 self._reach(held)
                 self.misfit()
                 return
-            self._join(Entry(closing, values))
-            held = closing.round
+            if closing.round > held:  # else it is in the row of an earlier round, too
+                self._join(Entry(_since(closing, held + 1), values))
+                held = closing.round
 
     def _reach(self, held: int) -> None:
         """Nothing is in the ledger, and this is held."""
@@ -112,22 +131,18 @@ class Log:
     def append(self, entry: Entry) -> None:
         """Keep a closing that begins where `held` ends."""
         self.fetch()
-        closing, held = entry.closing, self.held
-        if closing.first <= held:
-            entry = Entry(msgspec.structs.replace(closing, first=held + 1), entry.values)
-        self._join(entry)
+        closing = _since(entry.closing, self.held + 1)
+        self._join(entry if closing is entry.closing else Entry(closing, entry.values))
         self._reach(closing.round)
 
     def _join(self, entry: Entry) -> None:
         """Keep what comes next; silence is joined to silence."""
-        closing, entries = entry.closing, self.kept
-        if entries and not entry.single:
-            last = entries[-1]
-            same = last.closing.stopped == closing.stopped and last.closing.incarnation == closing.incarnation
-            if same and not last.single and last.closing.round == closing.first - 1:
-                closing = msgspec.structs.replace(closing, first=last.closing.first)
-                entries.pop()
-        entries.append(entry if closing is entry.closing else Entry(closing, entry.values))
+        entries = self.kept
+        both = _joined(entries[-1].closing, entry.closing) if entries else None
+        if both is None:
+            entries.append(entry)
+        else:
+            entries[-1] = Entry(both, ())
 
     def at(self, round_: int) -> Entry:
         """The entry that covers a round which is held and not forgotten."""
@@ -138,14 +153,33 @@ class Log:
         return entries[bisect_left(entries, round_, key=lambda e: e.closing.round)]
 
     def between(self, low: int, high: int) -> list[Closing]:
-        """The closings of these rounds, as far as they are held and not forgotten."""
-        found, entries = [], self.entries
-        for entry in entries[bisect_left(entries, low, key=lambda e: e.closing.round) :]:
-            closing = entry.closing
-            if closing.first > high:
-                break
-            found.append(closing if closing.first >= low else msgspec.structs.replace(closing, first=low))
-        return found
+        """The closings of these rounds, as far as they are held and not forgotten. Those in the ledger stay there: whom
+        they are sent to lacks them, but for this robot they are as usual as before."""
+        kept = self.kept
+        found = [e.closing for e in kept[bisect_left(kept, low, key=lambda e: e.closing.round) :]]
+        for closing in self._peek(low):
+            if closing is None:
+                self.fetch()
+                return self.between(low, high)
+            both = _joined(found[-1], closing) if found else None
+            if both is None:
+                found.append(closing)
+            else:
+                found[-1] = both
+        return [_since(closing, low) for closing in found if closing.first <= high]
+
+    def _peek(self, low: int) -> Iterator[Closing | None]:
+        """The closings in the ledger, those of rounds from `low` on; last None, where the next does not fit."""
+        ledger, pid = self._ledger, self._pid
+        last = max(ledger.floor[pid], low - 1)
+        for text in ledger.peek(pid, low):
+            closing = closing_of(text)
+            if closing is None or self._read(closing) is None:
+                yield None
+                return
+            if closing.round > last:  # else it is in the row of an earlier round, too
+                yield _since(closing, last + 1)
+                last = closing.round
 
     def forget(self, through: int) -> None:
         """Drop what ends by a round; what is in the ledger goes by itself."""

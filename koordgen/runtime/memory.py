@@ -17,7 +17,7 @@ from koordgen.runtime.layout import Layout
 from koordgen.runtime.ledger import APPLIED, LACKING, LAST, LEAST, NEXT, OPEN, SETTLED, TICK, TOLD, Ledger
 from koordgen.runtime.log import GAPS, Entry, Log, detached
 from koordgen.runtime.outcome import Past, all_alike, all_of
-from koordgen.runtime.wire import Closing, State, View, closing_of
+from koordgen.runtime.wire import Closing, State, View
 from koordgen.runtime.words import Words
 
 AHEAD = 8  # rounds that a peer's clock may be ahead of ours
@@ -56,6 +56,7 @@ class Memory:
         self.shared = shared
         self.stopped = dict(stopped or {})  # pid -> the round it stopped in
         self.acted = list(acted) or [0] * n  # the last round in which an event counted
+        self.closed = 0, 0  # the rounds of the last own closing
         self.won = 0  # the last round in which a commit of ours counted
         self.unfit = 0  # patches that fitted no value: a fault of their author's, dropped by everyone alike
         self._past = Past(applied, shared, self.acted)
@@ -166,18 +167,16 @@ class Memory:
               lock: int = -1) -> None:  # fmt: skip
         """Close the own rounds up to `round_`, in which an event (`lock` is -1 for a plain one) wrote `shared`; earlier
         ones not closed yet had none."""
-        log, incarnation = self._logs[self._pid], self.view.members[self._pid]
-        single, before = bool(shared) or acted or lock >= 0, log.held
-        if round_ > before + 1 and single:
-            log.append(Entry(Closing(self._pid, incarnation, before + 1, round_ - 1, stopped), ()))
-            self._heard(self._pid, before)
-            before = log.held
+        log, single = self._logs[self._pid], bool(shared) or acted or lock >= 0
+        if single and round_ > log.held + 1:
+            self.close(round_ - 1, {}, stopped=stopped)
+        before, first = log.held, round_ if single else log.held + 1
+        self.closed = first, round_
         plain = None if stopped else self._layout.plain(shared)
-        if plain is not None and self.ledger.close(round_, acted, prompt, lock, plain):
+        if plain is not None and self.ledger.close(first, round_, acted, prompt, lock, plain):
             return  # nearly always
         writes, values = self._layout.written(shared, self.shared, self._pid) if shared else ((), ())
-        first = round_ if single else before + 1
-        closing = Closing(self._pid, incarnation, first, round_, stopped, acted, prompt, lock, writes)
+        closing = Closing(self._pid, self.view.members[self._pid], first, round_, stopped, acted, prompt, lock, writes)
         log.take(Entry(closing, values or ()))
         self._heard(self._pid, before)
 
@@ -292,12 +291,13 @@ class Memory:
         members = self.view.members
         return [p for p, held in enumerate(self.ledger.held) if held < through and members[p] >= 0]
 
+    def lost(self, pids: Sequence[int]) -> bool:
+        """Whether something of one of these did not come, and what it closed later did."""
+        return any(self.ledger.gap[p] for p in pids)
+
     def own(self, first: int) -> list[Closing]:
         """The own closings from `first` on."""
-        log, ledger = self._logs[self._pid], self.ledger
-        if first == log.held and ledger.own(first) and (kept := closing_of(ledger.row(self._pid, first))) is not None:
-            return [kept]
-        return log.between(first, log.held)
+        return self._logs[self._pid].between(first, self.ledger.held[self._pid])
 
     def repeat(self, pid: int, helps: bool = True) -> list[Closing]:
         """What a peer lacked when it last spoke, and we hold: once for each time it says so; unless this robot `helps`,

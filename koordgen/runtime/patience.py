@@ -12,12 +12,13 @@ from dataclasses import dataclass
 FEW = 5  # missing closings or words that may have been lost; more of them are late
 HELPERS = 5  # robots that at once repeat what others wrote
 MEMORY = 1  # rounds for which a robot remembers that it woke late
+QUIET = 4  # rounds after which a late robot asks again for what is probably as late as itself
 
 
 @dataclass(slots=True)
 class Patience:
     """Rounds only go up. A punctual robot may ask at every slot; one that was late asks once a round, and while it is
-    late in every second round."""
+    late in every second round; and where nothing is known to be lost, seldom."""
 
     _asked: int = 0
     _late: int = -MEMORY
@@ -31,9 +32,10 @@ class Patience:
         """Whether it was late, or is."""
         return round_ <= self._late + MEMORY
 
-    def asks(self, round_: int, timely: bool) -> bool:
-        """Whether it asks now, where it lacks something."""
-        if self.strained(round_) and round_ <= self._asked + (0 if timely else MEMORY):
+    def asks(self, round_: int, timely: bool, lost: bool) -> bool:
+        """Whether it asks now, where it lacks something; `lost`: of that, something did not come and what was sent
+        later did."""
+        if self.strained(round_) and round_ <= self._asked + (QUIET if not lost else 0 if timely else MEMORY):
             return False
         self._asked = round_
         return True
@@ -57,6 +59,11 @@ def helps(pid: int, other: int, round_: int, n_sys: int) -> bool:
     """Whether it is this robot's turn to repeat to another what third ones wrote: if all did so at once, a large fleet
     in which one is late would have no time for anything else."""
     return (pid - other - round_) % n_sys < HELPERS
+
+
+def many(missing: int, n_sys: int) -> bool:
+    """Whether so much is missing that the fleet is late: loss leaves more."""
+    return missing > max(FEW, n_sys // 2)
 
 
 def few(pids: Sequence[int], turn: int) -> Sequence[int]:

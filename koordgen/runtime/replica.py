@@ -144,7 +144,7 @@ class Replica:
             self._speech.round(self._others, word, () if closing is None else (closing,))
             return
         calm = strained or not memory.unanswered
-        if calm and first == round_ and self._speech.own(self._others, word, round_, memory.ledger):
+        if calm and memory.closed == (first, round_) and self._speech.own(self._others, word, round_, memory.ledger):
             return  # nearly always
         own = memory.own(first)
         if calm:

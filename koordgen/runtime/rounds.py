@@ -19,7 +19,7 @@ from koordgen.runtime.clock import FleetClock
 from koordgen.runtime.memory import Memory
 from koordgen.runtime.metrics import Counters
 from koordgen.runtime.outbox import AHEAD, Outbox, has_outputs
-from koordgen.runtime.patience import Patience
+from koordgen.runtime.patience import Patience, many
 from koordgen.runtime.platform import Sensed
 from koordgen.runtime.program import Effects, Frame, Life
 from koordgen.runtime.replica import SLOTS, Replica, Talk
@@ -126,8 +126,8 @@ class Rounds:
     def expects(self) -> tuple[int, float]:
         """How many closings the round that this robot has closed still lacks, and seconds that it pays to gather them:
         to wake for each of many alone costs more than all else. Nothing outstanding: 1, and no time."""
-        memory, present = self._replica.memory, self._present
-        if memory is None or present.open or memory.applied >= self.round or not memory.lacking:
+        memory, at_once = self._replica.memory, self._present.open and not self._patience.strained(self.round)
+        if memory is None or at_once or memory.applied >= self.round or not memory.lacking:
             return 1, 0.0
         lacking = memory.lacking
         return lacking, min(GATHER * lacking, MOST_GATHER * self._delta)
@@ -382,8 +382,8 @@ class Rounds:
         waited = self._outbox.first
         unaware = memory.unaware(waited) if waited is not None and (waited < through or slot >= 1) else []
         if fresh:
-            self._patience.wakes(self.round, timely)
-        if fresh and (missing or unaware) and self._patience.asks(self.round, timely):
+            self._patience.wakes(self.round, timely and not many(len(missing), len(self._names)))
+        if fresh and (missing or unaware) and self._patience.asks(self.round, timely, memory.lost(missing)):
             self._replica.ask(missing, unaware, through)
             self.counters.asked += 1
         if present.open or missing or waited is not None or self._replica.busy:

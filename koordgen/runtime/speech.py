@@ -36,6 +36,7 @@ from koordgen.runtime.wire import (
 )
 
 REFERENCE_EVERY, OTHERS_EVERY = 0.05, 1.0  # seconds between exchanges that the clock learns from
+OTHERS = 16  # clocks of others that it learns from in that time: of more each comes more rarely
 ECHOES_A_LESSON = 2  # so many echoes are sent for each of them: some are lost
 MOST_DATAGRAMS = 4  # to one peer for one catch-up
 MOST_PIECES_AT_ONCE = 16
@@ -84,7 +85,8 @@ class Speech:
         self._sessions = sessions
         self._gate = gate
         self._sequence = 0
-        self._echoed: dict[int, float] = {}  # when each peer was last sent an echo
+        self._others_every = others_every(len(settings.peers))
+        self._echoed: dict[int, float] = {}  # when each peer was last sent an echo, the one that waits longest first
         self._next_echo = -math.inf  # none is due to anyone before
 
     def hello(self, to: int, challenge: bytes, answer: bytes, holds: tuple[int, ...], init: Closing | None,
@@ -153,19 +155,28 @@ class Speech:
         self._sequence += 1
         if turn is not _NOBODY:
             self._next_echo = turn.next_echo
-            self._echoed.update(dict.fromkeys(turn.due, now))
+            for pid in turn.due:
+                del self._echoed[pid]
+                self._echoed[pid] = now
 
     def _turn(self, to: Collection[int], now: float, every: float | None) -> _Turn:
         """Of those whose turn it is: as often as they learn from it, which from the reference they do most."""
         if every is None:
             reference = self._fleet_clock.reference == self._pid
-            every = (REFERENCE_EVERY if reference else OTHERS_EVERY) / ECHOES_A_LESSON
-        sessions, echoed, next_ = self._sessions, self._echoed, self._next_echo
-        due = [p for p in to if now - echoed.get(p, -math.inf) >= every and p in sessions.boots]
-        if len(due) <= MAX_ECHOES and len(to) == len(sessions.boots):  # nobody is left
+            every = (REFERENCE_EVERY if reference else self._others_every) / ECHOES_A_LESSON
+        sessions = self._sessions
+        if len(self._echoed) < len(sessions.boots):
+            self._echoed = dict.fromkeys(sorted(sessions.boots), -math.inf) | self._echoed
+        everyone, due, next_ = len(to) == len(sessions.boots), list[int](), self._next_echo
+        for pid, last in self._echoed.items():
+            if now - last < every or len(due) == MAX_ECHOES:
+                break
+            if everyone or pid in to:
+                due.append(pid)
+        else:
+            last = now  # it was everyone's turn
+        if everyone and now - last < every:  # nobody is left
             next_ = now + every / ECHOES_A_LESSON
-        if len(due) > MAX_ECHOES:
-            due = sorted(due, key=lambda p: (echoed.get(p, -math.inf), p))[:MAX_ECHOES]
         echoes = tuple([Echo(p, sent, sessions.arrived[p]) for p in due if (sent := sessions.sent[p]) >= 0])
         return _Turn(echoes, due, next_)
 
@@ -194,6 +205,12 @@ class Speech:
 
     def _send(self, to: Collection[int], message: Message) -> None:
         self._transport.send(list(to), encode(message, self._key))
+
+
+def others_every(n_sys: int) -> float:
+    """Seconds between exchanges with one who is not the reference. They are there for when it becomes the reference; to
+    learn from all others at the pace of a small fleet would be a large one's greatest expense."""
+    return OTHERS_EVERY * max(1.0, n_sys / OTHERS)
 
 
 def microseconds(seconds: float) -> int:

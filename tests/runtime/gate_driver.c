@@ -205,7 +205,7 @@ static int collect(void) {
         const int32_t bytes = (int32_t)(make_writes(room) - room), lock = below(40) ? -1 : below(65536);
         uint8_t *exact = fresh(NULL, (size_t)bytes);
         memcpy(exact, room, (size_t)bytes);
-        ledger_close(&ledger, ledger.held[OWN] + below(2), below(2), below(2), lock, exact, bytes);
+        ledger_close(&ledger, first, first + (below(4) ? 0 : below(DEPTH + 2)), below(2), below(2), lock, exact, bytes);
         int64_t round = below(3) ? ledger.number[APPLIED] + 1 : below(40);
         int32_t size = ledger_collect(&ledger, round, out);
         Reader reader = {out, out + size};

@@ -40,6 +40,7 @@ COLUMNS = ("held", "floor", "view", "incarnation", "applied", "through", "heard"
 encode = encoder.encode
 _closings = msgspec.msgpack.Decoder(tuple[Closing, ...])
 _held = msgspec.msgpack.Decoder(wire.MaybePerRobot)
+_each = msgspec.msgpack.Decoder(list[msgspec.Raw])
 _parts = msgspec.msgpack.Decoder(list[list[msgspec.Raw]])
 
 
@@ -77,19 +78,22 @@ def is_whole(encoded: bytes) -> bool:
         return False
 
 
-def strict(closings: bytes) -> Closing | bool | None:
-    """Of an encoded array of closings its only one; True: it is empty; None: there is more, or it is not written as our
-    robots write it."""
-    if closings == b"\x90":
-        return True
+def strict(closings: bytes) -> list[tuple[Closing, bytes]] | None:
+    """Of an encoded array its closings, each with its encoding; None: they are not written as our robots write them."""
     try:
-        (closing,) = _closings.decode(closings)
-        ((*fields, writes),) = _parts.decode(closings)
-        each = _parts.decode(writes)
+        decoded = _closings.decode(closings)
+        each = [bytes(encoded) for encoded in _each.decode(closings)]
+        ours = closings[0] != 0xDD and all(map(is_ours, each))
     except (ValueError, RecursionError):
         return None
-    ours = closings[0] == 0x91 and closings[1] == 0x99 and len(fields) == 8 and bytes(writes)[0] != 0xDD
-    return closing if ours and all(len(parts) == 3 for parts in each) and heads_are_short(bytes(writes)) else None
+    return list(zip(decoded, each, strict=True)) if ours else None
+
+
+def is_ours(closing: bytes) -> bool:
+    """Whether a closing is written as our robots write it."""
+    ((*fields, writes),) = _parts.decode(b"\x91" + closing)
+    ours = closing[0] == 0x99 and len(fields) == 8 and bytes(writes)[0] != 0xDD
+    return ours and all(len(parts) == 3 for parts in _parts.decode(writes)) and heads_are_short(bytes(writes))
 
 
 def heads_are_short(writes: bytes) -> bool:
@@ -115,25 +119,23 @@ class Model:
     def note(self, word: Said, view: int) -> bool:
         plain, number, pid = self.plain, self.plain.number, word.pid
         through = max(0, word.round - 1)
-        closing = strict(word.closings)
+        closings = strict(word.closings)
         try:
             held = msgspec.msgpack.decode(word.held)
         except ValueError:
             return False
         ours = isinstance(held, list) and all(type(each) is int for each in held) and len(held) in (0, plain.n_sys)
-        if not number[OPEN] or closing is None or not ours or word.held[0] == 0xDD or min(held, default=0) < 0:
+        if not number[OPEN] or closings is None or not ours or word.held[0] == 0xDD or min(held, default=0) < 0:
             return False
         if max(word.applied, word.settled, through, *held) > number[LAST]:
             return False
-        if isinstance(closing, Closing):
-            if closing.author != pid:
+        if any(closing.author >= plain.n_sys for closing, _ in closings):
+            return False
+        for closing, row in closings:
+            if closing.round <= plain.held[closing.author]:
+                continue
+            if closing.author == plain.pid or closing.round > number[LAST] or not self.keep(closing, row):
                 return False
-            if closing.round > plain.held[pid]:
-                same = closing.incarnation == plain.incarnation[pid] and not closing.stopped
-                if not same or not closing.first == closing.round <= number[LAST]:
-                    return False
-                if not self.keep(pid, closing.round, word.closings[1:]):
-                    return False
         self.hear(word, view, through, held)
         plain.heard[pid] = number[TICK]
         number[TOLD] = max(number[TOLD], word.settled)
@@ -153,21 +155,28 @@ class Model:
                 plain.lacks[pid * plain.n_sys : (pid + 1) * plain.n_sys] = array("q", holds)
         number[WANTING] = sum(plain.wanting)
 
-    def keep(self, pid: int, round_: int, row: bytes) -> bool:
-        plain, number = self.plain, self.plain.number
-        if plain.incarnation[pid] < 0 or plain.gap[pid] or round_ != plain.held[pid] + 1 or len(row) > ROW:
+    def keep(self, closing: Closing, row: bytes) -> bool:
+        plain, number, pid = self.plain, self.plain.number, closing.author
+        next_ = plain.held[pid] + 1
+        if closing.stopped or not 0 <= closing.incarnation == plain.incarnation[pid] or plain.gap[pid]:
             return False
-        if round_ - DEPTH > max(plain.floor[pid], min(number[SETTLED], number[APPLIED])):
+        if closing.acted or closing.prompt or closing.lock >= 0 or closing.writes:
+            if (closing.first, closing.round) != (next_, next_):
+                return False
+        elif not 1 <= closing.first <= next_ <= closing.round:
             return False
-        self.kept[pid, round_ % DEPTH] = round_, row
-        plain.held[pid] = round_
-        number[LACKING] -= round_ == number[APPLIED] + 1
+        if closing.round - DEPTH > max(plain.floor[pid], min(number[SETTLED], number[APPLIED])) or len(row) > ROW:
+            return False
+        for round_ in range(next_, closing.round + 1):
+            self.kept[pid, round_ % DEPTH] = round_, row
+            number[LACKING] -= round_ == number[APPLIED] + 1
+        plain.held[pid] = closing.round
         return True
 
-    def close(self, round_: int, acted: bool, prompt: bool, lock: int, writes: Sequence[Write]) -> bool:
+    def close(self, first: int, round_: int, acted: bool, prompt: bool, lock: int, writes: Sequence[Write]) -> bool:
         pid = self.plain.pid
-        closing = Closing(pid, self.plain.incarnation[pid], round_, round_, False, acted, prompt, lock, tuple(writes))
-        return self.plain.number[OPEN] != 0 and self.keep(pid, round_, encode(closing))
+        closing = Closing(pid, self.plain.incarnation[pid], first, round_, False, acted, prompt, lock, tuple(writes))
+        return self.plain.number[OPEN] != 0 and self.keep(closing, encode(closing))
 
     def collect(self, round_: int) -> Collected | None:
         plain, number = self.plain, self.plain.number
@@ -293,9 +302,11 @@ class Table:
         for round_ in range(held - DEPTH, held + 2):
             assert ours.own(round_) == (self.model.row(pid, round_) is not None)
 
-    def close(self, round_: int, *writes: Write, acted: bool = True, prompt: bool = False, lock: int = -1) -> bool:
-        kept = self.ledger.close(round_, acted, prompt, lock, encode(writes))
-        assert kept == self.model.close(round_, acted, prompt, lock, writes)
+    def close(self, round_: int, *writes: Write, acted: bool = True, prompt: bool = False, lock: int = -1,
+              first: int | None = None) -> bool:  # fmt: skip
+        first = round_ if first is None else first
+        kept = self.ledger.close(first, round_, acted, prompt, lock, encode(writes))
+        assert kept == self.model.close(first, round_, acted, prompt, lock, writes)
         self.same()
         return kept
 

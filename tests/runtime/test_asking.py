@@ -31,24 +31,39 @@ def listen(fleet: Fleet, pid: int, kind: type[Need] | type[Round]) -> Asked:
     return sent
 
 
-def deaf(n: int) -> Asked:
-    """Whom robot 0 asks that hears nobody for two rounds."""
+def deaf(n: int, others: int) -> Asked:
+    """Whom robot 0 asks that does not hear so many for two rounds, and whom nobody hears."""
     fleet = Fleet(n=n, conditions=Conditions(delay=0.001)).boot_all()
     fleet.run_rounds(20)
     asked = listen(fleet, 0, Need)
-    fleet.network.cut = lambda sender, receiver: receiver == 0
+    fleet.network.cut = lambda sender, receiver: sender == 0 or (receiver == 0 and sender <= others)
     fleet.run_rounds(22)
     return asked
 
 
 def test_few_that_lack_are_all_asked() -> None:
-    assert set(map(frozenset, deaf(FEW + 1).values())) == {frozenset(range(1, FEW + 1))}
+    assert set(map(frozenset, deaf(FEW + 1, FEW).values())) == {frozenset(range(1, FEW + 1))}
 
 
 def test_of_many_that_lack_one_is_asked_another_each_time() -> None:
-    asked = deaf(FEW + 4)
-    assert len(asked) > 2 and {len(to) for to in asked.values()} == {1}
-    assert len(set().union(*asked.values())) == len(asked), "one after the other"
+    asked = deaf(2 * FEW + 3, FEW + 1)
+    authors = [to & set(range(FEW + 2)) for to in asked.values()]  # beside each one who may hold it
+    assert len(authors) > 2 and {len(to) for to in authors} == {1}
+    assert len(set().union(*authors)) == len(authors), "one after the other"
+
+
+def test_who_lacks_most_asks_seldom_and_for_all_that_was_lost_at_once_when_more_comes() -> None:
+    """It is late with the others, as far as it can tell, until what they say next shows that something was lost."""
+    fleet = Fleet(n=FEW + 4, conditions=Conditions(delay=0.001)).boot_all()
+    fleet.run_rounds(20)
+    asked = listen(fleet, 0, Need)
+    fleet.network.cut = lambda sender, receiver: receiver == 0
+    fleet.run_rounds(23)
+    assert len(asked) <= 2
+    fleet.network.cut = lambda sender, receiver: False
+    fleet.run_rounds(26)
+    memory = fleet.robots[0].agent._replica.memory if fleet.robots[0].agent._replica else None
+    assert memory is not None and memory.applied >= 24
 
 
 def under_way(n: int) -> tuple[Fleet, Replica, Memory]:

@@ -48,7 +48,8 @@ def said(pid: int, round_: int, *indices: int) -> Said:
 def test_a_round_as_nearly_all_are() -> None:
     table = Table(N, 1)
     table.number({TICK: 7})
-    for round_ in range(1, 40):
+    last = DEPTH + 31
+    for round_ in range(1, last + 1):
         table.number({APPLIED: round_ - 1, LACKING: N, SETTLED: round_ - 1, LAST: round_ + 8})
         assert table.close(round_, write(0, "ours"), prompt=True)
         assert table.hear(*[said(pid, round_, 0, pid + 3) for pid in (0, 2, 3)]) == [True] * 3
@@ -58,10 +59,12 @@ def test_a_round_as_nearly_all_are() -> None:
         assert [(index, pids) for index, pids, _ in found.writes] == [(0, [0, 1, 2, 3]), (3, [0]), (5, [2]), (6, [3])]
         assert bytes(found.writes[0][2]) == encoder.encode([100 * round_, "ours", 100 * round_ + 2, 100 * round_ + 3])
         assert (table.ledger.number[NEXT], table.ledger.number[LEAST]) == (N, round_)
-    assert list(table.ledger.held) == [39] * N and list(table.ledger.heard) == [7, LONG_AGO, 7, 7]
-    assert table.collect(40 - DEPTH) is not None and table.collect(39 - DEPTH) is None, "others have taken their places"
+    assert list(table.ledger.held) == [last] * N and list(table.ledger.heard) == [7, LONG_AGO, 7, 7]
+    assert table.collect(last - DEPTH + 1) is not None and table.collect(last - DEPTH) is None, (
+        "others have taken their places"
+    )
     assert [len(table.rows(pid)) for pid in range(N)] == [DEPTH] * N
-    assert list(table.ledger.floor) == [39] * N and table.rows(2) == [] and table.collect(39) is None
+    assert list(table.ledger.floor) == [last] * N and table.rows(2) == [] and table.collect(last) is None
 
 
 def test_what_the_clock_learns_from_is_told_as_a_word_without_news() -> None:
@@ -91,7 +94,7 @@ def test_without_a_library_nothing_is_kept() -> None:
     plain = Ledger(0, N)
     plain.number[OPEN], plain.incarnation[0] = 1, 0
     assert (plain.native, plain.at, plain.own(0)) == (False, 0, False)
-    assert not plain.close(1, True, False, -1, b"\x90") and plain.collect(1) is None and plain.rows(0) == []
+    assert not plain.close(1, 1, True, False, -1, b"\x90") and plain.collect(1) is None and plain.rows(0) == []
 
 
 def test_both_number_alike() -> None:
@@ -119,12 +122,29 @@ def raw(*writes: bytes) -> bytes:
     return bytes([0x90 + len(writes)]) + b"".join(writes)
 
 
+def closings(*words: Said) -> Said:
+    """All their closings in one."""
+    return words[0]._replace(closings=bytes([0x90 + len(words)]) + b"".join(word.closings[1:] for word in words))
+
+
+QUIET = b"\xc2\xc2\xc2"
+
+
+def silence(first: int, last: int, flags: bytes = QUIET) -> Said:
+    return crafted(first=encoder.encode(first), round_=encoder.encode(last), flags=flags)
+
+
 ONE = b"\x93\x05\x07\xc2"
 CRAFTED = {
     "as it should be": (True, crafted(writes=raw(ONE))),
     "an index twice, which is no news to the ledger": (True, crafted(writes=raw(ONE, ONE))),
     "numbers that are longer than need be": (True, crafted(b"\xcc\x01", b"\xd3" + bytes(8), first=b"\xcd\x00\x05")),
-    "another author": (False, crafted(b"\x02")),
+    "another author": (True, crafted(b"\x02")),
+    "an author whose next is another": (False, crafted(b"\x03", first=b"\x06", round_=b"\x06")),
+    "our own": (False, crafted(b"\x00")),
+    "our own that is known": (True, crafted(b"\x00", first=b"\x04", round_=b"\x04")),
+    "an author that there is not": (False, crafted(b"\x04")),
+    "an author that there is not, long ago": (False, crafted(b"\x04", first=b"\x04", round_=b"\x04")),
     "no robot": (False, crafted(b"\xcc\x80")),
     "an author that is negative": (False, crafted(b"\xff")),
     "another incarnation": (False, crafted(incarnation=b"\x01")),
@@ -135,7 +155,7 @@ CRAFTED = {
     "the round after the next": (False, crafted(first=b"\x06", round_=b"\x06")),
     "a known round": (True, crafted(first=b"\x04", round_=b"\x04")),
     "known rounds": (True, crafted(first=b"\x02", round_=b"\x04", flags=b"\xc3\xc3\xc2", incarnation=b"\x09")),
-    "a known round of another": (False, crafted(b"\x02", first=b"\x04", round_=b"\x04")),
+    "a known round of another": (True, crafted(b"\x02", first=b"\x04", round_=b"\x04")),
     "a negative round": (False, crafted(round_=b"\xff")),
     "stopped": (False, crafted(flags=b"\xc3\xc3\xc2")),
     "stopped is a number": (False, crafted(flags=b"\x00\xc3\xc2")),
@@ -162,7 +182,23 @@ CRAFTED = {
     "the second write is malformed": (False, crafted(writes=raw(ONE, b"\x93\x05\x07\xc0"))),
     "held in a longer encoding": (True, crafted()._replace(held=b"\xdc\x00\x00")),
     "it holds up to somewhere": (False, crafted()._replace(held=b"\x91\x05")),
-    "two closings": (False, crafted()._replace(closings=b"\x92" + 2 * crafted().closings[1:])),
+    "two closings, of which one is known then": (True, closings(crafted(), crafted())),
+    "closings in a longer encoding": (True, crafted()._replace(closings=b"\xdc\x00\x01" + crafted().closings[1:])),
+    "of two, the one after the next": (True, closings(crafted(), crafted(first=b"\x06", round_=b"\x06"))),
+    "of three authors": (True, closings(crafted(b"\x03"), crafted(), crafted(b"\x02"))),
+    "the second is too early": (False, closings(crafted(b"\x03"), crafted(first=b"\x06", round_=b"\x06"))),
+    "the second is malformed": (False, closings(crafted(b"\x03"), crafted(round_=b"\xff"))),
+    "the silence of three rounds": (True, silence(5, 7)),
+    "silence that began before": (True, silence(2, 7)),
+    "silence that began before the first round": (False, silence(0, 7)),
+    "silence that begins too late": (False, silence(6, 7)),
+    "silence in its end": (False, silence(5, 7, b"\xc3\xc2\xc2")),
+    "silence that waits": (False, silence(5, 7, b"\xc2\xc2\xc3")),
+    "several rounds in which it acted": (False, silence(5, 7, b"\xc2\xc3\xc2")),
+    "several rounds with a lock": (False, crafted(round_=b"\x07", flags=QUIET, lock=b"\x00")),
+    "several rounds in which it wrote": (False, crafted(round_=b"\x07", flags=QUIET, writes=raw(ONE))),
+    "silence as long as there is room": (True, silence(5, 4 + DEPTH)._replace(round=2)),
+    "silence for which there is no room": (False, silence(5, 5 + DEPTH)._replace(round=2)),
     "no closing": (True, crafted()._replace(closings=b"\x90")),
     "it lacks something": (True, crafted()._replace(round=7)),
     "it has applied more than it may have": (False, crafted()._replace(applied=21)),
@@ -187,6 +223,8 @@ def test_what_is_noted_and_what_is_not(name: str) -> None:
     expected, word = CRAFTED[name]
     table = held_by_all(4)
     table.put("applied", 1, 3)
+    if "room" in name:
+        table.number({LAST: 99})
     assert table.hear(word) == [expected]
 
 
@@ -229,11 +267,11 @@ def test_where_it_is_noted_and_where_it_is_not(name: str) -> None:
 def test_no_row_is_lost_before_it_is_applied_and_everyones(settled: int, applied: int, floor: int) -> None:
     """Of others and of ours."""
     table = Table(N)
-    table.number({SETTLED: settled, APPLIED: applied})
+    table.number({SETTLED: settled, APPLIED: applied, LAST: DEPTH + 20})
     table.set("floor", *[floor] * N)
     table.set("held", *[floor] * N)
     kept = []
-    for round_ in range(floor + 1, 20):
+    for round_ in range(floor + 1, DEPTH + 12):
         kept += table.hear(said(1, round_, 1)._replace(applied=round_))
         assert table.close(round_) == kept[-1]
     assert sum(kept) == DEPTH + max(floor, min(settled, applied)) - floor
@@ -262,7 +300,7 @@ def test_the_own_row_is_msgspecs_encoding(pid: int) -> None:
             each.incarnation[pid] = incarnation
         writes = tuple([write(index, "x" * index) for index in range(chance.choice((0, 1, 15, 16)))])
         acted, prompt = chance.random() < 0.5, chance.random() < 0.5
-        assert table.ledger.close(round_, acted, prompt, lock, encoder.encode(writes))
+        assert table.ledger.close(round_, round_, acted, prompt, lock, encoder.encode(writes))
         closing = Closing(pid, incarnation, round_, round_, False, acted, prompt, lock, writes)
         assert table.ledger.rows(pid) == [encoder.encode(closing)]
 
@@ -337,5 +375,5 @@ def test_what_nests_too_deeply_for_msgspec_is_left_to_others() -> None:
     assert table.ledger.collect(3) is None
     judged = table.gate.take([table.datagram(deep)], 1.0, None)
     assert list(judged.usual or ()) == [] and table.ledger.held[1] == 3
-    assert table.ledger.close(3, True, False, -1, b"\x90")
+    assert table.ledger.close(3, 3, True, False, -1, b"\x90")
     assert table.ledger.collect(3) is None and table.ledger.rows(1) == [deep.closings[1:]]

@@ -7,7 +7,7 @@ from random import Random
 import msgspec
 import pytest
 
-from koordgen.runtime.ledger import APPLIED, LACKING, LAST, OPEN, REACHED, SETTLED, TICK, WATCHED
+from koordgen.runtime.ledger import APPLIED, DEPTH, LACKING, LAST, OPEN, REACHED, SETTLED, TICK, WATCHED
 from koordgen.runtime.wire import Closing, Echo, Write, encoder
 from tests.runtime.gates import needs_gate
 from tests.runtime.ledgers import Said, Table, single
@@ -54,6 +54,9 @@ class Course:
         if self.one_in(10):
             round_ = max(0, round_ + chance.choice((-2, -1, -1, 1, 2, 3)))
         made = Closing(pid, max(0, plain.incarnation[pid]), round_, round_, False, acted, prompt, lock, self.writes())
+        if self.one_in(8):  # silence
+            first, round_ = max(0, round_ - chance.choice((0, 0, 1, 2))), round_ + chance.choice((0, 1, 1, 2, 5, DEPTH))
+            made = Closing(pid, made.incarnation, first, round_)
         if self.one_in(4):
             other = {"author": chance.choice((0, 1, 127)), "incarnation": chance.randrange(4), "stopped": True}
             other |= {"first": max(0, round_ + chance.choice((-1, 1))), "lock": chance.choice((0, 128, 65535))}
@@ -65,7 +68,8 @@ class Course:
         chance = self.chance
         if self.one_in(8):
             return chance.choice((b"\x90", b"\x90", *MALFORMED))
-        made = encoder.encode([self.closing(pid) for _ in range(1 if chance.randrange(20) else 2)])
+        authors = [pid, *(chance.randrange(self.table.n) for _ in range(0 if chance.randrange(9) else 3))]
+        made = encoder.encode([self.closing(author) for author in authors])
         if self.one_in(10):
             at = chance.randrange(min(len(made), 30))
             made = made[:at] + bytes([chance.randrange(256)]) + made[at + 1 :]
@@ -110,7 +114,7 @@ class Course:
         number, round_ = table.ledger.number, table.ledger.number[APPLIED] + 1
         self.collected += table.collect(round_) is not None
         if self.one_in(3):
-            table.collect(round_ + chance.choice((-9, -8, -7, -1, 1, 2)))
+            table.collect(round_ + chance.choice((-DEPTH - 1, -DEPTH, 1 - DEPTH, -1, 1, 2)))
         settled = max(number[SETTLED], round_ - chance.choice((1, 2, 3, 12)))
         watched = (
             {WATCHED: chance.choice((-1, round_, round_ + 1)), REACHED: chance.randrange(3)} if self.one_in(2) else {}
@@ -160,7 +164,10 @@ class Course:
         chance, pid = self.chance, self.table.pid
         round_ = self.table.ledger.held[pid] + (1 if chance.randrange(6) else chance.choice((0, 2)))
         lock = chance.choice((-1, -1, -1, -1, -1, 0, 300))
-        self.table.close(round_, *self.writes(), acted=self.one_in(2), prompt=self.one_in(2), lock=lock)
+        if self.one_in(4):
+            self.table.close(round_ + chance.choice((0, 1, 1, 3, DEPTH)), acted=self.one_in(6), first=round_)
+        else:
+            self.table.close(round_, *self.writes(), acted=self.one_in(2), prompt=self.one_in(2), lock=lock)
 
 
 @pytest.mark.parametrize(("n_sys", "steps"), [(2, 400), (3, 400), (5, 300), (16, 100), (128, 25)])

@@ -106,6 +106,42 @@ def test_closings_that_were_noted_are_repeated_to_who_lacks_them() -> None:
     assert memory.advance(NOW + 1) and memory.shared["x"] == (1, 5, 0, 0, 0)
 
 
+def test_rounds_of_silence_and_answers_go_on_without_a_word_to_python(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a fleet that is late: each closes several rounds at once, one speaks for another, and one asks."""
+    robot = Robot()
+    memory = robot.memory
+    lacks = (NOW - 1,) * N
+    assert memory.heard(2, VIEW.number, NOW - 1, lacks, NOW + 3, 0, NOW, asks=True) is None
+    for name in ("usual", "take", "heard", "_apply"):
+        monkeypatch.setattr(Memory, name, None)
+    monkeypatch.setattr(Log, "fetch", None)
+    memory.close(NOW + 2, {}, stopped=False)
+    assert memory.closed == (NOW, NOW + 2)
+    robot.close(NOW + 3, 5)
+    answer = silence(0, NOW, NOW + 1, LIVES[0]), silence(0, NOW + 2, NOW + 3, LIVES[0])
+    assert robot.hear(2, NOW, *answer, single(2, NOW, write(0, 7))) == 0
+    assert robot.hear(2, NOW, silence(2, NOW, NOW + 3, LIVES[2])) == 0, "it has heard of the first of these"
+    assert memory.lacking == 0 and memory.held[:3] == (NOW + 3,) * 3
+    ours = silence(OWN, NOW, NOW + 2, LIVES[OWN])
+    assert memory.repeat(2)[:3] == [ours, single(OWN, NOW + 3, write(0, 5)), single(2, NOW, write(0, 7))]
+    assert memory.own(NOW) == [ours, single(OWN, NOW + 3, write(0, 5))]
+    assert memory.own(NOW + 1)[0] == silence(OWN, NOW + 1, NOW + 2, LIVES[OWN])
+    assert memory._logs[0].between(NOW, NOW + 9) == [silence(0, NOW, NOW + 3, LIVES[0])]
+    assert memory.advance(NOW + 4) and memory.shared == {"x": (0, 5, 7, 0, 0), "last": -1}
+    assert memory.acted == [0, NOW + 3, NOW, 0, 0]
+
+
+def test_what_is_in_rows_goes_to_the_log_as_one() -> None:
+    robot = Robot()
+    memory = robot.memory
+    for first, last in ((NOW, NOW + 1), (NOW + 2, NOW + 3)):
+        assert robot.hear(0, NOW, silence(0, first, last, LIVES[0])) == 0
+    assert [e.closing for e in memory._logs[0].entries] == [silence(0, NOW, NOW + 3, LIVES[0])]
+    assert robot.hear(0, NOW, silence(0, NOW + 3, NOW + 5, LIVES[0])) == 0
+    assert memory._logs[0].between(NOW + 2, NOW + 9) == [silence(0, NOW + 2, NOW + 5, LIVES[0])]
+    assert [e.closing for e in memory._logs[0].entries] == [silence(0, NOW, NOW + 5, LIVES[0])]
+
+
 def test_a_view_cuts_what_was_noted_of_who_does_not_count_in_it() -> None:
     robot = Robot()
     memory = robot.memory

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from koordgen.runtime import rounds
+from koordgen.runtime.ledger import DEPTH
 from koordgen.runtime.memory import WINDOW
 from koordgen.runtime.network import Conditions
 from koordgen.runtime.outbox import MOST_WAITING
@@ -163,7 +164,7 @@ def test_a_minority_holds_for_as_long_as_it_is_alone_and_costs_no_memory() -> No
     fleet.run(400 * fleet.delta)
     for pid, robot in fleet.robots.items():
         memory = robot.agent._replica.memory if robot.agent._replica else None
-        assert memory is not None and sum(len(log.entries) + len(log.later) for log in memory._logs) < 60
+        assert memory is not None and sum(len(log.entries) + len(log.later) for log in memory._logs) < 5 * DEPTH + 20
         rounds = robot.agent._rounds
         assert rounds is not None and len(rounds._outbox._waiting) <= MOST_WAITING
         ran = [r.round for r in robot.records if r.frame is not None]

@@ -3,6 +3,7 @@ sequence numbers and echoes; and what it leaves to Python."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from random import Random
@@ -11,7 +12,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from koordgen.runtime import gate, wire
+from koordgen.runtime import gate, speech, wire
 from koordgen.runtime.clock import FleetClock, SimulatedClock
 from koordgen.runtime.gate import Gate, Said
 from koordgen.runtime.ledger import APPLIED as APPLIED_TO
@@ -21,7 +22,7 @@ from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.network import Conditions
 from koordgen.runtime.seal import MEMORY, seal
 from koordgen.runtime.sessions import Sessions
-from koordgen.runtime.speech import Fields
+from koordgen.runtime.speech import ECHOES_A_LESSON, OTHERS, OTHERS_EVERY, Fields, others_every
 from koordgen.runtime.wire import (
     LIMIT,
     MAX_ECHOES,
@@ -71,7 +72,7 @@ def keep(ledger: Ledger, closing: Closing) -> None:
     ledger.incarnation[pid] = closing.incarnation
     ledger.number[SETTLED] = ledger.number[APPLIED_TO] = closing.round - 1
     flags, writes = (closing.acted, closing.prompt, closing.lock), encoder.encode(closing.writes)
-    assert ledger.close(closing.round, *flags, writes)
+    assert ledger.close(closing.round, closing.round, *flags, writes)
 
 
 class Mouth:
@@ -112,7 +113,7 @@ class Mouth:
 
     def state(self) -> Any:
         speech = self.speech
-        return speech._sequence, dict(speech._echoed), speech._next_echo
+        return speech._sequence, {p: at for p, at in speech._echoed.items() if at > -math.inf}, speech._next_echo
 
 
 def shortly(mouth: Mouth) -> bool:
@@ -343,3 +344,19 @@ def test_fleets_send_the_same_bytes(monkeypatch: pytest.MonkeyPatch, story: Stor
 @needs_compiler
 def test_sanitizers_find_nothing(tmp_path: Path) -> None:
     sanitized.run("voice_driver.c", gate.SOURCE, gate.FLAGS, tmp_path, 200_000)
+
+
+def test_in_a_large_fleet_all_have_their_turn_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert [others_every(n) for n in (2, OTHERS, 2 * OTHERS)] == [OTHERS_EVERY, OTHERS_EVERY, 2 * OTHERS_EVERY]
+    monkeypatch.setattr(speech, "OTHERS", 4)
+    mouth, last, gaps = Mouth(n=16), dict[int, float](), list[float]()
+    mouth.meet(mouth.others)
+    while mouth.clock.time < 30.0:
+        mouth.clock.time += 0.1
+        mouth.speech.round(mouth.others, WORD, ())
+        for echo in mouth.said()[-1].head.echoes:
+            if echo.pid in last:
+                gaps.append(mouth.clock.time - last[echo.pid])
+            last[echo.pid] = mouth.clock.time
+    assert set(last) == set(mouth.others)
+    assert min(gaps) + 1e-9 >= 4.0 / ECHOES_A_LESSON and max(gaps) < 1.6 * 4.0 / ECHOES_A_LESSON
