@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import pytest
 
 from koordgen.runtime import memory, views
@@ -51,4 +53,6 @@ BROKEN = {
 def test_what_is_broken_is_missed(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(*BROKEN[name])
     with pytest.raises(Violation):
-        run(range(300))
+        for seed in range(300):
+            with suppress(IndexError):  # of a quorum that is none: a crash does not count as found
+                run(range(seed, seed + 1))

@@ -72,7 +72,8 @@ static uint8_t *make_closing(uint8_t *at, int pid) {
     int64_t round = ledger.held[pid] + (below(12) ? 1 : below(5) - 2);
     *at++ = 0x99;
     at = shortest(shortest(at, below(30) ? pid : below(ROBOTS)), below(30) ? 9 : below(300));
-    at = shortest(shortest(at, below(30) ? round : below(30)), round);
+    const int64_t first = below(6) ? round : round - below(4);
+    at = shortest(shortest(at, below(30) && first > 0 ? first : below(30)), round);
     for (int i = 0; i < 3; i++) *at++ = (uint8_t)(0xc2 + (i && below(2)));
     return make_writes(shortest(at, below(400) ? -1 : below(70000) - 2));
 }
@@ -107,9 +108,9 @@ static int make(uint8_t *payload, int32_t sequence) {
     if (plain && !below(4)) at = make_held(at);
     else if (plain || below(2)) *at++ = 0x90;
     else at = value(at, 0);
-    int closings = plain ? below(9) > 0 : below(3);
+    int closings = plain ? (below(9) > 0) + (below(5) ? 0 : below(4)) : below(3);
     *at++ = (uint8_t)(0x90 + closings);
-    for (int i = 0; i < closings && plain; i++) at = make_closing(at, pid);
+    for (int i = 0; i < closings && plain; i++) at = make_closing(at, i ? below(ROBOTS) : pid);
     for (int i = 0; i < closings && !plain; i++) {
         *at++ = 0x99;
         at = small(small(small(small(at, pid), 9), round), round);
@@ -189,10 +190,11 @@ static void cut(void) {
     const size_t whole = (size_t)(make_closing(room, below(ROBOTS)) - room);
     for (size_t bytes = 1; bytes < whole && bytes < 60; bytes++) {
         uint8_t *exact = fresh(NULL, bytes);
-        const Text text = {exact, bytes};
+        Reader reader = {exact, exact + bytes};
+        Text text;
         Closing closing;
         memcpy(exact, room, bytes);
-        read_whole_closing(&text, &closing);
+        check(!read_whole_closing(&reader, &closing, &text), "cut");
         free(exact);
     }
 }
@@ -203,6 +205,7 @@ static int collect(void) {
     for (int i = 0; i < 30; i++) {
         uint8_t *out = malloc(ledger_room(ROBOTS));
         const int32_t bytes = (int32_t)(make_writes(room) - room), lock = below(40) ? -1 : below(65536);
+        const int64_t first = ledger.held[OWN] + below(2);
         uint8_t *exact = fresh(NULL, (size_t)bytes);
         memcpy(exact, room, (size_t)bytes);
         ledger_close(&ledger, first, first + (below(4) ? 0 : below(DEPTH + 2)), below(2), below(2), lock, exact, bytes);
