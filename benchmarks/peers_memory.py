@@ -137,7 +137,7 @@ class SharedMemory:
         timeout = given.safety.peer_timeout
         self._replica = Replica(self._link, layout, memory, view, Vote(), 0, timeout, keeping.announce)
         self._round, self._slot, self._published = 0, -1, 0
-        self._patience = Patience()
+        self._patience = Patience(pid, n)
         self._start = self._begun = math.inf  # round 1, at the earliest that any was published; the present round
         self._wake = math.inf
         self._open = False  # the present round is not closed yet
@@ -161,14 +161,14 @@ class SharedMemory:
         if now >= self._begun + self._delta:  # slept through: it is closed with the next one
             self.missed.append(round_)
             return
-        self._round, self._slot, self._open, self._complete, self._wake = round_, -1, True, False, -math.inf
+        self._round, self._slot, self._open, self._complete, self._wake = round_, -1, True, False, self._begun
         calm = self._replica.begin(round_)
         if not (current := self._current()):
             self._hear()  # what is lacking may be here, not yet looked at
             current = self._current()
-        if not current:
+        if not current and self._patience.waits(round_):
             return
-        self._close(current=True)
+        self._close(current)
         if calm and now < self._moment(PUNCTUAL):  # there is nothing to do at the first slot
             self._slot, self._wake = 0, self._moment(FIRST_SLOT)
 
@@ -293,7 +293,7 @@ class SharedMemory:
         if memory is None:
             self._wake = self._following(slot)
             return
-        self._ask(memory, slot, fresh, timely=slots < slot + PUNCTUAL)
+        self._ask(memory, slot, fresh, timely=now < self._wake + PUNCTUAL / SLOTS * self._delta)
         if fresh and not self._calm():  # there may be another view
             self._apply(now)
 
@@ -306,7 +306,7 @@ class SharedMemory:
             self._patience.wakes(round_, timely and not many(len(missing), len(self._told)))
         if missing:
             missing = [p for p in missing if p != self._pid]
-            if fresh and missing and self._patience.asks(round_, timely, memory.lost(missing)):
+            if fresh and missing and self._patience.asks(round_, timely, memory.ledger.lost(missing)):
                 replica.ask(missing, [], through)
         if missing or self._open or replica.busy:
             self._wake = self._following(slot)
@@ -318,7 +318,8 @@ class SharedMemory:
 
     def _following(self, slot: int) -> float:
         """The next moment at which there is something to do while something is outstanding."""
-        following = self._moment(slot + 1)
+        rests = self._patience.hurried(self._round) and not self._replica.busy
+        following = self._moment(slot + (SLOTS - slot % SLOTS if rests else 1))
         return min(following, self._moment(PUBLISH * SLOTS)) if self._open else following
 
     def _moment(self, slot: float) -> float:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import ctypes
 import mmap
 from array import array
+from collections.abc import Sequence
 from ctypes import c_char_p, c_int32, c_int64, c_size_t, c_void_p
 from typing import Any
 
@@ -105,6 +106,11 @@ class Ledger:
         """Keep the own closing of these rounds, with this encoded array of writes. False: it is not the next one, or
         there is no room for it."""
         return self.native and bool(self._close(self.at, first, round_, acted, prompt, lock, writes, len(writes)))
+
+    def lost(self, pids: Sequence[int]) -> bool:
+        """Whether somebody has what is missing of these robots: more of one came, or another has applied more."""
+        applied = max(self.applied)
+        return any(self.gap[p] or self.held[p] < applied for p in pids)
 
     def collect(self, round_: int) -> Collected | None:
         """All members' closings of a round; None where not all are here, or such as must be looked at one by one."""

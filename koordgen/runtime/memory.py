@@ -291,10 +291,6 @@ class Memory:
         members = self.view.members
         return [p for p, held in enumerate(self.ledger.held) if held < through and members[p] >= 0]
 
-    def lost(self, pids: Sequence[int]) -> bool:
-        """Whether something of one of these did not come, and what it closed later did."""
-        return any(self.ledger.gap[p] for p in pids)
-
     def own(self, first: int) -> list[Closing]:
         """The own closings from `first` on."""
         return self._logs[self._pid].between(first, self.ledger.held[self._pid])

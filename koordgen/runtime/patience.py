@@ -1,7 +1,9 @@
-"""When and whom a robot asks for what it lacks, and when it repeats unasked what others lack.
+"""When and whom a robot asks for what it lacks, how long it waits for that, and when it repeats unasked what others
+lack.
 
 Who wakes late shares a busy computer, and the others may be as late: what it lacks is then late rather than lost, and
-a fleet that is short of time must not spend it on asking itself.
+a fleet that is short of time must not spend it on asking itself. What is lost soon shows: more of the same robot comes,
+or another tells that it has it.
 """
 
 from __future__ import annotations
@@ -13,15 +15,23 @@ FEW = 5  # missing closings or words that may have been lost; more of them are l
 HELPERS = 5  # robots that at once repeat what others wrote
 MEMORY = 1  # rounds for which a robot remembers that it woke late
 QUIET = 4  # rounds after which a late robot asks again for what is probably as late as itself
+LOSSY = 16  # rounds for which a robot remembers that something was lost
+SMALL = 8  # robots that may all ask at once for what is not known to have been sent; of more than that
+ASKERS = 2  # may in each round
 
 
 @dataclass(slots=True)
 class Patience:
-    """Rounds only go up. A punctual robot may ask at every slot; one that was late asks once a round, and while it is
-    late in every second round; and where nothing is known to be lost, seldom."""
+    """Of robot `pid` in a fleet of `n_sys`; rounds only go up. A punctual robot may ask at every slot; one that was
+    late asks once a round, while it is late in every second round, and where nothing is known to be lost, seldom."""
 
+    pid: int
+    n_sys: int
     _asked: int = 0
     _late: int = -MEMORY
+    _lost: int = -LOSSY
+    _lagging: int = 0
+    _waits: bool = True
 
     def wakes(self, round_: int, timely: bool) -> None:
         """It comes to a slot of this round, in time or not."""
@@ -32,9 +42,27 @@ class Patience:
         """Whether it was late, or is."""
         return round_ <= self._late + MEMORY
 
+    def hurried(self, round_: int) -> bool:
+        """Whether it was, and nothing has been lost lately: all that it lacks is probably late."""
+        return round_ <= self._late + MEMORY and round_ > self._lost + LOSSY
+
+    def waits(self, round_: int) -> bool:
+        """Whether it leaves a round open in which it lacks something of the last. A fleet that does so in one round
+        after the other has only half of each for what a whole round is too short for, and stays behind for good: who
+        is hurried gives every further round up at once, until all is there in time."""
+        if round_ != self._lagging:
+            again, self._lagging = round_ == self._lagging + 1, round_
+            self._waits = not (again and self.hurried(round_))
+        return self._waits
+
     def asks(self, round_: int, timely: bool, lost: bool) -> bool:
-        """Whether it asks now, where it lacks something; `lost`: of that, something did not come and what was sent
-        later did."""
+        """Whether it asks now, where it lacks something; `lost`: of that, something is known to have been sent. Where
+        nothing has been lost lately it may be late at all the others too: few of a large fleet ask then, others in each
+        round."""
+        if lost:
+            self._lost = round_
+        elif round_ > self._lost + LOSSY and self.n_sys > SMALL and (self.pid - ASKERS * round_) % self.n_sys >= ASKERS:
+            return False
         if self.strained(round_) and round_ <= self._asked + (QUIET if not lost else 0 if timely else MEMORY):
             return False
         self._asked = round_

@@ -29,7 +29,7 @@ from koordgen.runtime.watched import OWN, SENSED, SHARED, Moment
 
 PUBLISH = 0.5  # of delta: when a round's closing leaves at the latest
 FIRST_SLOT = 3  # the first of a round's SLOTS in which its own closings are asked for, before it the last round's
-PUNCTUAL = 0.5  # of a slot: who wakes later is late
+PUNCTUAL = 0.5  # of a slot: who wakes so much later than something was due is late
 GATHER = 300e-6  # seconds that the closing of one more robot may take to come after another's
 MOST_GATHER = 0.2  # of a round, for all of them: one of its SLOTS
 LINGER = 20  # rounds after all have stopped
@@ -81,8 +81,8 @@ class Rounds:
         self.round = 0  # the present one; 0 before the first
         self._present = _Present()
         self._published = 0
-        self._wake = 0.0
-        self._patience = Patience()
+        self._wake = math.inf  # when there is something to do
+        self._patience = Patience(self._pid, len(names))
         self._left = False
         self._sure = 0  # the last round that is known to be stable
         self._restored: Life | None = None  # to be told with the next record
@@ -147,14 +147,15 @@ class Rounds:
         elapsed = self._clock.read(now) - self._start
         round_ = math.floor(elapsed / self._delta + 1e-6) + 1
         if round_ < 1:
-            return self._clock.local(self._start)
+            self._wake = self._clock.local(self._start)
+            return self._wake
         if round_ > self.round:
             self._begin(round_, sense(now))
         present = self._present
         into = elapsed - (self.round - 1) * self._delta
         slot = min(SLOTS - 1, math.floor(into / self._delta * SLOTS + 1e-6))
         fresh = slot > present.slot
-        timely = fresh and into * SLOTS < (slot + PUNCTUAL) * self._delta
+        timely = fresh and now < self._wake + PUNCTUAL * self._delta / SLOTS
         memory = self._replica.memory
         ripe = fresh and present.open and memory is not None and memory.applied == self.round - 1
         if fresh:
@@ -273,7 +274,7 @@ class Rounds:
         else:
             reason = self._unsettled(current)
             lagging = reason is not None
-            if lagging and not overdue:
+            if lagging and not overdue and (current or self._patience.waits(self.round)):
                 return
             if reason is None and overdue:
                 reason = WOKE_LATE
@@ -383,18 +384,17 @@ class Rounds:
         unaware = memory.unaware(waited) if waited is not None and (waited < through or slot >= 1) else []
         if fresh:
             self._patience.wakes(self.round, timely and not many(len(missing), len(self._names)))
-        if fresh and (missing or unaware) and self._patience.asks(self.round, timely, memory.lost(missing)):
+        if fresh and (missing or unaware) and self._patience.asks(self.round, timely, memory.ledger.lost(missing)):
             self._replica.ask(missing, unaware, through)
             self.counters.asked += 1
         if present.open or missing or waited is not None or self._replica.busy:
             return self._following(slot)
-        if slot >= FIRST_SLOT:
-            return self._tick(1.0)
-        if memory.applied < self.round or self._replica.emergency:
-            return self._tick(FIRST_SLOT / SLOTS)
-        self._replica.complete(self.round)
+        if slot < FIRST_SLOT:
+            if memory.applied < self.round or self._replica.emergency:
+                return self._tick(FIRST_SLOT / SLOTS)
+            self._replica.complete(self.round)
         return self._tick(1.0)
 
     def _following(self, slot: int) -> float:
-        following = self._tick((slot + 1) / SLOTS)
-        return min(self._tick(PUBLISH), following) if self._present.open else following
+        next_ = SLOTS if self._patience.hurried(self.round) and not self._replica.busy else slot + 1
+        return self._tick(min(next_ / SLOTS, PUBLISH if self._present.open else 1.0))

@@ -1,13 +1,36 @@
-"""When a robot asks for what it lacks: at each slot, and seldom if it wakes late, as all others may do then."""
+"""A robot that lacks something asks for it at each slot and waits for it; seldom and once if it wakes late, as all
+others may do then."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import pytest
 from msgspec.structs import replace
 
 from koordgen.runtime.wire import Closing, Need, Round
-from tests.model.lab import Fleet, Flight
+from tests.model.lab import SENSED, Fleet, Flight
 from tests.model.test_found import rounds_of_all
+
+
+def alone(late: float, lost: bool = False) -> Iterator[tuple[float, int, bool]]:
+    """Robot 0 hears nothing of the others from round 4 on, but for what shows, if something is `lost`, that robot 1 has
+    closed round 5. It wakes so `late`, in rounds; a fifth of which is a slot. For each time that it should wake, until
+    the end of round 8, the round that it has closed then, and whether it has asked."""
+    fleet = Fleet(3)
+    rounds_of_all(fleet, 3)
+    fleet.poll(1, 3.0)
+    (said,) = fleet.take(lambda f: f.to == 0 and isinstance(f.message, Round) and f.message.head.pid == 1)[-1:]
+    fleet.flights.clear()
+    if lost:
+        fleet.deliver(Flight(0, replace(said.message, closings=(Closing(1, 0, 5, 5),))))
+    due = 3.0
+    while due < 7.99:
+        next_ = fleet.robots[0].rounds.poll(due + late, lambda t: SENSED, None)
+        memory = fleet.robots[0].memory
+        assert memory is not None
+        yield round(due, 3), memory.held[0], any(isinstance(f.message, Need) for f in fleet.take(lambda f: True))
+        due = next_
 
 
 @pytest.mark.parametrize(
@@ -20,18 +43,23 @@ from tests.model.test_found import rounds_of_all
     ],
 )
 def test_who_wakes_late_asks_seldom_and_once_in_a_round(late: float, lost: bool, rounds: list[int]) -> None:
-    """Robot 0 hears nothing of the others from round 4 on, but for what shows, if something is `lost`, that robot 1 has
-    closed round 5; `late` is of a round, a fifth of which is a slot."""
-    fleet = Fleet(3)
-    rounds_of_all(fleet, 3)
-    fleet.poll(1, 3.0)
-    (said,) = fleet.take(lambda f: f.to == 0 and isinstance(f.message, Round) and f.message.head.pid == 1)[-1:]
-    fleet.flights.clear()
-    if lost:
-        fleet.deliver(Flight(0, replace(said.message, closings=(Closing(1, 0, 5, 5),))))
-    asked: list[int] = []
-    for tick in range(25):
-        fleet.poll(0, 3.0 + tick / 5 + late)
-        asked += [4 + tick // 5] * any(isinstance(f.message, Need) for f in fleet.take(lambda f: True))
+    asked = [1 + int(due) for due, _, asks in alone(late, lost) if asks]
     assert sorted(set(asked)) == rounds
     assert (len(asked) == len(rounds)) == (late > 0.1)
+
+
+@pytest.mark.parametrize("late", [0.01, 0.15])
+def test_who_wakes_late_again_and_again_closes_at_once_what_it_lacks_the_last_round_for(late: float) -> None:
+    """Others leave each round open for half of it: 4 is the first that closings are missing of."""
+    closed: dict[int, float] = {}
+    for due, round_, _ in alone(late):
+        closed.setdefault(round_, due)
+    assert closed == {4: 3.0, 5: 4.5, 6: 5.5 - (late > 0.1) / 2, 7: 6.5 - (late > 0.1) / 2, 8: 7.5 - (late > 0.1) / 2}
+
+
+def test_who_wakes_late_and_waits_wakes_when_something_is_due_and_not_at_each_slot() -> None:
+    slots = [0.0, 0.2, 0.4, 0.5, 0.6, 0.8]
+    punctual = [3.0, 3.6, 3.8, *(round(round_ + slot, 3) for round_ in (4, 5, 6, 7) for slot in slots)]
+    assert [due for due, *_ in alone(0.01)] == punctual
+    assert [due for due, *_ in alone(0.15, lost=True)] == [due for due in punctual if due % 1 != 0.5]
+    assert [due for due, *_ in alone(0.15)] == [3.0, 3.6, 4.0, 4.5, 5.0, 6.0, 7.0]

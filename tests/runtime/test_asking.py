@@ -31,13 +31,13 @@ def listen(fleet: Fleet, pid: int, kind: type[Need] | type[Round]) -> Asked:
     return sent
 
 
-def deaf(n: int, others: int) -> Asked:
-    """Whom robot 0 asks that does not hear so many for two rounds, and whom nobody hears."""
+def deaf(n: int, others: int, until: int = 22) -> Asked:
+    """Whom robot 0 asks that does not hear so many in the rounds from 21 on, and whom nobody hears."""
     fleet = Fleet(n=n, conditions=Conditions(delay=0.001)).boot_all()
     fleet.run_rounds(20)
     asked = listen(fleet, 0, Need)
     fleet.network.cut = lambda sender, receiver: sender == 0 or (receiver == 0 and sender <= others)
-    fleet.run_rounds(22)
+    fleet.run_rounds(until)
     return asked
 
 
@@ -46,7 +46,7 @@ def test_few_that_lack_are_all_asked() -> None:
 
 
 def test_of_many_that_lack_one_is_asked_another_each_time() -> None:
-    asked = deaf(2 * FEW + 3, FEW + 1)
+    asked = deaf(2 * FEW + 3, FEW + 1, until=28)  # it is its turn in round 26
     authors = [to & set(range(FEW + 2)) for to in asked.values()]  # beside each one who may hold it
     assert len(authors) > 2 and {len(to) for to in authors} == {1}
     assert len(set().union(*authors)) == len(authors), "one after the other"

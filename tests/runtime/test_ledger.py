@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import re
+from array import array
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
@@ -285,6 +286,16 @@ def test_a_watched_round_is_reached_once_by_each() -> None:
         assert table.ledger.number[REACHED] == reached
     table.hear(Said(2, 9, 9), Said(3, 3, 3))
     assert table.ledger.number[REACHED] == 2
+
+
+def test_what_is_missing_is_lost_if_more_came_of_it_or_another_has_applied_it() -> None:
+    noted = Ledger(0, 4, applied=5)
+    noted.applied[1:] = array("q", [5, 5, 5])
+    assert not noted.lost([1, 2, 3]) and not noted.lost([])
+    noted.gap[2] = True
+    assert noted.lost([1, 2]) and not noted.lost([1, 3])
+    noted.gap[2], noted.applied[3], noted.held[1] = False, 6, 6
+    assert noted.lost([2]) and not noted.lost([1])
 
 
 EDGES = [0, 1, 127, 128, 255, 256, 2**16 - 1, 2**16, 2**32 - 1, 2**32, 2**53 - 1, 2**53]
