@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, overload
 
 from koordgen.runtime.native import Compiled, NotCompiled, declare
-from koordgen.runtime.transport import MOST_AT_ONCE
+from koordgen.runtime.transport import MOST_AT_ONCE, Sends
 
 SOURCE = Path(__file__).with_name("courier.c")
 LARGEST = 1201  # bytes of a datagram that are taken: one more than wire.LIMIT, which tells that it was too long
@@ -82,18 +82,24 @@ COMPILED = Compiled(SOURCE, FLAGS, prove)
 
 
 class Slots(Sequence[bytes]):
-    """Datagrams as C received them: in the first `used` slots, LARGEST bytes apart from address `at` on, so many bytes
-    in each as `lengths` say (-1: nothing for us). To be read before the inbox waits or receives again; it is the same
-    object then."""
+    """Datagrams as C received them: in the first `used` slots (which is also at an address), LARGEST bytes apart from
+    address `at` on, so many bytes in each as `lengths` say (-1: nothing for us). To be read before the inbox waits or
+    receives again; it is the same object then."""
 
-    def __init__(self, slots: mmap.mmap, lengths: ctypes.Array[ctypes.c_int32]) -> None:
-        self._slots = slots
+    def __init__(self, slots: mmap.mmap, shown: Shown) -> None:
+        self._slots, self._shown = slots, shown
         self.at = ctypes.addressof(ctypes.c_char.from_buffer(slots))
-        self.lengths = lengths
-        self.used = self.arrived = 0
+        self.lengths: ctypes.Array[ctypes.c_int32] = shown.length
+        self.at_used = ctypes.addressof(shown) + Shown.used.offset
+
+    @property
+    def used(self) -> int:
+        count: int = self._shown.used
+        return count
 
     def __len__(self) -> int:
-        return self.arrived
+        count: int = self._shown.arrived
+        return count
 
     @overload
     def __getitem__(self, index: int) -> bytes: ...
@@ -120,10 +126,11 @@ class CompiledInbox:
         slots = mmap.mmap(-1, MOST_AT_ONCE * LARGEST)  # the system makes its pages when they are used
         self._state = ctypes.create_string_buffer(found.courier_inbox_size())
         self.shown = Shown.from_buffer(self._state)
-        self._slots = Slots(slots, self.shown.length)
+        self._slots = Slots(slots, self.shown)
         self.at = ctypes.addressof(self._state)
         self._wait, self._receive = found.courier_wait, found.courier_receive
         self._address, self._send, self._close = found.courier_address, found.courier_send, found.courier_close
+        self.sends = Sends(ctypes.cast(self._send, c_void_p).value or 0, self.at)
         found.courier_open(self.at, self._slots.at, (c_int32 * len(sockets))(*sockets), len(sockets))
 
     def address(self, place: int, address: Address) -> None:
@@ -140,15 +147,14 @@ class CompiledInbox:
         self._wait(self.at, expected)
 
     def receive(self) -> Sequence[bytes]:
-        shown, slots = self.shown, self._slots
+        shown = self.shown
         if shown.kept:  # waiting has looked already
             shown.kept = 0
         else:
             self._receive(self.at)
         if shown.errors:
             self._tell()
-        slots.used, slots.arrived = shown.used, shown.arrived
-        return slots
+        return self._slots
 
     def close(self) -> None:
         self._close(self.at)

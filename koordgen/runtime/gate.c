@@ -34,12 +34,18 @@ typedef struct { /* entries by pid; see sessions.py and metrics.py */
     double *most;
 } Columns;
 
-typedef struct { /* what gate.py reads, field by field */
+typedef struct { /* what gate.py reads and writes, field by field */
+    double local, fleet;           /* of what gate_look judges next, see gate_take */
     int32_t others;                /* datagrams that are not usual */
     int32_t bytes;                 /* of `rows` */
     uint8_t verdict[MOST_AT_ONCE]; /* of each slot */
     uint8_t *rows;                 /* MessagePack: an array of gate.Usual */
 } Shown;
+
+typedef struct { /* where the courier leaves what it has received */
+    const uint8_t *slots;
+    const int32_t *lengths, *used;
+} Heard;
 
 typedef struct {
     int32_t adopted;
@@ -56,6 +62,7 @@ typedef struct {
     uint8_t common[MOST_COMMON];  /* how a word of this mission begins, up to its sender */
     int64_t view;
     Ledger *ledger;               /* or NULL */
+    Heard heard;
     Peer peer[MAX_ROBOTS];
     Voice voice;
 } Gate;
@@ -278,6 +285,17 @@ void gate_take(Gate *gate, const uint8_t *slots, int32_t stride, const int32_t *
     shown->bytes = rows ? (int32_t)(at - shown->rows) : 0;
 }
 
+/* Where the courier leaves what it receives: in so many of these slots. */
+void gate_listen(Gate *gate, const uint8_t *slots, const int32_t *lengths, const int32_t *used) {
+    gate->heard = (Heard){slots, lengths, used};
+}
+
+/* Judge what lies there: see gate_take. */
+void gate_look(Gate *gate) {
+    const Heard *heard = &gate->heard;
+    gate_take(gate, heard->slots, LARGEST, heard->lengths, *heard->used, gate->shown.local, gate->shown.fleet);
+}
+
 /* How own words begin in this mission, up to their sequence number; nothing: none is said here. */
 void voice_introduce(Gate *gate, const uint8_t *begin, int32_t bytes) {
     gate->voice.bytes = bytes <= MOST_BEGIN ? bytes : 0;
@@ -296,4 +314,20 @@ int32_t voice_say(Gate *gate, const uint8_t *fields, int32_t bytes, const Ledger
     const int32_t length = compose(&gate->voice, fields, bytes, own ? &row : NULL);
     if (length) make_mac(gate, said, length, said + length);
     return length ? length + MAC_SIZE : 0;
+}
+
+/* By whom own words are sent, and what it wants to be called with. */
+void voice_couple(Gate *gate, Send *send, void *inbox) {
+    gate->voice.send = send;
+    gate->voice.inbox = inbox;
+}
+
+/* Say a word and send it. `told`: an array of the place that it goes to, `own`, and the `fields` of voice_say; the ledger is
+   the gate's. Returns 0 or errno, as the courier does; -1: that is not possible here, nothing was sent. */
+int32_t voice_send(Gate *gate, const uint8_t *told, int32_t bytes) {
+    Reader reader = {told, told + (bytes > 0 ? bytes : 0)};
+    int64_t place, own;
+    if (!gate->voice.send || !byte(&reader, 0x93) || !natural(&reader, &place) || !natural(&reader, &own)) return -1;
+    const int32_t length = voice_say(gate, reader.at, (int32_t)(reader.end - reader.at), gate->ledger, own);
+    return length ? gate->voice.send(gate->voice.inbox, (int32_t)place, gate->voice.said, length) : -1;
 }

@@ -25,7 +25,7 @@ from koordgen.runtime.metrics import BUCKETS, PER_OCTAVE, RECENT
 from koordgen.runtime.native import Compiled, NotCompiled, declare
 from koordgen.runtime.seal import KEY_SIZE, MAC_SIZE
 from koordgen.runtime.sessions import WORDS
-from koordgen.runtime.transport import MOST_AT_ONCE
+from koordgen.runtime.transport import MOST_AT_ONCE, Sends
 from koordgen.runtime.wire import (
     LIMIT,
     MAX_ECHOES,
@@ -100,14 +100,19 @@ class Judged(NamedTuple):
     verdicts: Sequence[int]
 
 
+_NOTED = Judged([], ())  # all
+
+
 class _Columns(ctypes.Structure):
     _fields_ = tuple((name, ctypes.c_void_p) for name in _COLUMNS)
 
 
 class _Shown(ctypes.Structure):
-    """What C tells: see Shown in gate.c."""
+    """What C and Python tell one another: see Shown in gate.c."""
 
     _fields_ = (
+        ("local", ctypes.c_double),
+        ("fleet", ctypes.c_double),
         ("others", ctypes.c_int32),
         ("bytes", ctypes.c_int32),
         ("verdict", ctypes.c_uint8 * MOST_AT_ONCE),
@@ -134,11 +139,15 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "follow": (None, (c_void_p, c_int64)),
     "attach": (None, (c_void_p, c_void_p)),
     "take": (None, (c_void_p, c_void_p, c_int32, c_void_p, c_int32, c_double, c_double)),
+    "listen": (None, (c_void_p, c_void_p, c_void_p, c_void_p)),
+    "look": (None, (c_void_p,)),
 }
 _VOICE: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "introduce": (None, (c_void_p, c_char_p, c_int32)),
     "said": (c_void_p, (c_void_p,)),
     "say": (c_int32, (c_void_p, c_char_p, c_int32, c_void_p, c_int64)),
+    "couple": (None, (c_void_p, c_void_p, c_void_p)),
+    "send": (c_int32, (c_void_p,)),  # bytes and a length follow: see courier.py
 }
 COMPILED = Compiled(SOURCE, FLAGS, prove)
 
@@ -172,8 +181,10 @@ class Gate:
         rows = ctypes.addressof(ctypes.c_char.from_buffer(self._rows))
         key = key or b""
         found.gate_open(self._at, n_sys, pid, ctypes.addressof(addresses), rows, key, len(key), purpose)
-        self._take = found.gate_take
-        self._say = found.voice_say
+        self._take, self._look = found.gate_take, found.gate_look
+        self._say, self._send = found.voice_say, found.voice_send
+        self._heard: Slots | None = None  # where gate_look finds what it judges
+        self.ledger: Ledger | None = None
         said: Any = (ctypes.c_char * LIMIT).from_address(found.voice_said(self._at))  # in `_state`
         self._said: bytes = said  # parts of it are
 
@@ -194,7 +205,7 @@ class Gate:
         if noting is not None:
             assert noting.n_sys == self._n
             noting.attach(self._found)
-        self._ledger = noting  # it lives as long as its address is known
+        self.ledger = noting  # it lives as long as its address is known
         self._found.gate_attach(self._at, None if noting is None else noting.at)
 
     def introduce(self, begin: bytes) -> None:
@@ -207,11 +218,25 @@ class Gate:
         told = _encode(fields)
         return self._said[: self._say(self._at, told, len(told), ledger, own)]
 
+    def couple(self, sends: Sends) -> None:
+        """From now on words can be sent by this."""
+        self._found.voice_couple(self._at, sends.function, sends.inbox)
+
+    def send(self, place: int, fields: Said, own: int) -> int:
+        """Say a word and send it there, with the own closing of round `own` (0: with none) out of the attached ledger.
+        Returns 0, or errno: it was not sent; -1: that is not possible here."""
+        told = _encode((place, own, fields))
+        error: int = self._send(self._at, told, len(told))
+        return error
+
     def take(self, datagrams: Sequence[bytes], local: float, fleet: float | None) -> Judged:
         """Judge what arrived by `local` seconds of the robot's clock, which is `fleet` of the fleet's."""
-        time = math.nan if fleet is None else fleet
+        shown, time = self._shown, math.nan if fleet is None else fleet
         if isinstance(datagrams, Slots):
-            self._take(self._at, datagrams.at, LARGEST, datagrams.lengths, datagrams.used, local, time)
+            if datagrams is not self._heard:
+                self._listen(datagrams)
+            shown.local, shown.fleet = local, time
+            self._look(self._at)
             count = datagrams.used
         else:
             count = len(datagrams)
@@ -220,10 +245,15 @@ class Gate:
             lengths = array("i", map(len, datagrams))
             slots = b"".join([each[:LARGEST].ljust(LARGEST, b"\0") for each in datagrams])
             self._take(self._at, slots, LARGEST, lengths.buffer_info()[0], count, local, time)
-        shown = self._shown
-        if not shown.bytes:
-            return Judged([], shown.verdict[:count] if shown.others else ())
+        bytes_, verdicts = shown.bytes, shown.verdict[:count] if shown.others else ()
+        if not bytes_:
+            return Judged([], verdicts) if verdicts else _NOTED
         try:
-            return Judged(_rows.decode(self._rows[: shown.bytes]), shown.verdict[:count] if shown.others else ())
+            return Judged(_rows.decode(self._rows[:bytes_]), verdicts)
         except (ValueError, RecursionError):
             return Judged(None, shown.verdict[:count])
+
+    def _listen(self, slots: Slots) -> None:
+        """From now on this is where datagrams arrive."""
+        self._heard = slots  # they live as long as their addresses are known
+        self._found.gate_listen(self._at, slots.at, ctypes.addressof(slots.lengths), slots.at_used)

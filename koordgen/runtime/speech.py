@@ -16,7 +16,7 @@ from koordgen.runtime.program import Program
 from koordgen.runtime.seal import MEMORY, seal
 from koordgen.runtime.sessions import Sessions
 from koordgen.runtime.settings import Settings
-from koordgen.runtime.transport import Transport
+from koordgen.runtime.transport import Coupled, Transport
 from koordgen.runtime.wire import (
     LIMIT,
     MAX_ECHOES,
@@ -84,6 +84,11 @@ class Speech:
         self._fleet_clock = fleet_clock
         self._sessions = sessions
         self._gate = gate
+        self._way = transport if isinstance(transport, Coupled) else None  # out of the gate, past Python
+        if gate is not None and self._way is not None and (sends := self._way.sends) is not None:
+            gate.couple(sends)
+        else:
+            self._way = None
         self._sequence = 0
         self._others_every = others_every(len(settings.peers))
         self._echoed: dict[int, float] = {}  # when each peer was last sent an echo, the one that waits longest first
@@ -118,7 +123,16 @@ class Speech:
         if gate is None or not to:
             return not to
         now, stamps, turn = self._stamps(to)
-        datagram = gate.say((*stamps, *word), 0 if ledger is None else ledger.at, round_)
+        way, said = self._way, (*stamps, *word)
+        if way is not None and (ledger is None or ledger is gate.ledger) and (place := way.place(to)) >= 0:
+            error = gate.send(place, said, round_)
+            if error < 0:
+                return False
+            self._spend(now, turn)
+            if error:
+                way.failed(error)
+            return True
+        datagram = gate.say(said, 0 if ledger is None else ledger.at, round_)
         if not datagram:
             return False
         self._spend(now, turn)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 MOST_AT_ONCE = 1024  # datagrams taken in one go: a flood must not keep the robot from its control loop
 
@@ -34,6 +34,31 @@ class Transport(Protocol):
         ...
 
     def close(self) -> None: ...
+
+
+class Sends(NamedTuple):
+    """Addresses of a C function that sends a datagram to a place (see courier_send), and of what it is called with."""
+
+    function: int
+    inbox: int
+
+
+@runtime_checkable
+class Coupled(Protocol):
+    """A transport that compiled code may send with, without Python's seeing the datagram."""
+
+    @property
+    def sends(self) -> Sends | None:
+        """What to call as long as the transport lives, also when it is closed; None: nothing."""
+        ...
+
+    def place(self, to: Sequence[int]) -> int:
+        """Where `send` would send one datagram; -1: nothing, or several."""
+        ...
+
+    def failed(self, error: int) -> None:
+        """Count this errno, as `send` would."""
+        ...
 
 
 class CannotOpen(Exception):

@@ -12,7 +12,7 @@ from typing import cast
 from koordgen.runtime.courier import GROUP, Address
 from koordgen.runtime.inbox import open_inbox
 from koordgen.runtime.settings import Network, Peer
-from koordgen.runtime.transport import CannotOpen
+from koordgen.runtime.transport import CannotOpen, Sends
 
 RECEIVE_BUFFER = 1 << 20
 
@@ -42,6 +42,16 @@ class UnicastTransport:
         for pid in to:
             if error := self._inbox.send(pid, datagram):
                 self._count("send", error)
+
+    @property
+    def sends(self) -> Sends | None:
+        return self._inbox.sends
+
+    def place(self, to: Sequence[int]) -> int:
+        return to[0] if len(to) == 1 else -1
+
+    def failed(self, error: int) -> None:
+        self._count("send", error)
 
     def close(self) -> None:
         self._inbox.close()
@@ -113,6 +123,9 @@ class GroupTransport(UnicastTransport):
             super().send(to, datagram)
         elif error := self._inbox.send(GROUP, datagram):
             self._count("send", error)
+
+    def place(self, to: Sequence[int]) -> int:
+        return GROUP if len(to) > 1 else super().place(to)
 
     def _join(self, group: socket.socket, interface: str) -> None:
         """Listen and send on one interface, given by its address or its name. Raises OSError."""

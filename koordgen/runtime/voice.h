@@ -7,7 +7,11 @@
 
 enum { MOST_BEGIN = 64, SAID_FIELDS = 10 };
 
+typedef int32_t Send(void *inbox, int32_t place, const uint8_t *datagram, int32_t length); /* courier_send */
+
 typedef struct {
+    Send *send;                /* or NULL */
+    void *inbox;               /* what it is called with */
     int32_t bytes;             /* of `begin`; 0: no word is said here */
     uint8_t begin[MOST_BEGIN]; /* how they begin, up to their sequence number */
     uint8_t said[LIMIT];       /* the last one, sealed */

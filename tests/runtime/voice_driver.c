@@ -34,6 +34,28 @@ static uint8_t *exactly(int32_t bytes, int first) {
     return made;
 }
 
+static const uint8_t *sent;
+static int32_t sent_bytes, sent_to;
+
+static int32_t courier(void *inbox, int32_t place, const uint8_t *datagram, int32_t length) {
+    check(inbox == &sent, "called with something else");
+    sent = datagram, sent_bytes = length, sent_to = place;
+    return place % 3;
+}
+
+/* The same word again, sent; or one that is cut, which is not. */
+static void send_it(Gate *gate, const uint8_t *fields, int32_t bytes, int64_t own, int32_t expected) {
+    const int cut = below(4) ? 0 : below(bytes + 4), whole = !cut;
+    uint8_t *told = exactly(bytes + 3 - cut, 0x93), head[3] = {0x93, (uint8_t)below(128), (uint8_t)own};
+    for (int32_t i = 0; i < bytes + 3 - cut; i++) told[i] = i < 3 ? head[i] : fields[i - 3];
+    sent_bytes = 0;
+    const int32_t error = voice_send(gate, told, bytes + 3 - cut);
+    if (whole && expected) check(error == head[1] % 3 && sent_to == head[1] && sent_bytes == expected, "not sent");
+    if (whole && !expected) check(error == -1 && !sent_bytes, "sent what cannot be");
+    if (sent_bytes) check(sent == voice_said(gate) && is_genuine(gate, sent, sent_bytes), "sent something else");
+    free(told);
+}
+
 /* One word; its length. */
 static int32_t say(Gate *gate, Ledger *ledger) {
     const int32_t begins = below(5) ? 54 : below(MOST_BEGIN + 3);
@@ -48,8 +70,10 @@ static int32_t say(Gate *gate, Ledger *ledger) {
     const int is_word = bytes > 0 && fields[0] == 0x9a && begins && begins <= MOST_BEGIN;
     if (there) ledger->length[ledger_slot(ledger, OWN, own)] = row;
     voice_introduce(gate, begin, begins);
-    const int32_t payload = begins + bytes + closing;
     const int32_t found = voice_say(gate, fields, bytes, below(20) ? ledger : NULL, own);
+    const int32_t payload = begins + bytes + closing;
+    if (bytes >= 0) send_it(gate, fields, bytes, own, voice_say(gate, fields, bytes, ledger, own));
+    if (found) check(voice_say(gate, fields, bytes, ledger, own) == found, "says it once only");
     free(begin), free(fields);
     if (!found) return 0;
     check(is_word && (!own || there) && payload <= LIMIT - MAC_SIZE, "said what cannot be");
@@ -72,6 +96,8 @@ int main(int count, char **arguments) {
     srand((unsigned)atoi(arguments[2]));
     memset(rows, 0x99, (size_t)ROBOTS * DEPTH * ROW);
     gate_open(gate, ROBOTS, OWN, &none, NULL, key, sizeof key, purpose);
+    gate_attach(gate, &ledger);
+    voice_couple(gate, courier, &sent);
     for (int done = 0; done < todo; done++) {
         columns[0][OWN] = below(60);
         columns[1][OWN] = columns[0][OWN] - below(12);

@@ -1,0 +1,127 @@
+"""Own words that the compiled gate hands to the courier itself, past Python: they arrive where and as they would."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from typing import Any
+
+import pytest
+
+from koordgen.runtime import udp
+from koordgen.runtime.clock import SimulatedClock
+from koordgen.runtime.courier import GROUP
+from koordgen.runtime.gate import Gate
+from koordgen.runtime.ledger import Ledger
+from koordgen.runtime.link import Link
+from koordgen.runtime.metrics import Metrics
+from koordgen.runtime.transport import Coupled
+from tests.runtime.fleet import KEY, settings
+from tests.runtime.gates import APPLICATION, BOOT, EPOCH, OWN, Exchange, N, needs_gate
+from tests.runtime.lineform import PROGRAM
+from tests.runtime.test_voice import WORD, closing_of, ledger_of
+from tests.runtime.transports import Opened, needs_courier
+from tests.runtime.transports import udp as fleet_of
+
+pytestmark = [needs_gate, needs_courier]
+OTHERS = [p for p in range(N) if p != OWN]
+
+
+class Watched:
+    """Another's transport, of which it cannot be told what to call."""
+
+    def __init__(self, found: Any) -> None:
+        self._found = found
+        self.receive, self.wait, self.close = found.receive, found.wait, found.close
+
+    @property
+    def troubles(self) -> dict[str, int]:
+        troubles: dict[str, int] = self._found.troubles
+        return troubles
+
+    def send(self, to: Sequence[int], datagram: bytes) -> None:
+        self._found.send(to, datagram)
+
+
+def link(transport: Any, ledger: Ledger | None) -> Link:
+    clock = SimulatedClock()
+    clock.time = 2.5
+    given = settings(OWN, N, application_id=APPLICATION)
+    made = Link(PROGRAM, given, KEY, transport, clock, Exchange(OWN), BOOT, print, Metrics(OWN, N))
+    made.epoch = EPOCH
+    made.speech._next_echo = float("inf")
+    made.attach(ledger)
+    return made
+
+
+def sent_by(opened: Opened, transport: Any, ledger: Ledger, attached: bool) -> list[Any]:
+    """Words to all, to some and to one, with closings and without; what each of the others got."""
+    speech = link(transport, ledger if attached else None).speech
+    for to in (OTHERS, OTHERS[:2], OTHERS[1:2], OTHERS):
+        for round_ in (30, 31, 0, 77):
+            said = speech.own(to, WORD, round_, ledger if round_ else None)
+            assert said == (round_ != 77), "there is no such closing"
+    assert speech._sequence == 12 and not list(transport.receive()), "what went to the group is known as one's own"
+    return [opened.collect(pid, 12 - 3 * (pid != OTHERS[1])) for pid in OTHERS]
+
+
+@pytest.mark.parametrize("kind", ["unicast", "multicast", "broadcast"])
+def test_words_arrive_as_if_python_had_sent_them(monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
+    ledger, coupled = ledger_of(closing_of(30), closing_of(31, 700)), list[int]()
+    send = Gate.send
+
+    def counted(self: Gate, place: int, *given: Any) -> int:
+        coupled.append(place)
+        return send(self, place, *given)
+
+    monkeypatch.setattr(Gate, "send", counted)
+    with ExitStack() as stack:
+        opened = fleet_of(stack, N, kind, True)
+        own = opened.transports[OWN]
+        assert isinstance(own, Coupled) and not isinstance(Watched(own), Coupled)
+        found = sent_by(opened, own, ledger, True)
+        places = {OTHERS[1]} if kind == "unicast" else {OTHERS[1], GROUP}
+        assert set(coupled) == places and len(coupled) == (4 if kind == "unicast" else 16)
+        coupled.clear()
+        assert sent_by(opened, Watched(own), ledger, True) == found and not coupled
+        assert sent_by(opened, own, ledger, False) == found, "of a ledger that is not the gate's Python tells"
+        assert own.troubles == {}
+
+
+def test_what_cannot_be_sent_is_said_all_the_same() -> None:
+    """It takes its number, and why it did not leave is counted."""
+    ledger = ledger_of(closing_of(30))
+    with ExitStack() as stack:
+        opened = fleet_of(stack, N, "multicast", True)
+        for own in (opened.transports[OWN], Watched(opened.transports[OWN + 1])):
+            speech = link(own, ledger).speech
+            own.close()
+            for to in (OTHERS, OTHERS[:1]):
+                assert speech.own(to, WORD, 30, ledger)
+            assert speech._sequence == 2 and own.troubles == {"send: EBADF": 2}
+
+
+def test_plain_transports_have_nothing_to_call() -> None:
+    with ExitStack() as stack:
+        opened = fleet_of(stack, N, "unicast", False)
+        own = opened.transports[OWN]
+        assert isinstance(own, udp.UnicastTransport) and own.sends is None
+        speech = link(own, None).speech
+        assert speech.own(OTHERS[:1], WORD, 0, None) and len(opened.collect(OTHERS[0], 1)) == 1
+
+
+def test_what_is_no_word_is_not_sent() -> None:
+    """From a caller that has no right to be wrong."""
+    with ExitStack() as stack:
+        opened = fleet_of(stack, N, "unicast", True)
+        made = link(opened.transports[OWN], None)
+        gate: Any = made._gate
+        right: Any = (1, 2, None, (), *WORD)
+        for wrong in (right[:-1], (), (1, 2, None, (), *WORD[:5], (1,) * 10**5)):
+            assert gate.send(OTHERS[0], wrong, 0) == -1
+        assert gate.send(-1, right, 0) == gate.send(OTHERS[0], right, -1) == -1
+        for told in (b"", b"\x93", b"\x93\x01", b"\x93\x01\x00", b"\x92\x01\x00"):
+            for length in (len(told), 0, -1, -(2**31)):
+                assert gate._send(gate._at, told, length) == -1
+        assert gate.send(OTHERS[0], right, 30) == -1, "there is no ledger"
+        assert gate.send(OTHERS[0], right, 0) == 0 and len(opened.collect(OTHERS[0], 2)) == 1
