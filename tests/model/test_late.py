@@ -8,15 +8,16 @@ from collections.abc import Iterator
 import pytest
 from msgspec.structs import replace
 
+from koordgen.runtime.replica import Replica
 from koordgen.runtime.wire import Closing, Need, Round
 from tests.model.lab import SENSED, Fleet, Flight
 from tests.model.test_found import rounds_of_all
 
 
-def alone(late: float, lost: bool = False) -> Iterator[tuple[float, int, bool]]:
+def alone(late: float, lost: bool = False, until: float = 8.0) -> Iterator[tuple[float, int, bool]]:
     """Robot 0 hears nothing of the others from round 4 on, but for what shows, if something is `lost`, that robot 1 has
-    closed round 5. It wakes so `late`, in rounds; a fifth of which is a slot. For each time that it should wake, until
-    the end of round 8, the round that it has closed then, and whether it has asked."""
+    closed round 5. It wakes so `late`, in rounds, `until` then; a fifth of a round is a slot. For each time that it
+    should wake, until the end of round 8, the round that it has closed then, and whether it has asked."""
     fleet = Fleet(3)
     rounds_of_all(fleet, 3)
     fleet.poll(1, 3.0)
@@ -26,7 +27,7 @@ def alone(late: float, lost: bool = False) -> Iterator[tuple[float, int, bool]]:
         fleet.deliver(Flight(0, replace(said.message, closings=(Closing(1, 0, 5, 5),))))
     due = 3.0
     while due < 7.99:
-        next_ = fleet.robots[0].rounds.poll(due + late, lambda t: SENSED, None)
+        next_ = fleet.robots[0].rounds.poll(due + (late if due < until else 0.01), lambda t: SENSED, None)
         memory = fleet.robots[0].memory
         assert memory is not None
         yield round(due, 3), memory.held[0], any(isinstance(f.message, Need) for f in fleet.take(lambda f: True))
@@ -63,3 +64,46 @@ def test_who_wakes_late_and_waits_wakes_when_something_is_due_and_not_at_each_sl
     assert [due for due, *_ in alone(0.01)] == punctual
     assert [due for due, *_ in alone(0.15, lost=True)] == [due for due in punctual if due % 1 != 0.5]
     assert [due for due, *_ in alone(0.15)] == [3.0, 3.6, 4.0, 4.5, 5.0, 6.0, 7.0]
+
+
+def test_who_comes_when_its_closing_is_due_is_not_late() -> None:
+    """It was in round 4, and shares a busy computer in 5, but no longer in 6."""
+    closed: dict[int, float] = {}
+    for due, round_, _ in alone(0.15, until=4.0):
+        closed.setdefault(round_, due)
+    assert closed == {4: 3.0, 5: 4.5, 6: 5.5, 7: 6.5, 8: 7.5}
+
+
+def test_while_a_view_is_changing_who_is_late_wakes_at_each_slot(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Replica, "busy", property(lambda self: True))
+    assert len([due for due, *_ in alone(0.15)]) >= 20
+
+
+def test_who_is_late_and_current_waits_for_its_last_event_to_be_confirmed() -> None:
+    """All closings come in time, and nobody says to have applied any."""
+    fleet = Fleet(3, lambda pid: "plain" if pid == 0 else "")
+    opened: list[float] = []
+    for round_ in range(1, 6):
+        for pid in (1, 2, 0):
+            fleet.poll(pid, round_ - 1 + 0.15)
+        memory = fleet.robots[0].memory
+        assert memory is not None
+        opened += [round_] * (memory.held[0] < round_)
+        fleet.poll(0, round_ - 1 + 0.52)
+        for flight in fleet.take(lambda f: isinstance(f.message, Round)):
+            unsaid = flight.to == 0 and isinstance(flight.message, Round)
+            fleet.deliver(Flight(flight.to, replace(flight.message, applied=0) if unsaid else flight.message))
+        fleet.flights.clear()
+        for pid in range(3):
+            fleet.poll(pid, round_ - 1 + 0.9)
+    assert opened == [2, 3, 4, 5]
+
+
+def test_each_robot_is_patient_for_itself_from_the_first_round_on() -> None:
+    fleet = Fleet(3)
+    for pid, robot in enumerate(fleet.robots):
+        robot.rounds.poll(-0.5, lambda t: SENSED, None)
+        robot.rounds.poll(0.01 + 0.14 * (pid == 1), lambda t: SENSED, None)
+    patience = [robot.rounds._patience for robot in fleet.robots]
+    assert [p.strained(1) for p in patience] == [False, True, False]
+    assert [(p.pid, p.n_sys) for p in patience] == [(0, 3), (1, 3), (2, 3)]
