@@ -11,6 +11,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from peers_exchange import warm_up
+
 from koordgen.runtime.bounds import Fixed, Text
 from koordgen.runtime.clock import SystemClock
 from koordgen.runtime.machine import Agent
@@ -26,7 +28,6 @@ from koordgen.runtime.values import Point
 from koordgen.runtime.wire import Round, decode
 
 KEY = bytes(range(32))
-WARM_UP = 20  # rounds before those that count
 
 
 class Update(Transaction):
@@ -163,7 +164,8 @@ def run_agent(
     trace, program_ = Trace(None, print), program(size)
     store = Store.open(folder / f"{pid}.state", program_, given.robot, pid, len(given.peers), print)
     agent = Agent(program_, given, KEY, Still(), clock, tapped, trace, _tell, os.urandom(8), store, [note])
-    inside, last = Inside(agent), WARM_UP + count
+    inside, warm = Inside(agent), warm_up(delta)
+    last = warm + count
     complete, times = 0, dict[int, float]()
     limit, spent = time.monotonic() + patience, 0.0
     while agent.round < last + 10 and not agent.done:
@@ -172,18 +174,18 @@ def run_agent(
         for round_ in range(complete + 1, reached + 1):
             times[round_] = now
         complete = reached
-        if agent.round <= WARM_UP:
+        if agent.round <= warm:
             spent = time.process_time()
         if agent.round == 0 and now > limit:
             raise TimeoutError(f"no round within {patience:.0f} s")
         tapped.wait(min(wake - clock.now(), 0.1), *agent.expects)
-    spent = (time.process_time() - spent) / (agent.round - WARM_UP)
+    spent = (time.process_time() - spent) / (agent.round - warm)
     tapped.close()
     store.close()
     start, never = inside.start, float("inf")
     assert start is not None
     left = closings(tapped.sent, pid)
-    counted = range(WARM_UP + 1, last + 1)
+    counted = range(warm + 1, last + 1)
     ticks = {r: start + (r - 1) * delta for r in counted}
     return {
         "consistent": [times.get(r, never) - ticks[r] for r in counted],

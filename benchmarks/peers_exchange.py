@@ -34,6 +34,12 @@ _HEAD = struct.Struct("<II")
 Heard = list[tuple[int, int]]  # pid and round
 
 
+def warm_up(delta: float) -> int:
+    """How many rounds there are before those that count: what each process does for the first time costs it many times
+    as much, and takes a large fleet with short rounds the most of them to get over."""
+    return max(20, round(1.0 / delta))
+
+
 @dataclass(frozen=True)
 class Place:
     """One robot's: `size` bytes of an update, `delta` seconds between rounds, a folder for what it keeps. The last of

@@ -46,7 +46,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import peers_agents
 import peers_exchange
-from peers_exchange import PEERS, Make, Place, Polled, Raw, keep_rounds, meet, ping
+from peers_exchange import PEERS, Make, Place, Polled, Raw, keep_rounds, meet, ping, warm_up
 from peers_memory import open_memory, open_update, without_courier
 
 from koordgen.runtime import courier
@@ -55,7 +55,6 @@ KOORDGEN, UNICAST, PLAIN, AGENTS = "koordgen", "koordgen, unicast", "koordgen, p
 WHOLE_MEMORY = "koordgen, full stack"
 RAW, POLLED = "raw", "raw, both sides polling"
 BESIDE = {UNICAST, PLAIN, AGENTS, POLLED, WHOLE_MEMORY}  # what is printed and not judged
-WARM_UP = 20  # rounds before those that count
 LONG = 3.0  # seconds of each run of part 3: some 45 runs of 5 to 15 s in all
 SIZE = 230  # bytes of a robot's update
 TARGETS = {0.01: 24, 0.05: 64, 0.1: 96}  # delta (s) -> robots
@@ -168,6 +167,7 @@ class Rounds:
 
 def rounds(make: Make, n: int, delta: float, count: int) -> Rounds:
     """Raises Failed."""
+    warm = warm_up(delta)
 
     def work(pid: int, ports: Sequence[int], barrier: Any, start: Any) -> tuple[list[float], list[int], float]:
         exchange = make(Place(pid, ports, SIZE, delta, Path(folder)))
@@ -179,16 +179,16 @@ def rounds(make: Make, n: int, delta: float, count: int) -> Rounds:
         barrier.wait()
         exchange.take(0.0)
         before = time.process_time()
-        took = keep_rounds(exchange, n, delta, start.value, WARM_UP + count)
-        return took, list(exchange.missed), (time.process_time() - before) / (WARM_UP + count)
+        took = keep_rounds(exchange, n, delta, start.value, warm + count)
+        return took, list(exchange.missed), (time.process_time() - before) / (warm + count)
 
     with TemporaryDirectory() as folder:
         robots = together(work, n, 60 + count * delta)
     empty = {r for _, missed, _ in robots for r in missed}
-    counted = range(WARM_UP + 1, WARM_UP + count + 1)
+    counted = range(warm + 1, warm + count + 1)
     return Rounds(
         [math.inf if r in empty else took[r - 1] for took, _, _ in robots for r in counted],
-        sum(r > WARM_UP for _, missed, _ in robots for r in missed),
+        sum(r > warm for _, missed, _ in robots for r in missed),
         statistics.median(cpu for _, _, cpu in robots),
     )
 
