@@ -185,7 +185,7 @@ class SharedMemory:
         rest = (end if end < self._wake else self._wake) - clock.now()
         if rest > 0:
             self._wait(rest)
-        if seconds <= 0 or (now := clock.now()) < end:
+        if seconds <= 0 or not self._round or (now := clock.now()) < end:
             self._hear()
             if not self._calm():
                 self._apply(now)

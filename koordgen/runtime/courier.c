@@ -34,11 +34,16 @@ static const int64_t LIGHT = 150000;      /* the end of a long sleep, slept alon
 static const int32_t MOST_RESTING = 64;   /* waits that do not spin after a failure */
 static const double LONGEST = 1e6;        /* s that can be waited */
 
+/* Judges slots from the first of these on, of `used`, that came by `local` seconds: how many more datagrams the caller of
+   courier_wait waits for, where nobody else need look at any of the slots; 0: it wants to go on; -1: it must look. */
+typedef int32_t Judge(void *judging, int32_t first, int32_t used, double local);
+
 typedef struct { /* what courier.py reads and writes, field by field */
     double seconds, patience;           /* s, of the next wait */
     int64_t spins, failed;              /* times that it began to spin, and that nothing came of it */
     int64_t pace;                       /* from one of several datagrams to the next, as it was of late */
     int32_t used, arrived;              /* slots, from the first on; those of them that hold no echo */
+    int32_t judged;                     /* slots, from the first on */
     int32_t kept;                       /* whether they hold what courier.py has not taken yet */
     int32_t errors, error[MOST_ERRORS]; /* of receiving; courier.py empties it */
     int32_t length[MOST_AT_ONCE];       /* of what is in each slot, or ECHO */
@@ -47,6 +52,8 @@ typedef struct { /* what courier.py reads and writes, field by field */
 typedef struct {
     Shown shown;
     uint8_t *slots;                       /* MOST_AT_ONCE of LARGEST bytes */
+    Judge *judge;                         /* or NULL */
+    void *judging;                        /* what it is called with */
     int32_t looked;                       /* whether the last wait looked what is at the sockets */
     int32_t sockets;
     struct pollfd socket[MOST_SOCKETS];
@@ -247,22 +254,47 @@ static int gather(Inbox *inbox, int32_t expected, int64_t begin, int64_t end) {
     return wait_for(inbox, expected, end);
 }
 
-/* See Transport.wait. What was not taken is kept, and counts. Ends early when a signal comes. */
+/* The slots are free again. */
+static void empty(Shown *shown) { shown->used = shown->arrived = shown->judged = 0; }
+
+/* Have judged what has come. Returns how many more to wait for; 0: none. Slots that nobody else need look at are free
+   again. */
+static int32_t judged(Inbox *inbox) {
+    Shown *shown = &inbox->shown;
+    if (!inbox->judge || !shown->arrived || shown->errors) return 0;
+    const int32_t more = inbox->judge(inbox->judging, shown->judged, shown->used, (double)now() / (double)SECOND);
+    if (more < 0) return 0;
+    empty(shown);
+    return more;
+}
+
+/* By whom is judged what comes while the caller waits; NULL: nobody. */
+void courier_listen(Inbox *inbox, Judge *judge, void *judging) {
+    inbox->judge = judge;
+    inbox->judging = judging;
+}
+
+/* See Transport.wait. What was not taken is kept, and counts. Where what comes is judged, and nobody need look at it, the
+   wait goes on for what is still missing. Ends early when a signal comes. */
 void courier_wait(Inbox *inbox, int32_t expected) {
     Shown *shown = &inbox->shown;
     int64_t begin = now(), end = begin + nanoseconds(shown->seconds);
     int64_t until = least(end, begin + nanoseconds(shown->patience));
     int keep = shown->kept && shown->used;
     int look = keep || expected > 1 || end == begin || !inbox->looked; /* of two waits at least one looks */
-    if (!keep) shown->used = shown->arrived = 0;
+    if (!keep) empty(shown);
     shown->kept = 1;
     inbox->looked = 0;
     if (look) drain(inbox);
-    if (expected < 2 || gather(inbox, expected, begin, until)) wait_for(inbox, 1, end);
+    for (; expected; begin = now()) {
+        if (expected > 1 && !gather(inbox, expected, begin, until)) return;
+        if (!wait_for(inbox, 1, end)) return;
+        expected = judged(inbox);
+    }
 }
 
 /* Take what waits, without waiting. */
 void courier_receive(Inbox *inbox) {
-    inbox->shown.used = inbox->shown.arrived = 0;
+    empty(&inbox->shown);
     drain(inbox);
 }

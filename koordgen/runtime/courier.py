@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, overload
 
 from koordgen.runtime.native import Compiled, NotCompiled, declare
-from koordgen.runtime.transport import MOST_AT_ONCE, Sends
+from koordgen.runtime.transport import MOST_AT_ONCE
 
 SOURCE = Path(__file__).with_name("courier.c")
 LARGEST = 1201  # bytes of a datagram that are taken: one more than wire.LIMIT, which tells that it was too long
@@ -49,6 +49,7 @@ class Shown(ctypes.Structure):
         ("pace", ctypes.c_int64),
         ("used", ctypes.c_int32),
         ("arrived", ctypes.c_int32),
+        ("judged", ctypes.c_int32),
         ("kept", ctypes.c_int32),
         ("errors", ctypes.c_int32),
         ("error", ctypes.c_int32 * _MOST_ERRORS),
@@ -77,6 +78,7 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "send": (c_int32, (c_void_p,)),
     "wait": (None, (c_void_p,)),
     "receive": (None, (c_void_p,)),
+    "listen": (None, (c_void_p, c_void_p, c_void_p)),
 }
 COMPILED = Compiled(SOURCE, FLAGS, prove)
 
@@ -91,6 +93,7 @@ class Slots(Sequence[bytes]):
         self.at = ctypes.addressof(ctypes.c_char.from_buffer(slots))
         self.lengths: ctypes.Array[ctypes.c_int32] = shown.length
         self.at_used = ctypes.addressof(shown) + Shown.used.offset
+        self.at_judged = ctypes.addressof(shown) + Shown.judged.offset
 
     @property
     def used(self) -> int:
@@ -119,19 +122,21 @@ class Slots(Sequence[bytes]):
 
 
 class CompiledInbox:
-    """See inbox.Inbox. Its memory is Python's own, so nothing is to be given back."""
+    """See inbox.Inbox. Its memory is Python's own, so nothing is to be given back. `sends` is the address of what
+    sends, which wants to be called with `at`."""
 
     def __init__(self, found: ctypes.CDLL, sockets: Sequence[int], trouble: Callable[[int], None]) -> None:
         self._trouble = trouble
-        slots = mmap.mmap(-1, MOST_AT_ONCE * LARGEST)  # the system makes its pages when they are used
+        room = mmap.mmap(-1, MOST_AT_ONCE * LARGEST)  # the system makes its pages when they are used
         self._state = ctypes.create_string_buffer(found.courier_inbox_size())
         self.shown = Shown.from_buffer(self._state)
-        self._slots = Slots(slots, self.shown)
+        self.slots = Slots(room, self.shown)
         self.at = ctypes.addressof(self._state)
         self._wait, self._receive = found.courier_wait, found.courier_receive
         self._address, self._send, self._close = found.courier_address, found.courier_send, found.courier_close
-        self.sends = Sends(ctypes.cast(self._send, c_void_p).value or 0, self.at)
-        found.courier_open(self.at, self._slots.at, (c_int32 * len(sockets))(*sockets), len(sockets))
+        self.sends, self._listen = address_of(self._send), found.courier_listen
+        self._judging: object = None
+        found.courier_open(self.at, self.slots.at, (c_int32 * len(sockets))(*sockets), len(sockets))
 
     def address(self, place: int, address: Address) -> None:
         written = as_written(address)
@@ -154,7 +159,13 @@ class CompiledInbox:
             self._receive(self.at)
         if shown.errors:
             self._tell()
-        return self._slots
+        return self.slots
+
+    def listen(self, judge: int | None, at: int, judging: object) -> None:
+        """From now on the function at address `judge` (a Judge, see courier.c; None: nobody), called with `at`, judges
+        what comes while `wait` waits. `judging` is what it needs to live."""
+        self._judging = judging
+        self._listen(self.at, judge, at)
 
     def close(self) -> None:
         self._close(self.at)
@@ -163,6 +174,11 @@ class CompiledInbox:
         errors, self.shown.errors = self.shown.errors, 0
         for number in self.shown.error[:errors]:
             self._trouble(number)
+
+
+def address_of(function: Any) -> int:
+    """Of a function of a library."""
+    return ctypes.cast(function, c_void_p).value or 0
 
 
 def as_written(address: Address) -> bytes:

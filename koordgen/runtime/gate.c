@@ -38,13 +38,16 @@ typedef struct { /* what gate.py reads and writes, field by field */
     double local, fleet;           /* of what gate_look judges next, see gate_take */
     int32_t others;                /* datagrams that are not usual */
     int32_t bytes;                 /* of `rows` */
+    int32_t past;                  /* whether they are by another view than the present one */
+    int32_t count;                 /* of `rows` */
     uint8_t verdict[MOST_AT_ONCE]; /* of each slot */
     uint8_t *rows;                 /* MessagePack: an array of gate.Usual */
 } Shown;
 
-typedef struct { /* where the courier leaves what it has received */
+typedef struct { /* where the courier leaves what it has received, in so many slots, of which so many are judged */
     const uint8_t *slots;
     const int32_t *lengths, *used;
+    int32_t *judged;
 } Heard;
 
 typedef struct {
@@ -227,6 +230,7 @@ void gate_open(Gate *gate, int32_t robots, int32_t own, const Columns *columns, 
     gate->own = own;
     gate->columns = *columns;
     gate->shown.rows = rows;
+    gate->voice.offset = NAN;
     prepare(gate, key, key_bytes, purpose);
 }
 
@@ -244,6 +248,7 @@ void gate_adopt(Gate *gate, int32_t pid, const uint8_t *tail, int32_t bytes) {
 
 /* The number of the present view. */
 void gate_follow(Gate *gate, int64_t view) {
+    if (view != gate->view) gate->shown.past = 1;
     gate->view = view;
     if (gate->ledger) gate->ledger->number[PRESENT] = view;
 }
@@ -254,21 +259,20 @@ void gate_attach(Gate *gate, Ledger *ledger) {
     gate_follow(gate, gate->view);
 }
 
-/* Judge what arrived: `count` slots, `stride` bytes apart, with so many bytes in each (negative: nothing); at `local`
-   seconds of the robot's clock, which is `fleet` of the fleet's (not a number: not known). */
-void gate_take(Gate *gate, const uint8_t *slots, int32_t stride, const int32_t *lengths, int32_t count, double local,
-               double fleet) {
+/* Judge slots from the first of these on, after those before it: see gate_take. */
+static void judge(Gate *gate, const uint8_t *slots, int32_t stride, const int32_t *lengths, int32_t first, int32_t count,
+                  double local, double fleet) {
     Shown *shown = &gate->shown;
-    uint8_t *at = shown->rows + 5;
-    uint32_t rows = 0;
-    shown->others = 0;
-    for (int32_t i = 0; i < count; i++, slots += stride) {
+    if (!first) shown->others = shown->bytes = shown->count = shown->past = 0;
+    uint8_t *at = shown->rows + (shown->count ? shown->bytes : 5);
+    for (int32_t i = first; i < count; i++) {
+        const uint8_t *slot = slots + (size_t)i * (size_t)stride;
         Word word;
         uint8_t verdict = OTHER;
         if (lengths[i] < 0) verdict = NOTHING;
         else if (lengths[i] > LIMIT) verdict = TOO_LONG;
-        else if (!is_genuine(gate, slots, lengths[i])) verdict = FALSE;
-        else if (read_word(gate, slots, lengths[i] - MAC_SIZE, &word))
+        else if (!is_genuine(gate, slot, lengths[i])) verdict = FALSE;
+        else if (read_word(gate, slot, lengths[i] - MAC_SIZE, &word))
             verdict = is_fresh(&gate->columns, word.pid, word.sequence) ? USUAL : REPLAYED;
         if (verdict == USUAL) {
             learn(&gate->columns, &word, local, fleet);
@@ -278,22 +282,54 @@ void gate_take(Gate *gate, const uint8_t *slots, int32_t stride, const int32_t *
         shown->others += verdict != USUAL && verdict != NOTHING && verdict != NOTED;
         if (verdict != USUAL) continue;
         at = tell(at, &word);
-        rows++;
+        shown->count++;
     }
     shown->rows[0] = 0xdd;
-    for (int i = 0; i < 4; i++) shown->rows[1 + i] = (uint8_t)(rows >> (24 - 8 * i));
-    shown->bytes = rows ? (int32_t)(at - shown->rows) : 0;
+    for (int i = 0; i < 4; i++) shown->rows[1 + i] = (uint8_t)((uint32_t)shown->count >> (24 - 8 * i));
+    shown->bytes = shown->count ? (int32_t)(at - shown->rows) : 0;
 }
 
-/* Where the courier leaves what it receives: in so many of these slots. */
-void gate_listen(Gate *gate, const uint8_t *slots, const int32_t *lengths, const int32_t *used) {
-    gate->heard = (Heard){slots, lengths, used};
+/* Judge what arrived: `count` slots, `stride` bytes apart, with so many bytes in each (negative: nothing); at `local`
+   seconds of the robot's clock, which is `fleet` of the fleet's (not a number: not known). */
+void gate_take(Gate *gate, const uint8_t *slots, int32_t stride, const int32_t *lengths, int32_t count, double local,
+               double fleet) {
+    judge(gate, slots, stride, lengths, 0, count, local, fleet);
 }
 
-/* Judge what lies there: see gate_take. */
+/* Where the courier leaves what it receives. */
+void gate_listen(Gate *gate, const uint8_t *slots, const int32_t *lengths, const int32_t *used, int32_t *judged) {
+    gate->heard = (Heard){slots, lengths, used, judged};
+    *judged = 0;
+}
+
+/* Judge what lies there and is not judged yet: see gate_take. */
 void gate_look(Gate *gate) {
     const Heard *heard = &gate->heard;
-    gate_take(gate, heard->slots, LARGEST, heard->lengths, *heard->used, gate->shown.local, gate->shown.fleet);
+    const Shown *shown = &gate->shown;
+    judge(gate, heard->slots, LARGEST, heard->lengths, *heard->judged, *heard->used, shown->local, shown->fleet);
+    *heard->judged = *heard->used;
+}
+
+/* How many members but oneself lack the next round. */
+static int32_t awaited(const Ledger *ledger) {
+    const int32_t own = ledger->own;
+    return (int32_t)ledger->number[LACKING] - (ledger->incarnation[own] >= 0 && ledger->held[own] <= ledger->number[APPLIED]);
+}
+
+/* The courier's Judge: while it waits, what needs no thought is noted, and Python wakes when all is here that others close
+   the next round with, when what it does next may be certain, or for all that is not usual. Of what it has not looked at
+   yet there is no more than one view's. */
+int32_t gate_judge(Gate *gate, int32_t first, int32_t used, double local) {
+    const Ledger *ledger = gate->ledger;
+    if (!ledger || (first && (gate->shown.others || gate->shown.bytes))) return -1;
+    const int64_t needed = ledger->robots / 2, before = ledger->number[REACHED]; /* of others, for a majority */
+    const int32_t lacking = awaited(ledger);
+    const Heard *heard = &gate->heard;
+    judge(gate, heard->slots, LARGEST, heard->lengths, first, used, local, local + gate->voice.offset);
+    *heard->judged = used;
+    if (gate->shown.others || gate->shown.bytes) return -1;
+    if (!lacking || (before < needed && ledger->number[REACHED] >= needed)) return 0;
+    return awaited(ledger);
 }
 
 /* How own words begin in this mission, up to their sequence number; nothing: none is said here. */
@@ -316,6 +352,13 @@ int32_t voice_say(Gate *gate, const uint8_t *fields, int32_t bytes, const Ledger
     return length ? length + MAC_SIZE : 0;
 }
 
+/* What a word of these fields tells others to add to our clock for fleet time, in seconds; not a number: it is not known. */
+static double told_offset(Reader fields) {
+    int64_t sequence, sent, fleet;
+    const int known = byte(&fields, 0x90 + SAID_FIELDS) && natural(&fields, &sequence) && natural(&fields, &sent);
+    return known && whole(&fields, &fleet) ? (double)fleet / 1e6 : NAN;
+}
+
 /* By whom own words are sent, and what it wants to be called with. */
 void voice_couple(Gate *gate, Send *send, void *inbox) {
     gate->voice.send = send;
@@ -328,6 +371,7 @@ int32_t voice_send(Gate *gate, const uint8_t *told, int32_t bytes) {
     Reader reader = {told, told + (bytes > 0 ? bytes : 0)};
     int64_t place, own;
     if (!gate->voice.send || !byte(&reader, 0x93) || !natural(&reader, &place) || !natural(&reader, &own)) return -1;
+    gate->voice.offset = told_offset(reader);
     const int32_t length = voice_say(gate, reader.at, (int32_t)(reader.end - reader.at), gate->ledger, own);
     return length ? gate->voice.send(gate->voice.inbox, (int32_t)place, gate->voice.said, length) : -1;
 }

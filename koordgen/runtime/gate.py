@@ -19,13 +19,13 @@ from typing import Any, NamedTuple
 import msgspec
 
 from koordgen.runtime import ledger
-from koordgen.runtime.courier import LARGEST, Slots
+from koordgen.runtime.courier import LARGEST, CompiledInbox, Slots, address_of
 from koordgen.runtime.ledger import Ledger
 from koordgen.runtime.metrics import BUCKETS, PER_OCTAVE, RECENT
 from koordgen.runtime.native import Compiled, NotCompiled, declare
 from koordgen.runtime.seal import KEY_SIZE, MAC_SIZE
 from koordgen.runtime.sessions import WORDS
-from koordgen.runtime.transport import MOST_AT_ONCE, Sends
+from koordgen.runtime.transport import MOST_AT_ONCE
 from koordgen.runtime.wire import (
     LIMIT,
     MAX_ECHOES,
@@ -93,8 +93,8 @@ class Usual(Wired, frozen=True):
 
 
 class Judged(NamedTuple):
-    """The `usual` ones, as they arrived, but for those that the ledger noted; None: one of them is malformed. Where not
-    all is well and usual, a verdict on each datagram."""
+    """The `usual` ones, as they arrived, but for those that the ledger noted; None: one of them is malformed, or there
+    has been another view since. Where not all is well and usual, a verdict on each datagram."""
 
     usual: list[Usual] | None
     verdicts: Sequence[int]
@@ -115,6 +115,8 @@ class _Shown(ctypes.Structure):
         ("fleet", ctypes.c_double),
         ("others", ctypes.c_int32),
         ("bytes", ctypes.c_int32),
+        ("past", ctypes.c_int32),
+        ("count", ctypes.c_int32),
         ("verdict", ctypes.c_uint8 * MOST_AT_ONCE),
         ("rows", ctypes.c_void_p),
     )
@@ -139,8 +141,9 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "follow": (None, (c_void_p, c_int64)),
     "attach": (None, (c_void_p, c_void_p)),
     "take": (None, (c_void_p, c_void_p, c_int32, c_void_p, c_int32, c_double, c_double)),
-    "listen": (None, (c_void_p, c_void_p, c_void_p, c_void_p)),
+    "listen": (None, (c_void_p, c_void_p, c_void_p, c_void_p, c_void_p)),
     "look": (None, (c_void_p,)),
+    "judge": (c_int32, (c_void_p, c_int32, c_int32, c_double)),
 }
 _VOICE: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "introduce": (None, (c_void_p, c_char_p, c_int32)),
@@ -218,9 +221,12 @@ class Gate:
         told = _encode(fields)
         return self._said[: self._say(self._at, told, len(told), ledger, own)]
 
-    def couple(self, sends: Sends) -> None:
-        """From now on words can be sent by this."""
-        self._found.voice_couple(self._at, sends.function, sends.inbox)
+    def couple(self, courier: CompiledInbox, judges: bool) -> None:
+        """From now on words can be sent by this; and if the gate `judges`, what the ledger can note is noted while it
+        waits (by the system's clock), and is not among what is taken then."""
+        self._found.voice_couple(self._at, courier.sends, courier.at)
+        self._listen(courier.slots)
+        courier.listen(address_of(self._found.gate_judge) if judges else None, self._at, self)
 
     def send(self, place: int, fields: Said, own: int) -> int:
         """Say a word and send it there, with the own closing of round `own` (0: with none) out of the attached ledger.
@@ -248,6 +254,8 @@ class Gate:
         bytes_, verdicts = shown.bytes, shown.verdict[:count] if shown.others else ()
         if not bytes_:
             return Judged([], verdicts) if verdicts else _NOTED
+        if shown.past:
+            return Judged(None, shown.verdict[:count])
         try:
             return Judged(_rows.decode(self._rows[:bytes_]), verdicts)
         except (ValueError, RecursionError):
@@ -256,4 +264,4 @@ class Gate:
     def _listen(self, slots: Slots) -> None:
         """From now on this is where datagrams arrive."""
         self._heard = slots  # they live as long as their addresses are known
-        self._found.gate_listen(self._at, slots.at, ctypes.addressof(slots.lengths), slots.at_used)
+        self._found.gate_listen(self._at, slots.at, ctypes.addressof(slots.lengths), slots.at_used, slots.at_judged)

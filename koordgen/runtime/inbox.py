@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from koordgen.runtime.courier import COMPILED, GROUP, IN_TURN, LARGEST, MOST_ECHOES, Address, CompiledInbox
-from koordgen.runtime.transport import MOST_AT_ONCE, Sends
+from koordgen.runtime.transport import MOST_AT_ONCE
 
 NAP = 20e-6  # seconds for each datagram that is missing
 
@@ -41,11 +41,6 @@ class Inbox(Protocol):
         """Before its sockets are."""
         ...
 
-    @property
-    def sends(self) -> Sends | None:
-        """`send`, for compiled code."""
-        ...
-
 
 def open_inbox(sockets: Sequence[socket.socket], trouble: Callable[[int], None], native: bool) -> Inbox:
     """Of sockets that do not block; `trouble` gets the errno of what went wrong when receiving. Compiled, if `native`
@@ -57,8 +52,6 @@ def open_inbox(sockets: Sequence[socket.socket], trouble: Callable[[int], None],
 
 
 class PlainInbox:
-    sends = None
-
     def __init__(self, sockets: Sequence[socket.socket], trouble: Callable[[int], None]) -> None:
         self._trouble = trouble
         self._poll = select.poll()

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 from koordgen.runtime import gate
-from koordgen.runtime.clock import Clock, FleetClock
+from koordgen.runtime.clock import Clock, FleetClock, SystemClock
 from koordgen.runtime.gate import Gate, Lesson, Usual
 from koordgen.runtime.ledger import Ledger
 from koordgen.runtime.metrics import Metrics
@@ -19,7 +19,7 @@ from koordgen.runtime.seal import MAC_SIZE, MEMORY, unseal_all
 from koordgen.runtime.sessions import Sessions
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.speech import REFERENCE_EVERY, Speech, microseconds, others_every
-from koordgen.runtime.transport import Transport
+from koordgen.runtime.transport import Coupled, Transport
 from koordgen.runtime.wire import Head, Hello, Message, Round, View, encoder, opened, pack
 
 _REASONS = {gate.FALSE: "not authentic", gate.TOO_LONG: "oversize", gate.REPLAYED: "replayed"}
@@ -79,7 +79,17 @@ class Link:
         self._fleet_clock = fleet_clock
         self._report = report
         self._reported: set[tuple[int, str]] = set()
-        self.speech = Speech(program, settings, key, transport, clock, fleet_clock, boot, self.sessions, self._gate)
+        self.speech = Speech(
+            program, settings, key, transport, clock, fleet_clock, boot, self.sessions, self._gate, self._couple()
+        )
+
+    def _couple(self) -> Coupled | None:
+        """Let the gate and what the transport waits and sends with work together, where both are compiled."""
+        gate, transport = self._gate, self._transport
+        if gate is None or not isinstance(transport, Coupled) or (courier := transport.courier) is None:
+            return None
+        gate.couple(courier, isinstance(self._clock, SystemClock))
+        return transport
 
     @property
     def epoch(self) -> bytes:

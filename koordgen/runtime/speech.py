@@ -59,7 +59,7 @@ _NOBODY = _Turn((), (), -math.inf)
 
 class Speech:
     """`sessions` are those of the peers that may be listened to. A `gate`, told how own words begin, puts most of them
-    together and seals them, into the same bytes."""
+    together and seals them, into the same bytes; and where there is a `way` from it to the peers, sends them."""
 
     def __init__(
         self,
@@ -72,6 +72,7 @@ class Speech:
         boot: bytes,
         sessions: Sessions,
         gate: Gate | None = None,
+        way: Coupled | None = None,
     ) -> None:
         self.epoch = b""
         self.room = LIMIT - overhead(len(settings.peers))  # bytes for closings or a piece in one datagram
@@ -84,11 +85,7 @@ class Speech:
         self._fleet_clock = fleet_clock
         self._sessions = sessions
         self._gate = gate
-        self._way = transport if isinstance(transport, Coupled) else None  # out of the gate, past Python
-        if gate is not None and self._way is not None and (sends := self._way.sends) is not None:
-            gate.couple(sends)
-        else:
-            self._way = None
+        self._way = way  # out of the gate
         self._sequence = 0
         self._others_every = others_every(len(settings.peers))
         self._echoed: dict[int, float] = {}  # when each peer was last sent an echo, the one that waits longest first

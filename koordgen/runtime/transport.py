@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
+if TYPE_CHECKING:  # it is made of what this module has
+    from koordgen.runtime.courier import CompiledInbox
 
 MOST_AT_ONCE = 1024  # datagrams taken in one go: a flood must not keep the robot from its control loop
 
@@ -36,20 +39,13 @@ class Transport(Protocol):
     def close(self) -> None: ...
 
 
-class Sends(NamedTuple):
-    """Addresses of a C function that sends a datagram to a place (see courier_send), and of what it is called with."""
-
-    function: int
-    inbox: int
-
-
 @runtime_checkable
 class Coupled(Protocol):
-    """A transport that compiled code may send with, without Python's seeing the datagram."""
+    """A transport of which compiled code may be part: it sends, and hears, without Python's seeing the datagram."""
 
     @property
-    def sends(self) -> Sends | None:
-        """What to call as long as the transport lives, also when it is closed; None: nothing."""
+    def courier(self) -> CompiledInbox | None:
+        """What it sends and waits with, as long as it lives, also when it is closed; None: nothing compiled."""
         ...
 
     def place(self, to: Sequence[int]) -> int:

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from ipaddress import AddressValueError, IPv4Address
 from typing import cast
 
-from koordgen.runtime.courier import GROUP, Address
+from koordgen.runtime.courier import GROUP, Address, CompiledInbox
 from koordgen.runtime.inbox import open_inbox
 from koordgen.runtime.settings import Network, Peer
-from koordgen.runtime.transport import CannotOpen, Sends
+from koordgen.runtime.transport import CannotOpen
 
 RECEIVE_BUFFER = 1 << 20
 
@@ -44,8 +44,8 @@ class UnicastTransport:
                 self._count("send", error)
 
     @property
-    def sends(self) -> Sends | None:
-        return self._inbox.sends
+    def courier(self) -> CompiledInbox | None:
+        return self._inbox if isinstance(self._inbox, CompiledInbox) else None
 
     def place(self, to: Sequence[int]) -> int:
         return to[0] if len(to) == 1 else -1

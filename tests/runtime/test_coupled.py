@@ -105,7 +105,7 @@ def test_plain_transports_have_nothing_to_call() -> None:
     with ExitStack() as stack:
         opened = fleet_of(stack, N, "unicast", False)
         own = opened.transports[OWN]
-        assert isinstance(own, udp.UnicastTransport) and own.sends is None
+        assert isinstance(own, udp.UnicastTransport) and own.courier is None
         speech = link(own, None).speech
         assert speech.own(OTHERS[:1], WORD, 0, None) and len(opened.collect(OTHERS[0], 1)) == 1
 
