@@ -166,13 +166,13 @@ def test_who_had_left_the_model_before_is_named(tmp_path: Path) -> None:
 
 
 def killed(folder: Path) -> Run:
-    """Bert's process is killed, and began anew a second later."""
+    """Bert's process is killed, and began anew a second later. The run ends amid a round, which all have begun."""
     run = Run(folder, HOLDS.replace("  assume reached or", "  assume True or"), conditions=conditions(0.05)).run(2.5)
     run.fleet.network._queues.pop(1, None)
     run.fleet.robots[1].wake = 1e9
     run.run(0.5)
     run.boot(1)
-    return run.run(4.0)
+    return run.run(4.08)
 
 
 def test_a_robot_that_died_and_came_back_is_judged_by_what_it_kept(tmp_path: Path) -> None:
