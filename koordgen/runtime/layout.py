@@ -19,7 +19,6 @@ PATCH_FROM = 256  # bytes: a shorter value goes whole; to find the difference wo
 
 _CLOSING = 1 + 1 + 3 * 9 + 3 + 3 + 3  # array, author, incarnation, first, round, three bools, lock, array of writes
 _WRITE = 1 + 3 + 1  # array, index, bool
-_NOTHING = encoder.encode(())
 _PLAIN = str, int, float, bool  # types whose values any encoding gives back as they were
 _parts = msgspec.msgpack.Decoder(list[msgspec.Raw])
 
@@ -112,19 +111,19 @@ class Layout:
             store[name] = found if slots else found[0]
         return store
 
-    def plain(self, shared: Mapping[str, Any]) -> bytes | None:
-        """The encoded writes of an event that wrote little, and only numbers and texts of just the variables' types, as
-        `written` has them; None for all else."""
+    def plain(self, shared: Mapping[str, Any]) -> Sequence[tuple[int, Any, bool]] | None:
+        """The writes of an event that wrote only numbers and texts of just the variables' types: they are encoded as
+        those that `written` has, where none is so long that it might go as a patch. None for all else."""
         if not shared:
-            return _NOTHING
-        writes, names = [], self._index
+            return ()
+        writes: list[tuple[int, Any, bool]] = []
+        names = self._index
         for name, item in shared.items():
             index = names[name]
             if type(item) is not self._plain[index] or not self._fits[index](item):
                 return None
             writes.append((index, item, False))
-        encoded = encoder.encode(writes if len(writes) < 2 else sorted(writes))
-        return encoded if len(encoded) <= PATCH_FROM else None
+        return writes if len(writes) < 2 else sorted(writes)
 
     def written(
         self, shared: Mapping[str, Any], store: Mapping[str, Any] | None = None, author: int = 0

@@ -13,11 +13,11 @@ from typing import Any
 from koordgen.runtime.commits import counting
 from koordgen.runtime.course import Course
 from koordgen.runtime.gate import Usual
-from koordgen.runtime.layout import Layout
+from koordgen.runtime.layout import PATCH_FROM, Layout
 from koordgen.runtime.ledger import APPLIED, LACKING, LAST, LEAST, NEXT, OPEN, SETTLED, TICK, TOLD, Ledger
 from koordgen.runtime.log import GAPS, Entry, Log, detached
 from koordgen.runtime.outcome import Past, all_alike, all_of
-from koordgen.runtime.wire import Closing, State, View
+from koordgen.runtime.wire import Closing, State, View, encoder
 from koordgen.runtime.words import Words
 
 AHEAD = 8  # rounds that a peer's clock may be ahead of ours
@@ -172,11 +172,13 @@ class Memory:
             self.close(round_ - 1, {}, stopped=stopped)
         before, first = log.held, round_ if single else log.held + 1
         self.closed = first, round_
-        plain = None if stopped else self._layout.plain(shared)
-        if plain is not None and self.ledger.close(first, round_, acted, prompt, lock, plain):
-            return  # nearly always
+        incarnation, plain = self.view.members[self._pid], None if stopped else self._layout.plain(shared)
+        if plain is not None:
+            row = encoder.encode((self._pid, incarnation, first, round_, False, acted, prompt, lock, plain))
+            if len(row) <= PATCH_FROM and self.ledger.close(row):
+                return  # nearly always
         writes, values = self._layout.written(shared, self.shared, self._pid) if shared else ((), ())
-        closing = Closing(self._pid, self.view.members[self._pid], first, round_, stopped, acted, prompt, lock, writes)
+        closing = Closing(self._pid, incarnation, first, round_, stopped, acted, prompt, lock, writes)
         log.take(Entry(closing, values or ()))
         self._heard(self._pid, before)
 
