@@ -42,12 +42,12 @@ class Layout:
         self.names = tuple(v.name for v in shared)
         self.is_slots = tuple(v.kind == "allread" for v in shared)
         self._shared = tuple(shared)
-        self._index = {v.name: i for i, v in enumerate(shared)}
         self._decoders = tuple(msgspec.msgpack.Decoder(v.type) for v in shared)
         self._lists = tuple(msgspec.msgpack.Decoder(list[v.type]) for v in shared)  # type: ignore[name-defined]
         self._plain = tuple(v.type if v.type in _PLAIN else None for v in shared)
         tests = [_tests(v) for v in shared]
         self._fits, self._all_fit = tuple([one for one, _ in tests]), tuple([every for _, every in tests])
+        self._by_name = {v.name: (i, self._plain[i], self._fits[i]) for i, v in enumerate(shared)}
         self._encoded: dict[int, tuple[Any, bytes]] = {}
         if n_sys > MAX_ROBOTS:
             raise TooLarge(f"a fleet of {n_sys} robots; at most {MAX_ROBOTS} are supported")
@@ -117,10 +117,9 @@ class Layout:
         if not shared:
             return ()
         writes: list[tuple[int, Any, bool]] = []
-        names = self._index
         for name, item in shared.items():
-            index = names[name]
-            if type(item) is not self._plain[index] or not self._fits[index](item):
+            index, kind, fits = self._by_name[name]
+            if type(item) is not kind or not fits(item):
                 return None
             writes.append((index, item, False))
         return writes if len(writes) < 2 else sorted(writes)
@@ -132,7 +131,7 @@ class Layout:
         value that differs little from that in `store`, which its round began with, goes as a patch. A number or text of
         just the variable's type is what its encoding yields, so it is not decoded."""
         writes, values, fit = list[Write](), list[tuple[int, Any]](), True
-        for index in sorted(map(self._index.__getitem__, shared)):
+        for index in sorted([self._by_name[name][0] for name in shared]):
             item = shared[self.names[index]]
             whole = encoder.encode(item)
             write = Write(index, msgspec.Raw(whole))

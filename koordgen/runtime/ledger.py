@@ -31,7 +31,7 @@ class Collected(msgspec.Struct, frozen=True, array_like=True, gc=False):
     ascending."""
 
     acted: list[int]
-    prompt: list[int]
+    prompt: tuple[int, ...]
     writes: list[tuple[int, list[int], msgspec.Raw]]
 
 
