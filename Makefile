@@ -13,9 +13,11 @@ demo: $(STAMP)
 	  --duration 30 --seed 1 --out build/demo
 	$(PY) examples/lineform/verdict.py build/demo
 
-# Two at a time, as many as there are cores on the smallest machine that it must be quick on; a file's tests stay together.
+# Two at a time, as many as there are cores on the smallest machine that it must be quick on; a file's tests stay together,
+# and files keep their order: xdist would begin those with few tests last, and some of these take longest. Compiled modules
+# are kept, whatever the shell says: both, and all processes that tests start, would else compile everything anew.
 test: lint
-	$(PY) -m pytest -n 2 --dist loadfile -m "not slow"
+	PYTHONDONTWRITEBYTECODE= $(PY) -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow"
 
 lint: $(STAMP)
 	$(VENV)/bin/ruff check .

@@ -131,8 +131,8 @@ def _text(value: Any) -> str:
 
 def applied(name: str, args: list[Value], zero: Value) -> Value:
     """A builtin of evaluated arguments; `zero` is the default of the type of what it yields."""
-    if exact.is_exact(*args) and (found := exact.applied(name, args)) is not None:
-        return found  # type: ignore[no-any-return]
+    if name in exact.ROUNDING and exact.is_exact(*args):
+        return exact.applied(name, args)  # type: ignore[no-any-return]
     value: Value = _sum(items(args[0]), zero) if name == "sum" else MEANINGS[name](*args)
     return value
 

@@ -8,23 +8,22 @@ robot. Where the checker has proved that a node cannot fail and it does, that is
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import NamedTuple, assert_never
+from typing import Any, NamedTuple
 
 from koordgen.diagnostics import InternalError
 from koordgen.ir import expr as ir
 from koordgen.ir.types import FLOAT, MapOf, RecordType, Sized, TupleOf
 from koordgen.ir.types import ExternType as Extern
 from koordgen.ir.types import Sequence as SequenceType
+from koordgen.node import Node
 from koordgen.runtime.values import Opaque, Point
 from koordgen.semantics import builtins
-from koordgen.semantics.exact import is_exact, power
+from koordgen.semantics.exact import is_exact
+from koordgen.semantics.numbers import arithmetic, as_real, compared
 from koordgen.semantics.state import Robot
-from koordgen.semantics.values import RecordValue, Value, as_, conforms, default, items, same
+from koordgen.semantics.values import RecordValue, Value, as_, conforms, default, items
 from koordgen.source import Span
-
-MAX_EXPONENT = 1024
 
 
 class Discarded(Exception):
@@ -65,38 +64,7 @@ def view_of(n_sys: int, params: Mapping[str, Value], call: Call, ask: Call) -> V
 
 def evaluate(node: ir.Expr, view: View) -> Value:
     """The value of a checked expression. Raises Discarded; InternalError where what was proved does not hold."""
-    match node:
-        case ir.Const(value):
-            return value
-        case ir.Pid():
-            return view.pid
-        case ir.NSys():
-            return view.n_sys
-        case ir.Ids():
-            return tuple(range(view.n_sys))
-        case ir.ParamRead(name):
-            return view.params[name]
-        case ir.LocalRead(name):
-            return view.locals[name]
-        case ir.TempRead(name):
-            return view.temps[name]
-        case ir.SharedRead(name):
-            return view.cells[name]
-        case ir.SlotRead(name, index, proved):
-            place = _number(index, view)
-            if not 0 <= place < view.n_sys:
-                raise _fault(node, f"index {place} names no robot (0 to {view.n_sys - 1})", proved)
-            return view.slots[name][place]
-        case ir.SlotsRead(name):
-            return tuple(view.slots[name])
-        case ir.PortRead(module, port, primed):
-            return (view.after if primed else view.ports)[f"{module}.{port}"]
-        case ir.LocalOf(name, robot):
-            return _robot(robot, view).locals[name]
-        case ir.PortOf(module, port, robot):
-            return _robot(robot, view).ports[f"{module}.{port}"]
-        case _:
-            return _operation(node, view)
+    return _MEANINGS[type(node)](node, view)
 
 
 def holds(node: ir.Expr, view: View) -> bool:
@@ -118,87 +86,107 @@ def _steps(start: int, stop: int, step: int) -> Iterator[int]:
         start += step
 
 
-_Operation = (
-    ir.Widen | ir.Unary | ir.Binary | ir.Compare | ir.Contains | ir.Logic | ir.Conditional | ir.Quantified | ir.Range
-    | ir.Make | ir.Field | ir.Item | ir.At | ir.Slice | ir.With | ir.Builtin | ir.Call | ir.ExternCall | ir.PortCall
-)  # fmt: skip
+def _slot(node: ir.SlotRead, view: View) -> Value:
+    place = _number(node.index, view)
+    if not 0 <= place < view.n_sys:
+        raise _fault(node, f"index {place} names no robot (0 to {view.n_sys - 1})", node.proved)
+    return view.slots[node.name][place]
 
 
-def _operation(node: _Operation, view: View) -> Value:
-    match node:
-        case ir.Widen(operand):
-            return _guarded(node, lambda: float(_number(operand, view)))
-        case ir.Unary("not", operand):
-            return not holds(operand, view)
-        case ir.Unary(_, operand):
-            positive = evaluate(operand, view)
-            return Point(-positive.x, -positive.y, -positive.z) if isinstance(positive, Point) else -as_real(positive)
-        case ir.Binary(op, left, right, proved):
-            first, second = evaluate(left, view), evaluate(right, view)
-            try:
-                return arithmetic(op, first, second)
-            except (ArithmeticError, ValueError) as error:
-                checked = op != "**" and isinstance(error, ZeroDivisionError)
-                reason = "division by zero" if checked and is_exact(first, second) else str(error)
-                raise _fault(node, reason, proved and checked) from None
-        case ir.Compare(op, left, right):
-            return _compared(op, evaluate(left, view), evaluate(right, view))
-        case ir.Contains(item, values):
-            member = evaluate(item, view)
-            held = evaluate(values, view)
-            return builtins.contains([pair[0] for pair in items(held)] if _is_map(values) else held, member)
-        case ir.Logic(op, left, right):
-            return holds(left, view) and holds(right, view) if op == "and" else holds(left, view) or holds(right, view)
-        case ir.Conditional(condition, then, orelse):
-            return evaluate(then if holds(condition, view) else orelse, view)
-        case ir.Quantified(kind, name, domain, body):
-            truths = (holds(body, _binding(view, name, value)) for value in elements(domain, view))
-            return all(truths) if kind == "forall" else any(truths)
-        case ir.Range():
-            raise InternalError("a range is no value")
-        case _:
-            return _part(node, view)
+def _port(node: ir.PortRead, view: View) -> Value:
+    return (view.after if node.primed else view.ports)[f"{node.module}.{node.port}"]
 
 
-_Part = (
-    ir.Make | ir.Field | ir.Item | ir.At | ir.Slice | ir.With | ir.Builtin | ir.Call | ir.ExternCall | ir.PortCall
-)  # fmt: skip
+def _unary(node: ir.Unary, view: View) -> Value:
+    if node.op == "not":
+        return not holds(node.operand, view)
+    positive = evaluate(node.operand, view)
+    return Point(-positive.x, -positive.y, -positive.z) if isinstance(positive, Point) else -as_real(positive)
 
 
-def _part(node: _Part, view: View) -> Value:
-    match node:
-        case ir.Make(parts):
-            return _made(node, tuple([evaluate(part, view) for part in parts]))
-        case ir.Field(operand, name):
-            whole = evaluate(operand, view)
-            if isinstance(whole, RecordValue):
-                return whole.fields[_place(operand, name)]
-            return getattr(whole, name)  # type: ignore[no-any-return]
-        case ir.Item(operand, place):
-            return items(evaluate(operand, view))[place]  # type: ignore[no-any-return]
-        case ir.At(operand, index, proved):
-            xs, i = evaluate(operand, view), _number(index, view)
-            return _guarded(node, lambda: builtins.element(xs, i), proved)
-        case ir.Slice(operand, start, stop, proved):
-            xs = evaluate(operand, view)
-            low, high = (None if bound is None else _number(bound, view) for bound in (start, stop))
-            return _guarded(node, lambda: builtins.part(xs, low, high), proved)
-        case ir.With(operand, name, value):
-            whole, new, place = evaluate(operand, view), evaluate(value, view), _place(operand, name)
-            if isinstance(whole, RecordValue):
-                return RecordValue(whole.name, _put(whole.fields, place, new))
-            return _put(items(whole), place, new)
-        case ir.Builtin(name, args):
-            values = [evaluate(arg, view) for arg in args]
-            zero = 0.0 if node.type == FLOAT else 0
-            return _guarded(node, lambda: builtins.applied(name, values, zero))
-        case ir.Call(name, args) | ir.ExternCall(name, args):
-            values = [evaluate(arg, view) for arg in args]
-            return _guarded(node, lambda: view.call(name, tuple(values)))
-        case ir.PortCall(module, port, args):
-            return _asked(node, f"{module}.{port}", tuple([evaluate(arg, view) for arg in args]), view)
-        case _:
-            assert_never(node)
+def _binary(node: ir.Binary, view: View) -> Value:
+    first, second = evaluate(node.left, view), evaluate(node.right, view)
+    try:
+        return arithmetic(node.op, first, second)
+    except (ArithmeticError, ValueError) as error:
+        checked = node.op != "**" and isinstance(error, ZeroDivisionError)
+        reason = "division by zero" if checked and is_exact(first, second) else str(error)
+        raise _fault(node, reason, node.proved and checked) from None
+
+
+def _contains(node: ir.Contains, view: View) -> Value:
+    member, held = evaluate(node.item, view), evaluate(node.values, view)
+    of_map = isinstance(node.values.type, MapOf)
+    return builtins.contains([pair[0] for pair in items(held)] if of_map else held, member)
+
+
+def _logic(node: ir.Logic, view: View) -> Value:
+    left = holds(node.left, view)
+    return holds(node.right, view) if left == (node.op == "and") else left
+
+
+def _quantified(node: ir.Quantified, view: View) -> Value:
+    temps = dict(view.temps)
+    within = view._replace(temps=temps)
+
+    def truths() -> Iterator[bool]:
+        for value in elements(node.domain, view):
+            temps[node.name] = value
+            yield holds(node.body, within)
+
+    return all(truths()) if node.kind == "forall" else any(truths())
+
+
+def _range(node: ir.Range, view: View) -> Value:
+    raise InternalError("a range is no value")
+
+
+def _field(node: ir.Field, view: View) -> Value:
+    whole = evaluate(node.operand, view)
+    if isinstance(whole, RecordValue):
+        return whole.fields[_place(node.operand, node.name)]
+    return getattr(whole, node.name)  # type: ignore[no-any-return]
+
+
+def _at(node: ir.At, view: View) -> Value:
+    xs, i = evaluate(node.operand, view), _number(node.index, view)
+    return _guarded(node, lambda: builtins.element(xs, i), node.proved)
+
+
+def _slice(node: ir.Slice, view: View) -> Value:
+    xs = evaluate(node.operand, view)
+    low, high = (None if bound is None else _number(bound, view) for bound in (node.start, node.stop))
+    return _guarded(node, lambda: builtins.part(xs, low, high), node.proved)
+
+
+def _with(node: ir.With, view: View) -> Value:
+    whole, new = evaluate(node.operand, view), evaluate(node.value, view)
+    place = _place(node.operand, node.name)
+    if isinstance(whole, RecordValue):
+        return RecordValue(whole.name, _put(whole.fields, place, new))
+    return _put(items(whole), place, new)
+
+
+def _builtin(node: ir.Builtin, view: View) -> Value:
+    values = [evaluate(arg, view) for arg in node.args]
+    zero = 0.0 if node.type == FLOAT else 0
+    return _guarded(node, lambda: builtins.applied(node.name, values, zero))
+
+
+def _call(node: ir.Call | ir.ExternCall, view: View) -> Value:
+    values = tuple([evaluate(arg, view) for arg in node.args])
+    return _guarded(node, lambda: view.call(node.name, values))
+
+
+def _asked(node: ir.PortCall, view: View) -> Value:
+    port, args = f"{node.module}.{node.port}", tuple([evaluate(arg, view) for arg in node.args])
+    try:
+        answer = view.ask(port, args)
+    except Exception as error:
+        raise Discarded(f"{port} failed: {error}", node.span) from None
+    if not conforms(answer, node.type):
+        raise Discarded(f"{port} answered {answer!r}, which is no {node.type}", node.span)
+    return answer
 
 
 def _guarded(node: ir.Expr, compute: Callable[[], Value], proved: bool = False) -> Value:
@@ -215,25 +203,8 @@ def _fault(node: ir.Expr, reason: str, proved: bool) -> Exception:
     return Discarded(reason, node.span)
 
 
-def _asked(node: ir.PortCall, port: str, args: tuple[Value, ...], view: View) -> Value:
-    try:
-        answer = view.ask(port, args)
-    except Exception as error:
-        raise Discarded(f"{port} failed: {error}", node.span) from None
-    if not conforms(answer, node.type):
-        raise Discarded(f"{port} answered {answer!r}, which is no {node.type}", node.span)
-    return answer
-
-
 def _number(node: ir.Expr, view: View) -> int:
     return as_(int, evaluate(node, view))
-
-
-def as_real(value: Value) -> int | float:
-    """An int, a float, or what stands for a float where nothing is rounded."""
-    if not isinstance(value, (int, float)) and not is_exact(value):
-        raise InternalError(f"{value!r} is no number")
-    return value  # type: ignore[return-value]
 
 
 def _robot(node: ir.Expr, view: View) -> Robot:
@@ -241,14 +212,6 @@ def _robot(node: ir.Expr, view: View) -> Robot:
     if not 0 <= pid < view.n_sys:
         raise Discarded(f"index {pid} names no robot (0 to {view.n_sys - 1})", node.span)
     return view.robots[pid]
-
-
-def _binding(view: View, name: str, value: Value) -> View:
-    return view._replace(temps={**view.temps, name: value})
-
-
-def _is_map(node: ir.Expr) -> bool:
-    return isinstance(node.type, MapOf)
 
 
 def _place(operand: ir.Expr, name: str) -> int:
@@ -265,7 +228,8 @@ def _put(parts: tuple[Value, ...], place: int, value: Value) -> tuple[Value, ...
     return tuple([value if i == place else part for i, part in enumerate(parts)])
 
 
-def _made(node: ir.Make, parts: tuple[Value, ...]) -> Value:
+def _made(node: ir.Make, view: View) -> Value:
+    parts = tuple([evaluate(part, view) for part in node.items])
     match node.type:
         case SequenceType("Set"):
             return builtins.set_of(parts)
@@ -283,79 +247,39 @@ def _made(node: ir.Make, parts: tuple[Value, ...]) -> Value:
             raise InternalError(f"a {node.type} is not made of parts")
 
 
-def arithmetic(op: str, left: Value, right: Value) -> Value:
-    """One operator on two values of agreeing types; raises ArithmeticError or ValueError where there is no value."""
-    match left, right:
-        case Point(), Point():
-            if op == "+":
-                return Point(left.x + right.x, left.y + right.y, left.z + right.z)
-            return Point(left.x - right.x, left.y - right.y, left.z - right.z)
-        case Point(), _:
-            by = as_real(right)
-            if op == "*":
-                return Point(left.x * by, left.y * by, left.z * by)
-            return Point(left.x / by, left.y / by, left.z / by)
-        case _, Point():
-            return arithmetic(op, right, left)
-        case (str(), str()) | (tuple(), tuple()):
-            return left + right  # type: ignore[operator]
-        case _:
-            return _of_numbers(op, as_real(left), as_real(right))
-
-
-def _of_numbers(op: str, left: int | float, right: int | float) -> int | float:
-    match op:
-        case "+":
-            return left + right
-        case "-":
-            return left - right
-        case "*":
-            return left * right
-        case "/":
-            return left / right
-        case "//":
-            return left // right
-        case "%":
-            return left % right
-        case "**":
-            return _power(left, right)
-        case _:
-            raise InternalError(f"no operator {op}")
-
-
-def _power(base: int | float, exponent: int | float) -> int | float:
-    if isinstance(base, float) or isinstance(exponent, float):
-        return math.pow(base, exponent)
-    if is_exact(base, exponent):
-        return power(base, exponent)  # type: ignore[return-value]
-    if exponent < 0:
-        raise ValueError("an int to the power of a negative one")
-    if exponent > MAX_EXPONENT and abs(base) > 1:
-        raise ValueError(f"an exponent above {MAX_EXPONENT}")
-    return as_(int, base**exponent)
-
-
-def _compared(op: str, left: Value, right: Value) -> bool:
-    match op:
-        case "==":
-            return same(left, right)
-        case "!=":
-            return not same(left, right)
-        case _ if isinstance(left, str):
-            return _ordered(op, left, as_(str, right))
-        case _:
-            return _ordered(op, as_real(left), as_real(right))
-
-
-def _ordered(op: str, first: int | float | str, second: int | float | str) -> bool:
-    match op:
-        case "<":
-            return first < second  # type: ignore[operator]
-        case "<=":
-            return first <= second  # type: ignore[operator]
-        case ">":
-            return first > second  # type: ignore[operator]
-        case ">=":
-            return first >= second  # type: ignore[operator]
-        case _:
-            raise InternalError(f"no comparison {op}")
+# One look at a node's class finds what it means: `match` asks for one class after the other, of which there are many,
+# and replaying a mission evaluates millions of nodes.
+_MEANINGS: Mapping[type[Node], Callable[[Any, View], Value]] = {
+    ir.Const: lambda node, view: node.value,
+    ir.Pid: lambda node, view: view.pid,
+    ir.NSys: lambda node, view: view.n_sys,
+    ir.Ids: lambda node, view: tuple(range(view.n_sys)),
+    ir.ParamRead: lambda node, view: view.params[node.name],
+    ir.LocalRead: lambda node, view: view.locals[node.name],
+    ir.TempRead: lambda node, view: view.temps[node.name],
+    ir.SharedRead: lambda node, view: view.cells[node.name],
+    ir.SlotRead: _slot,
+    ir.SlotsRead: lambda node, view: tuple(view.slots[node.name]),
+    ir.PortRead: _port,
+    ir.LocalOf: lambda node, view: _robot(node.robot, view).locals[node.name],
+    ir.PortOf: lambda node, view: _robot(node.robot, view).ports[f"{node.module}.{node.port}"],
+    ir.Widen: lambda node, view: _guarded(node, lambda: float(_number(node.operand, view))),
+    ir.Unary: _unary,
+    ir.Binary: _binary,
+    ir.Compare: lambda node, view: compared(node.op, evaluate(node.left, view), evaluate(node.right, view)),
+    ir.Contains: _contains,
+    ir.Logic: _logic,
+    ir.Conditional: lambda node, view: evaluate(node.then if holds(node.condition, view) else node.orelse, view),
+    ir.Quantified: _quantified,
+    ir.Range: _range,
+    ir.Make: _made,
+    ir.Field: _field,
+    ir.Item: lambda node, view: items(evaluate(node.operand, view))[node.index],
+    ir.At: _at,
+    ir.Slice: _slice,
+    ir.With: _with,
+    ir.Builtin: _builtin,
+    ir.Call: _call,
+    ir.ExternCall: _call,
+    ir.PortCall: _asked,
+}

@@ -122,9 +122,16 @@ def _dot(a: list[Fraction], b: list[Fraction]) -> Fraction:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
+# Builtins whose floats would be rounded.
+ROUNDING = frozenset(
+    ("distance", "sqrt", "path_distance", "clear", "sum", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "exp",
+     "log", "GridMap", "center", "cell", "is_free", "is_occupied", "is_known", "mark_free", "mark_occupied")
+)  # fmt: skip
+
+
 def applied(name: str, args: list[Any]) -> Any:
-    """A builtin of arguments some of which are exact, where floats would be rounded; None where they would not.
-    Raises NotExact where the result is no rational number, nor a root of one."""
+    """One of these builtins, of arguments some of which are exact. Raises NotExact where the result is no rational
+    number, nor a root of one."""
     match name, args:
         case "distance", [p, q]:
             return distance(p, q)
@@ -137,20 +144,17 @@ def applied(name: str, args: list[Any]) -> Any:
         case "sum", [xs]:
             return sum(xs, type(xs[0])())
         case _:
-            if name in _ROUNDED:
-                raise NotExact(f"{name} of exact numbers")
-            return None
+            raise NotExact(f"{name} of exact numbers")
 
 
-_ROUNDED = frozenset(
-    ("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "exp", "log", "GridMap", "center", "cell", "is_free",
-     "is_occupied", "is_known", "mark_free", "mark_occupied")
-)  # fmt: skip
+_INEXACT = frozenset((int, float, bool, str))
 
 
 def is_exact(*values: object) -> bool:
     """Whether some of these values, or of their parts, are exact numbers."""
     for value in values:
+        if type(value) in _INEXACT:
+            continue
         if isinstance(value, Point):
             value = (value.x, value.y, value.z)
         if isinstance(value, (Fraction, Root)) or (isinstance(value, tuple) and is_exact(*value)):

@@ -20,6 +20,7 @@ from targets.quad.parameters import Parameters, Wanted
 from targets.quad.telemetry import Streams, Telemetry
 from targets.quad.vehicles import identified
 
+SILENCE = 5.0  # seconds without any heartbeat, of which there is one each second, after which none is waited for
 DEADLINE = 9.5  # seconds for a position estimate to come
 WATCHED = 3.0  # seconds for which the streams are watched when it is there: rates can be told
 _PAUSE = 0.05
@@ -106,6 +107,8 @@ def listen(
             if not heard.examined and (math.isfinite(known) or now - begun >= DEADLINE / 2):
                 heard.examined = True
                 link.tell(mavlink.MAV_CMD_RUN_PREARM_CHECKS)
+        elif now - begun >= SILENCE:
+            break
         known = min(known, now) if heard.telemetry.fresh(now) else known
         enough = now - known >= WATCHED or (math.isinf(known) and now - begun >= DEADLINE)
         if enough and (heard.parameters is None or heard.parameters.done(now)):

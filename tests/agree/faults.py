@@ -13,7 +13,7 @@ from koordgen.ir import expr as e
 from koordgen.ir import stmt as s
 from koordgen.ir.types import INT, Sequence, TupleOf
 from koordgen.node import Node, replace
-from koordgen.semantics import builtins, eval, exec
+from koordgen.semantics import builtins, eval, exec, numbers
 from koordgen.semantics.eval import View
 from koordgen.semantics.values import Value, items
 from tests.agree.both import Generated, Pass, nothing, untouched
@@ -153,12 +153,12 @@ def live_loops(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def truncation(monkeypatch: pytest.MonkeyPatch) -> None:
-    right = eval._of_numbers
+    right = numbers._of_numbers
 
     def wrong(op: str, a: float, b: float) -> float:
         return int(a / b) if op == "//" and isinstance(a, int) else right(op, a, b)
 
-    monkeypatch.setattr(eval, "_of_numbers", wrong)
+    monkeypatch.setattr(numbers, "_of_numbers", wrong)
 
 
 def boundless(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,19 +16,27 @@ from typing import Any
 import pytest
 
 from koordgen import cli
-from koordgen.campaign import store
+from koordgen.campaign import plots, store
 from koordgen.cli import campaign as command
 from tests.campaign import fake
 
+DRAW = plots.draw
 PLANNED = {"SHA256SUMS": b"sums", "scenario.json": b'{"robots": [{"name": "bert"}]}'}
 
 
 @pytest.fixture(autouse=True)
 def faked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Pictures, which take longer than all else, are drawn where `drawn` is asked for."""
     monkeypatch.setattr(cli, "_planned", lambda options, targets: ({fake.NAME: PLANNED}, "app"))
     monkeypatch.setattr(cli, "_require_packages", lambda: None)
     monkeypatch.setattr(command, "_builder", lambda options, harness: fake.build)
+    monkeypatch.setattr(plots, "draw", lambda results, folder: [])
     monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def drawn(faked: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plots, "draw", DRAW)
 
 
 def campaign(*words: str) -> int:
@@ -44,6 +52,7 @@ def began() -> dict[str, int]:
     return {path.parent.name: path.stat().st_mtime_ns for path in Path("out/runs").glob("*/began")}
 
 
+@pytest.mark.usefixtures("drawn")
 def test_all_held(capsys: pytest.CaptureFixture[str]) -> None:
     assert campaign("--vary", "seed=1:5,loss=0:0.2", "--runs", "5", "--duration", "12", "--lockstep") == 0
     told = capsys.readouterr()
@@ -68,6 +77,7 @@ def test_reports_are_made_of_runs_only_when_they_are_asked_for() -> None:
     assert len(list(Path("seen").rglob("report.html"))) == 2
 
 
+@pytest.mark.usefixtures("drawn")
 def test_what_is_violated_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     assert campaign("--vary", "seed=1:2,loss=0,0.3") == 3
     out = capsys.readouterr().out
@@ -78,6 +88,7 @@ def test_what_is_violated_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     ]  # fmt: skip
 
 
+@pytest.mark.usefixtures("drawn")
 def test_what_did_not_run_is_told_and_repeated(capsys: pytest.CaptureFixture[str]) -> None:
     assert campaign("--vary", "mode=held,crash") == 5
     assert "did not run: once, first in run 0001 (mode crash): status 5: error: no world" in capsys.readouterr().out
@@ -86,6 +97,7 @@ def test_what_did_not_run_is_told_and_repeated(capsys: pytest.CaptureFixture[str
     assert began()["0000"] == first["0000"] and began()["0001"] != first["0001"]
 
 
+@pytest.mark.usefixtures("drawn")
 def test_a_violation_goes_before_what_did_not_run() -> None:
     assert campaign("--vary", "mode=violated,crash,silent") == 3
 
@@ -225,6 +237,7 @@ def until(true: Callable[[], bool]) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.usefixtures("drawn")
 def test_interrupted_it_can_be_resumed(number: signal.Signals, capsys: pytest.CaptureFixture[str]) -> None:
     """Three runs held, then two hang: these are ended, and begin anew."""
 

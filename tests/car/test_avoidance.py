@@ -209,9 +209,10 @@ def test_without_reverse_it_never_goes_backwards() -> None:
 
 @pytest.mark.parametrize(("when", "room"), [(0.9, 0.4), (1.5, 0.0)])
 def test_a_car_stops_before_a_path_that_another_publishes_across_its_own_and_goes_on_when_it_is_gone(
-    when: float, room: float
+    when: float, room: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The second comes too late to stop in time: it stops as soon as it can, and stays out of the middle of it."""
+    monkeypatch.setattr("targets.car.avoidance.PATIENCE", 0.1)
     world = among(WALL_WITH_GAP[0], WALL_WITH_GAP[1])
     world.go(3.0, 0.0)
     world.run(when)

@@ -171,7 +171,8 @@ def test_it_stops_short_of_no_target_by_much_whatever_its_lag() -> None:
         assert world.distance(2.5, 0.0) < error, lag
 
 
-def test_an_unreachable_target_is_said_and_the_car_stands() -> None:
+def test_an_unreachable_target_is_said_and_the_car_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("targets.car.avoidance.PATIENCE", 0.05)
     # Nose to the wall in a lane too narrow to turn in.
     settings = msgspec.structs.replace(
         robot_settings({}), geofence=type(FENCE)(Point(-3.0, -0.04, -1.0), Point(3.0, 0.04, 1.0))

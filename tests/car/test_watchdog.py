@@ -215,7 +215,7 @@ from targets.car.settings import CarSettings
 
 drive = opened(CarSettings(drive="vesc:" + sys.argv[1]), RealLinks(), LocalFrame(47.0, 8.0, 488.0))
 begin = time.monotonic()
-while time.monotonic() - begin < 1.0 or drive.blocked:
+while time.monotonic() - begin < 0.5 or drive.blocked:
     drive.read(time.monotonic())
     drive.go(Command(1.0, 0.0), None, time.monotonic())
     time.sleep(0.05)

@@ -1,4 +1,4 @@
-"""Real sockets, a real pseudo-terminal and the real clock: agent and simulated autopilot over loopback."""
+"""Real sockets and a real pseudo-terminal: agent and simulated autopilot over loopback."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ from targets.sim.bodies import DeviceContext
 from tests.quad.rig import ORIGIN, STEP, PointMass, settings
 from tests.terminal import terminal
 
+PACE = 4.0  # times faster than real time
+
 
 def test_a_flight_over_loopback() -> None:
     body = PointMass()
@@ -25,10 +27,10 @@ def test_a_flight_over_loopback() -> None:
     autopilot = SimulatedAutopilot(body, DeviceContext("alice", {}, harness, ORIGIN, 1, b""))
     quad = Quad(settings(**autopilot.overrides, flight_height=0.5), None)
     try:
-        quad.start(time.monotonic())
-        begun = stepped = polled = time.monotonic()
-        while time.monotonic() - begun < 20.0 and not quad.rested:
-            now = time.monotonic()
+        begun = now = stepped = polled = time.monotonic()
+        quad.start(now)
+        while now - begun < 20.0 and not quad.rested:
+            now = begun + PACE * (time.monotonic() - begun)
             while stepped < now:
                 stepped += STEP
                 body.step(STEP)

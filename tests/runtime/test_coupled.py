@@ -25,6 +25,8 @@ from tests.runtime.transports import udp as fleet_of
 
 pytestmark = [needs_gate, needs_courier]
 OTHERS = [p for p in range(N) if p != OWN]
+CALLED = (OTHERS, OTHERS[:2], OTHERS[1:2], OTHERS)  # each gets as many words
+WORDS = 3
 
 
 class Watched:
@@ -54,15 +56,24 @@ def link(transport: Any, ledger: Ledger | None) -> Link:
     return made
 
 
-def sent_by(opened: Opened, transport: Any, ledger: Ledger, attached: bool) -> list[Any]:
+def heard_by(pid: int, kind: str) -> int:
+    """How many words arrive at a robot: what is for several goes to the group where there is one."""
+    return WORDS * sum(pid in to or (kind != "unicast" and len(to) > 1) for to in CALLED)
+
+
+def sent_by(opened: Opened, kind: str, transport: Any, ledger: Ledger, attached: bool) -> list[list[bytes]]:
     """Words to all, to some and to one, with closings and without; what each of the others got."""
     speech = link(transport, ledger if attached else None).speech
-    for to in (OTHERS, OTHERS[:2], OTHERS[1:2], OTHERS):
+    for to in CALLED:
         for round_ in (30, 31, 0, 77):
             said = speech.own(to, WORD, round_, ledger if round_ else None)
             assert said == (round_ != 77), "there is no such closing"
-    assert speech._sequence == 12 and not list(transport.receive()), "what went to the group is known as one's own"
-    return [opened.collect(pid, 12 - 3 * (pid != OTHERS[1])) for pid in OTHERS]
+    assert speech._sequence == WORDS * len(CALLED)
+    assert not list(transport.receive()), "what went to the group is known as one's own"
+    found = [opened.collect(pid, heard_by(pid, kind)) for pid in OTHERS]
+    assert [len(got) for got in found] == [heard_by(pid, kind) for pid in OTHERS]
+    assert all(opened.is_quiet(pid) for pid in OTHERS)
+    return found
 
 
 @pytest.mark.parametrize("kind", ["unicast", "multicast", "broadcast"])
@@ -79,12 +90,12 @@ def test_words_arrive_as_if_python_had_sent_them(monkeypatch: pytest.MonkeyPatch
         opened = fleet_of(stack, N, kind, True)
         own = opened.transports[OWN]
         assert isinstance(own, Coupled) and not isinstance(Watched(own), Coupled)
-        found = sent_by(opened, own, ledger, True)
+        found = sent_by(opened, kind, own, ledger, True)
         places = {OTHERS[1]} if kind == "unicast" else {OTHERS[1], GROUP}
         assert set(coupled) == places and len(coupled) == (4 if kind == "unicast" else 16)
         coupled.clear()
-        assert sent_by(opened, Watched(own), ledger, True) == found and not coupled
-        assert sent_by(opened, own, ledger, False) == found, "of a ledger that is not the gate's Python tells"
+        assert sent_by(opened, kind, Watched(own), ledger, True) == found and not coupled
+        assert sent_by(opened, kind, own, ledger, False) == found, "of a ledger that is not the gate's Python tells"
         assert own.troubles == {}
 
 
@@ -124,4 +135,5 @@ def test_what_is_no_word_is_not_sent() -> None:
             for length in (len(told), 0, -1, -(2**31)):
                 assert gate._send(gate._at, told, length) == -1
         assert gate.send(OTHERS[0], right, 30) == -1, "there is no ledger"
-        assert gate.send(OTHERS[0], right, 0) == 0 and len(opened.collect(OTHERS[0], 2)) == 1
+        assert gate.send(OTHERS[0], right, 0) == 0 and len(opened.collect(OTHERS[0], 1)) == 1
+        assert opened.is_quiet(OTHERS[0])

@@ -77,13 +77,17 @@ VECTORS = [
 ]
 
 
+@pytest.fixture(scope="module")
+def of_whole_digests(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
+    flags = [flag.replace(f"MAC_SIZE={MAC_SIZE}", "MAC_SIZE=32") for flag in gate.FLAGS]
+    return load(gate.SOURCE, flags, gate.prove, tmp_path_factory.mktemp("cache"))
+
+
 @pytest.mark.parametrize(("key", "text", "digest"), VECTORS)
-def test_official_vectors(key: bytes, text: bytes, digest: str, tmp_path: Path) -> None:
+def test_official_vectors(key: bytes, text: bytes, digest: str, of_whole_digests: ctypes.CDLL) -> None:
     """They are of whole digests and have no purpose, so it is compiled for those."""
     assert blake2s(text, key=key).hexdigest() == digest
-    flags = [flag.replace(f"MAC_SIZE={MAC_SIZE}", "MAC_SIZE=32") for flag in gate.FLAGS]
-    (tmp_path / "cache").mkdir(mode=0o700)
-    of = opened(key or None, load(gate.SOURCE, flags, gate.prove, tmp_path / "cache"), bytes(8))
+    of = opened(key or None, of_whole_digests, bytes(8))
     right = text + bytes.fromhex(digest)
     assert verdicts(of, [right, right[:-1] + b"x", right[:-32]]) == [OTHER, FALSE, FALSE]
 
@@ -342,7 +346,7 @@ def test_slots_of_own_echoes_alone_are_nothing() -> None:
     with inbox(True) as (made, _, sending, _):
         made.send(courier.GROUP, echo)
         sending[0].send(echo)
-        made.wait(PATIENCE)
+        made.wait(0.05)  # an echo wakes nobody
         ear, taken = Ear(True), made.receive()
         assert isinstance(made, courier.CompiledInbox) and made.slots.used == 1
         assert len(taken) == 0 and ear.hear(taken) == [] and ear.link.rejected == {}

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from koordgen.cli import main
+from koordgen.runtime.native import cache_folder
 from targets.sim.bodies import BodyState
 from targets.sim.crew import Agent
 from targets.sim.lockstep.run import Lockstep
@@ -40,10 +41,13 @@ def built(folder: Path, app: str, fleet: str | None = None) -> Path:
 
 
 def ran(bundle: Path, out: Path, seconds: float, *more: str, hashing: str = "0") -> int:
-    """Run a bundle in lockstep in a process of its own, with a PYTHONHASHSEED; its exit status. It draws no report."""
+    """Run a bundle in lockstep in a process of its own, with a PYTHONHASHSEED; its exit status. It draws no report, and
+    compiles no C code that this user's cache holds."""
     command = [sys.executable, str(bundle), "--lockstep", "--duration", f"{seconds:g}", "--out", str(out), "--quiet"]
     command += ["--no-report"]
     environment = {"PYTHONHASHSEED": hashing, "OMP_NUM_THREADS": "1", "PATH": "/usr/bin:/bin", "HOME": str(out.parent)}
+    if cache := cache_folder():
+        environment["XDG_CACHE_HOME"] = str(cache.parent)
     done = subprocess.run([*command, *more], env=environment, capture_output=True, text=True, timeout=600)
     assert done.returncode in (0, 3), done.stdout + done.stderr
     return done.returncode

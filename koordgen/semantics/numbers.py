@@ -1,0 +1,97 @@
+"""Operators on numbers, Points, texts and lists, as their values are at run time."""
+
+from __future__ import annotations
+
+import math
+
+from koordgen.diagnostics import InternalError
+from koordgen.runtime.values import Point
+from koordgen.semantics.exact import is_exact, power
+from koordgen.semantics.values import Value, as_, same
+
+MAX_EXPONENT = 1024
+
+
+def as_real(value: Value) -> int | float:
+    """An int, a float, or what stands for a float where nothing is rounded."""
+    if not isinstance(value, (int, float)) and not is_exact(value):
+        raise InternalError(f"{value!r} is no number")
+    return value  # type: ignore[return-value]
+
+
+def arithmetic(op: str, left: Value, right: Value) -> Value:
+    """One operator on two values of agreeing types; raises ArithmeticError or ValueError where there is no value."""
+    match left, right:
+        case Point(), Point():
+            if op == "+":
+                return Point(left.x + right.x, left.y + right.y, left.z + right.z)
+            return Point(left.x - right.x, left.y - right.y, left.z - right.z)
+        case Point(), _:
+            by = as_real(right)
+            if op == "*":
+                return Point(left.x * by, left.y * by, left.z * by)
+            return Point(left.x / by, left.y / by, left.z / by)
+        case _, Point():
+            return arithmetic(op, right, left)
+        case (str(), str()) | (tuple(), tuple()):
+            return left + right  # type: ignore[operator]
+        case _:
+            return _of_numbers(op, as_real(left), as_real(right))
+
+
+def _of_numbers(op: str, left: int | float, right: int | float) -> int | float:
+    match op:
+        case "+":
+            return left + right
+        case "-":
+            return left - right
+        case "*":
+            return left * right
+        case "/":
+            return left / right
+        case "//":
+            return left // right
+        case "%":
+            return left % right
+        case "**":
+            return _power(left, right)
+        case _:
+            raise InternalError(f"no operator {op}")
+
+
+def _power(base: int | float, exponent: int | float) -> int | float:
+    if isinstance(base, float) or isinstance(exponent, float):
+        return math.pow(base, exponent)
+    if is_exact(base, exponent):
+        return power(base, exponent)  # type: ignore[return-value]
+    if exponent < 0:
+        raise ValueError("an int to the power of a negative one")
+    if exponent > MAX_EXPONENT and abs(base) > 1:
+        raise ValueError(f"an exponent above {MAX_EXPONENT}")
+    return as_(int, base**exponent)
+
+
+def compared(op: str, left: Value, right: Value) -> bool:
+    match op:
+        case "==":
+            return same(left, right)
+        case "!=":
+            return not same(left, right)
+        case _ if isinstance(left, str):
+            return _ordered(op, left, as_(str, right))
+        case _:
+            return _ordered(op, as_real(left), as_real(right))
+
+
+def _ordered(op: str, first: int | float | str, second: int | float | str) -> bool:
+    match op:
+        case "<":
+            return first < second  # type: ignore[operator]
+        case "<=":
+            return first <= second  # type: ignore[operator]
+        case ">":
+            return first > second  # type: ignore[operator]
+        case ">=":
+            return first >= second  # type: ignore[operator]
+        case _:
+            raise InternalError(f"no comparison {op}")
