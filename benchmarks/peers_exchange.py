@@ -245,14 +245,15 @@ def ping(exchange: Exchange, pid: int, count: int) -> list[float]:
 def keep_rounds(exchange: Exchange, n: int, delta: float, start: float, count: int) -> list[float]:
     """For each round the seconds from its tick until the other n - 1 updates of it were here, however late; infinite
     when they did not come until a second after the end."""
-    arrived: dict[int, int] = {}
+    missing = [n - 1] * (count + 1)
+    missing[0] = 0  # others' updates of round 0 may still be under way
     took = [float("inf")] * count
 
     def hear_until(end: float) -> None:
         while (rest := end - time.monotonic()) > 0:
             for _, round_ in exchange.take(rest):
-                arrived[round_] = arrived.get(round_, 0) + 1
-                if arrived[round_] == n - 1 and 1 <= round_ <= count:
+                missing[round_] -= 1
+                if not missing[round_]:
                     took[round_ - 1] = time.monotonic() - start - (round_ - 1) * delta
 
     for round_ in range(1, count + 1):

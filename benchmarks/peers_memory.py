@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
+from itertools import compress
+from operator import gt, sub
 
 from peers_agents import KEY, program, settings
 from peers_exchange import Heard, Place
@@ -239,12 +241,12 @@ class SharedMemory:
             self._unheard -= heard
             found += [(pid, 0) for pid in heard]
         if memory is not None:
-            for pid, held in enumerate(memory.held):
-                if held > (last := told[pid]):
-                    told[pid] = held
-                    if held > last + 1:
-                        found += [(pid, round_) for round_ in range(last + 1, held)]
-                    found.append((pid, held))
+            held = memory.held
+            found += compress(enumerate(held), map(gt, held, told))
+            if max(map(sub, held, told)) > 1:
+                found += [(p, r) for p, last in enumerate(told) for r in range(last + 1, held[p])]
+            told[:] = held
+            told[self._pid] = FAR
 
     def _apply(self, now: float) -> None:
         """What has come may complete the round, or change who counts."""

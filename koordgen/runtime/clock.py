@@ -12,7 +12,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from functools import reduce
-from math import inf
+from math import copysign, inf
 from typing import NamedTuple, Protocol
 
 CRYSTAL = 100e-6
@@ -24,7 +24,7 @@ SLOTS = 32
 APART = 5.0  # seconds between two edges that say something about the rate
 ROUNDING = 2e-6  # stamps are whole microseconds
 SLEW = 0.05  # the share of elapsed time by which a locked clock may be corrected: keeps it monotonic, no round jumps
-FRESH = 0.005  # seconds for which an estimate is taken as it is: two clocks part by a microsecond
+FRESH = 0.02  # seconds for which an estimate is taken as it is: two clocks part by four microseconds at most
 STEP = 0.1  # seconds: what would take longer than STEP / SLEW to make good is no error of an estimate
 
 
@@ -172,7 +172,7 @@ class FleetClock:
         self._followed = -inf
         self._offset = 0.0
         self._locked = False
-        self._estimated = -inf  # when the estimate was last looked at
+        self._estimated = -inf  # when the estimate was last looked at, and was reached
         self._last = -inf
 
     @property
@@ -196,7 +196,10 @@ class FleetClock:
 
     def offset(self, now: float) -> float | None:
         """Seconds to be added to the local clock for fleet time, for others to know; None while nothing is known."""
-        self.read(now)
+        if not 0.0 <= now - self._estimated < FRESH or now < self._last:
+            self.read(now)
+        else:
+            self._last = now
         return self._offset if self._known else None
 
     def follow(self, reference: int, now: float) -> None:
@@ -242,7 +245,9 @@ class FleetClock:
             wanted = estimate[0] - self._offset
             if self._locked and wanted <= STEP + estimate[1]:
                 most = SLEW * max(0.0, now - self._last)
-                wanted = max(-most, min(most, wanted))
+                if abs(wanted) > most:
+                    wanted = copysign(most, wanted)
+                    self._estimated = -inf  # what is not reached yet is made good from one reading to the next
             self._offset += wanted
         self._last = max(self._last, now)
         return now + self._offset

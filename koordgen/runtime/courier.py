@@ -159,7 +159,7 @@ class CompiledInbox:
             self._receive(self.at)
         if shown.errors:
             self._tell()
-        return self.slots
+        return self.slots if shown.arrived else ()
 
     def listen(self, judge: int | None, at: int, judging: object) -> None:
         """From now on the function at address `judge` (a Judge, see courier.c; None: nobody), called with `at`, judges

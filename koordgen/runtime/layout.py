@@ -19,7 +19,6 @@ PATCH_FROM = 256  # bytes: a shorter value goes whole; to find the difference wo
 
 _CLOSING = 1 + 1 + 3 * 9 + 3 + 3 + 3  # array, author, incarnation, first, round, three bools, lock, array of writes
 _WRITE = 1 + 3 + 1  # array, index, bool
-_NOTHING = encoder.encode(())
 _PLAIN = str, int, float, bool  # types whose values any encoding gives back as they were
 _parts = msgspec.msgpack.Decoder(list[msgspec.Raw])
 
@@ -43,12 +42,12 @@ class Layout:
         self.names = tuple(v.name for v in shared)
         self.is_slots = tuple(v.kind == "allread" for v in shared)
         self._shared = tuple(shared)
-        self._index = {v.name: i for i, v in enumerate(shared)}
         self._decoders = tuple(msgspec.msgpack.Decoder(v.type) for v in shared)
         self._lists = tuple(msgspec.msgpack.Decoder(list[v.type]) for v in shared)  # type: ignore[name-defined]
         self._plain = tuple(v.type if v.type in _PLAIN else None for v in shared)
         tests = [_tests(v) for v in shared]
         self._fits, self._all_fit = tuple([one for one, _ in tests]), tuple([every for _, every in tests])
+        self._by_name = {v.name: (i, self._plain[i], self._fits[i]) for i, v in enumerate(shared)}
         self._encoded: dict[int, tuple[Any, bytes]] = {}
         if n_sys > MAX_ROBOTS:
             raise TooLarge(f"a fleet of {n_sys} robots; at most {MAX_ROBOTS} are supported")
@@ -112,19 +111,18 @@ class Layout:
             store[name] = found if slots else found[0]
         return store
 
-    def plain(self, shared: Mapping[str, Any]) -> bytes | None:
-        """The encoded writes of an event that wrote little, and only numbers and texts of just the variables' types, as
-        `written` has them; None for all else."""
+    def plain(self, shared: Mapping[str, Any]) -> Sequence[tuple[int, Any, bool]] | None:
+        """The writes of an event that wrote only numbers and texts of just the variables' types: they are encoded as
+        those that `written` has, where none is so long that it might go as a patch. None for all else."""
         if not shared:
-            return _NOTHING
-        writes, names = [], self._index
+            return ()
+        writes: list[tuple[int, Any, bool]] = []
         for name, item in shared.items():
-            index = names[name]
-            if type(item) is not self._plain[index] or not self._fits[index](item):
+            index, kind, fits = self._by_name[name]
+            if type(item) is not kind or not fits(item):
                 return None
             writes.append((index, item, False))
-        encoded = encoder.encode(writes if len(writes) < 2 else sorted(writes))
-        return encoded if len(encoded) <= PATCH_FROM else None
+        return writes if len(writes) < 2 else sorted(writes)
 
     def written(
         self, shared: Mapping[str, Any], store: Mapping[str, Any] | None = None, author: int = 0
@@ -133,7 +131,7 @@ class Layout:
         value that differs little from that in `store`, which its round began with, goes as a patch. A number or text of
         just the variable's type is what its encoding yields, so it is not decoded."""
         writes, values, fit = list[Write](), list[tuple[int, Any]](), True
-        for index in sorted(map(self._index.__getitem__, shared)):
+        for index in sorted([self._by_name[name][0] for name in shared]):
             item = shared[self.names[index]]
             whole = encoder.encode(item)
             write = Write(index, msgspec.Raw(whole))

@@ -10,7 +10,7 @@
 #include <stdint.h>
 #include <string.h>
 
-enum { INDICES = 65536, CLOSING_FIELDS = 9, WRITE_FIELDS = 3, MOST_BEFORE_WRITES = 40 };
+enum { INDICES = 65536, CLOSING_FIELDS = 9, WRITE_FIELDS = 3 };
 enum { OPEN, LAST, TICK, APPLIED, SETTLED, LACKING, WATCHED, REACHED, TOLD, NEXT, LEAST, PRESENT, WANTING }; /* of `number` */
 
 typedef struct { /* see ledger.py */
@@ -300,22 +300,13 @@ int32_t ledger_collect(Ledger *ledger, int64_t round, uint8_t *out) {
     return (int32_t)(at - out);
 }
 
-/* Keep the own closing of these rounds; `writes` is an encoded array. 0: it is not the next, or there is no room. */
-int32_t ledger_close(Ledger *ledger, int64_t first, int64_t round, int32_t acted, int32_t prompt, int32_t lock,
-                     const uint8_t *writes, int32_t bytes) {
-    uint8_t row[MOST_BEFORE_WRITES + ROW], *at = row;
-    const Text text = {writes, (size_t)bytes};
-    const Closing closing = {ledger->own, ledger->incarnation[ledger->own], first, round, lock, 0, acted, prompt, bytes > 1};
-    if (!ledger->number[OPEN] || closing.incarnation < 0 || text.bytes > ROW) return 0;
-    *at++ = 0x90 + CLOSING_FIELDS;
-    at = shortest(shortest(at, closing.author), closing.incarnation);
-    at = shortest(shortest(at, first), round);
-    *at++ = 0xc2;
-    *at++ = acted ? 0xc3 : 0xc2;
-    *at++ = prompt ? 0xc3 : 0xc2;
-    at = copy(shortest(at, lock), &text);
-    const Text whole_row = {row, (size_t)(at - row)};
-    if (!ledger_follows(ledger, &closing, whole_row.bytes)) return 0;
-    ledger_keep(ledger, &closing, &whole_row);
+/* Keep an own closing, which has so many bytes. 0: it is not the next, or there is no room. */
+int32_t ledger_close(Ledger *ledger, const uint8_t *row, int32_t bytes) {
+    Reader reader = {row, row + (bytes > 0 ? bytes : 0)};
+    Closing closing;
+    Text text;
+    if (!ledger->number[OPEN] || !read_whole_closing(&reader, &closing, &text) || reader.at != reader.end) return 0;
+    if (closing.author != ledger->own || !ledger_follows(ledger, &closing, text.bytes)) return 0;
+    ledger_keep(ledger, &closing, &text);
     return 1;
 }

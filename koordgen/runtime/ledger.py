@@ -8,7 +8,7 @@ import ctypes
 import mmap
 from array import array
 from collections.abc import Sequence
-from ctypes import c_char_p, c_int32, c_int64, c_size_t, c_void_p
+from ctypes import c_int32, c_int64, c_size_t, c_void_p
 from typing import Any
 
 import msgspec
@@ -31,7 +31,7 @@ class Collected(msgspec.Struct, frozen=True, array_like=True, gc=False):
     ascending."""
 
     acted: list[int]
-    prompt: list[int]
+    prompt: tuple[int, ...]
     writes: list[tuple[int, list[int], msgspec.Raw]]
 
 
@@ -49,7 +49,7 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "size": (c_size_t, ()),
     "room": (c_size_t, (c_int32,)),
     "collect": (c_int32, (c_void_p, c_int64, c_void_p)),
-    "close": (c_int32, (c_void_p, c_int64, c_int64, c_int32, c_int32, c_int32, c_char_p, c_int32)),
+    "close": (c_int32, (c_void_p,)),  # bytes and a length follow: see courier.py
 }
 _collected: msgspec.msgpack.Decoder[Collected] = msgspec.msgpack.Decoder(Collected)
 
@@ -102,10 +102,9 @@ class Ledger:
         self.native, self.at = True, ctypes.addressof(self._columns)
         self._close, self._collect = found.ledger_close, found.ledger_collect
 
-    def close(self, first: int, round_: int, acted: bool, prompt: bool, lock: int, writes: bytes) -> bool:
-        """Keep the own closing of these rounds, with this encoded array of writes. False: it is not the next one, or
-        there is no room for it."""
-        return self.native and bool(self._close(self.at, first, round_, acted, prompt, lock, writes, len(writes)))
+    def close(self, row: bytes) -> bool:
+        """Keep this encoded own closing. False: it is not the next one, or there is no room for it."""
+        return self.native and bool(self._close(self.at, row, len(row)))
 
     def lost(self, pids: Sequence[int]) -> bool:
         """Whether somebody has what is missing of these robots: more of one came, or another has applied more."""

@@ -13,11 +13,11 @@ from typing import Any
 from koordgen.runtime.commits import counting
 from koordgen.runtime.course import Course
 from koordgen.runtime.gate import Usual
-from koordgen.runtime.layout import Layout
+from koordgen.runtime.layout import PATCH_FROM, Layout
 from koordgen.runtime.ledger import APPLIED, LACKING, LAST, LEAST, NEXT, OPEN, SETTLED, TICK, TOLD, Ledger
 from koordgen.runtime.log import GAPS, Entry, Log, detached
 from koordgen.runtime.outcome import Past, all_alike, all_of
-from koordgen.runtime.wire import Closing, State, View
+from koordgen.runtime.wire import Closing, State, View, encoder
 from koordgen.runtime.words import Words
 
 AHEAD = 8  # rounds that a peer's clock may be ahead of ours
@@ -167,17 +167,20 @@ class Memory:
               lock: int = -1) -> None:  # fmt: skip
         """Close the own rounds up to `round_`, in which an event (`lock` is -1 for a plain one) wrote `shared`; earlier
         ones not closed yet had none."""
-        log, single = self._logs[self._pid], bool(shared) or acted or lock >= 0
-        if single and round_ > log.held + 1:
-            self.close(round_ - 1, {}, stopped=stopped)
-        before, first = log.held, round_ if single else log.held + 1
+        before, single = self.ledger.held[self._pid], bool(shared) or acted or lock >= 0
+        if single and round_ > before + 1:
+            before = round_ - 1
+            self.close(before, {}, stopped=stopped)
+        first = round_ if single else before + 1
         self.closed = first, round_
-        plain = None if stopped else self._layout.plain(shared)
-        if plain is not None and self.ledger.close(first, round_, acted, prompt, lock, plain):
-            return  # nearly always
+        incarnation, plain = self.view.members[self._pid], None if stopped else self._layout.plain(shared)
+        if plain is not None:
+            row = encoder.encode((self._pid, incarnation, first, round_, False, acted, prompt, lock, plain))
+            if len(row) <= PATCH_FROM and self.ledger.close(row):
+                return  # nearly always
         writes, values = self._layout.written(shared, self.shared, self._pid) if shared else ((), ())
-        closing = Closing(self._pid, self.view.members[self._pid], first, round_, stopped, acted, prompt, lock, writes)
-        log.take(Entry(closing, values or ()))
+        closing = Closing(self._pid, incarnation, first, round_, stopped, acted, prompt, lock, writes)
+        self._logs[self._pid].take(Entry(closing, values or ()))
         self._heard(self._pid, before)
 
     def _heard(self, author: int, before: int) -> None:
@@ -387,7 +390,7 @@ class Memory:
         after = None if found is None else all_alike(self._layout, found, through, self.shared, self.acted)
         if found is None or after is None:
             return False
-        self.prompt = tuple(found.prompt)
+        self.prompt = found.prompt
         self._pass(through, *after)
         number = self._number
         number[APPLIED], number[LACKING] = through, number[NEXT]

@@ -79,7 +79,9 @@ def all_alike(
         if value is None:
             return None
         written[layout.names[index]] = value
-    if found.acted:
+    if len(found.acted) == len(acted):  # nearly always
+        acted = [through] * len(acted)
+    elif found.acted:
         acted = acted.copy()
         for pid in found.acted:
             acted[pid] = through

@@ -87,8 +87,11 @@ class Words:
         counts = self._number
         if round_ != counts[WATCHED]:
             number, views, applieds = view.number, self._view, self._applied
-            said = sorted([applieds[p] if views[p] == number else -1 for p in self._others], reverse=True)
-            self._sure = min(applied, said[needed - 1]) if needed else applied
+            every = views.count(number) == len(self._others)  # nearly always; its own column counts as 0
+            said = sorted(applieds if every else [applieds[p] if views[p] == number else -1 for p in self._others])
+            self._sure = min(applied, said[-needed]) if needed else applied
+            if round_ <= self._sure:
+                return True
             counts[WATCHED], counts[REACHED] = round_, len([a for a in said if a >= round_])
         return counts[REACHED] >= needed
 

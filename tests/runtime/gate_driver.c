@@ -204,11 +204,10 @@ static int collect(void) {
     int found = 0;
     for (int i = 0; i < 30; i++) {
         uint8_t *out = malloc(ledger_room(ROBOTS));
-        const int32_t bytes = (int32_t)(make_writes(room) - room), lock = below(40) ? -1 : below(65536);
-        const int64_t first = ledger.held[OWN] + below(2);
+        const int32_t whole = (int32_t)(make_closing(room, OWN) - room), bytes = below(9) ? whole : below(whole);
         uint8_t *exact = fresh(NULL, (size_t)bytes);
         memcpy(exact, room, (size_t)bytes);
-        ledger_close(&ledger, first, first + (below(4) ? 0 : below(DEPTH + 2)), below(2), below(2), lock, exact, bytes);
+        ledger_close(&ledger, exact, bytes);
         int64_t round = below(3) ? ledger.number[APPLIED] + 1 : below(40);
         int32_t size = ledger_collect(&ledger, round, out);
         Reader reader = {out, out + size};

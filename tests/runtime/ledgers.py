@@ -201,7 +201,7 @@ class Model:
             (index, [p for p, _ in each], msgspec.Raw(encode([msgspec.Raw(value) for _, value in each])))
             for index, each in sorted(changed.items())
         ]
-        return Collected(acted, prompt, writes)
+        return Collected(acted, tuple(prompt), writes)
 
     def rows(self, pid: int) -> list[bytes]:
         plain = self.plain
@@ -305,7 +305,9 @@ class Table:
     def close(self, round_: int, *writes: Write, acted: bool = True, prompt: bool = False, lock: int = -1,
               first: int | None = None) -> bool:  # fmt: skip
         first = round_ if first is None else first
-        kept = self.ledger.close(first, round_, acted, prompt, lock, encode(writes))
+        pid = self.ledger.pid
+        mine = Closing(pid, self.ledger.incarnation[pid], first, round_, False, acted, prompt, lock, writes)
+        kept = self.ledger.close(encode(mine))
         assert kept == self.model.close(first, round_, acted, prompt, lock, writes)
         self.same()
         return kept

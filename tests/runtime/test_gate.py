@@ -347,11 +347,11 @@ def test_slots_of_own_echoes_alone_are_nothing() -> None:
         made.send(courier.GROUP, echo)
         sending[0].send(echo)
         made.wait(0.05)  # an echo wakes nobody
-        taken = made.receive()
-        assert isinstance(taken, courier.Slots) and taken.used == 1
-        ear = Ear(True)
-        assert ear.hear(taken) == [] and ear.link.rejected == {}
-        assert opened().take(taken, 1.0, None) == ([], ())
+        ear, taken = Ear(True), made.receive()
+        assert isinstance(made, courier.CompiledInbox) and made.slots.used == 1
+        assert len(taken) == 0 and ear.hear(taken) == [] and ear.link.rejected == {}
+        assert ear.hear(made.slots) == [] and ear.link.rejected == {}
+        assert opened().take(made.slots, 1.0, None) == ([], ())
         sending[0].send(b"")
         made.wait(PATIENCE)
         assert ear.hear(made.receive()) == [] and ear.link.rejected == {"not authentic": 1}, "which is not nothing"

@@ -270,16 +270,16 @@ def test_little_that_is_plain_is_written_as_all_else(seed: int) -> None:
     plain = 0
     for _ in range(3000):
         shared = {name: chance.choice(values) for name in chance.sample(list(kinds), chance.randrange(4))}
-        encoded = layout.plain(shared)
+        short = layout.plain(shared)
         simple = all(type(value) is kinds[name][0] for name, value in shared.items())
         if "\ud800" in shared.values():  # which no encoder takes
-            assert encoded is None
+            assert short is None
             continue
         writes, found = layout.written(shared)
-        assert (encoded is not None) == (simple and found is not None)
-        if encoded is not None:
+        assert (short is not None) == (simple and found is not None)
+        if short is not None:
             plain += bool(shared)
-            assert encoded == encoder.encode(writes)
+            assert encoder.encode(short) == encoder.encode(writes)
     assert plain > 100
 
 

@@ -56,7 +56,7 @@ def test_a_round_as_nearly_all_are() -> None:
         assert table.hear(*[said(pid, round_, 0, pid + 3) for pid in (0, 2, 3)]) == [True] * 3
         assert table.ledger.number[LACKING] == 0
         found = table.collect(round_)
-        assert found is not None and (found.acted, found.prompt) == ([0, 1, 2, 3], [1])
+        assert found is not None and (found.acted, found.prompt) == ([0, 1, 2, 3], (1,))
         assert [(index, pids) for index, pids, _ in found.writes] == [(0, [0, 1, 2, 3]), (3, [0]), (5, [2]), (6, [3])]
         assert bytes(found.writes[0][2]) == encoder.encode([100 * round_, "ours", 100 * round_ + 2, 100 * round_ + 3])
         assert (table.ledger.number[NEXT], table.ledger.number[LEAST]) == (N, round_)
@@ -91,11 +91,16 @@ def test_detached_it_notes_nothing_and_keeps_what_it_has() -> None:
     assert len(table.rows(1)) == 1 and table.close(1)
 
 
+def own(round_: int) -> bytes:
+    """Robot 0's closing."""
+    return encoder.encode(Closing(0, 0, round_, round_, False, True))
+
+
 def test_without_a_library_nothing_is_kept() -> None:
     plain = Ledger(0, N)
     plain.number[OPEN], plain.incarnation[0] = 1, 0
     assert (plain.native, plain.at, plain.own(0)) == (False, 0, False)
-    assert not plain.close(1, 1, True, False, -1, b"\x90") and plain.collect(1) is None and plain.rows(0) == []
+    assert not plain.close(own(1)) and plain.collect(1) is None and plain.rows(0) == []
 
 
 def test_both_number_alike() -> None:
@@ -108,7 +113,7 @@ def test_both_number_alike() -> None:
 
 def test_nothing_written_by_nobody() -> None:
     table = Table(1)
-    assert table.close(1, acted=False) and table.collect(1) == Collected([], [], [])
+    assert table.close(1, acted=False) and table.collect(1) == Collected([], (), [])
     assert table.ledger.number[LEAST] == 1
 
 
@@ -302,7 +307,7 @@ EDGES = [0, 1, 127, 128, 255, 256, 2**16 - 1, 2**16, 2**32 - 1, 2**32, 2**53 - 1
 
 
 @pytest.mark.parametrize("pid", [0, 1, 127])
-def test_the_own_row_is_msgspecs_encoding(pid: int) -> None:
+def test_own_rows_with_numbers_of_any_length(pid: int) -> None:
     chance = Random(pid)
     table = Table(128, pid)
     for round_, incarnation, lock in product(EDGES[1:], EDGES, [-1, 0, 127, 128, 255, 256, 65535]):
@@ -311,9 +316,8 @@ def test_the_own_row_is_msgspecs_encoding(pid: int) -> None:
             each.incarnation[pid] = incarnation
         writes = tuple([write(index, "x" * index) for index in range(chance.choice((0, 1, 15, 16)))])
         acted, prompt = chance.random() < 0.5, chance.random() < 0.5
-        assert table.ledger.close(round_, round_, acted, prompt, lock, encoder.encode(writes))
-        closing = Closing(pid, incarnation, round_, round_, False, acted, prompt, lock, writes)
-        assert table.ledger.rows(pid) == [encoder.encode(closing)]
+        closing = encoder.encode(Closing(pid, incarnation, round_, round_, False, acted, prompt, lock, writes))
+        assert table.ledger.close(closing) and table.ledger.rows(pid) == [closing]
 
 
 def blob(size: int) -> Write:
@@ -386,5 +390,5 @@ def test_what_nests_too_deeply_for_msgspec_is_left_to_others() -> None:
     assert table.ledger.collect(3) is None
     judged = table.gate.take([table.datagram(deep)], 1.0, None)
     assert list(judged.usual or ()) == [] and table.ledger.held[1] == 3
-    assert table.ledger.close(3, 3, True, False, -1, b"\x90")
+    assert table.ledger.close(own(3))
     assert table.ledger.collect(3) is None and table.ledger.rows(1) == [deep.closings[1:]]

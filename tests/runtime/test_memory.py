@@ -10,9 +10,9 @@ import pytest
 
 from koordgen.runtime.commits import winner
 from koordgen.runtime.log import GAPS, Entry
-from koordgen.runtime.memory import AHEAD, WINDOW
+from koordgen.runtime.memory import AHEAD, WINDOW, Memory
 from koordgen.runtime.wire import Closing, View, Write
-from tests.runtime.memories import everything, fleet, give, log_of, one, said, silence, write
+from tests.runtime.memories import everything, fleet, give, layout, log_of, one, said, silence, view, write
 
 
 def test_plain_writes_by_ascending_pid_after_the_commits() -> None:
@@ -225,6 +225,22 @@ def test_a_round_is_stable_once_a_majority_of_all_has_applied_it() -> None:
     assert not alice.stable(3), "a word of another view does not count"
     said(alice, 2, 3)
     assert alice.stable(3) and not alice.stable(4)
+
+
+@pytest.mark.parametrize("of_another", [0, 1, 2])
+def test_which_rounds_are_stable(of_another: int) -> None:
+    """However far the others are that did, and in whatever order they say so; some by another view than the present."""
+    n = 6
+    for seed in range(60):
+        rng = Random(seed)
+        alice = Memory(layout(n), 0, view(n), layout(n).initial(), 20)
+        applied = {pid: rng.randrange(1, 21) for pid in rng.sample(range(1, n), n - 1)}
+        for k, (pid, last) in enumerate(applied.items()):
+            said(alice, pid, last, number=7 if k < of_another else 0)
+        counting = sorted(list(applied.values())[of_another:], reverse=True)
+        sure = counting[2] if len(counting) > 2 else 0  # with alice they are four of six
+        for round_ in rng.sample(range(1, 22), 21):
+            assert alice.stable(round_) == (round_ <= sure), (applied, round_)
 
 
 def test_words_that_cannot_be_are_refused() -> None:

@@ -71,8 +71,7 @@ def keep(ledger: Ledger, closing: Closing) -> None:
     pid = ledger.pid
     ledger.incarnation[pid] = closing.incarnation
     ledger.number[SETTLED] = ledger.number[APPLIED_TO] = closing.round - 1
-    flags, writes = (closing.acted, closing.prompt, closing.lock), encoder.encode(closing.writes)
-    assert ledger.close(closing.round, closing.round, *flags, writes)
+    assert ledger.close(encoder.encode(closing))
 
 
 class Mouth:
