@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -243,15 +244,14 @@ class Fleet:
     def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
         end = self.time.time + seconds
         while not until():
-            due = {
-                pid: min(r.wake, self.network.next_arrival(pid)) for pid, r in self.robots.items() if not r.agent.done
-            }
-            pid = min(due, key=lambda p: due[p], default=-1)
-            if pid < 0 or due[pid] > end:
+            first, robot = math.inf, None
+            for pid, other in self.robots.items():
+                if not other.agent.done and (due := min(other.wake, self.network.next_arrival(pid))) < first:
+                    first, robot = due, other
+            if robot is None or first > end:
                 self.time.time = end
                 return
-            self.time.time = max(self.time.time, due[pid])
-            robot = self.robots[pid]
+            self.time.time = max(self.time.time, first)
             wake = robot.clock.true(robot.agent.poll(robot.clock.now()))
             robot.wake = max(wake, self.time.time + 1e-6)
 
