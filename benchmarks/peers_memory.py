@@ -93,33 +93,33 @@ class Update:
         self._link.follow(self._memory.view)
         self._link.attach(self._memory.ledger)
         self._round = self._told = 0
-        self._unheard = {self._other}
         self.missed: list[int] = []  # none ever: nothing is lost between two processes that take turns
 
     def publish(self, round_: int) -> None:
         memory, to, speech = self._memory, self._to, self._link.speech
-        if round_ > 0:
-            self._round = round_
-            memory.present(round_, 0)
-            memory.close(round_, {"report": f"{round_:0{self._size}}"}, stopped=False, acted=True)
-            memory.advance(round_ + 1)
-        held = memory.held if memory.applied < round_ - 1 else ()
-        word = (0, round_, memory.applied, memory.settled, False, held)
-        if round_ == 0 or not speech.own(to, word, round_, memory.ledger):
-            speech.round(to, word, memory.own(round_) if round_ else ())
+        if round_ == 0:
+            speech.round(to, (0, 0, 0, 0, False, ()), ())
+            return
+        self._round = round_
+        memory.present(round_, 0)
+        memory.close(round_, {"report": f"{round_:0{self._size}}"}, stopped=False, acted=True)
+        memory.advance(round_ + 1)
+        word = (0, round_, memory.applied, memory.settled, False, memory.held if memory.applied < round_ - 1 else ())
+        if not speech.own(to, word, round_, memory.ledger):
+            speech.round(to, word, memory.own(round_))
 
     def take(self, seconds: float) -> Heard:
         self._transport.wait(seconds)
-        memory, other, told = self._memory, self._other, self._told
+        memory, told = self._memory, self._told
         for message in self._link.receive():
             said = as_usual(message) if isinstance(message, Round) else message
             if isinstance(said, Usuals):
                 memory.usual(said.rows, said.view, max(self._round, 1))
+        if self._round == 0:
+            return [(pid, 0) for pid in _speak(self._link, self._to)]
         memory.advance(self._round + 1)
-        heard = _speak(self._link, self._unheard) if self._round == 0 else ()
-        self._unheard.difference_update(heard)
-        self._told = memory.ledger.held[other]
-        return [(pid, 0) for pid in heard] + [(other, round_) for round_ in range(told + 1, self._told + 1)]
+        held = self._told = memory.ledger.held[self._other]
+        return [] if held == told else [(self._other, round_) for round_ in range(told + 1, held + 1)]
 
 
 class SharedMemory:

@@ -169,8 +169,7 @@ class Memory:
         ones not closed yet had none."""
         before, single = self.ledger.held[self._pid], bool(shared) or acted or lock >= 0
         if single and round_ > before + 1:
-            before = round_ - 1
-            self.close(before, {}, stopped=stopped)
+            self.close(before := round_ - 1, {}, stopped=stopped)
         first = round_ if single else before + 1
         self.closed = first, round_
         incarnation, plain = self.view.members[self._pid], None if stopped else self._layout.plain(shared)
@@ -268,15 +267,11 @@ class Memory:
         while self.applied < round_ - 1 and not number[LACKING]:
             if self.frozen and self.applied >= self.view.since - 1:
                 break
-            through, logs = self.applied + 1, self._logs
-            if number[OPEN] and self._pass_alike(through):
+            if number[OPEN] and self._pass_alike(self.applied + 1):
                 continue
             if self.fetch():
                 break
-            entries = [logs[p].at(through) for p in self._course.members]
-            if not entries[0].closing.acted and not any(e.single for e in entries):
-                through = min(round_ - 1, self._course.end(through), min([e.closing.round for e in entries]))
-            self._apply(entries, through)
+            self._pass_each(self.applied + 1, round_ - 1)
         return self.applied == round_ - 1 and not self.frozen and self.view.members[self._pid] >= 0
 
     def stable(self, round_: int) -> bool:
@@ -341,6 +336,13 @@ class Memory:
         number, held, applied = self._number, self.ledger.held, self.applied
         number[APPLIED], number[LACKING] = applied, len([p for p in self._course.members if held[p] <= applied])
 
+    def _pass_each(self, through: int, last: int) -> None:
+        """Go on by a round, of which each closing is looked at; if nothing happened in it, by all such up to `last`."""
+        entries = [self._logs[p].at(through) for p in self._course.members]
+        if not entries[0].closing.acted and not any(e.single for e in entries):
+            through = min(last, self._course.end(through), min([e.closing.round for e in entries]))
+        self._apply(entries, through)
+
     def _apply(self, entries: Sequence[Entry], through: int) -> None:
         """Apply one closing of each member, given in ascending pid: first the commits, then the plain writes, so that
         the highest pid wins a plain conflict, also over that round's commit."""
@@ -390,9 +392,8 @@ class Memory:
         after = None if found is None else all_alike(self._layout, found, through, self.shared, self.acted)
         if found is None or after is None:
             return False
-        self.prompt = found.prompt
+        self.prompt, number = found.prompt, self._number
         self._pass(through, *after)
-        number = self._number
         number[APPLIED], number[LACKING] = through, number[NEXT]
         if through >= number[SETTLED] + SETTLE_AFTER:
             self._settle(min(through, number[LEAST]))
