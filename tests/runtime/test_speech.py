@@ -70,3 +70,12 @@ def test_every_hello_echoes() -> None:
         mouth.speech.hello(0, bytes(8), bytes(8), (), None, None)
     messages: list[Any] = [wire.decode(datagram, KEY) for _, datagram in mouth.sent]
     assert [[echo.pid for echo in message.head.echoes] for message in messages] == [[0]] * 3
+
+
+@pytest.mark.parametrize(("shift", "fleet"), [(None, None), (0.0, 0), (-1.5, -1_500_000), (12.25, 12_250_000)])
+def test_times_are_told_in_microseconds(shift: float | None, fleet: int | None) -> None:
+    mouth = Mouth()
+    mouth.shift = shift  # type: ignore[assignment]
+    mouth.speech.round(mouth.others, WORD, ())
+    (message,) = mouth.said()
+    assert (message.head.sent, message.head.fleet) == (2_500_000, fleet)
