@@ -64,7 +64,7 @@ def view_of(n_sys: int, params: Mapping[str, Value], call: Call, ask: Call) -> V
 
 def evaluate(node: ir.Expr, view: View) -> Value:
     """The value of a checked expression. Raises Discarded; InternalError where what was proved does not hold."""
-    return _MEANINGS[type(node)](node, view)
+    return MEANINGS[type(node)](node, view)
 
 
 def holds(node: ir.Expr, view: View) -> bool:
@@ -249,7 +249,7 @@ def _made(node: ir.Make, view: View) -> Value:
 
 # One look at a node's class finds what it means: `match` asks for one class after the other, of which there are many,
 # and replaying a mission evaluates millions of nodes.
-_MEANINGS: Mapping[type[Node], Callable[[Any, View], Value]] = {
+MEANINGS: Mapping[type[Node], Callable[[Any, View], Value]] = {
     ir.Const: lambda node, view: node.value,
     ir.Pid: lambda node, view: view.pid,
     ir.NSys: lambda node, view: view.n_sys,

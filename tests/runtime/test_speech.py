@@ -1,0 +1,72 @@
+"""What goes into how many datagrams, at the edges; and that every Hello echoes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from koordgen.runtime import wire
+from koordgen.runtime.speech import MOST_DATAGRAMS, MOST_PIECES_AT_ONCE
+from koordgen.runtime.wire import LIMIT, Closing, Piece, Round, encoder
+from tests.runtime.fleet import KEY
+from tests.runtime.gates import needs_gate
+from tests.runtime.test_voice import WORD, Mouth, closing_of
+
+pytestmark = needs_gate
+
+
+def said(*closings: Closing) -> list[Any]:
+    """The messages with these closings."""
+    mouth = Mouth()
+    mouth.speech.round(mouth.others, WORD, closings)
+    assert all(len(datagram) <= LIMIT for _, datagram in mouth.sent)
+    return mouth.said()
+
+
+def closing_with(size: int, round_: int = 30) -> Closing:
+    """One that is so many bytes long."""
+    return closing_of(round_, 700 + size - len(encoder.encode(closing_of(round_, 700))))
+
+
+def test_what_just_fits_into_a_datagram_is_one() -> None:
+    mouth, again = Mouth(), Mouth()
+    mouth.speech.round(mouth.others, WORD, [closing_of(30, 700)])
+    whole = closing_of(30, 700 + LIMIT - len(mouth.sent[0][1]))
+    again.speech.round(again.others, WORD, [whole])
+    assert [len(datagram) for _, datagram in again.sent] == [LIMIT] and again.said()[0].closings == (whole,)
+
+
+@pytest.mark.parametrize("beyond", [0, 1])
+def test_a_closing_that_has_no_room_in_any_datagram_goes_in_pieces(beyond: int) -> None:
+    large, small = closing_with(Mouth().speech.room + beyond), closing_of(31, 700)
+    messages = said(large, small)
+    assert [m.closings for m in messages if isinstance(m, Round)] == ([(small,)] if beyond else [(large,), (small,)])
+    assert [m.index for m in messages if isinstance(m, Piece)] == ([0, 1] if beyond else [])
+
+
+@pytest.mark.parametrize("beyond", [0, 1])
+def test_as_many_closings_go_together_as_have_room(beyond: int) -> None:
+    room = Mouth().speech.room
+    half, rest = closing_with(room // 2, 30), closing_with(room - room // 2 + beyond, 31)
+    *before, _ = said(half, rest, closing_with(room, 32))
+    assert [m.closings for m in before] == ([(half,), (rest,)] if beyond else [(half, rest)])
+
+
+def test_of_more_than_a_few_datagrams_the_first_go() -> None:
+    closings = [closing_with(Mouth().speech.room, round_) for round_ in range(30, 32 + MOST_DATAGRAMS)]
+    assert [m.closings for m in said(*closings)] == [(each,) for each in closings[:MOST_DATAGRAMS]]
+
+
+def test_of_many_pieces_the_first_go() -> None:
+    large = closing_of(30, (MOST_PIECES_AT_ONCE + 4) * LIMIT)
+    assert [m.index for m in said(large) if isinstance(m, Piece)] == list(range(MOST_PIECES_AT_ONCE))
+
+
+def test_every_hello_echoes() -> None:
+    mouth = Mouth()
+    mouth.meet(mouth.others)
+    for _ in range(3):
+        mouth.speech.hello(0, bytes(8), bytes(8), (), None, None)
+    messages: list[Any] = [wire.decode(datagram, KEY) for _, datagram in mouth.sent]
+    assert [[echo.pid for echo in message.head.echoes] for message in messages] == [[0]] * 3
