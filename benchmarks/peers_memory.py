@@ -115,11 +115,11 @@ class Update:
             said = as_usual(message) if isinstance(message, Round) else message
             if isinstance(said, Usuals):
                 memory.usual(said.rows, said.view, max(self._round, 1))
-        if self._round == 0:
-            return [(pid, 0) for pid in _speak(self._link, self._to)]
         memory.advance(self._round + 1)
         held = self._told = memory.ledger.held[self._other]
-        return [] if held == told else [(self._other, round_) for round_ in range(told + 1, held + 1)]
+        if held > told:
+            return [(self._other, round_) for round_ in range(told + 1, held + 1)]
+        return [] if self._round else [(pid, 0) for pid in _speak(self._link, self._to)]
 
 
 class SharedMemory:

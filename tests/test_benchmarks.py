@@ -10,7 +10,7 @@ import pytest
 sys.path.append(str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
 from peers_agents import settings
-from peers_memory import SharedMemory
+from peers_memory import SharedMemory, Update
 
 from koordgen.runtime.clock import SimulatedClock
 from koordgen.runtime.link import Heard, Link, Usuals
@@ -112,3 +112,22 @@ def test_a_robot_without_news_closes_its_rounds_empty_and_comes_back() -> None:
     robots.run(range(7, 10))
     assert all(9 not in robot.missed for robot in robots.each)
     assert sorted(r for pid, r in robots.heard[0] if pid == 2) == list(range(10))
+
+
+def test_two_robots_of_the_benchmark_that_take_turns_hear_each_round_once() -> None:
+    clock = SimulatedClock()
+    network = MemoryNetwork(clock, 1, Conditions(delay=0.0002))
+    given = [settings(pid, range(9000, 9003), 1.0, "unicast") for pid in range(2)]
+    first, second = [Update(g, 230, network.transport(g.pid), clock) for g in given]
+    first.publish(0)
+    clock.time += 0.001
+    assert second.take(0.0) == [(0, 0)]
+    second.publish(0)
+    clock.time += 0.001
+    assert first.take(0.0) == [(1, 0)]
+    for round_ in range(1, COUNT):
+        for says, hears in ((first, second), (second, first)):
+            says.publish(round_)
+            assert hears.take(0.0) == [] or round_ == 1, "nothing comes at once"
+            clock.time += 0.001
+            assert hears.take(0.0) == [(int(says is second), round_)]

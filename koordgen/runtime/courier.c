@@ -73,6 +73,9 @@ static int64_t now(void) {
     return t.tv_sec * SECOND + t.tv_nsec;
 }
 
+/* Python's time.monotonic, in seconds. */
+double courier_clock(void) { return (double)now() / (double)SECOND; }
+
 static int64_t nanoseconds(double seconds) {
     return seconds > 0 ? (int64_t)((seconds < LONGEST ? seconds : LONGEST) * 1e9) : 0; /* not a number: 0, too */
 }
@@ -262,7 +265,7 @@ static void empty(Shown *shown) { shown->used = shown->arrived = shown->judged =
 static int32_t judged(Inbox *inbox) {
     Shown *shown = &inbox->shown;
     if (!inbox->judge || !shown->arrived || shown->errors) return 0;
-    const int32_t more = inbox->judge(inbox->judging, shown->judged, shown->used, (double)now() / (double)SECOND);
+    const int32_t more = inbox->judge(inbox->judging, shown->judged, shown->used, courier_clock());
     if (more < 0) return 0;
     empty(shown);
     return more;

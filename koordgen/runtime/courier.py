@@ -76,6 +76,7 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "close": (None, (c_void_p,)),
     "address": (None, (c_void_p,)),
     "send": (c_int32, (c_void_p,)),
+    "clock": (ctypes.c_double, ()),
     "wait": (None, (c_void_p,)),
     "receive": (None, (c_void_p,)),
     "listen": (None, (c_void_p, c_void_p, c_void_p)),
@@ -135,6 +136,7 @@ class CompiledInbox:
         self._wait, self._receive = found.courier_wait, found.courier_receive
         self._address, self._send, self._close = found.courier_address, found.courier_send, found.courier_close
         self.sends, self._listen = address_of(self._send), found.courier_listen
+        self.clock = address_of(found.courier_clock)
         self._judging: object = None
         found.courier_open(self.at, self.slots.at, (c_int32 * len(sockets))(*sockets), len(sockets))
 

@@ -230,7 +230,7 @@ void gate_open(Gate *gate, int32_t robots, int32_t own, const Columns *columns, 
     gate->own = own;
     gate->columns = *columns;
     gate->shown.rows = rows;
-    gate->voice.offset = NAN;
+    gate->voice.stamped.until = -INFINITY;
     prepare(gate, key, key_bytes, purpose);
 }
 
@@ -316,6 +316,9 @@ static int32_t awaited(const Ledger *ledger) {
     return (int32_t)ledger->number[LACKING] - (ledger->incarnation[own] >= 0 && ledger->held[own] <= ledger->number[APPLIED]);
 }
 
+/* What words tell others to add to our clock for fleet time, in seconds; not a number: it is not known. */
+static double told_offset(const Stamped *stamped) { return stamped->known ? (double)stamped->fleet / 1e6 : NAN; }
+
 /* The courier's Judge: while it waits, what needs no thought is noted, and Python wakes when all is here that others close
    the next round with, when what it does next may be certain, or for all that is not usual. Of what it has not looked at
    yet there is no more than one view's. */
@@ -325,7 +328,7 @@ int32_t gate_judge(Gate *gate, int32_t first, int32_t used, double local) {
     const int64_t needed = ledger->robots / 2, before = ledger->number[REACHED]; /* of others, for a majority */
     const int32_t lacking = awaited(ledger);
     const Heard *heard = &gate->heard;
-    judge(gate, heard->slots, LARGEST, heard->lengths, first, used, local, local + gate->voice.offset);
+    judge(gate, heard->slots, LARGEST, heard->lengths, first, used, local, local + told_offset(&gate->voice.stamped));
     *heard->judged = used;
     if (gate->shown.others || gate->shown.bytes) return -1;
     if (!lacking || (before < needed && ledger->number[REACHED] >= needed)) return 0;
@@ -341,37 +344,47 @@ void voice_introduce(Gate *gate, const uint8_t *begin, int32_t bytes) {
 /* Where the last own word lies. */
 const uint8_t *voice_said(const Gate *gate) { return gate->voice.said; }
 
-/* Say a word of these `fields`, see compose; with the closing of round `own` that lies in the ledger, if it is not 0. How
-   long it is with its MAC; 0: that is not possible here. */
-int32_t voice_say(Gate *gate, const uint8_t *fields, int32_t bytes, const Ledger *ledger, int64_t own) {
+/* Where the stamps of own words lie. */
+Stamped *voice_stamped(Gate *gate) { return &gate->voice.stamped; }
+
+/* Say a word, see compose; with the closing of round `own` that lies in the ledger, if it is not 0. How long it is with
+   its MAC; 0: that is not possible here. */
+static int32_t say(Gate *gate, const Text *stamps, const uint8_t *fields, int32_t bytes, const Ledger *ledger, int64_t own) {
     uint8_t *said = gate->voice.said;
     Text row;
     if (own && (!ledger || !ledger_row(ledger, ledger->own, own, &row))) return 0;
-    const int32_t length = compose(&gate->voice, fields, bytes, own ? &row : NULL);
+    const int32_t length = compose(&gate->voice, stamps, fields, bytes, own ? &row : NULL);
     if (length) make_mac(gate, said, length, said + length);
     return length ? length + MAC_SIZE : 0;
 }
 
-/* What a word of these fields tells others to add to our clock for fleet time, in seconds; not a number: it is not known. */
-static double told_offset(Reader fields) {
-    int64_t sequence, sent, fleet;
-    const int known = byte(&fields, 0x90 + SAID_FIELDS) && natural(&fields, &sequence) && natural(&fields, &sent);
-    return known && whole(&fields, &fleet) ? (double)fleet / 1e6 : NAN;
+/* The same of `fields` with stamps. */
+int32_t voice_say(Gate *gate, const uint8_t *fields, int32_t bytes, const Ledger *ledger, int64_t own) {
+    const Text none = {fields, 0};
+    return say(gate, &none, fields, bytes, ledger, own);
 }
 
-/* By whom own words are sent, and what it wants to be called with. */
-void voice_couple(Gate *gate, Send *send, void *inbox) {
+/* By whom own words are sent, and what it wants to be called with; and the robot's clock (NULL: words come with stamps). */
+void voice_couple(Gate *gate, Send *send, void *inbox, Clock *clock) {
     gate->voice.send = send;
     gate->voice.inbox = inbox;
+    gate->voice.clock = clock;
 }
 
-/* Say a word and send it. `told`: an array of the place that it goes to, `own`, and the `fields` of voice_say; the ledger is
-   the gate's. Returns 0 or errno, as the courier does; -1: that is not possible here, nothing was sent. */
+/* Say a word and send it. `told`: an array of the place that it goes to, `own`, and the `fields` of compose, with stamps or
+   without; the ledger is the gate's. Returns 0 or errno, as the courier does, and then what is stamped here has its number;
+   or why nothing was sent. */
 int32_t voice_send(Gate *gate, const uint8_t *told, int32_t bytes) {
+    Voice *voice = &gate->voice;
     Reader reader = {told, told + (bytes > 0 ? bytes : 0)};
     int64_t place, own;
-    if (!gate->voice.send || !byte(&reader, 0x93) || !natural(&reader, &place) || !natural(&reader, &own)) return -1;
-    gate->voice.offset = told_offset(reader);
-    const int32_t length = voice_say(gate, reader.at, (int32_t)(reader.end - reader.at), gate->ledger, own);
-    return length ? gate->voice.send(gate->voice.inbox, (int32_t)place, gate->voice.said, length) : -1;
+    uint8_t stamps[MOST_STAMPS];
+    Text stamped = {stamps, 0};
+    if (!voice->send || !byte(&reader, 0x93) || !natural(&reader, &place) || !natural(&reader, &own)) return NOT_POSSIBLE;
+    if (reader.at < reader.end && *reader.at == 0x90 + SAID_FIELDS - STAMPS && !(stamped.bytes = stamp(voice, stamps)))
+        return NOT_STAMPED;
+    const int32_t length = say(gate, &stamped, reader.at, (int32_t)(reader.end - reader.at), gate->ledger, own);
+    if (!length) return NOT_POSSIBLE;
+    voice->stamped.sequence += stamped.bytes > 0;
+    return voice->send(voice->inbox, (int32_t)place, voice->said, length);
 }

@@ -64,6 +64,7 @@ FLAGS = (
     "-lm",
 )
 USUAL, OTHER, FALSE, TOO_LONG, REPLAYED, NOTHING, NOTED = range(7)  # verdicts; NOTED: in the ledger, nobody is told
+NOT_POSSIBLE, NOT_STAMPED = -1, -2
 _ROOM = MOST_AT_ONCE * (LARGEST + 32)
 _COLUMNS = (
     "newest", "sent", "arrived", "round", "seen", "received", "expected", "heard", "longest", "delays", "most",
@@ -122,6 +123,17 @@ class _Shown(ctypes.Structure):
     )
 
 
+class Stamped(ctypes.Structure):
+    """What own words are stamped with: see Stamped in voice.h."""
+
+    _fields_ = (
+        ("until", ctypes.c_double),
+        ("sequence", ctypes.c_int64),
+        ("fleet", ctypes.c_int64),
+        ("known", ctypes.c_int32),
+    )
+
+
 def prove(found: ctypes.CDLL) -> None:
     """Declares the functions, and raises NotCompiled where the library is not the one that this module goes with."""
     declare(found, "gate_", _FUNCTIONS)
@@ -148,13 +160,15 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
 _VOICE: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "introduce": (None, (c_void_p, c_char_p, c_int32)),
     "said": (c_void_p, (c_void_p,)),
+    "stamped": (c_void_p, (c_void_p,)),
     "say": (c_int32, (c_void_p, c_char_p, c_int32, c_void_p, c_int64)),
-    "couple": (None, (c_void_p, c_void_p, c_void_p)),
+    "couple": (None, (c_void_p, c_void_p, c_void_p, c_void_p)),
     "send": (c_int32, (c_void_p,)),  # bytes and a length follow: see courier.py
 }
 COMPILED = Compiled(SOURCE, FLAGS, prove)
 
-# From wire.Head.sequence to wire.Round.held.
+Fields = tuple[int, int, int, int, bool, tuple[int, ...]]  # of wire.Round, between its head and its closings
+# The same from wire.Head.sequence on.
 Said = tuple[int, int, int | None, tuple[Echo, ...], int, int, int, int, bool, tuple[int, ...]]
 
 _encode = msgspec.msgpack.Encoder().encode
@@ -188,7 +202,8 @@ class Gate:
         self._say, self._send = found.voice_say, found.voice_send
         self._heard: Slots | None = None  # where gate_look finds what it judges
         self.ledger: Ledger | None = None
-        said: Any = (ctypes.c_char * LIMIT).from_address(found.voice_said(self._at))  # in `_state`
+        self.stamped = Stamped.from_address(found.voice_stamped(self._at))  # in `_state`
+        said: Any = (ctypes.c_char * LIMIT).from_address(found.voice_said(self._at))  # there, too
         self._said: bytes = said  # parts of it are
 
     def begin(self, common: bytes) -> None:
@@ -221,16 +236,16 @@ class Gate:
         told = _encode(fields)
         return self._said[: self._say(self._at, told, len(told), ledger, own)]
 
-    def couple(self, courier: CompiledInbox, judges: bool) -> None:
-        """From now on words can be sent by this; and if the gate `judges`, what the ledger can note is noted while it
-        waits (by the system's clock), and is not among what is taken then."""
-        self._found.voice_couple(self._at, courier.sends, courier.at)
+    def couple(self, courier: CompiledInbox, on_time: bool) -> None:
+        """From now on words can be sent by this. `on_time`: the robot's clock is the system's; then what the ledger can
+        note is noted while the courier waits, and is not among what is taken then, and words are stamped here."""
+        self._found.voice_couple(self._at, courier.sends, courier.at, courier.clock if on_time else None)
         self._listen(courier.slots)
-        courier.listen(address_of(self._found.gate_judge) if judges else None, self._at, self)
+        courier.listen(address_of(self._found.gate_judge) if on_time else None, self._at, self)
 
-    def send(self, place: int, fields: Said, own: int) -> int:
+    def send(self, place: int, fields: Fields | Said, own: int) -> int:
         """Say a word and send it there, with the own closing of round `own` (0: with none) out of the attached ledger.
-        Returns 0, or errno: it was not sent; -1: that is not possible here."""
+        Returns 0, or errno: it was not sent; NOT_POSSIBLE here; NOT_STAMPED: only with stamps."""
         told = _encode((place, own, fields))
         error: int = self._send(self._at, told, len(told))
         return error

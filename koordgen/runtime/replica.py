@@ -12,12 +12,12 @@ from typing import Any
 
 from koordgen.runtime.assembly import Assembly
 from koordgen.runtime.comeback import Comeback, Store
+from koordgen.runtime.gate import Fields
 from koordgen.runtime.layout import Layout
 from koordgen.runtime.link import Link, Usuals, as_usual
 from koordgen.runtime.memory import AHEAD, Memory
 from koordgen.runtime.news import News
 from koordgen.runtime.patience import asked, few, helps
-from koordgen.runtime.speech import Fields
 from koordgen.runtime.views import Out, Views, Vote, Word, fits, majority
 from koordgen.runtime.wire import (
     Accept,

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from koordgen.runtime.clock import Clock, FleetClock
-from koordgen.runtime.gate import Gate
+from koordgen.runtime.gate import NOT_STAMPED, Fields, Gate, Stamped
 from koordgen.runtime.ledger import Ledger
 from koordgen.runtime.pieces import cut, lacking
 from koordgen.runtime.program import Program
@@ -38,12 +38,12 @@ from koordgen.runtime.wire import (
 REFERENCE_EVERY, OTHERS_EVERY = 0.05, 1.0  # seconds between exchanges that the clock learns from
 OTHERS = 16  # clocks of others that it learns from in that time: of more each comes more rarely
 ECHOES_A_LESSON = 2  # so many echoes are sent for each of them: some are lost
+RESTAMP = 0.1  # seconds for which words that echo nothing tell the same offset: others only find how long they took
 MOST_DATAGRAMS = 4  # to one peer for one catch-up
 MOST_PIECES_AT_ONCE = 16
 NOTHING: Mapping[int, Partly] = MappingProxyType({})
 
 Stamps = tuple[int, int, int | None, tuple[Echo, ...]]  # of Head, from its sequence on
-Fields = tuple[int, int, int, int, bool, tuple[int, ...]]  # of Round, between its head and its closings
 
 
 class _Turn(NamedTuple):
@@ -86,7 +86,7 @@ class Speech:
         self._sessions = sessions
         self._gate = gate
         self._way = way  # out of the gate
-        self._sequence = 0
+        self._stamped = Stamped() if gate is None else gate.stamped  # it knows the last number and offset, too
         self._others_every = others_every(len(settings.peers))
         self._echoed: dict[int, float] = {}  # when each peer was last sent an echo, the one that waits longest first
         self._next_echo = -math.inf  # none is due to anyone before
@@ -116,23 +116,24 @@ class Speech:
     def own(self, to: Sequence[int], word: Fields, round_: int, ledger: Ledger | None) -> bool:
         """A word with the own closing of a round, out of the ledger, or with none (0), by the gate. False: not possible
         here, nothing was said nor changed, and `round` says the same."""
-        gate = self._gate
+        gate, way = self._gate, self._way
         if gate is None or not to:
             return not to
-        now, stamps, turn = self._stamps(to)
-        way, said = self._way, (*stamps, *word)
         if way is not None and (ledger is None or ledger is gate.ledger) and (place := way.place(to)) >= 0:
-            error = gate.send(place, said, round_)
-            if error < 0:
-                return False
-            self._spend(now, turn)
-            if error:
+            error = gate.send(place, word, round_)
+            if error == NOT_STAMPED:
+                now, stamps, turn = self._stamps(to)
+                error = gate.send(place, (*stamps, *word), round_)
+                if error >= 0:
+                    self._spend(now, stamps, turn)
+            if error > 0:
                 way.failed(error)
-            return True
-        datagram = gate.say(said, 0 if ledger is None else ledger.at, round_)
+            return error >= 0
+        now, stamps, turn = self._stamps(to)
+        datagram = gate.say((*stamps, *word), 0 if ledger is None else ledger.at, round_)
         if not datagram:
             return False
-        self._spend(now, turn)
+        self._spend(now, stamps, turn)
         self._transport.send(to, datagram)
         return True
 
@@ -150,7 +151,7 @@ class Speech:
 
     def _head(self, to: Collection[int], every: float | None = None) -> Head:
         now, stamps, turn = self._stamps(to, every)
-        self._spend(now, turn)
+        self._spend(now, stamps, turn)
         return Head(*self._own, self.epoch, *stamps)
 
     def _stamps(self, to: Collection[int], every: float | None = None) -> tuple[float, Stamps, _Turn]:
@@ -159,16 +160,18 @@ class Speech:
         offset = self._fleet_clock.offset(now)
         turn = _NOBODY if every is None and now < self._next_echo else self._turn(to, now, every)
         fleet = None if offset is None else round(offset * 1e6)
-        return now, (self._sequence + 1, microseconds(now), fleet, turn.echoes), turn
+        return now, (self._stamped.sequence + 1, microseconds(now), fleet, turn.echoes), turn
 
-    def _spend(self, now: float, turn: _Turn) -> None:
+    def _spend(self, now: float, stamps: Stamps, turn: _Turn) -> None:
         """That was said."""
-        self._sequence += 1
         if turn is not _NOBODY:
             self._next_echo = turn.next_echo
             for pid in turn.due:
                 del self._echoed[pid]
                 self._echoed[pid] = now
+        stamped, (sequence, _, fleet, _) = self._stamped, stamps
+        stamped.sequence, stamped.fleet, stamped.known = sequence, fleet or 0, fleet is not None
+        stamped.until = min(self._next_echo, now + RESTAMP)
 
     def _turn(self, to: Collection[int], now: float, every: float | None) -> _Turn:
         """Of those whose turn it is: as often as they learn from it, which from the reference they do most."""

@@ -6,16 +6,19 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from typing import Any
 
+import msgspec
 import pytest
 
 from koordgen.runtime import udp
-from koordgen.runtime.clock import SimulatedClock
+from koordgen.runtime.clock import Clock, SimulatedClock, SystemClock
 from koordgen.runtime.courier import GROUP
-from koordgen.runtime.gate import Gate
+from koordgen.runtime.gate import NOT_POSSIBLE, NOT_STAMPED, Gate
 from koordgen.runtime.ledger import Ledger
 from koordgen.runtime.link import Link
 from koordgen.runtime.metrics import Metrics
+from koordgen.runtime.speech import RESTAMP, microseconds
 from koordgen.runtime.transport import Coupled
+from koordgen.runtime.wire import Decided, Round, View, decode
 from tests.runtime.fleet import KEY, settings
 from tests.runtime.gates import APPLICATION, BOOT, EPOCH, OWN, Exchange, N, needs_gate
 from tests.runtime.lineform import PROGRAM
@@ -45,9 +48,10 @@ class Watched:
         self._found.send(to, datagram)
 
 
-def link(transport: Any, ledger: Ledger | None) -> Link:
-    clock = SimulatedClock()
-    clock.time = 2.5
+def link(transport: Any, ledger: Ledger | None, clock: Clock | None = None) -> Link:
+    if clock is None:
+        clock = SimulatedClock()
+        clock.time = 2.5
     given = settings(OWN, N, application_id=APPLICATION)
     made = Link(PROGRAM, given, KEY, transport, clock, Exchange(OWN), BOOT, print, Metrics(OWN, N))
     made.epoch = EPOCH
@@ -68,7 +72,7 @@ def sent_by(opened: Opened, kind: str, transport: Any, ledger: Ledger, attached:
         for round_ in (30, 31, 0, 77):
             said = speech.own(to, WORD, round_, ledger if round_ else None)
             assert said == (round_ != 77), "there is no such closing"
-    assert speech._sequence == WORDS * len(CALLED)
+    assert speech._stamped.sequence == WORDS * len(CALLED)
     assert not list(transport.receive()), "what went to the group is known as one's own"
     found = [opened.collect(pid, heard_by(pid, kind)) for pid in OTHERS]
     assert [len(got) for got in found] == [heard_by(pid, kind) for pid in OTHERS]
@@ -82,8 +86,10 @@ def test_words_arrive_as_if_python_had_sent_them(monkeypatch: pytest.MonkeyPatch
     send = Gate.send
 
     def counted(self: Gate, place: int, *given: Any) -> int:
-        coupled.append(place)
-        return send(self, place, *given)
+        error = send(self, place, *given)
+        if error != NOT_STAMPED:
+            coupled.append(place)
+        return error
 
     monkeypatch.setattr(Gate, "send", counted)
     with ExitStack() as stack:
@@ -99,6 +105,61 @@ def test_words_arrive_as_if_python_had_sent_them(monkeypatch: pytest.MonkeyPatch
         assert own.troubles == {}
 
 
+@pytest.mark.parametrize("offset", [None, 0.0, -7.25, 3e6])
+def test_words_between_two_echoes_are_stamped_where_they_are_sent(
+    monkeypatch: pytest.MonkeyPatch, offset: float | None
+) -> None:
+    """With the system's time, and the offset that was told last: as if Python had done it."""
+    ledger, errors, send, clock = ledger_of(closing_of(30)), list[int](), Gate.send, SystemClock()
+
+    def noted(self: Gate, *given: Any) -> int:
+        errors.append(send(self, *given))
+        return errors[-1]
+
+    monkeypatch.setattr(Gate, "send", noted)
+    with ExitStack() as stack:
+        opened, to = fleet_of(stack, N, "unicast", True), OTHERS[:1]
+        made = link(opened.transports[OWN], ledger, clock)
+        speech, told = made.speech, [offset, offset]
+        monkeypatch.setattr(made._fleet_clock, "offset", lambda now: told[-1])
+
+        def say(round_: int) -> tuple[Round, list[int]]:
+            errors.clear()
+            before = microseconds(clock.now())
+            assert speech.own(to, WORD, round_, ledger)
+            after = microseconds(clock.now())
+            (datagram,) = opened.collect(to[0], 1)
+            word = decode(datagram, KEY)
+            assert isinstance(word, Round) and before <= word.head.sent <= after
+            assert word.closings == ((closing_of(30),) if round_ else ()) and word.head.echoes == ()
+            assert msgspec.structs.astuple(word)[1:7] == WORD
+            return word, list(errors)
+
+        def shift() -> int | None:
+            return None if told[-1] is None else round(told[-1] * 1e6)
+
+        first, by = say(30)
+        assert (first.head.sequence, first.head.fleet) == (1, shift()) and by == [NOT_STAMPED, 0]
+        assert 0.0 < speech._stamped.until - clock.now() <= RESTAMP
+        speech._stamped.until += 60.0  # this machine may be slow
+        for turn in range(2, 9):
+            word, by = say(30 * (turn % 2))
+            assert (word.head.sequence, word.head.fleet) == (turn, shift()) and by == [0]
+        assert not speech.own(to, WORD, 77, ledger) and errors[-1] == NOT_POSSIBLE
+        told.append(1.5 if offset != 1.5 else None)
+        speech._stamped.until = clock.now()
+        last, by = say(0)
+        assert (last.head.sequence, last.head.fleet) == (9, shift()) and by == [NOT_STAMPED, 0]
+        speech.say(to, Decided, View(0, 1, (0,) * N))
+        (between,) = [decode(each, KEY) for each in opened.collect(to[0], 1)]
+        speech._stamped.until += 60.0
+        assert not isinstance(between, str) and between.head.sequence == 10 and say(0)[0].head.sequence == 11
+        speech._next_echo = clock.now() + 0.001
+        speech._stamped.until = 0.0
+        say(0)
+        assert speech._stamped.until <= speech._next_echo, "what is due then is echoed by Python"
+
+
 def test_what_cannot_be_sent_is_said_all_the_same() -> None:
     """It takes its number, and why it did not leave is counted."""
     ledger = ledger_of(closing_of(30))
@@ -109,7 +170,7 @@ def test_what_cannot_be_sent_is_said_all_the_same() -> None:
             own.close()
             for to in (OTHERS, OTHERS[:1]):
                 assert speech.own(to, WORD, 30, ledger)
-            assert speech._sequence == 2 and own.troubles == {"send: EBADF": 2}
+            assert speech._stamped.sequence == 2 and own.troubles == {"send: EBADF": 2}
 
 
 def test_plain_transports_have_nothing_to_call() -> None:
@@ -129,11 +190,11 @@ def test_what_is_no_word_is_not_sent() -> None:
         gate: Any = made._gate
         right: Any = (1, 2, None, (), *WORD)
         for wrong in (right[:-1], (), (1, 2, None, (), *WORD[:5], (1,) * 10**5)):
-            assert gate.send(OTHERS[0], wrong, 0) == -1
-        assert gate.send(-1, right, 0) == gate.send(OTHERS[0], right, -1) == -1
+            assert gate.send(OTHERS[0], wrong, 0) == NOT_POSSIBLE
+        assert gate.send(-1, right, 0) == gate.send(OTHERS[0], right, -1) == NOT_POSSIBLE
         for told in (b"", b"\x93", b"\x93\x01", b"\x93\x01\x00", b"\x92\x01\x00"):
             for length in (len(told), 0, -1, -(2**31)):
-                assert gate._send(gate._at, told, length) == -1
-        assert gate.send(OTHERS[0], right, 30) == -1, "there is no ledger"
+                assert gate._send(gate._at, told, length) == NOT_POSSIBLE
+        assert gate.send(OTHERS[0], right, 30) == NOT_POSSIBLE, "there is no ledger"
         assert gate.send(OTHERS[0], right, 0) == 0 and len(opened.collect(OTHERS[0], 1)) == 1
         assert opened.is_quiet(OTHERS[0])

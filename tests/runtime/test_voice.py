@@ -14,7 +14,7 @@ import pytest
 
 from koordgen.runtime import gate, speech, wire
 from koordgen.runtime.clock import FleetClock, SimulatedClock
-from koordgen.runtime.gate import Gate, Said
+from koordgen.runtime.gate import Fields, Gate, Said
 from koordgen.runtime.ledger import APPLIED as APPLIED_TO
 from koordgen.runtime.ledger import DEPTH, OPEN, SETTLED, Ledger
 from koordgen.runtime.link import Link
@@ -22,7 +22,7 @@ from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.network import Conditions
 from koordgen.runtime.seal import MEMORY, seal
 from koordgen.runtime.sessions import Sessions
-from koordgen.runtime.speech import ECHOES_A_LESSON, OTHERS, OTHERS_EVERY, Fields, others_every
+from koordgen.runtime.speech import ECHOES_A_LESSON, OTHERS, OTHERS_EVERY, others_every
 from koordgen.runtime.wire import (
     LIMIT,
     MAX_ECHOES,
@@ -112,7 +112,11 @@ class Mouth:
 
     def state(self) -> Any:
         speech = self.speech
-        return speech._sequence, {p: at for p, at in speech._echoed.items() if at > -math.inf}, speech._next_echo
+        return (
+            speech._stamped.sequence,
+            {p: at for p, at in speech._echoed.items() if at > -math.inf},
+            speech._next_echo,
+        )
 
 
 def shortly(mouth: Mouth) -> bool:

@@ -43,21 +43,45 @@ static int32_t courier(void *inbox, int32_t place, const uint8_t *datagram, int3
     return place % 3;
 }
 
+static double time_now;
+static int stamped_here;
+
+static double tick(void) { return time_now; }
+
+/* The same word again, stamped here: as long as its stamps; or none, where only another can make them. */
+static void stamp_it(Gate *gate, const uint8_t *fields, int32_t bytes, int64_t own) {
+    static const int64_t EDGES[] = {0, 1, 127, 128, 255, 256, 65535, 65536, 4294967295, 4294967296, (int64_t)1 << 53};
+    Stamped *stamped = voice_stamped(gate);
+    uint8_t *told = exactly(bytes + 3, 0x93), head[4] = {0x93, (uint8_t)below(128), (uint8_t)own, 0x96};
+    for (int32_t i = 0; i < bytes + 3; i++) told[i] = i < 4 ? head[i] : fields[i - 3];
+    const int64_t before = stamped->sequence = EDGES[below(10)];
+    stamped->fleet = below(2) ? EDGES[below(11)] : -EDGES[below(11)], stamped->known = below(3) > 0;
+    stamped->until = below(4) ? 1e9 : below(2) ? time_now : -INFINITY;
+    time_now = below(3) ? (double)EDGES[below(10)] / 1e6 : -1;
+    sent_bytes = 0;
+    const int32_t error = voice_send(gate, told, bytes + 3);
+    if (stamped->until <= time_now) check(error == NOT_STAMPED && !sent_bytes, "stamped too late");
+    else check(error == NOT_POSSIBLE || error == head[1] % 3, "not stamped");
+    check(stamped->sequence == before + (error >= 0), "what was not said has a number");
+    if (error >= 0) check(sent_bytes && is_genuine(gate, sent, sent_bytes), "stamped something else"), stamped_here++;
+    free(told);
+}
+
 /* The same word again, sent; or one that is cut, which is not. */
 static void send_it(Gate *gate, const uint8_t *fields, int32_t bytes, int64_t own, int32_t expected) {
     const int cut = below(4) ? 0 : below(bytes + 4), whole = !cut;
     uint8_t *told = exactly(bytes + 3 - cut, 0x93), head[3] = {0x93, (uint8_t)below(128), (uint8_t)own};
     for (int32_t i = 0; i < bytes + 3 - cut; i++) told[i] = i < 3 ? head[i] : fields[i - 3];
-    sent_bytes = 0;
+    sent_bytes = 0, voice_stamped(gate)->until = -INFINITY;
     const int32_t error = voice_send(gate, told, bytes + 3 - cut);
     if (whole && expected) check(error == head[1] % 3 && sent_to == head[1] && sent_bytes == expected, "not sent");
-    if (whole && !expected) check(error == -1 && !sent_bytes, "sent what cannot be");
+    if (whole && !expected) check(error < 0 && !sent_bytes, "sent what cannot be");
     if (sent_bytes) check(sent == voice_said(gate) && is_genuine(gate, sent, sent_bytes), "sent something else");
     free(told);
 }
 
 /* One word; its length. */
-static int32_t say(Gate *gate, Ledger *ledger) {
+static int32_t say_it(Gate *gate, Ledger *ledger) {
     const int32_t begins = below(5) ? 54 : below(MOST_BEGIN + 3);
     int32_t row = some(LIMIT - MAC_SIZE - begins - 21);
     if (row < 0 || row > ROW) row = 9;
@@ -72,6 +96,7 @@ static int32_t say(Gate *gate, Ledger *ledger) {
     voice_introduce(gate, begin, begins);
     const int32_t found = voice_say(gate, fields, bytes, below(20) ? ledger : NULL, own);
     const int32_t payload = begins + bytes + closing;
+    if (bytes > 0) stamp_it(gate, fields, bytes, own);
     if (bytes >= 0) send_it(gate, fields, bytes, own, voice_say(gate, fields, bytes, ledger, own));
     if (found) check(voice_say(gate, fields, bytes, ledger, own) == found, "says it once only");
     free(begin), free(fields);
@@ -97,15 +122,15 @@ int main(int count, char **arguments) {
     memset(rows, 0x99, (size_t)ROBOTS * DEPTH * ROW);
     gate_open(gate, ROBOTS, OWN, &none, NULL, key, sizeof key, purpose);
     gate_attach(gate, &ledger);
-    voice_couple(gate, courier, &sent);
+    voice_couple(gate, courier, &sent, tick);
     for (int done = 0; done < todo; done++) {
         columns[0][OWN] = below(60);
         columns[1][OWN] = columns[0][OWN] - below(12);
-        const int32_t found = say(gate, &ledger);
+        const int32_t found = say_it(gate, &ledger);
         said += found > 0;
         full += found == LIMIT;
     }
-    check(said > todo / 10 && full > todo / 500, "hardly any was said");
+    check(said > todo / 10 && full > todo / 500 && stamped_here > todo / 10, "hardly any was said");
     free(gate), free(rows), free(length), free(lacks);
     return 0;
 }
