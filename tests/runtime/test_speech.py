@@ -64,8 +64,12 @@ def test_of_many_pieces_the_first_go() -> None:
 
 
 def test_every_hello_echoes() -> None:
+    """Also while it is nobody's turn."""
     mouth = Mouth()
     mouth.meet(mouth.others)
+    for _ in range(3):
+        mouth.speech.round(mouth.others, WORD, ())
+    assert mouth.said()[-1].head.echoes == ()
     for _ in range(3):
         mouth.speech.hello(0, bytes(8), bytes(8), (), None, None)
     messages: list[Any] = [wire.decode(datagram, KEY) for _, datagram in mouth.sent]
