@@ -87,7 +87,7 @@ class Update:
     would send its closing first."""
 
     def __init__(self, given: Settings, size: int, transport: Transport, clock: Clock) -> None:
-        self._other, self._size, self._transport = 1 - given.pid, size, transport
+        self._other, self._rest, self._transport = 1 - given.pid, "x" * (size - 8), transport
         self._to = [self._other]
         self._link, self._memory = open_link(given, size, transport, clock)
         self._link.follow(self._memory.view)
@@ -102,7 +102,7 @@ class Update:
             return
         self._round = round_
         memory.present(round_, 0)
-        memory.close(round_, {"report": f"{round_:0{self._size}}"}, stopped=False, acted=True)
+        memory.close(round_, {"report": f"{round_:08}{self._rest}"}, stopped=False, acted=True)
         memory.advance(round_ + 1)
         word = (0, round_, memory.applied, memory.settled, False, memory.held if memory.applied < round_ - 1 else ())
         if not speech.own(to, word, round_, memory.ledger):
@@ -129,7 +129,7 @@ class SharedMemory:
 
     def __init__(self, given: Settings, size: int, transport: Transport, store: Keeper, clock: Clock) -> None:
         pid, n = given.pid, len(given.peers)
-        self._pid, self._delta, self._size = pid, given.delta, size
+        self._pid, self._delta, self._rest = pid, given.delta, "x" * (size - 8)
         self._transport, self._clock = transport, clock
         ours, view = program(size), View(0, 1, (0,) * n)
         self._link, memory = open_link(given, size, transport, clock)
@@ -224,7 +224,7 @@ class SharedMemory:
         if not current:
             self.missed.append(round_)
         if memory is not None:
-            shared = {"report": f"{round_:0{self._size}}"} if current else {}
+            shared = {"report": f"{round_:08}{self._rest}"} if current else {}
             memory.close(round_, shared, stopped=False, acted=current)
         self._replica.publish(self._published + 1, round_, self._patience.strained(round_))
         self._published = round_
