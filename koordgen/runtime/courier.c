@@ -24,6 +24,7 @@ enum { MOST_SOCKETS = 2, MOST_ERRORS = 16, ECHO = -1, PLACES = GROUP + 1 };
 
 static const int64_t SECOND = 1000000000; /* ns, as all that follows */
 static const int64_t SPIN = 200000;       /* of looking without sleep: a peer that must wake has answered by then */
+static const int LOOKS = 4;               /* before it yields the core */
 static const int64_t YIELDED = 5000;      /* a yield that took longer gave the core to somebody who needs it */
 static const int64_t FIRST_PACE = 20000;  /* from one of several datagrams to the next, before it is known; */
 static const int64_t SHORT_PACE = 5000;   /* the least, */
@@ -194,13 +195,16 @@ static int spin(Inbox *inbox, int32_t expected, int64_t end) {
     }
     inbox->shown.spins++;
     int64_t at = now(), yielded = 0;
-    for (end = least(end, at + SPIN); at < end && yielded <= YIELDED; at += yielded) {
+    end = least(end, at + SPIN);
+    for (int look = 1; at < end && yielded <= YIELDED; look++, at += yielded) {
         drain(inbox);
         if (inbox->shown.arrived >= expected || full(inbox)) {
             inbox->penalty = 0;
             return 1;
         }
         at = now();
+        yielded = 0;
+        if (look % LOOKS) continue;
         sched_yield();
         yielded = now() - at;
     }
