@@ -212,10 +212,12 @@ class Speech:
             length = len(encoder.encode(closing))
             if batch and length > room:
                 batches.append(tuple(batch))
+                if len(batches) == MOST_DATAGRAMS:
+                    return batches  # the rest waits to be asked for, and may be long
                 batch, room = [], self.room
             batch.append(closing)
             room -= length
-        return [*batches, tuple(batch)][:MOST_DATAGRAMS]
+        return [*batches, tuple(batch)]
 
     def _send(self, to: Collection[int], message: Message) -> None:
         self._transport.send(list(to), encode(message, self._key))
