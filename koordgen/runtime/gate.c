@@ -344,6 +344,8 @@ void voice_introduce(Gate *gate, const uint8_t *begin, int32_t bytes) {
 /* Where the last own word lies. */
 const uint8_t *voice_said(const Gate *gate) { return gate->voice.said; }
 
+size_t voice_stamped_size(void) { return sizeof(Stamped); }
+
 /* Where the stamps of own words lie. */
 Stamped *voice_stamped(Gate *gate) { return &gate->voice.stamped; }
 

@@ -139,7 +139,8 @@ def prove(found: ctypes.CDLL) -> None:
     declare(found, "gate_", _FUNCTIONS)
     declare(found, "voice_", _VOICE)
     ledger.prove(found)
-    if (found.gate_shown_size(), found.gate_columns_size()) != (ctypes.sizeof(_Shown), ctypes.sizeof(_Columns)):
+    sizes = found.gate_shown_size(), found.gate_columns_size(), found.voice_stamped_size()
+    if sizes != (ctypes.sizeof(_Shown), ctypes.sizeof(_Columns), ctypes.sizeof(Stamped)):
         raise NotCompiled("the compiled gate lays its memory out otherwise than Python reads it")
 
 
@@ -160,6 +161,7 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
 _VOICE: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "introduce": (None, (c_void_p, c_char_p, c_int32)),
     "said": (c_void_p, (c_void_p,)),
+    "stamped_size": (c_size_t, ()),
     "stamped": (c_void_p, (c_void_p,)),
     "say": (c_int32, (c_void_p, c_char_p, c_int32, c_void_p, c_int64)),
     "couple": (None, (c_void_p, c_void_p, c_void_p, c_void_p)),

@@ -175,7 +175,7 @@ class Memory:
         incarnation, plain = self.view.members[self._pid], None if stopped else self._layout.plain(shared)
         if plain is not None:
             row = encoder.encode((self._pid, incarnation, first, round_, False, acted, prompt, lock, plain))
-            if len(row) <= PATCH_FROM and self.ledger.close(row):
+            if len(row) <= PATCH_FROM and self.ledger.close(row):  # so no value in it is one that goes as a patch
                 return  # nearly always
         writes, values = self._layout.written(shared, self.shared, self._pid) if shared else ((), ())
         closing = Closing(self._pid, incarnation, first, round_, stopped, acted, prompt, lock, writes)

@@ -25,7 +25,6 @@ typedef struct {
     Send *send;                /* or NULL */
     void *inbox;               /* what it is called with */
     Clock *clock;              /* or NULL: only speech.py knows the time */
-    double offset;             /* of fleet time, as a word said it last; not a number: it was not known */
     int32_t bytes;             /* of `begin`; 0: no word is said here */
     uint8_t begin[MOST_BEGIN]; /* how they begin, up to their sequence number */
     uint8_t said[LIMIT];       /* the last one, sealed */
