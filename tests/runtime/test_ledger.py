@@ -96,6 +96,16 @@ def own(round_: int) -> bytes:
     return encoder.encode(Closing(0, 0, round_, round_, False, True))
 
 
+def test_only_whole_rows_of_ones_own_are_kept() -> None:
+    table = Table(N)
+    row = own(1)
+    another = encoder.encode(Closing(1, 0, 1, 1, False, True))
+    for wrong in (another, row + b"\xc0", row[:-1], b""):
+        assert not table.ledger.close(wrong)
+        assert table.ledger.peek(0, 0) == [] and table.ledger.peek(1, 0) == []
+    assert table.ledger.close(row) and table.ledger.peek(0, 0) == [row]
+
+
 def test_without_a_library_nothing_is_kept() -> None:
     plain = Ledger(0, N)
     plain.number[OPEN], plain.incarnation[0] = 1, 0

@@ -7,9 +7,13 @@ from collections.abc import Sequence
 
 import pytest
 
+from koordgen.runtime import gate
+from koordgen.runtime.bounds import Text
+from koordgen.runtime.layout import PATCH_FROM, Layout
 from koordgen.runtime.link import Usuals
 from koordgen.runtime.log import Log
 from koordgen.runtime.memory import AHEAD, Memory
+from koordgen.runtime.program import Variable
 from koordgen.runtime.replica import Replica
 from koordgen.runtime.views import Vote
 from koordgen.runtime.wire import Closing, View, Write
@@ -184,3 +188,16 @@ def test_who_votes_for_a_view_has_looked_at_what_it_says_to_hold(written: Write,
     link, view = robot.ear.link, robot.memory.view
     replica = Replica(link, layout(N), robot.memory, view, Vote(), NOW - 1, 10, lambda *_: None)
     assert replica._holds(View(VIEW.number + 1, NOW + 1, LIVES)) == votes
+
+
+@pytest.mark.parametrize("length", [PATCH_FROM - 40, PATCH_FROM + 40])
+def test_a_long_text_that_changes_little_goes_as_a_patch(length: int) -> None:
+    found = gate.COMPILED.library()
+    assert found is not None
+    texts = Layout([Variable("text", "allwrite", str, Text(600), str)], 1)
+    memory = Memory(texts, 0, View(0, 1, (0,)), texts.initial())
+    memory.ledger.attach(found)
+    for round_ in (1, 2):
+        memory.close(round_, {"text": "a" * length + str(round_)}, stopped=False, acted=True)
+        assert memory.advance(round_ + 1) and memory.shared == {"text": "a" * length + str(round_)}
+    assert [write.patch for write in memory.own(2)[0].writes] == [length > PATCH_FROM]
