@@ -3,8 +3,9 @@
    Usual is what nearly all datagrams are: the word (wire.Round) of an adopted boot of a peer, in the present view,
    without an emergency. It is checked, counted, and noted in the ledger (ledger.h) where there is one and the word says
    no more than nearly all; else it is handed on as MessagePack (gate.Usual), and whether what it says makes sense is not
-   asked here. All else that is genuine is left to Python (link.py), which does the same to the usual ones where there is
-   no compiler; tests compare the two. Nothing of a datagram is looked at before its MAC was found right.
+   asked here. What the clock learns from it is kept until Python asks, and wakes nobody. All else that is genuine is left
+   to Python (link.py), which does the same to the usual ones where there is no compiler; tests compare the two. Nothing of
+   a datagram is looked at before its MAC was found right.
 
    It allocates nothing, and writes only to what its caller, gate.py, gave it: the columns of sessions.py and metrics.py,
    an entry for each robot. The compiler is told by gate.py: LIMIT, LARGEST, MOST_AT_ONCE, MAC_SIZE, MAX_ROBOTS, MAX_ECHOES,
@@ -32,7 +33,12 @@ typedef struct { /* entries by pid; see sessions.py and metrics.py */
     double *heard, *longest;
     uint64_t *delays; /* BUCKETS of each */
     double *most;
+    double *due; /* before, its echoes teach nothing */
 } Columns;
+
+typedef struct { /* in microseconds; see gate.py */
+    int64_t pid, answered, uttered, heard, fleet, known, arrived;
+} Lesson;
 
 typedef struct { /* what gate.py reads and writes, field by field */
     double local, fleet;           /* of what gate_look judges next, see gate_take */
@@ -42,6 +48,8 @@ typedef struct { /* what gate.py reads and writes, field by field */
     int32_t count;                 /* of `rows` */
     uint8_t verdict[MOST_AT_ONCE]; /* of each slot */
     uint8_t *rows;                 /* MessagePack: an array of gate.Usual */
+    int64_t lessons;               /* not taken yet, one of a peer at most */
+    Lesson lesson[MAX_ROBOTS];
 } Shown;
 
 typedef struct { /* where the courier leaves what it has received, in so many slots, of which so many are judged */
@@ -187,7 +195,7 @@ static void learn(const Columns *columns, const Word *word, double local, double
     int pid = word->pid;
     if (word->sent > columns->sent[pid]) {
         columns->sent[pid] = word->sent;
-        columns->arrived[pid] = local > 0 ? (int64_t)nearbyint(local * 1e6) : 0;
+        columns->arrived[pid] = microseconds(local);
     }
     int64_t before = columns->round[pid];
     if (word->round <= before) return;
@@ -196,26 +204,30 @@ static void learn(const Columns *columns, const Word *word, double local, double
     note(columns, pid, before ? word->round - before : 1, delay, local);
 }
 
-/* As gate.Usual. */
-static uint8_t *tell(uint8_t *at, const Word *word) {
-    *at++ = 0x97;
-    *at++ = (uint8_t)word->pid;
-    at = put(put(put(at, word->round), word->applied), word->settled);
-    *at++ = word->echoed ? 0x94 : 0xc0;
-    if (word->echoed) {
-        at = put(put(put(at, word->uttered), word->heard), word->sent);
-        if (word->known) at = put(at, word->fleet);
-        else *at++ = 0xc0;
-    }
-    return copy(copy(at, &word->held), &word->closings);
+static int is_later(const Lesson *one, const Lesson *other) {
+    if (one->answered != other->answered) return one->answered > other->answered;
+    return one->uttered != other->uttered ? one->uttered > other->uttered : one->heard > other->heard;
 }
 
-/* The verdict on a word that the ledger has noted: where the clock learns from it, it is told as one that says nothing
-   new. */
-static uint8_t noted(Word *word) {
-    static const uint8_t NONE[] = {0x90};
-    word->held = word->closings = (Text){NONE, sizeof NONE};
-    return word->echoed ? USUAL : NOTED;
+/* Link._exchanges: what the clock learns, which Python will see to; of each peer what it said last. */
+static void teach(Gate *gate, const Word *word, double local) {
+    Shown *shown = &gate->shown;
+    int64_t at = 0;
+    if (!word->echoed || local < gate->columns.due[word->pid]) return;
+    const Lesson lesson = {word->pid, word->sent, word->uttered, word->heard, word->known ? word->fleet : 0, word->known,
+                           microseconds(local)};
+    while (at < shown->lessons && shown->lesson[at].pid != word->pid) at++;
+    if (at < shown->lessons && !is_later(&lesson, &shown->lesson[at])) return;
+    shown->lessons += at == shown->lessons;
+    shown->lesson[at] = lesson;
+}
+
+/* As gate.Usual. */
+static uint8_t *tell(uint8_t *at, const Word *word) {
+    *at++ = 0x96;
+    *at++ = (uint8_t)word->pid;
+    at = put(put(put(at, word->round), word->applied), word->settled);
+    return copy(copy(at, &word->held), &word->closings);
 }
 
 size_t gate_size(void) { return sizeof(Gate); }
@@ -276,7 +288,8 @@ static void judge(Gate *gate, const uint8_t *slots, int32_t stride, const int32_
             verdict = is_fresh(&gate->columns, word.pid, word.sequence) ? USUAL : REPLAYED;
         if (verdict == USUAL) {
             learn(&gate->columns, &word, local, fleet);
-            if (gate->ledger && ledger_note(gate->ledger, &word)) verdict = noted(&word);
+            teach(gate, &word, local);
+            if (gate->ledger && ledger_note(gate->ledger, &word)) verdict = NOTED;
         }
         shown->verdict[i] = verdict;
         shown->others += verdict != USUAL && verdict != NOTHING && verdict != NOTED;

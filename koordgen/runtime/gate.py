@@ -35,7 +35,6 @@ from koordgen.runtime.wire import (
     MaybePerRobot,
     Natural,
     Pid,
-    Shift,
     Wired,
 )
 
@@ -65,20 +64,11 @@ FLAGS = (
 )
 USUAL, OTHER, FALSE, TOO_LONG, REPLAYED, NOTHING, NOTED = range(7)  # verdicts; NOTED: in the ledger, nobody is told
 NOT_POSSIBLE, NOT_STAMPED = -1, -2
+_LESSON = 7  # numbers of one
 _ROOM = MOST_AT_ONCE * (LARGEST + 32)
 _COLUMNS = (
-    "newest", "sent", "arrived", "round", "seen", "received", "expected", "heard", "longest", "delays", "most",
+    "newest", "sent", "arrived", "round", "seen", "received", "expected", "heard", "longest", "delays", "most", "due",
 )  # fmt: skip
-
-
-class Lesson(Wired, frozen=True):
-    """What the clock learns from, in microseconds: ours was sent and received, and then this answer sent; and what is
-    to be added to the sender's clock for fleet time."""
-
-    sent: Natural
-    received: Natural
-    answered: Natural
-    fleet: Shift | None
 
 
 class Usual(Wired, frozen=True):
@@ -88,9 +78,21 @@ class Usual(Wired, frozen=True):
     round: Natural
     applied: Natural
     settled: Natural
-    lesson: Lesson | None
     held: MaybePerRobot
     closings: tuple[Closing, ...]
+
+
+class Lesson(NamedTuple):
+    """What the clock learns from, in microseconds: when something was sent to `pid` and received there, then answered,
+    and the answer arrived; what is to be added to that robot's clock for fleet time, where it is known."""
+
+    pid: int
+    answered: int
+    sent: int
+    received: int
+    fleet: int
+    known: int
+    arrived: int
 
 
 class Judged(NamedTuple):
@@ -120,6 +122,8 @@ class _Shown(ctypes.Structure):
         ("count", ctypes.c_int32),
         ("verdict", ctypes.c_uint8 * MOST_AT_ONCE),
         ("rows", ctypes.c_void_p),
+        ("lessons", ctypes.c_int64),
+        ("lesson", ctypes.c_int64 * (_LESSON * MAX_ROBOTS)),
     )
 
 
@@ -194,7 +198,7 @@ class Gate:
         self._columns = columns  # they live as long as their addresses are known
         self._rows = mmap.mmap(-1, _ROOM)  # the system makes its pages when they are used
         self._state = ctypes.create_string_buffer(found.gate_size())
-        self._shown = _Shown.from_buffer(self._state)
+        self.shown = _Shown.from_buffer(self._state)
         self._at = ctypes.addressof(self._state)
         addresses = _Columns(*(columns[name].buffer_info()[0] for name in _COLUMNS))
         rows = ctypes.addressof(ctypes.c_char.from_buffer(self._rows))
@@ -254,7 +258,7 @@ class Gate:
 
     def take(self, datagrams: Sequence[bytes], local: float, fleet: float | None) -> Judged:
         """Judge what arrived by `local` seconds of the robot's clock, which is `fleet` of the fleet's."""
-        shown, time = self._shown, math.nan if fleet is None else fleet
+        shown, time = self.shown, math.nan if fleet is None else fleet
         if isinstance(datagrams, Slots):
             if datagrams is not self._heard:
                 self._listen(datagrams)
@@ -277,6 +281,12 @@ class Gate:
             return Judged(_rows.decode(self._rows[:bytes_]), verdicts)
         except (ValueError, RecursionError):
             return Judged(None, shown.verdict[:count])
+
+    def lessons(self) -> list[Lesson]:
+        """What the clock learns from, of what was judged since this was asked last: of a robot what it said last."""
+        shown = self.shown
+        numbers, shown.lessons = shown.lesson[: _LESSON * shown.lessons], 0
+        return [Lesson(*numbers[at : at + _LESSON]) for at in range(0, len(numbers), _LESSON)]
 
     def _listen(self, slots: Slots) -> None:
         """From now on this is where datagrams arrive."""

@@ -6,6 +6,7 @@ interface and program, fresh, and of this mission; what is not is dropped and co
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
@@ -37,7 +38,7 @@ Heard = Message | Usuals
 
 def as_usual(word: Round) -> Usuals:
     """The same in the form in which the gate hands on many; its emergency is not in it."""
-    row = Usual(word.head.pid, word.round, word.applied, word.settled, None, word.held, word.closings)
+    row = Usual(word.head.pid, word.round, word.applied, word.settled, word.held, word.closings)
     return Usuals(word.view, [row])
 
 
@@ -73,6 +74,7 @@ class Link:
         columns = {**self.sessions.columns(), **metrics.columns()}
         self._gate = None if found is None else Gate(found, len(settings.peers), self.pid, columns, key, MEMORY)
         self._view = -1  # the present one's number
+        self._lessons: list[Lesson] = []  # of datagrams that Python looks at
         self._others_every = others_every(len(settings.peers))
         self._transport = transport
         self._clock = clock
@@ -107,6 +109,12 @@ class Link:
         if self._gate is not None:
             self._gate.follow(view.number)
 
+    def keep_time(self, reference: int, now: float) -> None:
+        """From now on the fleet's time is this robot's, and most is learned from it."""
+        if reference != self._fleet_clock.reference:
+            self._fleet_clock.follow(reference, now)
+            self.sessions.due[reference] = -math.inf
+
     def attach(self, ledger: Ledger | None) -> None:
         """From now on words of the present view that need no thought are noted there, and `receive` does not tell."""
         if self._gate is not None:
@@ -114,17 +122,18 @@ class Link:
 
     def receive(self) -> list[Heard]:
         """What arrived and may be listened to. A Hello of a boot that was not adopted is among it: `joining` judges."""
-        datagrams = self._transport.receive()
-        if not datagrams:
-            return []
+        datagrams, gate = self._transport.receive(), self._gate
+        found = self._judged(datagrams) if datagrams else []
+        if self._lessons or (gate is not None and gate.shown.lessons):
+            self._learn()
+        return found
+
+    def _judged(self, datagrams: Sequence[bytes]) -> list[Heard]:
         local = self._clock.now()  # all of them have arrived by now
         fleet = self._fleet_clock.read(local) if self._fleet_clock.known else None
         if self._gate is None:
             return self._heard(zip(datagrams, unseal_all(self._key, MEMORY, datagrams), strict=True), local, fleet)
         usual, verdicts = self._gate.take(datagrams, local, fleet)
-        for row in usual or ():
-            if row.lesson is not None:
-                self._learn(row.sender, row.lesson, local)
         if not verdicts:
             return [Usuals(self._view, usual)] if usual else []
         return self._sorted(datagrams, usual, verdicts, local, fleet)
@@ -161,7 +170,6 @@ class Link:
             if isinstance(message, str):
                 self.reject(message)
             elif verdict == gate.USUAL:  # the gate has counted it
-                self._exchanges(message, local)
                 found.append(message)
             elif self._admit(message, local, fleet):
                 found.append(message)
@@ -266,15 +274,21 @@ class Link:
     def _exchanges(self, message: Message, local: float) -> None:
         """Learn from what a datagram echoes of ours."""
         head = message.head
-        for echo in head.echoes:
-            if echo.pid == self.pid:
-                self._learn(head.pid, Lesson(echo.sent, echo.received, head.sent, head.fleet), local)
+        echo = next((each for each in head.echoes if each.pid == self.pid), None)
+        if echo is not None and local >= self.sessions.due[head.pid]:
+            fleet, known = (0, 0) if head.fleet is None else (head.fleet, 1)
+            stamps = head.sent, echo.sent, echo.received
+            self._lessons.append(Lesson(head.pid, *stamps, fleet, known, microseconds(local)))
 
-    def _learn(self, pid: int, lesson: Lesson, local: float) -> None:
-        """From what this peer heard of us and answered, here at `local`."""
-        clock, timed = self._fleet_clock, self.sessions.timed
-        if local - timed[pid] < (REFERENCE_EVERY if pid == clock.reference else self._others_every):
-            return
-        timed[pid] = local
-        now, fleet = microseconds(local) / 1e6, None if lesson.fleet is None else lesson.fleet / 1e6
-        clock.take(pid, lesson.sent / 1e6, lesson.received / 1e6, lesson.answered / 1e6, now, fleet)
+    def _learn(self) -> None:
+        """From what was echoed in all that has come: of each peer from what it said last, whatever came last."""
+        clock, lessons = (
+            self._fleet_clock,
+            self._lessons if self._gate is None else [*self._gate.lessons(), *self._lessons],
+        )
+        self._lessons = []
+        latest = lessons if len(lessons) < 2 else {each.pid: each for each in sorted(lessons)}.values()
+        for pid, answered, sent, received, fleet, known, arrived in latest:
+            now = arrived / 1e6
+            self.sessions.due[pid] = now + (REFERENCE_EVERY if pid == clock.reference else self._others_every)
+            clock.take(pid, sent / 1e6, received / 1e6, answered / 1e6, now, fleet / 1e6 if known else None)

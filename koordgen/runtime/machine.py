@@ -184,7 +184,7 @@ class Agent:
         fleet = self._fleet_clock.read(now) if self._fleet_clock.known else None
         self._hear(self._link.receive(), fleet)
         if inside := self._joining.inside:
-            self._fleet_clock.follow(min(inside), now)  # who keeps the time is not known before the view
+            self._link.keep_time(min(inside), now)  # who keeps the time is not known before the view
         if self.phase not in ("starting", "joining"):
             return math.inf
         if self._init is not None:
@@ -226,7 +226,7 @@ class Agent:
         if view.number != self._view:
             self._view = view.number
             self._journal.view(view, self._names)
-            self._fleet_clock.follow(next(p for p, m in enumerate(view.members) if m >= 0), now)
+            self._link.keep_time(next(p for p, m in enumerate(view.members) if m >= 0), now)
         return wake
 
     def _judge_missed(self, rounds: Rounds) -> None:

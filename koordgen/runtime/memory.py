@@ -254,8 +254,8 @@ class Memory:
             return "word does not fit"
         ours = view == self.view.number
         self._words.hear(pid, ours, view, applied, held, through, asks)
-        if ours and settled > self.settled:
-            self._settle(min(settled, self.applied))
+        if ours and (told := max(settled, self._number[TOLD])) > self.settled:  # also what the gate was told
+            self._settle(min(told, self.applied))
         return None
 
     def advance(self, round_: int) -> bool:

@@ -16,7 +16,8 @@ _ALL = 2**64 - 1
 class Sessions:
     """Of a fleet of `n_sys`. Of a boot's datagrams: the `newest` sequence number; a bit for each of the last ones that
     arrived in `seen`, a ring of WORDS (RFC 6479); when the newest one was `sent` (-1: none) and `arrived` here, in
-    microseconds; and the latest `round` in which it said to be."""
+    microseconds; and the latest `round` in which it said to be. When the clock is `due` to learn from it again, by the
+    local clock."""
 
     def __init__(self, n_sys: int) -> None:
         none = bytes(8 * n_sys)
@@ -24,17 +25,17 @@ class Sessions:
         self.newest, self.round, self.arrived = array("q", none), array("q", none), array("q", none)
         self.sent = array("q", [-1] * n_sys)
         self.seen = array("Q", none * WORDS)
-        self.timed = array("d", [float("-inf")] * n_sys)  # when the clock last learned from it
+        self.due = array("d", [float("-inf")] * n_sys)
 
     def columns(self) -> Mapping[str, array[int] | array[float]]:
         """Those that the gate shares."""
-        return {name: getattr(self, name) for name in ("newest", "sent", "arrived", "round", "seen")}
+        return {name: getattr(self, name) for name in ("newest", "sent", "arrived", "round", "seen", "due")}
 
     def adopt(self, pid: int, boot: bytes, sequence: int = 0, sent: int = -1, arrived: int = 0) -> None:
         """From now on this boot counts, and what it sent up to that sequence number, perhaps recorded, does not."""
         self.boots[pid] = boot
         self.newest[pid], self.sent[pid], self.arrived[pid], self.round[pid] = sequence, sent, arrived, 0
-        self.timed[pid] = float("-inf")
+        self.due[pid] = float("-inf")
         for word in range(WORDS):
             self.seen[pid * WORDS + word] = _ALL
         self.seen[pid * WORDS + (sequence >> 6) % WORDS] = (2 << (sequence & 63)) - 1

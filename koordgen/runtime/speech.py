@@ -35,7 +35,7 @@ from koordgen.runtime.wire import (
     pack,
 )
 
-REFERENCE_EVERY, OTHERS_EVERY = 0.05, 1.0  # seconds between exchanges that the clock learns from
+REFERENCE_EVERY, OTHERS_EVERY = 0.1, 1.0  # seconds between exchanges that the clock learns from
 OTHERS = 16  # clocks of others that it learns from in that time: of more each comes more rarely
 ECHOES_A_LESSON = 2  # so many echoes are sent for each of them: some are lost
 RESTAMP = 0.1  # seconds for which words that echo nothing tell the same offset: others only find how long they took
@@ -190,7 +190,7 @@ class Speech:
         else:
             last = now  # it was everyone's turn
         if everyone and now - last < every:  # nobody is left
-            next_ = now + every / ECHOES_A_LESSON
+            next_ = max(last, now - every / 2) + every  # those who are due a little later wait for one another
         echoes = tuple([Echo(p, sent, sessions.arrived[p]) for p in due if (sent := sessions.sent[p]) >= 0])
         return _Turn(echoes, due, next_)
 

@@ -30,12 +30,15 @@ typedef struct {
     uint8_t said[LIMIT];       /* the last one, sealed */
 } Voice;
 
+/* As speech.microseconds. */
+static int64_t microseconds(double seconds) { return seconds > 0 ? (int64_t)nearbyint(seconds * 1e6) : 0; }
+
 /* The stamps of the next word (MOST_STAMPS); how long they are; 0: only speech.py can make them. */
 static size_t stamp(const Voice *voice, uint8_t *stamps) {
     const Stamped *stamped = &voice->stamped;
     const double now = voice->clock ? voice->clock() : 0;
     if (!voice->clock || !(now < stamped->until)) return 0;
-    uint8_t *at = shortest(shortest(stamps, stamped->sequence + 1), now > 0 ? (int64_t)nearbyint(now * 1e6) : 0);
+    uint8_t *at = shortest(shortest(stamps, stamped->sequence + 1), microseconds(now));
     if (stamped->known) at = shortest(at, stamped->fleet);
     else *at++ = 0xc0;
     *at++ = 0x90;

@@ -216,7 +216,9 @@ class Table:
         found = gate.COMPILED.library()
         assert found is not None
         self.n, self.pid, self.view, self.sequence = n_sys, pid, view, 0
-        columns: dict[str, array[int] | array[float]] = {**Sessions(n_sys).columns(), **Metrics(pid, n_sys).columns()}
+        sessions = Sessions(n_sys)
+        columns: dict[str, array[int] | array[float]] = {**sessions.columns(), **Metrics(pid, n_sys).columns()}
+        self.due = sessions.due
         self.gate = Gate(found, n_sys, pid, columns, KEY, MEMORY)
         self.gate.begin(BEGINS)
         self.ledger, self.model = Ledger(pid, n_sys), Model(pid, n_sys)
@@ -269,10 +271,9 @@ class Table:
         for word in words:
             usual = is_whole(word.held) and is_whole(word.closings)
             noted.append(usual and self.model.note(word, self.view))
-            quiet = noted[-1] and all(echo.pid != self.pid for echo in word.echoes)
-            verdicts.append(NOTED if quiet else USUAL if usual else OTHER)
+            verdicts.append(NOTED if noted[-1] else USUAL if usual else OTHER)
             if verdicts[-1] == USUAL:
-                told.append(self.told(word, noted[-1]))
+                told.append(self.told(word))
         assert list(judged.verdicts) == ([] if OTHER not in verdicts and judged.usual is not None else verdicts)
         assert (judged.usual is None) == (None in told)
         if judged.usual is not None:
@@ -281,11 +282,10 @@ class Table:
         self.same()
         return noted
 
-    def told(self, word: Said, noted: bool) -> bytes | None:
+    def told(self, word: Said) -> bytes | None:
         """How the gate hands it on; None: what it says is malformed."""
-        held, closings = (b"\x90", b"\x90") if noted else (word.held, word.closings)
         try:
-            decoded = (_held.decode(held), _closings.decode(closings))
+            decoded = (_held.decode(word.held), _closings.decode(word.closings))
         except (ValueError, RecursionError):
             return None
         return encode((word.pid, word.round, word.applied, word.settled, *decoded))

@@ -191,7 +191,7 @@ def test_taken_at_once_the_same_is_let_through(given: list[Message]) -> None:
     assert ears.native.hear(datagrams) == ears.plain.hear(datagrams)
     assert ears.native.link.rejected == ears.plain.link.rejected
     native, plain = ears.native.link.sessions, ears.plain.link.sessions
-    assert native.columns() == plain.columns() and native.timed == plain.timed
+    assert native.columns() == plain.columns() and native.due == plain.due
 
 
 @given(messages, st.data())

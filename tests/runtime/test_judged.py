@@ -104,20 +104,31 @@ def test_what_is_unusual_wakes_and_is_found_with_what_came_along() -> None:
         table.inbox.wait(PATIENCE)
         assert table.inbox.shown.judged == 3, "the rest is judged when it is taken"
         usual, verdicts = table.take()
-        assert usual is not None and list(verdicts) == [NOTED, 2, USUAL, USUAL]
-        assert [(row.sender, row.lesson is None, len(row.closings)) for row in usual] == [(3, True, 1), (4, False, 0)]
+        assert usual is not None and list(verdicts) == [NOTED, 2, USUAL, NOTED]
+        assert [(row.sender, len(row.closings)) for row in usual] == [(3, 1)]
+        assert [(each.pid, each.sent, each.received) for each in table.gate.lessons()] == [(4, 5, 6)]
         table.same()
         assert table.take() == ([], ())
         columns: Any = table.gate._columns
         assert list(columns["received"]) == [0, 1, 1, 1, 1] and not table.wait(SHORT)
 
 
-def test_what_the_clock_learns_from_wakes() -> None:
+def test_what_the_clock_learns_from_waits_until_somebody_asks() -> None:
+    """With the time at which it was here, and one of a robot until it is asked for and due again."""
     with waiting() as table:
-        table.send(said(1, 1)._replace(echoes=LESSON))
-        assert table.wait(PATIENCE)
-        usual, verdicts = table.take()
-        assert usual is not None and len(usual) == 1 and usual[0].lesson is not None and not verdicts
+        before = time.monotonic() * 1e6
+        table.send(said(1, 1)._replace(echoes=LESSON), said(2, 1)._replace(echoes=LESSON))
+        assert not table.wait(SHORT)
+        after = time.monotonic() * 1e6 - SHORT * 1e6 / 2
+        table.send(said(1, 2)._replace(echoes=LESSON))
+        assert not table.wait(SHORT) and table.take() == ([], ())
+        lessons = table.gate.lessons()
+        assert [tuple(each)[:-1] for each in lessons] == [(1, 5, 5, 6, 0, 0), (2, 5, 5, 6, 0, 0)]
+        assert all(before - 1 <= each.arrived <= after for each in lessons) and table.gate.lessons() == []
+        table.due[1] = time.monotonic() + 60.0
+        table.due[2] = time.monotonic()
+        table.send(said(1, 3)._replace(echoes=LESSON), said(2, 2)._replace(echoes=LESSON))
+        assert not table.wait(SHORT) and [each.pid for each in table.gate.lessons()] == [2]
 
 
 def test_a_majority_that_has_applied_a_watched_round_wakes() -> None:
@@ -184,12 +195,12 @@ def test_what_was_drained_unseen_is_forgotten() -> None:
 
 def test_another_gate_judges_anew() -> None:
     with waiting() as table:
-        table.send(said(1, 1)._replace(echoes=LESSON))
+        table.send(said(1, 3), noted=False)
         assert table.wait(PATIENCE)
         found = table.inbox.receive()
         other = Table(N)
         usual, verdicts = other.gate.take(found, 1.0, None)
-        assert usual is not None and len(usual) == 1 and not verdicts and other.ledger.held[1] == 1
+        assert usual is not None and len(usual) == 1 and not verdicts and usual[0].round == 4
 
 
 def test_more_than_there_is_room_for() -> None:
@@ -227,10 +238,8 @@ def test_any_course_comes_to_the_same() -> None:
                     table._source.send(b"junk")
                     sent += 1
                 else:
-                    if chance.random() < 0.3:
-                        word = word._replace(echoes=LESSON)
                     noted = table.model.note(word, 0)
-                    sent += not noted or word.echoes == LESSON
+                    sent += not noted
                     table._source.send(table.datagram(word))
                 if chance.random() < 0.3:
                     table.inbox.wait(0.0, chance.randrange(1, N), 0.001)

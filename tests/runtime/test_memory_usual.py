@@ -21,7 +21,7 @@ N, OWN = 4, 0
 
 def row(sender: int, round_: int, applied: int, *closings: Closing, settled: int = 0,
         held: Sequence[int] = ()) -> Usual:  # fmt: skip
-    return Usual(sender, round_, applied, settled, None, tuple(held), closings)
+    return Usual(sender, round_, applied, settled, tuple(held), closings)
 
 
 def one_by_one(memory: Memory, rows: Sequence[Usual], number: int, present: int) -> list[str]:

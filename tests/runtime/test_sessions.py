@@ -30,9 +30,9 @@ def test_a_sequence_number_is_taken_once(sequences: list[int], adopted: int | No
 def test_a_boot_that_is_adopted_anew_begins_anew() -> None:
     sessions = Sessions(2)
     sessions.adopt(1, b"old", 70, sent=5, arrived=6)
-    sessions.round[1], sessions.timed[1] = 9, 1.0
+    sessions.round[1], sessions.due[1] = 9, 1.0
     assert sessions.fresh(1, 71)
     sessions.adopt(1, b"new", 3)
     assert sessions.boots == {1: b"new"}
-    assert (sessions.round[1], sessions.sent[1], sessions.timed[1]) == (0, -1, float("-inf"))
+    assert (sessions.round[1], sessions.sent[1], sessions.due[1]) == (0, -1, float("-inf"))
     assert [n for n in range(200) if sessions.fresh(1, n)] == list(range(4, 200))
