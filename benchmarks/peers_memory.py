@@ -104,7 +104,7 @@ class Update:
         memory.present(round_, 0)
         memory.close(round_, {"report": f"{round_:08}{self._rest}"}, stopped=False, acted=True)
         memory.advance(round_ + 1)
-        word = (0, round_, memory.applied, memory.settled, False, memory.held if memory.applied < round_ - 1 else ())
+        word = (0, round_, memory.applied, memory.settled(), False, memory.held if memory.applied < round_ - 1 else ())
         if not speech.own(to, word, round_, memory.ledger):
             speech.round(to, word, memory.own(round_))
 
@@ -130,7 +130,7 @@ class SharedMemory:
     def __init__(self, given: Settings, size: int, transport: Transport, store: Keeper, clock: Clock) -> None:
         pid, n = given.pid, len(given.peers)
         self._pid, self._delta, self._rest = pid, given.delta, "x" * (size - 8)
-        self._transport, self._clock = transport, clock
+        self._transport, self._now = transport, clock.now
         ours, view = program(size), View(0, 1, (0,) * n)
         self._link, memory = open_link(given, size, transport, clock)
         keeping = Keeping(store, ours, n)
@@ -157,7 +157,8 @@ class SharedMemory:
             return
         if self._open:
             self._close(current=False)
-        now, before = self._clock.now(), (round_ - 1) * self._delta
+        clock = self._now
+        now, before = clock(), (round_ - 1) * self._delta
         self._start = min(self._start, now - before)
         self._begun = self._start + before
         if now >= self._begun + self._delta:  # slept through: it is closed with the next one
@@ -177,17 +178,17 @@ class SharedMemory:
     def take(self, seconds: float) -> Heard:
         """Do what is due, then wait for something to arrive, then do what follows from that; but when it is time for
         the next closing, that comes first, as in an agent."""
-        clock = self._clock
-        now = clock.now()
+        clock = self._now
+        now = clock()
         end = now + seconds
         if not self._calm():
             self._apply(now)
         if now >= self._wake and self._round:
             self._poll(now)
-        rest = (end if end < self._wake else self._wake) - clock.now()
+        rest = (end if end < self._wake else self._wake) - clock()
         if rest > 0:
             self._wait(rest)
-        if seconds <= 0 or not self._round or (now := clock.now()) < end:
+        if seconds <= 0 or not self._round or (now := clock()) < end:
             self._hear()
             if not self._calm():
                 self._apply(now)
@@ -197,7 +198,7 @@ class SharedMemory:
     def _wait(self, seconds: float) -> None:
         """Gathers as many closings as Rounds expects."""
         memory, at_once = self._replica.memory, self._open and not self._patience.strained(self._round)
-        lacking = 0 if memory is None or at_once or memory.applied >= self._round else memory.lacking
+        lacking = 0 if memory is None or at_once or memory.applied >= self._round else memory.lacking()
         if lacking:
             self._transport.wait(seconds, lacking, min(GATHER * lacking, MOST_GATHER * self._delta))
         else:
@@ -208,14 +209,14 @@ class SharedMemory:
         replica, memory = self._replica, self._replica.memory
         if memory is None or self._open or replica.returns != self._returns or memory.view.number != self._view:
             return False
-        return self._complete or (memory.lacking > 0 and memory.applied < self._round)
+        return self._complete or (memory.lacking() > 0 and memory.applied < self._round)
 
     def _current(self) -> bool:
         """Whether an event may run, as Rounds finds."""
         memory, round_ = self._replica.memory, self._round
         if memory is None or not memory.advance(round_):
             return False
-        return (round_ <= AHEAD or memory.stable(round_ - AHEAD)) and not memory.crowded
+        return (round_ <= AHEAD or memory.stable(round_ - AHEAD)) and not memory.crowded()
 
     def _close(self, current: bool) -> None:
         """The closing leaves."""
@@ -231,17 +232,16 @@ class SharedMemory:
 
     def _hear(self) -> None:
         """Take what has come, and find what is held without a gap since; in round 0 who can be heard."""
-        take, present = self._replica.take, max(self._round, 1)
         for message in self._link.receive():
             if not isinstance(message, Hello):
-                take(message, present)
+                self._replica.take(message, max(self._round, 1))
         memory, told, found = self._replica.memory, self._told, self._found
         if self._round == 0:
             heard = _speak(self._link, self._unheard)
             self._unheard -= heard
             found += [(pid, 0) for pid in heard]
         if memory is not None:
-            held = memory.held
+            held = memory.ledger.held
             found += compress(enumerate(held), map(gt, held, told))
             if max(map(sub, held, told)) > 1:
                 found += [(p, r) for p, last in enumerate(told) for r in range(last + 1, held[p])]
@@ -310,7 +310,7 @@ class SharedMemory:
             missing = [p for p in missing if p != self._pid]
             if fresh and missing and self._patience.asks(round_, timely, memory.ledger.lost(missing)):
                 replica.ask(missing, [], through)
-        if missing or self._open or replica.busy:
+        if missing or self._open or replica.busy():
             self._wake = self._following(slot)
         elif not self._complete:
             self._wake = self._moment(max(slot + 1, FIRST_SLOT))
@@ -320,7 +320,7 @@ class SharedMemory:
 
     def _following(self, slot: int) -> float:
         """The next moment at which there is something to do while something is outstanding."""
-        rests = self._patience.hurried(self._round) and not self._replica.busy
+        rests = self._patience.hurried(self._round) and not self._replica.busy()
         following = self._moment(slot + (SLOTS - slot % SLOTS if rests else 1))
         return min(following, self._moment(PUBLISH * SLOTS)) if self._open else following
 

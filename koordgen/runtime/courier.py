@@ -149,9 +149,9 @@ class CompiledInbox:
         return error
 
     def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
-        shown = self.shown
+        shown, wait = self.shown, self._wait
         shown.seconds, shown.patience = seconds, gather
-        self._wait(self.at, expected)
+        wait(self.at, expected)
 
     def receive(self) -> Sequence[bytes]:
         shown = self.shown

@@ -34,6 +34,7 @@ typedef struct { /* entries by pid; see sessions.py and metrics.py */
     uint64_t *delays; /* BUCKETS of each */
     double *most;
     double *due; /* before, its echoes teach nothing */
+    int64_t *lessons; /* one number: how many are not taken yet, one of a peer at most */
 } Columns;
 
 typedef struct { /* in microseconds; see gate.py */
@@ -48,7 +49,6 @@ typedef struct { /* what gate.py reads and writes, field by field */
     int32_t count;                 /* of `rows` */
     uint8_t verdict[MOST_AT_ONCE]; /* of each slot */
     uint8_t *rows;                 /* MessagePack: an array of gate.Usual */
-    int64_t lessons;               /* not taken yet, one of a peer at most */
     Lesson lesson[MAX_ROBOTS];
 } Shown;
 
@@ -212,13 +212,13 @@ static int is_later(const Lesson *one, const Lesson *other) {
 /* Link._exchanges: what the clock learns, which Python will see to; of each peer what it said last. */
 static void teach(Gate *gate, const Word *word, double local) {
     Shown *shown = &gate->shown;
-    int64_t at = 0;
+    int64_t at = 0, *lessons = gate->columns.lessons;
     if (!word->echoed || local < gate->columns.due[word->pid]) return;
     const Lesson lesson = {word->pid, word->sent, word->uttered, word->heard, word->known ? word->fleet : 0, word->known,
                            microseconds(local)};
-    while (at < shown->lessons && shown->lesson[at].pid != word->pid) at++;
-    if (at < shown->lessons && !is_later(&lesson, &shown->lesson[at])) return;
-    shown->lessons += at == shown->lessons;
+    while (at < *lessons && shown->lesson[at].pid != word->pid) at++;
+    if (at < *lessons && !is_later(&lesson, &shown->lesson[at])) return;
+    *lessons += at == *lessons;
     shown->lesson[at] = lesson;
 }
 

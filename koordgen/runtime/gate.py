@@ -67,7 +67,8 @@ NOT_POSSIBLE, NOT_STAMPED = -1, -2
 _LESSON = 7  # numbers of one
 _ROOM = MOST_AT_ONCE * (LARGEST + 32)
 _COLUMNS = (
-    "newest", "sent", "arrived", "round", "seen", "received", "expected", "heard", "longest", "delays", "most", "due",
+    "newest", "sent", "arrived", "round", "seen",
+    "received", "expected", "heard", "longest", "delays", "most", "due", "lessons",
 )  # fmt: skip
 
 
@@ -122,7 +123,6 @@ class _Shown(ctypes.Structure):
         ("count", ctypes.c_int32),
         ("verdict", ctypes.c_uint8 * MOST_AT_ONCE),
         ("rows", ctypes.c_void_p),
-        ("lessons", ctypes.c_int64),
         ("lesson", ctypes.c_int64 * (_LESSON * MAX_ROBOTS)),
     )
 
@@ -198,7 +198,7 @@ class Gate:
         self._columns = columns  # they live as long as their addresses are known
         self._rows = mmap.mmap(-1, _ROOM)  # the system makes its pages when they are used
         self._state = ctypes.create_string_buffer(found.gate_size())
-        self.shown = _Shown.from_buffer(self._state)
+        self._shown = _Shown.from_buffer(self._state)
         self._at = ctypes.addressof(self._state)
         addresses = _Columns(*(columns[name].buffer_info()[0] for name in _COLUMNS))
         rows = ctypes.addressof(ctypes.c_char.from_buffer(self._rows))
@@ -252,13 +252,13 @@ class Gate:
     def send(self, place: int, fields: Fields | Said, own: int) -> int:
         """Say a word and send it there, with the own closing of round `own` (0: with none) out of the attached ledger.
         Returns 0, or errno: it was not sent; NOT_POSSIBLE here; NOT_STAMPED: only with stamps."""
-        told = _encode((place, own, fields))
-        error: int = self._send(self._at, told, len(told))
+        told, send = _encode((place, own, fields)), self._send
+        error: int = send(self._at, told, len(told))
         return error
 
     def take(self, datagrams: Sequence[bytes], local: float, fleet: float | None) -> Judged:
         """Judge what arrived by `local` seconds of the robot's clock, which is `fleet` of the fleet's."""
-        shown, time = self.shown, math.nan if fleet is None else fleet
+        shown, time = self._shown, math.nan if fleet is None else fleet
         if isinstance(datagrams, Slots):
             if datagrams is not self._heard:
                 self._listen(datagrams)
@@ -284,8 +284,9 @@ class Gate:
 
     def lessons(self) -> list[Lesson]:
         """What the clock learns from, of what was judged since this was asked last: of a robot what it said last."""
-        shown = self.shown
-        numbers, shown.lessons = shown.lesson[: _LESSON * shown.lessons], 0
+        count = self._columns["lessons"]
+        numbers = self._shown.lesson[: _LESSON * int(count[0])]
+        count[0] = 0
         return [Lesson(*numbers[at : at + _LESSON]) for at in range(0, len(numbers), _LESSON)]
 
     def _listen(self, slots: Slots) -> None:

@@ -104,7 +104,10 @@ class Ledger:
 
     def close(self, row: bytes) -> bool:
         """Keep this encoded own closing. False: it is not the next one, or there is no room for it."""
-        return self.native and bool(self._close(self.at, row, len(row)))
+        if not self.native:
+            return False
+        close = self._close
+        return bool(close(self.at, row, len(row)))
 
     def lost(self, pids: Sequence[int]) -> bool:
         """Whether somebody has what is missing of these robots: more of one came, or another has applied more."""
@@ -113,7 +116,10 @@ class Ledger:
 
     def collect(self, round_: int) -> Collected | None:
         """All members' closings of a round; None where not all are here, or such as must be looked at one by one."""
-        size = self._collect(self.at, round_, self._place) if self.native else 0
+        if not self.native:
+            return None
+        collect = self._collect
+        size = collect(self.at, round_, self._place)
         if not size:
             return None
         try:

@@ -75,6 +75,7 @@ class Link:
         self._gate = None if found is None else Gate(found, len(settings.peers), self.pid, columns, key, MEMORY)
         self._view = -1  # the present one's number
         self._lessons: list[Lesson] = []  # of datagrams that Python looks at
+        self._waiting = self.sessions.lessons  # of those that the gate looks at
         self._others_every = others_every(len(settings.peers))
         self._transport = transport
         self._clock = clock
@@ -122,9 +123,9 @@ class Link:
 
     def receive(self) -> list[Heard]:
         """What arrived and may be listened to. A Hello of a boot that was not adopted is among it: `joining` judges."""
-        datagrams, gate = self._transport.receive(), self._gate
+        datagrams, waiting = self._transport.receive(), self._waiting
         found = self._judged(datagrams) if datagrams else []
-        if self._lessons or (gate is not None and gate.shown.lessons):
+        if self._lessons or waiting[0]:
             self._learn()
         return found
 

@@ -20,6 +20,8 @@ from koordgen.runtime.outcome import Past, all_alike, all_of
 from koordgen.runtime.wire import Closing, State, View, encoder
 from koordgen.runtime.words import Words
 
+_encode = encoder.encode
+
 AHEAD = 8  # rounds that a peer's clock may be ahead of ours
 RECENT = 8  # so many closings of one author may keep the datagrams that they came in: most are soon forgotten
 FORGET_EVERY = 4  # rounds: to go through all logs costs more than to keep some closings a little longer
@@ -85,20 +87,19 @@ class Memory:
         """For each robot the last round up to which its closings are held without a gap."""
         return tuple(self.ledger.held)
 
-    @property
     def settled(self) -> int:
         """All members hold everything up to here."""
         return self._number[SETTLED]
 
-    @property
     def unanswered(self) -> Sequence[int]:
         """The peers that by their last word lack something, and were not sent it yet."""
-        return self._words.unanswered
+        return self._words.unanswered()
 
-    @property
     def crowded(self) -> bool:
         """Whether this robot must write nothing because others lag too far behind to be repeated more."""
-        return self.ledger.held[self._pid] - self.settled > WINDOW // 2 and len(self._logs[self._pid]) >= WINDOW
+        return (
+            self.ledger.held[self._pid] - self._number[SETTLED] > WINDOW // 2 and len(self._logs[self._pid]) >= WINDOW
+        )
 
     @property
     def laggard(self) -> int:
@@ -112,7 +113,6 @@ class Memory:
         rounds = [self.stopped.get(p) for p, m in enumerate(self.view.members) if m >= 0]
         return None if None in rounds else max(r for r in rounds if r is not None)
 
-    @property
     def lacking(self) -> int:
         """How many closings are missing that the next round to be applied needs."""
         return self._number[LACKING]
@@ -174,7 +174,7 @@ class Memory:
         self.closed = first, round_
         incarnation, plain = self.view.members[self._pid], None if stopped else self._layout.plain(shared)
         if plain is not None:
-            row = encoder.encode((self._pid, incarnation, first, round_, False, acted, prompt, lock, plain))
+            row = _encode((self._pid, incarnation, first, round_, False, acted, prompt, lock, plain))
             if len(row) <= PATCH_FROM and self.ledger.close(row):  # so no value in it is one that goes as a patch
                 return  # nearly always
         writes, values = self._layout.written(shared, self.shared, self._pid) if shared else ((), ())
@@ -240,7 +240,7 @@ class Memory:
                     self._heard(sender, before)
                 else:
                     refused.append(self.take(closing, present))
-            plain = single and not row.held and applied <= last and settled <= self.settled
+            plain = single and not row.held and applied <= last and settled <= self._number[SETTLED]
             if not plain or not self._words.content(sender, view, applied, through):
                 refused.append(self.heard(sender, view, applied, row.held, through, settled, present, asks=False))
         return [why for why in refused if why is not None]
@@ -254,7 +254,7 @@ class Memory:
             return "word does not fit"
         ours = view == self.view.number
         self._words.hear(pid, ours, view, applied, held, through, asks)
-        if ours and (told := max(settled, self._number[TOLD])) > self.settled:  # also what the gate was told
+        if ours and (told := max(settled, self._number[TOLD])) > self._number[SETTLED]:  # also what the gate was told
             self._settle(min(told, self.applied))
         return None
 
@@ -302,7 +302,7 @@ class Memory:
         held, through = wanted
         found: list[Closing] = []
         for author in (*range(self._pid, self._n), *range(self._pid)) if helps else (self._pid,):
-            low = max(held[author], self.settled) + 1
+            low = max(held[author], self._number[SETTLED]) + 1
             if low <= through:
                 found += self._logs[author].between(low, through)
         return found
@@ -314,7 +314,7 @@ class Memory:
 
     def _settle(self, through: int) -> None:
         """Forget what everyone holds."""
-        if through > self.settled:
+        if through > self._number[SETTLED]:
             self._number[SETTLED] = through
             if through >= self._forgotten + FORGET_EVERY:
                 self._forgotten = through
@@ -368,7 +368,7 @@ class Memory:
             self._count()
         else:
             self._look()
-        if through >= self.settled + SETTLE_AFTER:
+        if through >= self._number[SETTLED] + SETTLE_AFTER:
             self._settle(min([through, *self._words.applied(self.view).values()]))
 
     def _pass(self, through: int, shared: Mapping[str, Any], acted: list[int]) -> None:
@@ -392,8 +392,8 @@ class Memory:
         after = None if found is None else all_alike(self._layout, found, through, self.shared, self.acted)
         if found is None or after is None:
             return False
-        self.prompt, number = found.prompt, self._number
-        self._pass(through, *after)
+        self.prompt, number, (shared, acted) = found.prompt, self._number, after
+        self._pass(through, shared, acted)
         number[APPLIED], number[LACKING] = through, number[NEXT]
         if through >= number[SETTLED] + SETTLE_AFTER:
             self._settle(min(through, number[LEAST]))

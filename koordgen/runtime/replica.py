@@ -92,10 +92,9 @@ class Replica:
         """Whether this robot does not count at present, or has no store."""
         return self.memory is None
 
-    @property
     def busy(self) -> bool:
         """Whether there may be something to do at the next tick."""
-        return self.comeback is not None or self.views.busy
+        return self.comeback is not None or self.views.busy()
 
     @property
     def status(self) -> str:
@@ -133,7 +132,7 @@ class Replica:
             return self.views.view.number, 0, self._said, 0, self.emergency, (0,) * self._n
         self.keep()
         held = memory.held if memory.applied < round_ - 1 else ()  # else it would tell nothing more
-        return memory.view.number, round_, memory.applied, memory.settled, self.emergency, held
+        return memory.view.number, round_, memory.applied, memory.settled(), self.emergency, held
 
     def publish(self, first: int, round_: int, strained: bool) -> None:
         """The own closings from `first` on go to everyone, and to few what they lacked when they last spoke; to none
@@ -143,7 +142,7 @@ class Replica:
             closing = None if self.comeback is None else self.comeback.silence(round_, self.views.view)
             self._speech.round(self._others, word, () if closing is None else (closing,))
             return
-        calm = strained or not memory.unanswered
+        calm = strained or not memory.unanswered()
         if calm and memory.closed == (first, round_) and self._speech.own(self._others, word, round_, memory.ledger):
             return  # nearly always
         own = memory.own(first)
@@ -151,7 +150,7 @@ class Replica:
             self._speech.round(self._others, word, own)
             return
         known, repeated = {c.round for c in own}, []
-        for pid in few(memory.unanswered, round_):
+        for pid in few(memory.unanswered(), round_):
             repeats = memory.repeat(pid, helps(self.pid, pid, round_, self._n))
             if repeats:
                 rest = [c for c in repeats if c.author != self.pid or c.round not in known]
@@ -226,7 +225,7 @@ class Replica:
 
     def _calm(self, present: int) -> bool:
         """Whether, as at the beginning of nearly all rounds, nobody is late, and nobody wants another view."""
-        calm = not self.busy and self._asked <= self._tick - ASKED
+        calm = not self.busy() and self._asked <= self._tick - ASKED
         return calm and self.memory is not None and self.memory.applied >= present - 1
 
     def complete(self, present: int) -> None:
@@ -246,8 +245,8 @@ class Replica:
         """Keep the last applied round, before anyone is told of it or acts on it."""
         memory = self.memory
         if memory is not None and memory.applied != self._said:
-            self._said = memory.applied
-            self._announce(self.views.view, self._said, self.views.vote)
+            self._said, announce, views = memory.applied, self._announce, self.views
+            announce(views.view, self._said, views.vote)
 
     def _own_word(self) -> Word:
         self.keep()

@@ -127,9 +127,8 @@ class Rounds:
         """How many closings the round that this robot has closed still lacks, and seconds that it pays to gather them:
         to wake for each of many alone costs more than all else. Nothing outstanding: 1, and no time."""
         memory, at_once = self._replica.memory, self._present.open and not self._patience.strained(self.round)
-        if memory is None or at_once or memory.applied >= self.round or not memory.lacking:
+        if memory is None or at_once or memory.applied >= self.round or not (lacking := memory.lacking()):
             return 1, 0.0
-        lacking = memory.lacking
         return lacking, min(GATHER * lacking, MOST_GATHER * self._delta)
 
     def leave(self) -> None:
@@ -198,7 +197,7 @@ class Rounds:
 
     def _calm(self, memory: Memory) -> bool:
         """Whether nothing that has come since the last poll of this round makes a difference to it."""
-        stays = self._returns == self._replica.returns and (memory.applied >= self.round or memory.lacking > 0)
+        stays = self._returns == self._replica.returns and (memory.applied >= self.round or memory.lacking() > 0)
         return stays and not self._outbox.can_settle(memory)
 
     def _tick(self, part: float) -> float:
@@ -319,7 +318,7 @@ class Rounds:
             return f"not confirmed: waits for the word of a majority, not heard from {self._named(unaware)}"
         if round_ - AHEAD > self._sure and not memory.stable(round_ - AHEAD):
             return f"not confirmed: not heard from {self._named(memory.unaware(round_ - AHEAD))}"
-        if memory.crowded:
+        if memory.crowded():
             return f"not current: {self._names[memory.laggard]} lags behind"
         return None
 
@@ -387,7 +386,7 @@ class Rounds:
         if fresh and (missing or unaware) and self._patience.asks(self.round, timely, memory.ledger.lost(missing)):
             self._replica.ask(missing, unaware, through)
             self.counters.asked += 1
-        if present.open or missing or waited is not None or self._replica.busy:
+        if present.open or missing or waited is not None or self._replica.busy():
             return self._following(slot)
         if slot < FIRST_SLOT:
             if memory.applied < self.round or self._replica.emergency:
@@ -396,5 +395,5 @@ class Rounds:
         return self._tick(1.0)
 
     def _following(self, slot: int) -> float:
-        next_ = SLOTS if self._patience.hurried(self.round) and not self._replica.busy else slot + 1
+        next_ = SLOTS if self._patience.hurried(self.round) and not self._replica.busy() else slot + 1
         return self._tick(min(next_ / SLOTS, PUBLISH if self._present.open else 1.0))

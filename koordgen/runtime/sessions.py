@@ -17,7 +17,7 @@ class Sessions:
     """Of a fleet of `n_sys`. Of a boot's datagrams: the `newest` sequence number; a bit for each of the last ones that
     arrived in `seen`, a ring of WORDS (RFC 6479); when the newest one was `sent` (-1: none) and `arrived` here, in
     microseconds; and the latest `round` in which it said to be. When the clock is `due` to learn from it again, by the
-    local clock."""
+    local clock; and how many `lessons` for it wait in the gate, in an array of one."""
 
     def __init__(self, n_sys: int) -> None:
         none = bytes(8 * n_sys)
@@ -26,10 +26,11 @@ class Sessions:
         self.sent = array("q", [-1] * n_sys)
         self.seen = array("Q", none * WORDS)
         self.due = array("d", [float("-inf")] * n_sys)
+        self.lessons = array("q", [0])
 
     def columns(self) -> Mapping[str, array[int] | array[float]]:
         """Those that the gate shares."""
-        return {name: getattr(self, name) for name in ("newest", "sent", "arrived", "round", "seen", "due")}
+        return {name: getattr(self, name) for name in ("newest", "sent", "arrived", "round", "seen", "due", "lessons")}
 
     def adopt(self, pid: int, boot: bytes, sequence: int = 0, sent: int = -1, arrived: int = 0) -> None:
         """From now on this boot counts, and what it sent up to that sequence number, perhaps recorded, does not."""

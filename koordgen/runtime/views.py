@@ -163,7 +163,6 @@ class Views:
         """Whether this robot has promised to apply nothing until the next view is decided."""
         return self.vote.number > self.view.number
 
-    @property
     def busy(self) -> bool:
         """Whether another view is on its way."""
         return self._reason is not None or self.vote.number > self.view.number

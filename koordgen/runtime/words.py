@@ -23,7 +23,6 @@ class Words:
         self._sure = -1  # a round that is stable, as are all before it; -1: none is known in this view
         self._number[WATCHED] = -1  # a round; and how many have said to have applied it is REACHED
 
-    @property
     def unanswered(self) -> list[int]:
         """Those that by their last word lack something, and were not sent it yet."""
         return [pid for pid, wanting in enumerate(self._wanting) if wanting] if self._number[WANTING] else []

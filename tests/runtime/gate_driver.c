@@ -13,6 +13,7 @@ enum { ROBOTS = 128, OWN = 5, BATCH = 200, MOST = LIMIT - MAC_SIZE };
 static int64_t naturals[5][ROBOTS];
 static uint64_t words[ROBOTS * WORDS], buckets[ROBOTS * BUCKETS];
 static int64_t received[ROBOTS], expected[ROBOTS];
+static int64_t lessons;
 static double times[4][ROBOTS];
 static uint8_t room[1 << 20]; /* for what is longer than a datagram */
 static Ledger ledger;
@@ -155,7 +156,7 @@ static uint32_t look(const Shown *shown, int count) {
 
 /* What the clock learns; how much. */
 static int64_t learn_all(Shown *shown) {
-    const int64_t found = shown->lessons;
+    const int64_t found = lessons;
     int told[ROBOTS] = {0};
     check(found >= 0 && found <= ROBOTS, "lessons");
     for (int64_t i = 0; i < found; i++) {
@@ -163,7 +164,7 @@ static int64_t learn_all(Shown *shown) {
         check(pid >= 0 && pid < ROBOTS && !told[pid]++, "lesson");
         times[3][pid] = below(3) ? 0 : 100;
     }
-    return shown->lessons = 0, found;
+    return lessons = 0, found;
 }
 
 static void *fresh(void *old, size_t bytes) {
@@ -234,7 +235,7 @@ static int collect(void) {
 static void begin(Gate *gate, uint8_t *rows, uint32_t key_bytes) {
     const uint8_t purpose[PURPOSE] = {'t', 'e', 's', 't'};
     Columns columns = {naturals[0], naturals[1], naturals[2], naturals[3], words, received,
-                       expected,    times[0],    times[1],    buckets,     times[2],    times[3]};
+                       expected,    times[0],    times[1],    buckets,     times[2],    times[3],    &lessons};
     gate_open(gate, ROBOTS, OWN, &columns, rows, key, key_bytes, purpose);
     gate_begin(gate, begins, sizeof begins);
     for (int pid = 0; pid < ROBOTS; pid++) {

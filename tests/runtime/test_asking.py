@@ -94,11 +94,11 @@ def test_what_another_lacks_is_repeated_unasked_unless_time_is_short(strained: b
     replica.take(
         Round(replace(replica._speech._head([0]), pid=0), 0, through + 1, through - 2, 0, False, lacks, ()), through
     )
-    assert memory.unanswered == [0]
+    assert memory.unanswered() == [0]
     memory.close(through + 1, {}, stopped=False)
     replica.publish(through + 1, through + 1, strained)
     assert said == {fleet.time.time: {0, 2}}
-    assert memory.unanswered == ([0] if strained else []), "and it is not forgotten"
+    assert memory.unanswered() == ([0] if strained else []), "and it is not forgotten"
 
 
 def test_of_many_that_lack_something_one_is_sent_it_another_each_round() -> None:
@@ -112,8 +112,8 @@ def test_of_many_that_lack_something_one_is_sent_it_another_each_round() -> None
         replica.take(Round(head, 0, through + 1, through - 2, 0, False, lacks, ()), through)
     answered = []
     for round_ in (through + 1, through + 2):
-        before = set(memory.unanswered)
+        before = set(memory.unanswered())
         memory.close(round_, {}, stopped=False)
         replica.publish(round_, round_, strained=False)
-        answered.append(before - set(memory.unanswered))
+        answered.append(before - set(memory.unanswered()))
     assert [len(pids) for pids in answered] == [1, 1] and answered[0] != answered[1]

@@ -32,7 +32,7 @@ def told(fleet: Fleet) -> dict[int, Any]:
         memory = None if replica is None else replica.memory
         if memory is not None:
             memory.advance(0)  # what the gate was told is settled, the memory finds when it goes on
-        store = None if memory is None else (memory.applied, memory.shared, memory.held, memory.settled, memory.acted)
+        store = None if memory is None else (memory.applied, memory.shared, memory.held, memory.settled(), memory.acted)
         link, sessions = agent._link, agent._link.sessions
         columns = {name: c.tobytes() for name, c in {**sessions.columns(), **agent.metrics.columns()}.items()}
         found[pid] = {

@@ -187,9 +187,9 @@ def test_closings_beyond_a_gap_are_kept_only_up_to_a_bound() -> None:
 def test_a_robot_whose_closings_nobody_takes_becomes_crowded() -> None:
     alice = fleet()[0]
     for round_ in range(1, WINDOW + 1):
-        assert not alice.crowded
+        assert not alice.crowded()
         alice.close(round_, {"x": round_}, stopped=False, acted=True)
-    assert alice.crowded
+    assert alice.crowded()
 
 
 def test_what_everyone_holds_is_forgotten_and_what_someone_lacks_is_not() -> None:
@@ -202,7 +202,7 @@ def test_what_everyone_holds_is_forgotten_and_what_someone_lacks_is_not() -> Non
     said(alice, 2, 4)
     alice.close(11, {}, stopped=False)
     give(alice, silence(1, 11, 11), silence(2, 11, 11))
-    assert alice.advance(12) and alice.settled == 4
+    assert alice.advance(12) and alice.settled() == 4
     assert [c.round for c in alice.own(1)] == [5, 6, 7, 8, 9, 10, 11]
     said(alice, 2, 4, through=10, asks=True)
     assert {(c.author, c.round) for c in alice.repeat(2)} == {(p, r) for p in range(3) for r in range(5, 11)}
@@ -253,7 +253,7 @@ def test_words_that_cannot_be_are_refused() -> None:
         ((0, 0, 0), 0, 0, 999),
     ]:
         assert alice.heard(1, 0, applied, held, through, settled, 20, True) == "word does not fit"
-    assert alice.settled == 0 and alice.repeat(1) == []
+    assert alice.settled() == 0 and alice.repeat(1) == []
 
 
 def test_a_log_joins_silence_and_keeps_what_lies_beyond_a_gap() -> None:

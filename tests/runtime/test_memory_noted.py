@@ -64,11 +64,11 @@ def test_usual_rounds_go_on_without_a_word_to_python(monkeypatch: pytest.MonkeyP
         monkeypatch.setattr(Memory, name, None)
     monkeypatch.setattr(Log, "fetch", None)
     for round_ in range(NOW, NOW + AHEAD):
-        assert not memory.advance(round_ + 1) and memory.lacking == 3
+        assert not memory.advance(round_ + 1) and memory.lacking() == 3
         robot.close(round_, round_)
         assert robot.hear(0, round_, single(0, round_, write(0, -round_))) == 0
         assert robot.hear(2, round_, single(2, round_, write(1, round_))) == 0
-        assert memory.lacking == 0 and memory.advance(round_ + 1)
+        assert memory.lacking() == 0 and memory.advance(round_ + 1)
         assert memory.shared == {"x": (-round_, round_, 0, 0, 0), "last": round_}
         assert memory.acted == [round_] * 3 + [0, 0] and memory.held == (round_,) * 3 + (NOW - 1,) * 2
 
@@ -85,14 +85,14 @@ def test_what_does_not_fit_is_dropped_with_what_follows(wrong: tuple[Write, ...]
     assert robot.hear(0, NOW, single(0, NOW, write(0, 1))) == 0
     assert robot.hear(2, NOW, single(2, NOW, *wrong)) == 0
     assert robot.hear(2, NOW, single(2, NOW + 1)) == 0
-    assert memory.lacking == 0 and memory.held[2] == NOW + 1 and memory.misfits() == 0
+    assert memory.lacking() == 0 and memory.held[2] == NOW + 1 and memory.misfits() == 0
     if first == "repeat":
         assert memory._logs[2].between(NOW - 1, NOW + 1) == []
     if first == "vote":
         assert memory.fetch() == 1
     assert not memory.advance(NOW + 1) and memory.shared == layout(N).initial()
     assert memory.misfits() == 1 and memory.misfits() == 0
-    assert memory.lacking == 1 and memory.missing(NOW) == [2] and memory.held[2] == NOW - 1
+    assert memory.lacking() == 1 and memory.missing(NOW) == [2] and memory.held[2] == NOW - 1
     robot.hear(2, NOW, single(2, NOW, write(0, 9)))
     assert memory.advance(NOW + 1) and memory.shared == {"x": (1, 5, 9, 0, 0), "last": -1}
 
@@ -125,7 +125,7 @@ def test_rounds_of_silence_and_answers_go_on_without_a_word_to_python(monkeypatc
     answer = silence(0, NOW, NOW + 1, LIVES[0]), silence(0, NOW + 2, NOW + 3, LIVES[0])
     assert robot.hear(2, NOW, *answer, single(2, NOW, write(0, 7))) == 0
     assert robot.hear(2, NOW, silence(2, NOW, NOW + 3, LIVES[2])) == 0, "it has heard of the first of these"
-    assert memory.lacking == 0 and memory.held[:3] == (NOW + 3,) * 3
+    assert memory.lacking() == 0 and memory.held[:3] == (NOW + 3,) * 3
     ours = silence(OWN, NOW, NOW + 2, LIVES[OWN])
     assert memory.repeat(2)[:3] == [ours, single(OWN, NOW + 3, write(0, 5)), single(2, NOW, write(0, 7))]
     assert memory.own(NOW) == [ours, single(OWN, NOW + 3, write(0, 5))]
@@ -152,7 +152,7 @@ def test_a_view_cuts_what_was_noted_of_who_does_not_count_in_it() -> None:
     robot.close(NOW, 5)
     assert robot.hear(0, NOW, single(0, NOW, write(0, 1))) == robot.hear(2, NOW, single(2, NOW)) == 0
     memory.adopt(View(VIEW.number + 1, NOW, (0, 3, -1, -1, -1)))
-    assert memory.held == (NOW, NOW, NOW - 1, NOW - 1, NOW - 1) and memory.lacking == 0
+    assert memory.held == (NOW, NOW, NOW - 1, NOW - 1, NOW - 1) and memory.lacking() == 0
     assert memory.advance(NOW + 1) and memory.shared["x"] == (1, 5, 0, 0, 0)
 
 
@@ -173,7 +173,7 @@ def test_own_rounds_without_events_before_one_are_closed_too() -> None:
     robot = Robot()
     memory = robot.memory
     robot.close(NOW + 2, 5)
-    assert memory.held[OWN] == NOW + 2 and memory.lacking == 2
+    assert memory.held[OWN] == NOW + 2 and memory.lacking() == 2
     for pid in (0, 2):
         robot.hear(pid, NOW, silence(pid, NOW, NOW + 2, LIVES[pid]))
     assert memory.advance(NOW + 3) and memory.shared["x"][OWN] == 5

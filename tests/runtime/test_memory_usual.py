@@ -42,8 +42,8 @@ def told(log: Log) -> Any:
 
 def everything(memory: Memory) -> Any:
     words = str(vars(memory._words))
-    state = memory.settled, memory._forgotten, memory.applied, memory.shared, memory.stopped, memory.acted, memory.won
-    asked = memory.lacking, memory.unfit
+    state = memory.settled(), memory._forgotten, memory.applied, memory.shared, memory.stopped, memory.acted, memory.won
+    asked = memory.lacking(), memory.unfit
     return [told(log) for log in memory._logs], words, state, asked, memory.view, memory.frozen
 
 
@@ -82,7 +82,7 @@ class Course:
             self.present += chance.random() < 0.7
             writes = {"last": self.present} if chance.random() < 0.5 else {}
             for memory in self.both():
-                if memory._logs[OWN].held < self.present - 1 and not memory.crowded:
+                if memory._logs[OWN].held < self.present - 1 and not memory.crowded():
                     memory.close(self.present - 1, writes, stopped=False, acted=bool(writes))
                 memory.advance(self.present)
 
@@ -117,7 +117,7 @@ class Course:
         next_ = self.many._logs[sender].held + 1
         round_ = max(0, chance.choice((next_, next_, next_, next_ + 1, next_ - 1, self.near(-3, 12))))
         applied = max(0, chance.choice((round_ - 1, round_ - 1, round_ - 2, round_, self.near(-9, 11))))
-        known = self.many.settled
+        known = self.many.settled()
         settled = chance.choice((0, 0, known, known + chance.randrange(-2, 3), self.present + AHEAD + 1))
         held: tuple[int, ...] = ()
         if chance.random() < 0.25:

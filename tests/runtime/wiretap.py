@@ -55,7 +55,7 @@ def snapshot(robot: Robot) -> Any:
     return (
         logs,
         (number, memory._words._sure, {k: str(v) for k, v in columns.items() if k in NOTED}),
-        memory.settled,
+        memory.settled(),
         memory.applied,
         memory.shared,
         (dict(agent._link.sessions.boots), str(agent._link.sessions.columns())),
