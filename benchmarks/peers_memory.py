@@ -11,15 +11,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from itertools import compress
-from operator import gt, sub
+from itertools import repeat
 
 from peers_agents import KEY, program, settings
 from peers_exchange import Heard, Place
 
 from koordgen.runtime import courier, gate
 from koordgen.runtime.clock import Clock, FleetClock, SystemClock
-from koordgen.runtime.course import FAR
 from koordgen.runtime.keeping import Keeping
 from koordgen.runtime.layout import Layout
 from koordgen.runtime.link import Link, Usuals, as_usual
@@ -36,6 +34,9 @@ from koordgen.runtime.store import Keeper, Store
 from koordgen.runtime.transport import Transport
 from koordgen.runtime.views import Vote
 from koordgen.runtime.wire import Closing, Hello, Round, View
+
+
+FULL = 0  # the number of the view in which all robots count
 
 
 def open_memory(place: Place, network: str = "multicast", native: bool = True) -> SharedMemory:
@@ -131,7 +132,7 @@ class SharedMemory:
         pid, n = given.pid, len(given.peers)
         self._pid, self._delta, self._rest = pid, given.delta, "x" * (size - 8)
         self._transport, self._now = transport, clock.now
-        ours, view = program(size), View(0, 1, (0,) * n)
+        ours, view = program(size), View(FULL, 1, (0,) * n)
         self._link, memory = open_link(given, size, transport, clock)
         keeping = Keeping(store, ours, n)
         keeping.mission(self._link.epoch, Life(0, {"count": 0}, {}, False))
@@ -145,9 +146,10 @@ class SharedMemory:
         self._open = False  # the present round is not closed yet
         self._complete = True  # all of the present round is applied
         self._view = self._returns = 0
-        self._told = [0] * n  # up to which each robot's rounds were found; of its own none ever is
-        self._told[pid] = FAR
-        self._unheard = set(range(n)) - {pid}
+        self._others = [p for p in range(n) if p != pid]
+        self._told = [0] * n  # up to which each robot's rounds were found, or up to `_all`
+        self._all = 0  # up to which all others' rounds were found, and none beyond; -1: not alike
+        self._unheard = set(self._others)
         self._found: Heard = []  # and not returned yet
         self.missed: list[int] = []
 
@@ -235,18 +237,23 @@ class SharedMemory:
         for message in self._link.receive():
             if not isinstance(message, Hello):
                 self._replica.take(message, max(self._round, 1))
-        memory, told, found = self._replica.memory, self._told, self._found
-        if self._round == 0:
+        memory, round_ = self._replica.memory, self._round
+        if round_ == 0:
             heard = _speak(self._link, self._unheard)
             self._unheard -= heard
-            found += [(pid, 0) for pid in heard]
-        if memory is not None:
-            held = memory.ledger.held
-            found += compress(enumerate(held), map(gt, held, told))
-            if max(map(sub, held, told)) > 1:
-                found += [(p, r) for p, last in enumerate(told) for r in range(last + 1, held[p])]
-            told[:] = held
-            told[self._pid] = FAR
+            self._found += [(pid, 0) for pid in heard]
+        if memory is None:
+            return
+        if memory.applied == self._all == round_ - 1 and not memory.lacking() and memory.view.number == FULL:
+            self._all = round_  # nearly always: all of this round are here
+            self._found += zip(self._others, repeat(round_))
+            return
+        for pid in self._others:
+            last, held = max(self._told[pid], self._all), memory.ledger.held[pid]
+            self._found += [(pid, each) for each in range(last + 1, held + 1)]
+            self._told[pid] = held
+        told = [self._told[pid] for pid in self._others]
+        self._all = told[0] if min(told) == max(told) else -1
 
     def _apply(self, now: float) -> None:
         """What has come may complete the round, or change who counts."""

@@ -237,7 +237,7 @@ def _tests(variable: Variable) -> tuple[Callable[[Any], bool], Callable[[Sequenc
         return len(value) <= capacity if value.isascii() else fits(value)
 
     def all_texts_fit(values: Sequence[str]) -> bool:
-        if "".join(values).isascii():
+        if all(map(str.isascii, values)):
             return max(map(len, values)) <= capacity
         return all(map(text_fits, values))
 
