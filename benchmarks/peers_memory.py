@@ -35,7 +35,6 @@ from koordgen.runtime.transport import Transport
 from koordgen.runtime.views import Vote
 from koordgen.runtime.wire import Closing, Hello, Round, View
 
-
 FULL = 0  # the number of the view in which all robots count
 
 
@@ -145,6 +144,7 @@ class SharedMemory:
         self._wake = math.inf
         self._open = False  # the present round is not closed yet
         self._complete = True  # all of the present round is applied
+        self._looked = False  # what has come was taken, and not applied yet
         self._view = self._returns = 0
         self._others = [p for p in range(n) if p != pid]
         self._told = [0] * n  # up to which each robot's rounds were found, or up to `_all`
@@ -169,7 +169,8 @@ class SharedMemory:
         self._round, self._slot, self._open, self._complete, self._wake = round_, -1, True, False, self._begun
         calm = self._replica.begin(round_)
         if not (current := self._current()):
-            self._hear()  # what is lacking may be here, not yet looked at
+            self._looked = True
+            self._hear()  # what is lacking may be here
             current = self._current()
         if not current and self._patience.waits(round_):
             return
@@ -183,7 +184,8 @@ class SharedMemory:
         clock = self._now
         now = clock()
         end = now + seconds
-        if not self._calm():
+        if self._looked:  # publishing has, for what the last round lacked
+            self._looked = False
             self._apply(now)
         if now >= self._wake and self._round:
             self._poll(now)

@@ -52,6 +52,7 @@ def test_it_carries_templates_targets_runtime_and_explanations(wheel: Path) -> N
         "koordgen/runtime/gate.c",
         "koordgen/runtime/blake2s.h",
         "koordgen/runtime/ledger.h",
+        "koordgen/runtime/mac.h",
         "koordgen/runtime/voice.h",
         "koordgen/_generated/grammar.py",
         "koordgen/explain/K.md",

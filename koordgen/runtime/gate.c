@@ -17,11 +17,12 @@
 #include <string.h>
 
 #include "blake2s.h"
+#include "mac.h"
 #include "msgpack.h"
 #include "ledger.h"
 #include "voice.h"
 
-enum { PURPOSE = 8, WINDOW = 64 * (WORDS - 1), MOST_COMMON = 64, TAIL = 20, WORD_FIELDS = 9 };
+enum { WINDOW = 64 * (WORDS - 1), MOST_COMMON = 64, TAIL = 20, WORD_FIELDS = 9 };
 enum { USUAL, OTHER, FALSE, TOO_LONG, REPLAYED, NOTHING, NOTED }; /* verdicts */
 
 static const double SHORTEST = 1e-6; /* s that a histogram tells apart */
@@ -65,8 +66,7 @@ typedef struct {
 
 typedef struct {
     Shown shown;
-    uint32_t keyed[8];            /* the hash with the key already in it */
-    uint32_t keyed_bytes;
+    Keyed keyed;
     Columns columns;
     int32_t robots, own;          /* pid */
     int32_t common_bytes;
@@ -77,40 +77,6 @@ typedef struct {
     Peer peer[MAX_ROBOTS];
     Voice voice;
 } Gate;
-
-/* The hash before the first byte of a datagram; `key` has 0 to 32 bytes. */
-static void prepare(Gate *gate, const uint8_t *key, uint32_t key_bytes, const uint8_t purpose[PURPOSE]) {
-    uint8_t block[BLOCK] = {0};
-    memcpy(gate->keyed, START, sizeof START);
-    gate->keyed[0] ^= 0x01010000u ^ key_bytes << 8 ^ MAC_SIZE;
-    gate->keyed[6] ^= little(purpose);
-    gate->keyed[7] ^= little(purpose + 4);
-    gate->keyed_bytes = key_bytes ? BLOCK : 0;
-    if (!key_bytes) return;
-    memcpy(block, key, key_bytes);
-    compress(gate->keyed, block, BLOCK, 0);
-}
-
-/* The MAC of a payload, which has a byte at least. */
-static void make_mac(const Gate *gate, const uint8_t *at, int32_t rest, uint8_t mac[MAC_SIZE]) {
-    uint32_t hash[8], count = gate->keyed_bytes;
-    memcpy(hash, gate->keyed, sizeof hash);
-    for (; rest > BLOCK; rest -= BLOCK, at += BLOCK) compress(hash, at, count += BLOCK, 0);
-    uint8_t block[BLOCK] = {0};
-    memcpy(block, at, (size_t)rest);
-    compress(hash, block, count + (uint32_t)rest, 1);
-    for (int i = 0; i < MAC_SIZE; i++) mac[i] = (uint8_t)(hash[i / 4] >> i % 4 * 8);
-}
-
-/* Whether the MAC at its end is right; something must be before it. */
-static int is_genuine(const Gate *gate, const uint8_t *datagram, int32_t length) {
-    const int32_t payload = length - MAC_SIZE;
-    if (payload <= 0) return 0;
-    uint8_t mac[MAC_SIZE], wrong = 0; /* looked at as a whole: how long it takes tells nothing */
-    make_mac(gate, datagram, payload, mac);
-    for (int i = 0; i < MAC_SIZE; i++) wrong |= (uint8_t)(mac[i] ^ datagram[payload + i]);
-    return !wrong;
-}
 
 /* The echoes in a head, and among them the first of ours. */
 static int read_echoes(const Gate *gate, Reader *reader, Word *word) {
@@ -243,7 +209,7 @@ void gate_open(Gate *gate, int32_t robots, int32_t own, const Columns *columns, 
     gate->columns = *columns;
     gate->shown.rows = rows;
     gate->voice.stamped.until = -INFINITY;
-    prepare(gate, key, key_bytes, purpose);
+    prepare(&gate->keyed, key, key_bytes, purpose);
 }
 
 /* How words of this mission begin, up to their sender; nothing: none is usual. */
@@ -277,13 +243,16 @@ static void judge(Gate *gate, const uint8_t *slots, int32_t stride, const int32_
     Shown *shown = &gate->shown;
     if (!first) shown->others = shown->bytes = shown->count = shown->past = 0;
     uint8_t *at = shown->rows + (shown->count ? shown->bytes : 5);
-    for (int32_t i = first; i < count; i++) {
+    unsigned genuine = 0; /* bits, of this one and those that were looked at with it */
+    for (int32_t i = first; i < count; i++, genuine >>= 1) {
         const uint8_t *slot = slots + (size_t)i * (size_t)stride;
         Word word;
         uint8_t verdict = OTHER;
+        if ((i - first) % LANES == 0)
+            genuine = are_genuine(&gate->keyed, slot, stride, lengths + i, count - i < LANES ? count - i : LANES);
         if (lengths[i] < 0) verdict = NOTHING;
         else if (lengths[i] > LIMIT) verdict = TOO_LONG;
-        else if (!is_genuine(gate, slot, lengths[i])) verdict = FALSE;
+        else if (!(genuine & 1)) verdict = FALSE;
         else if (read_word(gate, slot, lengths[i] - MAC_SIZE, &word))
             verdict = is_fresh(&gate->columns, word.pid, word.sequence) ? USUAL : REPLAYED;
         if (verdict == USUAL) {
@@ -369,7 +338,7 @@ static int32_t say(Gate *gate, const Text *stamps, const uint8_t *fields, int32_
     Text row;
     if (own && (!ledger || !ledger_row(ledger, ledger->own, own, &row))) return 0;
     const int32_t length = compose(&gate->voice, stamps, fields, bytes, own ? &row : NULL);
-    if (length) make_mac(gate, said, length, said + length);
+    if (length) make_mac(&gate->keyed, said, length, said + length);
     return length ? length + MAC_SIZE : 0;
 }
 

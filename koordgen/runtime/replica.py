@@ -164,8 +164,10 @@ class Replica:
 
     def confirm(self, round_: int) -> None:
         """Tell those who wait for it that this robot has applied a round."""
-        waiting = [p for p in self.memory.prompt if p != self.pid] if self.memory is not None else []
-        if waiting:
+        memory = self.memory
+        if memory is None or not memory.prompt:
+            return
+        if waiting := [p for p in memory.prompt if p != self.pid]:
             self._speech.round(waiting, self.word(round_), ())
 
     def ask(self, missing: list[int], unaware: list[int], through: int) -> None:

@@ -126,14 +126,7 @@ static int make(uint8_t *payload, int32_t sequence) {
 
 /* The MAC goes behind the payload. */
 static int32_t close_up(const Gate *gate, uint8_t *datagram, int length) {
-    uint32_t hash[8], count = gate->keyed_bytes;
-    uint8_t block[BLOCK] = {0}, *at = datagram;
-    int rest = length;
-    memcpy(hash, gate->keyed, sizeof hash);
-    for (; rest > BLOCK; rest -= BLOCK, at += BLOCK) compress(hash, at, count += BLOCK, 0);
-    memcpy(block, at, (size_t)rest);
-    compress(hash, block, count + (uint32_t)rest, 1);
-    for (int i = 0; i < MAC_SIZE; i++) datagram[length + i] = (uint8_t)(hash[i / 4] >> i % 4 * 8);
+    make_mac(&gate->keyed, datagram, length, datagram + length);
     return length + MAC_SIZE;
 }
 

@@ -357,6 +357,30 @@ def test_slots_of_own_echoes_alone_are_nothing() -> None:
         assert ear.hear(made.receive()) == [] and ear.link.rejected == {"not authentic": 1}, "which is not nothing"
 
 
+def test_macs_of_several_datagrams_side_by_side() -> None:
+    """Of any lengths, of which some fill their last block; each is judged by its own."""
+    ours, chance = opened(), Random(1)
+    for count in [*range(1, 12)] * 20:
+        payloads = [
+            chance.randbytes(chance.choice((1, 63, 64, 65, 128, 320, LIMIT - 16, chance.randrange(1, LIMIT - 15))))
+            for _ in range(count)
+        ]
+        datagrams, expected = [seal(KEY, MEMORY, payload) for payload in payloads], [OTHER] * count
+        for place in range(count):
+            damage = chance.random()
+            if damage < 0.3:
+                datagram, at = datagrams[place], chance.randrange(len(datagrams[place]))
+                datagrams[place] = datagram[:at] + bytes([datagram[at] ^ 1 << chance.randrange(8)]) + datagram[at + 1 :]
+                expected[place] = FALSE
+            elif damage < 0.4:
+                datagrams[place] = datagrams[place][: chance.randrange(17)]
+                expected[place] = FALSE
+            elif damage < 0.5:
+                datagrams[place] = chance.randbytes(LIMIT + chance.randrange(1, 400))
+                expected[place] = TOO_LONG
+        assert verdicts(ours, datagrams) == expected
+
+
 def test_a_library_of_another_layout_is_refused(tmp_path: Path) -> None:
     for wrong in ("MOST_AT_ONCE=1000", "MAX_ROBOTS=64", "WORDS=16"):
         name = wrong.partition("=")[0]

@@ -63,7 +63,7 @@ static void stamp_it(Gate *gate, const uint8_t *fields, int32_t bytes, int64_t o
     if (stamped->until <= time_now) check(error == NOT_STAMPED && !sent_bytes, "stamped too late");
     else check(error == NOT_POSSIBLE || error == head[1] % 3, "not stamped");
     check(stamped->sequence == before + (error >= 0), "what was not said has a number");
-    if (error >= 0) check(sent_bytes && is_genuine(gate, sent, sent_bytes), "stamped something else"), stamped_here++;
+    if (error >= 0) check(sent_bytes && is_genuine(&gate->keyed, sent, sent_bytes), "stamped something else"), stamped_here++;
     free(told);
 }
 
@@ -76,7 +76,7 @@ static void send_it(Gate *gate, const uint8_t *fields, int32_t bytes, int64_t ow
     const int32_t error = voice_send(gate, told, bytes + 3 - cut);
     if (whole && expected) check(error == head[1] % 3 && sent_to == head[1] && sent_bytes == expected, "not sent");
     if (whole && !expected) check(error < 0 && !sent_bytes, "sent what cannot be");
-    if (sent_bytes) check(sent == voice_said(gate) && is_genuine(gate, sent, sent_bytes), "sent something else");
+    if (sent_bytes) check(sent == voice_said(gate) && is_genuine(&gate->keyed, sent, sent_bytes), "sent something else");
     free(told);
 }
 
@@ -102,7 +102,7 @@ static int32_t say_it(Gate *gate, Ledger *ledger) {
     free(begin), free(fields);
     if (!found) return 0;
     check(is_word && (!own || there) && payload <= LIMIT - MAC_SIZE, "said what cannot be");
-    check(found == payload + MAC_SIZE && is_genuine(gate, voice_said(gate), found), "said something else");
+    check(found == payload + MAC_SIZE && is_genuine(&gate->keyed, voice_said(gate), found), "said something else");
     return found;
 }
 
