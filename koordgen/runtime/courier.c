@@ -23,6 +23,7 @@
 enum { MOST_SOCKETS = 2, MOST_ERRORS = 16, ECHO = -1, PLACES = GROUP + 1 };
 
 static const int64_t SECOND = 1000000000; /* ns, as all that follows */
+static const int64_t MICROSECOND = 1000;
 static const int64_t SPIN = 200000;       /* of looking without sleep: a peer that must wake has answered by then */
 static const int LOOKS = 4;               /* before it yields the core */
 static const int64_t YIELDED = 5000;      /* a yield that took longer gave the core to somebody who needs it */
@@ -33,19 +34,16 @@ static const int64_t STEP = 8;            /* a part of the pace by which it chan
 static const unsigned long SLACK = 1000;  /* by which a sleep may end later than asked; the system's own is 50000 */
 static const int64_t LIGHT = 150000;      /* the end of a long sleep, slept alone: cores wake faster from a short one */
 static const int32_t MOST_RESTING = 64;   /* waits that do not spin after a failure */
-static const double LONGEST = 1e6;        /* s that can be waited */
 
 /* Judges slots from the first of these on, of `used`, that came by `local` seconds: how many more datagrams the caller of
    courier_wait waits for, where nobody else need look at any of the slots; 0: it wants to go on; -1: it must look. */
 typedef int32_t Judge(void *judging, int32_t first, int32_t used, double local);
 
 typedef struct { /* what courier.py reads and writes, field by field */
-    double seconds, patience;           /* s, of the next wait */
     int64_t spins, failed;              /* times that it began to spin, and that nothing came of it */
     int64_t pace;                       /* from one of several datagrams to the next, as it was of late */
     int32_t used, arrived;              /* slots, from the first on; those of them that hold no echo */
     int32_t judged;                     /* slots, from the first on */
-    int32_t kept;                       /* whether they hold what courier.py has not taken yet */
     int32_t errors, error[MOST_ERRORS]; /* of receiving; courier.py empties it */
     int32_t length[MOST_AT_ONCE];       /* of what is in each slot, or ECHO */
 } Shown;
@@ -77,10 +75,6 @@ static int64_t now(void) {
 /* Python's time.monotonic, in seconds. */
 double courier_clock(void) { return (double)now() / (double)SECOND; }
 
-static int64_t nanoseconds(double seconds) {
-    return seconds > 0 ? (int64_t)((seconds < LONGEST ? seconds : LONGEST) * 1e9) : 0; /* not a number: 0, too */
-}
-
 static int64_t least(int64_t a, int64_t b) { return a < b ? a : b; }
 
 size_t courier_inbox_size(void) { return sizeof(Inbox); }
@@ -103,7 +97,7 @@ void courier_open(Inbox *inbox, uint8_t *slots, const int32_t *sockets, int32_t 
 }
 
 /* From now on its sockets are not looked at: their numbers may become another's. What was not taken is gone. */
-void courier_close(Inbox *inbox) { inbox->sockets = inbox->shown.kept = 0; }
+void courier_close(Inbox *inbox) { inbox->sockets = 0; }
 
 /* Where a place is, as the system writes addresses. One that it cannot have is none. */
 void courier_address(Inbox *inbox, int32_t place, const uint8_t *address, int32_t size) {
@@ -281,27 +275,31 @@ void courier_listen(Inbox *inbox, Judge *judge, void *judging) {
     inbox->judging = judging;
 }
 
-/* See Transport.wait. What was not taken is kept, and counts. Where what comes is judged, and nobody need look at it, the
-   wait goes on for what is still missing. Ends early when a signal comes. */
-void courier_wait(Inbox *inbox, int32_t expected) {
+/* So many are to be taken; -1: there are errors, too. */
+static int32_t found(const Inbox *inbox) { return inbox->shown.errors ? -1 : inbox->shown.arrived; }
+
+/* See Transport.wait; both durations are in microseconds. What was found before is kept, and counts, if it was not taken.
+   Where what comes is judged, and nobody need look at it, the wait goes on for what is still missing. Ends early when a
+   signal comes. Returns what it has found. */
+int32_t courier_wait(Inbox *inbox, int32_t expected, int32_t taken, int32_t duration, int32_t patience) {
     Shown *shown = &inbox->shown;
-    int64_t begin = now(), end = begin + nanoseconds(shown->seconds);
-    int64_t until = least(end, begin + nanoseconds(shown->patience));
-    int keep = shown->kept && shown->used;
+    int64_t begin = now(), end = begin + MICROSECOND * duration, until = least(end, begin + MICROSECOND * patience);
+    int keep = !taken && shown->used;
     int look = keep || expected > 1 || end == begin || !inbox->looked; /* of two waits at least one looks */
     if (!keep) empty(shown);
-    shown->kept = 1;
     inbox->looked = 0;
     if (look) drain(inbox);
     for (; expected; begin = now()) {
-        if (expected > 1 && !gather(inbox, expected, begin, until)) return;
-        if (!wait_for(inbox, 1, end)) return;
+        if (expected > 1 && !gather(inbox, expected, begin, until)) break;
+        if (!wait_for(inbox, 1, end)) break;
         expected = judged(inbox);
     }
+    return found(inbox);
 }
 
-/* Take what waits, without waiting. */
-void courier_receive(Inbox *inbox) {
+/* Take what waits, without waiting. Returns what it has found. */
+int32_t courier_receive(Inbox *inbox) {
     empty(&inbox->shown);
     drain(inbox);
+    return found(inbox);
 }

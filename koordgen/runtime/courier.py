@@ -36,21 +36,19 @@ FLAGS = (
     f"-DGROUP={GROUP}",
 )
 _MOST_ERRORS = 16
+_LONGEST = 2000.0  # seconds that C can be told to wait
 
 
 class Shown(ctypes.Structure):
     """What C and Python tell one another of an inbox: see Shown in courier.c."""
 
     _fields_ = (
-        ("seconds", ctypes.c_double),
-        ("patience", ctypes.c_double),
         ("spins", ctypes.c_int64),
         ("failed", ctypes.c_int64),
         ("pace", ctypes.c_int64),
         ("used", ctypes.c_int32),
         ("arrived", ctypes.c_int32),
         ("judged", ctypes.c_int32),
-        ("kept", ctypes.c_int32),
         ("errors", ctypes.c_int32),
         ("error", ctypes.c_int32 * _MOST_ERRORS),
         ("length", ctypes.c_int32 * MOST_AT_ONCE),
@@ -77,8 +75,8 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "address": (None, (c_void_p,)),
     "send": (c_int32, (c_void_p,)),
     "clock": (ctypes.c_double, ()),
-    "wait": (None, (c_void_p,)),
-    "receive": (None, (c_void_p,)),
+    "wait": (c_int32, (c_void_p,)),
+    "receive": (c_int32, (c_void_p,)),
     "listen": (None, (c_void_p, c_void_p, c_void_p)),
 }
 COMPILED = Compiled(SOURCE, FLAGS, prove)
@@ -138,6 +136,7 @@ class CompiledInbox:
         self.sends, self._listen = address_of(self._send), found.courier_listen
         self.clock = address_of(found.courier_clock)
         self._judging: object = None
+        self._found: int | None = None  # what waiting has found, and nobody has taken yet: so many; -1: also errors
         found.courier_open(self.at, self.slots.at, (c_int32 * len(sockets))(*sockets), len(sockets))
 
     def address(self, place: int, address: Address) -> None:
@@ -149,19 +148,17 @@ class CompiledInbox:
         return error
 
     def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
-        shown, wait = self.shown, self._wait
-        shown.seconds, shown.patience = seconds, gather
-        wait(self.at, expected)
+        wait, taken = self._wait, self._found is None
+        self._found = wait(self.at, expected, taken, _microseconds(seconds), _microseconds(gather))
 
     def receive(self) -> Sequence[bytes]:
-        shown = self.shown
-        if shown.kept:  # waiting has looked already
-            shown.kept = 0
-        else:
-            self._receive(self.at)
-        if shown.errors:
-            self._tell()
-        return self.slots if shown.arrived else ()
+        found, self._found = self._found, None
+        if found is None:  # else waiting has looked already
+            receive = self._receive
+            found = receive(self.at)
+        if found < 0:
+            found = self._tell()
+        return self.slots if found else ()
 
     def listen(self, judge: int | None, at: int, judging: object) -> None:
         """From now on the function at address `judge` (a Judge, see courier.c; None: nobody), called with `at`, judges
@@ -171,11 +168,19 @@ class CompiledInbox:
 
     def close(self) -> None:
         self._close(self.at)
+        self._found = None
 
-    def _tell(self) -> None:
+    def _tell(self) -> int:
+        """What went wrong; returns how many datagrams there are all the same."""
         errors, self.shown.errors = self.shown.errors, 0
         for number in self.shown.error[:errors]:
             self._trouble(number)
+        return len(self.slots)
+
+
+def _microseconds(seconds: float) -> int:
+    """No shorter, and no longer than can be waited; not a number is nothing."""
+    return int(seconds * 1e6) + 1 if 0.0 < seconds < _LONGEST else int(_LONGEST * 1e6) if seconds > 0.0 else 0
 
 
 def address_of(function: Any) -> int:

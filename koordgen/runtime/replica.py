@@ -105,9 +105,10 @@ class Replica:
 
     def begin(self, round_: int) -> bool:
         """From now on all is heard in this round, at its first tick; whether nothing is due at that, so no `poll`."""
-        self._present, self._tick = round_, (round_ - 1) * SLOTS
-        self.views.tick = self._tick
-        self._now()
+        self._present, tick = round_, (round_ - 1) * SLOTS
+        self._tick = self.views.tick = tick
+        if self.memory is not None:
+            self.memory.present(round_, tick)
         return not self.emergency and self._calm(round_)
 
     def _now(self) -> None:
@@ -165,9 +166,7 @@ class Replica:
     def confirm(self, round_: int) -> None:
         """Tell those who wait for it that this robot has applied a round."""
         memory = self.memory
-        if memory is None or not memory.prompt:
-            return
-        if waiting := [p for p in memory.prompt if p != self.pid]:
+        if memory is not None and memory.prompt and (waiting := [p for p in memory.prompt if p != self.pid]):
             self._speech.round(waiting, self.word(round_), ())
 
     def ask(self, missing: list[int], unaware: list[int], through: int) -> None:

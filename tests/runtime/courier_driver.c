@@ -108,15 +108,15 @@ static int take_all(Inbox *inbox, int32_t used) {
     return used;
 }
 
-static int32_t wait_and_see(Inbox *inbox, double seconds, int32_t expected, double patience) {
-    inbox->shown.seconds = seconds;
-    inbox->shown.patience = patience;
-    courier_wait(inbox, expected);
-    return inbox->shown.used;
+static void wait_and_see(Inbox *inbox, int32_t duration, int32_t expected, int32_t patience, int *taken) {
+    const int32_t before = *taken ? 0 : inbox->shown.arrived;
+    const int32_t found = courier_wait(inbox, expected, *taken, duration, patience);
+    check(found >= before && found == inbox->shown.arrived, "found");
+    *taken = 0;
 }
 
 static int32_t receive(Inbox *inbox) {
-    courier_receive(inbox);
+    check(courier_receive(inbox) == inbox->shown.arrived, "received");
     return inbox->shown.used;
 }
 
@@ -133,25 +133,24 @@ int main(int count, char **arguments) {
     for (int i = 0; i < MOST_SOCKETS; i++) know(inbox, i, &address[i]);
     check_places(inbox, &nobody);
     while (todo > 0) {
-        int batch = rand() % BATCH, taken = 0;
-        int32_t *kept = &inbox->shown.kept;
+        int batch = rand() % BATCH, taken = 0, none = 1;
         memset(sent, 0, sizeof sent);
         memset(seen, 0, sizeof seen);
         for (int i = 0; i < batch; i++) {
             int to = rand() % MOST_SOCKETS;
             send_one(inbox, from, to, &address[to]);
-            if (rand() % 8 == 0) wait_and_see(inbox, 0.0, 1 + rand() % 4, 1e-6 * (rand() % 3));
+            if (rand() % 8 == 0) wait_and_see(inbox, 0, 1 + rand() % 4, rand() % 3, &none);
         }
-        if (rand() % 2) wait_and_see(inbox, 1e-5 * (rand() % 3), batch, 1e-4);
-        if (*kept) taken += take_all(inbox, inbox->shown.used);
-        for (*kept = 0; taken < batch;) taken += take_all(inbox, receive(inbox));
+        if (rand() % 2) wait_and_see(inbox, 10 * (rand() % 3), batch, 100, &none);
+        if (!none) taken += take_all(inbox, inbox->shown.used);
+        while (taken < batch) taken += take_all(inbox, receive(inbox));
         check(taken == batch && !inbox->shown.errors, "too many");
         todo -= batch;
     }
     for (int i = 0; i < 100; i++) learn(inbox, 1, now()); /* what came had come before */
     check(inbox->shown.pace == SHORT_PACE, "pace");
     courier_close(inbox);
-    check(!receive(inbox) && !wait_and_see(inbox, 0.0, 1, 0.0), "closed");
+    check(!receive(inbox) && !courier_wait(inbox, 1, 1, 0, 0), "closed");
     check(courier_send(inbox, 0, slots, 1) == EBADF, "closed, and sends");
     for (int i = 0; i < MOST_SOCKETS; i++) close(sockets[i]);
     close(from);
