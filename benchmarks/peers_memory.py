@@ -101,12 +101,12 @@ class Update:
             speech.round(to, (0, 0, 0, 0, False, ()), ())
             return
         self._round = round_
-        memory.present(round_, 0)
         memory.close(round_, {"report": f"{round_:08}{self._rest}"}, stopped=False, acted=True)
         memory.advance(round_ + 1)
         word = (0, round_, memory.applied, memory.settled(), False, memory.held if memory.applied < round_ - 1 else ())
         if not speech.own(to, word, round_, memory.ledger):
             speech.round(to, word, memory.own(round_))
+        memory.present(round_, 0)
 
     def take(self, seconds: float) -> Heard:
         self._transport.wait(seconds)
@@ -167,14 +167,15 @@ class SharedMemory:
             self.missed.append(round_)
             return
         self._round, self._slot, self._open, self._complete, self._wake = round_, -1, True, False, self._begun
-        calm = self._replica.begin(round_)
         if not (current := self._current()):
+            self._replica.begin(round_)
             self._looked = True
             self._hear()  # what is lacking may be here
             current = self._current()
         if not current and self._patience.waits(round_):
             return
         self._close(current)
+        calm = self._replica.begin(round_)  # only now: all others wait for the closing
         if calm and now < self._moment(PUNCTUAL):  # there is nothing to do at the first slot
             self._slot, self._wake = 0, self._moment(FIRST_SLOT)
 

@@ -96,6 +96,7 @@ class Ledger:
         self._length = array("i", [0] * (self.n_sys * DEPTH))
         self._rows = mmap.mmap(-1, self.n_sys * DEPTH * ROW)  # the system makes its pages when they are used
         self._out = mmap.mmap(-1, found.ledger_room(self.n_sys))
+        self._found = memoryview(self._out)
         columns = [getattr(self, name).buffer_info()[0] for name in (*_BY_PID, "number", "lacks")]
         rows, self._place = (ctypes.addressof(ctypes.c_char.from_buffer(each)) for each in (self._rows, self._out))
         self._columns = _Columns(*columns, rows, self._length.buffer_info()[0], self.n_sys, self.pid)
@@ -115,7 +116,8 @@ class Ledger:
         return any(self.gap[p] or self.held[p] < applied for p in pids)
 
     def collect(self, round_: int) -> Collected | None:
-        """All members' closings of a round; None where not all are here, or such as must be looked at one by one."""
+        """All members' closings of a round; None where not all are here, or such as must be looked at one by one. The
+        values lie where the next call puts its own."""
         if not self.native:
             return None
         collect = self._collect
@@ -123,7 +125,7 @@ class Ledger:
         if not size:
             return None
         try:
-            return _collected.decode(self._out[:size])
+            return _collected.decode(self._found[:size])
         except (ValueError, RecursionError):  # a value that nests too deeply
             return None
 

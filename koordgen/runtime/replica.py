@@ -104,7 +104,8 @@ class Replica:
         return "not current: does not count in the fleet, asks to be let in"
 
     def begin(self, round_: int) -> bool:
-        """From now on all is heard in this round, at its first tick; whether nothing is due at that, so no `poll`."""
+        """From now on all is heard in this round, at its first tick; whether nothing is due at that, so no `poll`. A poll
+        begins a round, too."""
         self._present, tick = round_, (round_ - 1) * SLOTS
         self._tick = self.views.tick = tick
         if self.memory is not None:
@@ -206,7 +207,7 @@ class Replica:
 
     def poll(self, tick: int, present: int) -> None:
         """What is due at the beginning of a tick in round `present`."""
-        self._tick = self.views.tick = tick
+        self._present, self._tick, self.views.tick = present, tick, tick
         self._now()
         for _ in range(0 if self.memory is None else self.memory.misfits()):
             self._link.reject("closing does not fit")

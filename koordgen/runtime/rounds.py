@@ -41,7 +41,6 @@ class _Present:
     """How far this robot is in the round that is going on."""
 
     open: bool = False
-    calm: bool = False  # nothing is due at its first tick
     sensed: Sensed | None = None
     slot: int = -1  # the last slot that was looked at
     confirmed: bool = False  # those who wait for it were told that the round is applied
@@ -190,7 +189,7 @@ class Rounds:
             if not present.open:
                 self._replica.keep()  # the next closing says so, and should not have to wait for it
                 self._confirm(memory.applied)
-        if ripe and not (present.calm and slot == 0):  # only now: all others wait for the closing
+        if ripe and not (self._replica.begin(self.round) and slot == 0):  # only now: all others wait for the closing
             self._replica.poll((self.round - 1) * SLOTS + slot, self.round)
         self._wake = self._ask(slot, fresh, timely)
         return self._wake
@@ -210,7 +209,7 @@ class Rounds:
             if memory.held[self._pid] < round_ - 1:
                 memory.close(round_ - 1, {}, stopped=self.stopped)
             self.counters.missed += slept
-        self.round, self._present = round_, _Present(True, self._replica.begin(round_), sensed)
+        self.round, self._present = round_, _Present(True, sensed)
         self.counters.rounds += 1
 
     def _come_back(self, memory: Memory, now: float) -> None:

@@ -25,7 +25,7 @@ class Words:
 
     def unanswered(self) -> list[int]:
         """Those that by their last word lack something, and were not sent it yet."""
-        return [pid for pid, wanting in enumerate(self._wanting) if wanting] if self._number[WANTING] else []
+        return [pid for pid, wanting in enumerate(self._wanting) if wanting]
 
     def renew(self) -> None:
         """There is another view."""
