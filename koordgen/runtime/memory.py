@@ -14,7 +14,7 @@ from koordgen.runtime.commits import counting
 from koordgen.runtime.course import Course
 from koordgen.runtime.gate import Usual
 from koordgen.runtime.layout import PATCH_FROM, Layout
-from koordgen.runtime.ledger import APPLIED, LACKING, LAST, LEAST, NEXT, OPEN, SETTLED, TICK, TOLD, WANTING, Ledger
+from koordgen.runtime.ledger import APPLIED, LACKING, LAST, LEAST, NEXT, OPEN, SETTLED, TICK, TOLD, Ledger
 from koordgen.runtime.log import GAPS, Entry, Log, detached
 from koordgen.runtime.outcome import Past, all_alike, all_of
 from koordgen.runtime.wire import Closing, State, View, encoder
@@ -93,7 +93,7 @@ class Memory:
 
     def unanswered(self) -> Sequence[int]:
         """The peers that by their last word lack something, and were not sent it yet."""
-        return self._words.unanswered() if self._number[WANTING] else []
+        return self._words.unanswered()
 
     def crowded(self) -> bool:
         """Whether this robot must write nothing because others lag too far behind to be repeated more."""
@@ -276,7 +276,7 @@ class Memory:
 
     def stable(self, round_: int) -> bool:
         """Whether no view can leave out what was done up to this round."""
-        return self._words.stable(round_, self.applied, self.view)
+        return round_ <= self._words.sure or self._words.stable(round_, self.applied, self.view)
 
     def unaware(self, round_: int) -> list[int]:
         """The members that have not said to have applied a round."""

@@ -14,6 +14,7 @@ from koordgen.runtime.assembly import Assembly
 from koordgen.runtime.comeback import Comeback, Store
 from koordgen.runtime.gate import Fields
 from koordgen.runtime.layout import Layout
+from koordgen.runtime.ledger import SETTLED, WANTING
 from koordgen.runtime.link import Link, Usuals, as_usual
 from koordgen.runtime.memory import AHEAD, Memory
 from koordgen.runtime.news import News
@@ -104,12 +105,10 @@ class Replica:
         return "not current: does not count in the fleet, asks to be let in"
 
     def begin(self, round_: int) -> bool:
-        """From now on all is heard in this round, at its first tick; whether nothing is due at that, so no `poll`. A poll
-        begins a round, too."""
+        """From now on all is heard in this round, at its first tick; whether nothing is due at that, so no `poll`."""
         self._present, tick = round_, (round_ - 1) * SLOTS
         self._tick = self.views.tick = tick
-        if self.memory is not None:
-            self.memory.present(round_, tick)
+        self._now()
         return not self.emergency and self._calm(round_)
 
     def _now(self) -> None:
@@ -132,9 +131,10 @@ class Replica:
         memory = self.memory
         if memory is None:
             return self.views.view.number, 0, self._said, 0, self.emergency, (0,) * self._n
-        self.keep()
+        if memory.applied != self._said:
+            self.keep()
         held = memory.held if memory.applied < round_ - 1 else ()  # else it would tell nothing more
-        return memory.view.number, round_, memory.applied, memory.settled(), self.emergency, held
+        return memory.view.number, round_, memory.applied, memory.ledger.number[SETTLED], self.emergency, held
 
     def publish(self, first: int, round_: int, strained: bool) -> None:
         """The own closings from `first` on go to everyone, and to few what they lacked when they last spoke; to none
@@ -144,7 +144,7 @@ class Replica:
             closing = None if self.comeback is None else self.comeback.silence(round_, self.views.view)
             self._speech.round(self._others, word, () if closing is None else (closing,))
             return
-        calm = strained or not memory.unanswered()
+        calm = strained or not memory.ledger.number[WANTING]
         if calm and memory.closed == (first, round_) and self._speech.own(self._others, word, round_, memory.ledger):
             return  # nearly always
         own = memory.own(first)

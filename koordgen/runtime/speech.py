@@ -86,6 +86,8 @@ class Speech:
         self._sessions = sessions
         self._gate = gate
         self._way = way  # out of the gate
+        self._to: Sequence[int] = ()  # to whom something was said last,
+        self._place = -1  # and where they are, see Coupled.place
         self._stamped = Stamped() if gate is None else gate.stamped  # it knows the last number and offset, too
         self._others_every = others_every(len(settings.peers))
         self._echoed: dict[int, float] = {}  # when each peer was last sent an echo, the one that waits longest first
@@ -119,7 +121,9 @@ class Speech:
         gate, way = self._gate, self._way
         if gate is None or not to:
             return not to
-        if way is not None and (ledger is None or ledger is gate.ledger) and (place := way.place(to)) >= 0:
+        if to is not self._to and way is not None:
+            self._to, self._place = to, way.place(to)
+        if way is not None and (ledger is None or ledger is gate.ledger) and (place := self._place) >= 0:
             error = gate.send(place, word, round_)
             if error == NOT_STAMPED:
                 now, stamps, turn = self._stamps(to)

@@ -20,7 +20,7 @@ class Words:
         self._view, self._applied, self._through = ledger.view, ledger.applied, ledger.through
         self._wanting, self._number = ledger.wanting, ledger.number
         self._lacks = ledger.lacks
-        self._sure = -1  # a round that is stable, as are all before it; -1: none is known in this view
+        self.sure = -1  # a round that is stable, as are all before it; -1: none is known in this view
         self._number[WATCHED] = -1  # a round; and how many have said to have applied it is REACHED
 
     def unanswered(self) -> list[int]:
@@ -29,7 +29,7 @@ class Words:
 
     def renew(self) -> None:
         """There is another view."""
-        self._sure = self._number[WATCHED] = -1
+        self.sure = self._number[WATCHED] = -1
         self._number[TOLD] = 0
 
     def forget(self, pid: int) -> None:
@@ -76,7 +76,7 @@ class Words:
 
     def stable(self, round_: int, applied: int, view: View) -> bool:
         """Whether no view can leave out what was done up to this round, where all is applied up to `applied`."""
-        if round_ <= self._sure:
+        if round_ <= self.sure:
             return True
         if round_ < view.since:
             return applied >= round_
@@ -88,8 +88,8 @@ class Words:
             number, views, applieds = view.number, self._view, self._applied
             every = views.count(number) == len(self._others)  # nearly always; its own column counts as 0
             said = sorted(applieds if every else [applieds[p] if views[p] == number else -1 for p in self._others])
-            self._sure = min(applied, said[-needed]) if needed else applied
-            if round_ <= self._sure:
+            self.sure = min(applied, said[-needed]) if needed else applied
+            if round_ <= self.sure:
                 return True
             counts[WATCHED], counts[REACHED] = round_, len([a for a in said if a >= round_])
         return counts[REACHED] >= needed

@@ -54,7 +54,7 @@ def snapshot(robot: Robot) -> Any:
     number = [value for index, value in enumerate(ledger.number) if index not in (LAST, TICK)]  # time goes on
     return (
         logs,
-        (number, memory._words._sure, {k: str(v) for k, v in columns.items() if k in NOTED}),
+        (number, memory._words.sure, {k: str(v) for k, v in columns.items() if k in NOTED}),
         memory.settled(),
         memory.applied,
         memory.shared,
