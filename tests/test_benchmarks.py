@@ -9,6 +9,7 @@ import pytest
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
+import shared_memory
 from peers_agents import settings
 from peers_memory import SharedMemory, Update
 
@@ -131,3 +132,28 @@ def test_two_robots_of_the_benchmark_that_take_turns_hear_each_round_once() -> N
             assert hears.take(0.0) == [] or round_ == 1, "nothing comes at once"
             clock.time += 0.001
             assert hears.take(0.0) == [(int(says is second), round_)]
+
+
+@pytest.mark.parametrize(
+    ("taken", "worst", "holds", "tries"),
+    [(0, 0.009, True, 1), (1, 0.009, True, 1), (0, 0.011, False, 2), (1, 0.011, False, 6), (1, 0.1, False, 1)],
+)
+def test_a_fleet_that_the_host_disturbed_is_tried_again(
+    taken: int, worst: float, holds: bool, tries: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Which is found out for all alike, and ends; not where it is too slow anyway."""
+    ticks, tried = [0], [0]
+
+    def measured(n: int, delta: float, count: int) -> shared_memory.Rounds:
+        tried[0] += 1
+        ticks[0] += taken
+        usual = 0.005 if worst < 0.1 else worst
+        return shared_memory.Rounds([usual, usual, worst], 0, 0.0)
+
+    monkeypatch.setattr(shared_memory, "taken_away", lambda: ticks[0])
+    assert shared_memory.keeps("ours", measured, 4, 0.01, 3) == holds
+    assert tried == [tries]
+
+
+def test_what_the_host_takes_away_can_be_read() -> None:
+    assert shared_memory.taken_away() >= 0
