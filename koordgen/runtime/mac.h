@@ -55,7 +55,7 @@ static void load(Lanes m[16], int lane, const uint8_t *at, int32_t rest) {
    there, is not looked at. */
 static unsigned are_genuine(const Keyed *keyed, const uint8_t *datagrams, int32_t stride, const int32_t *lengths, int count) {
     if (count == 1) return lengths[0] <= LIMIT && is_genuine(keyed, datagrams, lengths[0]);
-    Lanes hash[8], m[16], taken, last;
+    Lanes hash[8], m[16] = {{0}}, taken = {0}, last = {0};
     unsigned genuine = 0;
     int32_t longest = 0, payload[LANES] = {0};
     for (int i = 0; i < 8; i++) hash[i] = (Lanes){0} + keyed->hash[i];

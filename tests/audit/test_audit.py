@@ -166,7 +166,7 @@ def test_who_had_left_the_model_before_is_named(tmp_path: Path) -> None:
 
 
 def killed(folder: Path) -> Run:
-    """Bert's process is killed, and began anew a second later. The run ends amid a round, which all have begun."""
+    """Bert's process is killed, and began anew a second later. The run ends amid a round."""
     run = Run(folder, HOLDS.replace("  assume reached or", "  assume True or"), conditions=conditions(0.05)).run(2.5)
     run.fleet.network._queues.pop(1, None)
     run.fleet.robots[1].wake = 1e9
@@ -182,7 +182,9 @@ def test_a_robot_that_died_and_came_back_is_judged_by_what_it_kept(tmp_path: Pat
     assert status in (0, 4) and document["robots"][1]["lives"] == 2
     found = by_name(document)
     assert {p["verdict"] for p in found.values()} == {"held"}
-    assert found["Mine"]["spans"][-1]["outcome"] == "held", "what it kept tells its own variables"
+    spans = found["Mine"]["spans"]  # of the last round not all may have told anything yet
+    told = {span["outcome"] for span in spans if span["since"] < spans[-1]["until"]}
+    assert told == {"held"} and spans[-1]["until"] > 40, "what it kept tells its own variables"
     assert audited(folder)[1]["properties"] == document["properties"], "the merged trace says the same"
     home = tmp_path / "home"
     home.mkdir()

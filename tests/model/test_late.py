@@ -75,7 +75,7 @@ def test_who_comes_when_its_closing_is_due_is_not_late() -> None:
 
 
 def test_while_a_view_is_changing_who_is_late_wakes_at_each_slot(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Replica, "busy", property(lambda self: True))
+    monkeypatch.setattr(Replica, "busy", lambda self: True)
     assert len([due for due, *_ in alone(0.15)]) >= 20
 
 
