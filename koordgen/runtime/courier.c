@@ -54,6 +54,7 @@ typedef struct {
     Judge *judge;                         /* or NULL */
     void *judging;                        /* what it is called with */
     int32_t looked;                       /* whether the last wait looked what is at the sockets */
+    int32_t shares;                       /* whether others of the group are on this computer */
     int32_t sockets;
     struct pollfd socket[MOST_SOCKETS];
     int32_t resting, penalty;             /* waits that will not spin yet; those after the last failure */
@@ -80,10 +81,12 @@ static int64_t least(int64_t a, int64_t b) { return a < b ? a : b; }
 size_t courier_inbox_size(void) { return sizeof(Inbox); }
 size_t courier_shown_size(void) { return sizeof(Shown); }
 
-/* `slots` must live as long as the inbox. Of this thread, sleeps become exact. */
-void courier_open(Inbox *inbox, uint8_t *slots, const int32_t *sockets, int32_t count) {
+/* `slots` must live as long as the inbox; `shares`: others of the group are on this computer. Of this thread, sleeps become
+   exact. */
+void courier_open(Inbox *inbox, uint8_t *slots, const int32_t *sockets, int32_t count, int32_t shares) {
     memset(inbox, 0, sizeof *inbox);
     inbox->slots = slots;
+    inbox->shares = shares;
     inbox->sockets = count;
     inbox->shown.pace = FIRST_PACE;
     for (int i = 0; i < count; i++) inbox->socket[i] = (struct pollfd){.fd = sockets[i], .events = POLLIN};
@@ -116,7 +119,8 @@ static void remember(Inbox *inbox, const uint8_t *datagram, int32_t length) {
 }
 
 /* Send to a place, or not at all: it never blocks. Returns 0 or errno. What goes to the group is remembered first, and
-   also when it fails: the system may have given it back by then. */
+   also when it fails: the system may have given it back by then. Who has sent it lets those go first that share the core
+   and have not: all wait for the last of them. */
 int32_t courier_send(Inbox *inbox, int32_t place, const uint8_t *datagram, int32_t length) {
     if (!inbox->sockets) return EBADF;
     if (place < 0 || place >= PLACES || !inbox->address_size[place]) return EDESTADDRREQ;
@@ -126,7 +130,9 @@ int32_t courier_send(Inbox *inbox, int32_t place, const uint8_t *datagram, int32
     do sent = sendto(inbox->socket[0].fd, datagram, (size_t)length, MSG_DONTWAIT | MSG_NOSIGNAL, to,
                      inbox->address_size[place]);
     while (sent < 0 && errno == EINTR);
-    return sent < 0 ? errno : 0;
+    const int error = sent < 0 ? errno : 0;
+    if (place == GROUP && inbox->shares) sched_yield();
+    return error;
 }
 
 /* Whether it is one of those that were sent; each comes back once. */

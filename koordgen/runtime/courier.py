@@ -121,10 +121,11 @@ class Slots(Sequence[bytes]):
 
 
 class CompiledInbox:
-    """See inbox.Inbox. Its memory is Python's own, so nothing is to be given back. `sends` is the address of what
+    """See inbox.open_inbox. Its memory is Python's own, so nothing is to be given back. `sends` is the address of what
     sends, which wants to be called with `at`."""
 
-    def __init__(self, found: ctypes.CDLL, sockets: Sequence[int], trouble: Callable[[int], None]) -> None:
+    def __init__(self, found: ctypes.CDLL, sockets: Sequence[int], trouble: Callable[[int], None],
+                 shares: bool = False) -> None:  # fmt: skip
         self._trouble = trouble
         room = mmap.mmap(-1, MOST_AT_ONCE * LARGEST)  # the system makes its pages when they are used
         self._state = ctypes.create_string_buffer(found.courier_inbox_size())
@@ -137,7 +138,7 @@ class CompiledInbox:
         self.clock = address_of(found.courier_clock)
         self._judging: object = None
         self._found: int | None = None  # what waiting has found, and nobody has taken yet: so many; -1: also errors
-        found.courier_open(self.at, self.slots.at, (c_int32 * len(sockets))(*sockets), len(sockets))
+        found.courier_open(self.at, self.slots.at, (c_int32 * len(sockets))(*sockets), len(sockets), shares)
 
     def address(self, place: int, address: Address) -> None:
         written = as_written(address)
@@ -148,8 +149,8 @@ class CompiledInbox:
         return error
 
     def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
-        wait, taken = self._wait, self._found is None
-        self._found = wait(self.at, expected, taken, _microseconds(seconds), _microseconds(gather))
+        wait, taken, patience = self._wait, self._found is None, _microseconds(gather) if gather else 0
+        self._found = wait(self.at, expected, taken, _microseconds(seconds), patience)
 
     def receive(self) -> Sequence[bytes]:
         found, self._found = self._found, None

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import select
 import socket
 import time
@@ -26,7 +27,7 @@ class Inbox(Protocol):
 
     def send(self, place: int, datagram: bytes) -> int:
         """From the first of its sockets, without blocking; what goes to the group comes back, and the inbox drops it
-        then. Returns 0, or errno: it was not sent."""
+        then; if it `shares` the computer, others go first after that. Returns 0, or errno: it was not sent."""
         ...
 
     def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
@@ -42,18 +43,20 @@ class Inbox(Protocol):
         ...
 
 
-def open_inbox(sockets: Sequence[socket.socket], trouble: Callable[[int], None], native: bool) -> Inbox:
-    """Of sockets that do not block; `trouble` gets the errno of what went wrong when receiving. Compiled, if `native`
-    and there is a compiler."""
+def open_inbox(sockets: Sequence[socket.socket], trouble: Callable[[int], None], native: bool, shares: bool) -> Inbox:
+    """Of sockets that do not block; `trouble` gets the errno of what went wrong when receiving; `shares`: others of the
+    group are on this computer. Compiled, if `native` and there is a compiler."""
     found = COMPILED.library() if native else None
     if found is None:
-        return PlainInbox(sockets, trouble)
-    return CompiledInbox(found, [each.fileno() for each in sockets], trouble)
+        return PlainInbox(sockets, trouble, shares)
+    return CompiledInbox(found, [each.fileno() for each in sockets], trouble, shares)
 
 
 class PlainInbox:
-    def __init__(self, sockets: Sequence[socket.socket], trouble: Callable[[int], None]) -> None:
-        self._trouble = trouble
+    def __init__(
+        self, sockets: Sequence[socket.socket], trouble: Callable[[int], None], shares: bool = False
+    ) -> None:
+        self._trouble, self._shares = trouble, shares
         self._poll = select.poll()
         self._sockets = {each.fileno(): each for each in sockets}
         for number in self._sockets:
@@ -77,6 +80,8 @@ class PlainInbox:
             next(iter(self._sockets.values())).sendto(datagram, self._addresses[place])
         except OSError as error:
             return error.errno or errno.EIO
+        if place == GROUP and self._shares:  # all wait for the last of those that share the core and have not sent
+            os.sched_yield()
         return 0
 
     def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:

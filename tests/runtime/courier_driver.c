@@ -129,7 +129,7 @@ int main(int count, char **arguments) {
     srand((unsigned)atoi(arguments[2]));
     from = open_socket(&nobody);
     for (int i = 0; i < MOST_SOCKETS; i++) sockets[i] = open_socket(&address[i]);
-    courier_open(inbox, slots, sockets, MOST_SOCKETS);
+    courier_open(inbox, slots, sockets, MOST_SOCKETS, 0);
     for (int i = 0; i < MOST_SOCKETS; i++) know(inbox, i, &address[i]);
     check_places(inbox, &nobody);
     while (todo > 0) {
