@@ -176,6 +176,9 @@ class SharedMemory:
             return
         self._close(current)
         calm = self._replica.begin(round_)  # only now: all others wait for the closing
+        if self._replica.memory is not None and not self._replica.memory.lacking():  # they were before us
+            self._looked = True
+            self._hear()
         if calm and now < self._moment(PUNCTUAL):  # there is nothing to do at the first slot
             self._slot, self._wake = 0, self._moment(FIRST_SLOT)
 
@@ -185,9 +188,12 @@ class SharedMemory:
         clock = self._now
         now = clock()
         end = now + seconds
-        if self._looked:  # publishing has, for what the last round lacked
+        if self._looked:  # publishing has, for what the last round lacked, or as all of this one were here
             self._looked = False
             self._apply(now)
+            if self._found:
+                found, self._found = self._found, []
+                return found
         if now >= self._wake and self._round:
             self._poll(now)
         rest = (end if end < self._wake else self._wake) - clock()

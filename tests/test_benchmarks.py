@@ -84,6 +84,21 @@ def test_what_comes_without_a_message_is_found(monkeypatch: pytest.MonkeyPatch) 
     assert not any(robot.missed for robot in robots.each)
 
 
+def test_a_round_that_is_complete_when_it_is_closed_is_found_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    robots = Robots(0.0)
+    silent(robots, monkeypatch)
+    robots.run(range(3))
+    *others, last = robots.each
+    for other in others:
+        other.publish(3)
+    robots.clock.time += 0.0005
+    last._link.receive()  # as the gate does, while the courier waits for the tick
+    last.publish(3)
+    monkeypatch.setattr(last._transport, "wait", lambda *_: pytest.fail("waits, and nothing more will come"))
+    assert last.take(DELTA) == [(0, 3), (1, 3)]
+    assert last._replica.memory is not None and last._replica.memory.applied == 3
+
+
 def test_in_calm_rounds_nothing_is_due_at_the_slots(monkeypatch: pytest.MonkeyPatch) -> None:
     polled, poll = [0], Replica.poll
 
