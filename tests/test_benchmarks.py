@@ -150,13 +150,21 @@ def test_two_robots_of_the_benchmark_that_take_turns_hear_each_round_once() -> N
 
 
 @pytest.mark.parametrize(
-    ("taken", "worst", "holds", "tries"),
-    [(0, 0.009, True, 1), (1, 0.009, True, 1), (0, 0.011, False, 2), (1, 0.011, False, 6), (1, 0.1, False, 1)],
+    ("name", "taken", "worst", "holds", "tries"),
+    [
+        (shared_memory.KOORDGEN, 0, 0.009, True, 1),
+        (shared_memory.KOORDGEN, 1, 0.009, True, 1),
+        (shared_memory.KOORDGEN, 0, 0.011, False, 2),
+        (shared_memory.KOORDGEN, 1, 0.011, False, 6),
+        (shared_memory.KOORDGEN, 1, 0.1, False, 1),
+        ("cyclonedds", 1, 0.011, False, 6),
+        (shared_memory.AGENTS, 1, 0.011, False, 2),
+    ],
 )
 def test_a_fleet_that_the_host_disturbed_is_tried_again(
-    taken: int, worst: float, holds: bool, tries: int, monkeypatch: pytest.MonkeyPatch
+    name: str, taken: int, worst: float, holds: bool, tries: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Which is found out for all alike, and ends; not where it is too slow anyway."""
+    """Which is found out for all that are judged alike, and ends; not where it is too slow anyway."""
     ticks, tried = [0], [0]
 
     def measured(n: int, delta: float, count: int) -> shared_memory.Rounds:
@@ -166,7 +174,7 @@ def test_a_fleet_that_the_host_disturbed_is_tried_again(
         return shared_memory.Rounds([usual, usual, worst], 0, 0.0)
 
     monkeypatch.setattr(shared_memory, "taken_away", lambda: ticks[0])
-    assert shared_memory.keeps("ours", measured, 4, 0.01, 3) == holds
+    assert shared_memory.keeps(name, measured, 4, 0.01, 3) == holds
     assert tried == [tries]
 
 
