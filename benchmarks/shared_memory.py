@@ -230,8 +230,8 @@ def taken_away() -> int:
 
 def keeps(name: str, measure: Measure, n: int, delta: float, count: int, tries: int = 2) -> bool:
     """Whether each robot had each round's updates of all others before the next tick. There are two tries, since others
-    may disturb one, and of what is judged up to DISTURBED more for such in which the host took cores away; where half of
-    the rounds took too long nobody else is to blame."""
+    may disturb one, and of what is judged up to DISTURBED more for such in which the host took cores away; where half
+    of the rounds took too long nobody else is to blame."""
     disturbed = DISTURBED if name in BESIDE else 0
     while tries:
         before = taken_away()

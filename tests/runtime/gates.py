@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,8 +11,11 @@ import pytest
 
 from koordgen.runtime import gate, wire
 from koordgen.runtime.clock import FleetClock, SimulatedClock
+from koordgen.runtime.gate import Gate
 from koordgen.runtime.link import Link, Usuals
 from koordgen.runtime.metrics import Metrics
+from koordgen.runtime.seal import MEMORY
+from koordgen.runtime.sessions import Sessions
 from koordgen.runtime.transport import Transport
 from koordgen.runtime.wire import Closing, Head, Hello, Message, Round, View
 from tests.runtime.fleet import KEY, settings
@@ -25,6 +29,13 @@ EPOCH, BOOT = b"mission1", b"own boot"
 BOOTS = {pid: b"boot of%d" % pid for pid in (0, 2, 3)}  # 4 was not heard yet
 VIEW = View(3, 20, (0, 3, 200, -1, 2**53))
 ADOPTED = 70  # sequence number of the Hello that each was adopted with
+
+
+def opened(key: bytes | None = KEY, found: ctypes.CDLL | None = None, purpose: bytes = MEMORY) -> Gate:
+    columns = {**Sessions(N).columns(), **Metrics(OWN, N).columns()}
+    found = found or gate.COMPILED.library()
+    assert found is not None
+    return Gate(found, N, OWN, columns, key, purpose)
 
 
 def head(pid: int = 2, sequence: int = ADOPTED + 1, **fields: Any) -> Head:

@@ -1,11 +1,8 @@
-"""The compiled gate against hashlib and against the link in plain Python: MACs, what is refused, and what it leaves to
-Python; and the library that is not the one it should be."""
+"""The compiled gate against the link in plain Python: what is refused, and what it leaves to Python; and the library
+that is not the one it should be. MACs are in test_mac.py, what the clock learns in test_lessons.py."""
 
 from __future__ import annotations
 
-import ctypes
-from collections.abc import Callable, Sequence
-from hashlib import blake2s
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -14,21 +11,15 @@ import msgspec
 import pytest
 
 from koordgen.runtime import courier, gate
-from koordgen.runtime.gate import FALSE, OTHER, TOO_LONG, Gate
-from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.native import NotCompiled, load
-from koordgen.runtime.seal import CONTROL, MAC_SIZE, MEMORY, POSITION, seal
-from koordgen.runtime.sessions import Sessions
+from koordgen.runtime.seal import MAC_SIZE, MEMORY, seal
 from koordgen.runtime.transport import MOST_AT_ONCE
 from koordgen.runtime.wire import (
     LIMIT,
     MAX_ECHOES,
     Closing,
     Echo,
-    Head,
     Hello,
-    Message,
-    Need,
     Round,
     Write,
     encoder,
@@ -36,82 +27,12 @@ from koordgen.runtime.wire import (
 )
 from tests.runtime import sanitized
 from tests.runtime.fleet import KEY
-from tests.runtime.gates import ADOPTED, OWN, VIEW, Ear, Ears, N, head, needs_gate, plain, sealed, word
+from tests.runtime.gates import ADOPTED, OWN, VIEW, Ear, Ears, N, head, needs_gate, opened, plain, sealed, word
 from tests.runtime.sanitized import needs_compiler
 from tests.runtime.test_courier import inbox
 from tests.runtime.transports import PATIENCE, needs_courier
 
 pytestmark = needs_gate
-OTHER_KEY = bytes(31) + b"\1"
-
-
-def opened(key: bytes | None = KEY, found: ctypes.CDLL | None = None, purpose: bytes = MEMORY) -> Gate:
-    columns = {**Sessions(N).columns(), **Metrics(OWN, N).columns()}
-    found = found or gate.COMPILED.library()
-    assert found is not None
-    return Gate(found, N, OWN, columns, key, purpose)
-
-
-def verdicts(of: Gate, datagrams: Sequence[bytes]) -> list[int]:
-    told: list[int] = []
-    for at in range(0, len(datagrams), MOST_AT_ONCE):
-        told += of.take(datagrams[at : at + MOST_AT_ONCE], 1.0, None).verdicts
-    return told
-
-
-@pytest.mark.parametrize("key", [None, KEY])
-def test_macs_are_hashlibs_at_every_length(key: bytes | None) -> None:
-    chance = Random(1)
-    payloads = [chance.randbytes(length) for length in range(1, LIMIT - MAC_SIZE + 1)]
-    assert set(verdicts(opened(key), [seal(key, MEMORY, p) for p in payloads])) == {OTHER}
-    for wrong in (None if key else KEY, OTHER_KEY):
-        assert set(verdicts(opened(key), [seal(wrong, MEMORY, p) for p in payloads])) == {FALSE}
-    for purpose in (POSITION, CONTROL, MEMORY[:-1] + b"z"):
-        assert set(verdicts(opened(key), [seal(key, purpose, p) for p in payloads])) == {FALSE}
-        assert set(verdicts(opened(key, purpose=purpose.ljust(8, b"\0")), [seal(key, purpose, payloads[9])])) == {OTHER}
-
-
-@pytest.mark.parametrize("length", [1, 15, 16, 63, 64, 65, 127, 128, 129, 192, 1183, LIMIT - MAC_SIZE])
-def test_no_bit_may_be_another(length: int) -> None:
-    right = seal(KEY, MEMORY, Random(length).randbytes(length))
-    of = opened()
-    assert verdicts(of, [right]) == [OTHER]
-    flipped = [right[:at] + bytes([right[at] ^ 1 << at % 8]) + right[at + 1 :] for at in range(len(right))]
-    assert set(verdicts(of, flipped)) == {FALSE}
-    assert set(verdicts(of, [right[:at] for at in range(len(right))])) == {FALSE}, "also when it is cut, to nothing"
-    assert set(verdicts(of, [right + b"\0", b"\0" + right])) == {FALSE if length < LIMIT - MAC_SIZE else TOO_LONG}
-
-
-# RFC 7693, Appendix B, and the first ones with a key of BLAKE2's own test vectors (blake2s-kat.txt).
-VECTORS = [
-    (b"", b"abc", "508c5e8c327c14e2e1a72ba34eeb452f37458b209ed63a294d999b4c86675982"),
-    (bytes(range(32)), b"\0", "40d15fee7c328830166ac3f918650f807e7e01e177258cdc0a39b11f598066f1"),
-    (bytes(range(32)), b"\0\1", "6bb71300644cd3991b26ccd4d274acd1adeab8b1d7914546c1198bbe9fc9d803"),
-]
-
-
-@pytest.fixture(scope="module")
-def of_whole_digests(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
-    flags = [flag.replace(f"MAC_SIZE={MAC_SIZE}", "MAC_SIZE=32") for flag in gate.FLAGS]
-    return load(gate.SOURCE, flags, gate.prove, tmp_path_factory.mktemp("cache"))
-
-
-@pytest.mark.parametrize(("key", "text", "digest"), VECTORS)
-def test_official_vectors(key: bytes, text: bytes, digest: str, of_whole_digests: ctypes.CDLL) -> None:
-    """They are of whole digests and have no purpose, so it is compiled for those."""
-    assert blake2s(text, key=key).hexdigest() == digest
-    of = opened(key or None, of_whole_digests, bytes(8))
-    right = text + bytes.fromhex(digest)
-    assert verdicts(of, [right, right[:-1] + b"x", right[:-32]]) == [OTHER, FALSE, FALSE]
-
-
-def test_the_longest_is_taken_and_nothing_beyond() -> None:
-    longest = seal(KEY, MEMORY, bytes(LIMIT - MAC_SIZE))
-    found = verdicts(opened(), [longest, seal(KEY, MEMORY, bytes(LIMIT - MAC_SIZE + 1)), bytes(65_000), b""])
-    assert found == [OTHER, TOO_LONG, TOO_LONG, FALSE]
-    for key in (None, KEY):
-        nothing, little = seal(key, MEMORY, b""), seal(key, MEMORY, b"\0")
-        assert verdicts(opened(key), [nothing, little]) == [FALSE, OTHER], "nor is it nothing"
 
 
 def test_nothing_is_usual_before_the_mission_is_known() -> None:
@@ -274,65 +195,6 @@ def test_nesting_that_msgspec_cannot_follow_harms_nothing() -> None:
     assert ears.hear(deep, sealed(word(head(sequence=100), 31)))[-1][2] == 31
 
 
-@pytest.mark.parametrize("first", [True, False])
-def test_of_two_echoes_of_ours_the_first_is_learned_from(first: bool) -> None:
-    ears = Ears()
-    ours = [Echo(OWN, 1_500_000 + i, 1_600_000 + i) for i in range(3)]
-    echoes = (*ours, Echo(0, 1, 2)) if first else (Echo(0, 1, 2), *ours)
-    ears.hear(sealed(word(head(echoes=echoes))))
-    assert [lesson[1] for lesson in ears.native.fleet_clock.lessons] == [1.5]
-    assert ears.native.usual == 1
-    ears.same()
-
-
-@pytest.mark.parametrize("turned", [True, False])
-@pytest.mark.parametrize("differ", ["answered", "sent", "received"])
-def test_of_what_comes_at_once_the_last_word_is_learned_from(differ: str, turned: bool) -> None:
-    """Of each robot, whatever comes last, and whether the gate judges it or not."""
-    ears = Ears()
-
-    def need(made: Head) -> Message:
-        return Need(made, 3, 29, 29, (29,) * N, ())
-
-    pairs: list[tuple[Callable[[Head], Message], Callable[[Head], Message]]] = [
-        (word, word),
-        (word, need),
-        (need, word),
-    ]
-    for kind, other in pairs:
-        ears.move(10.0)
-        stamps = [[3_000_000, 1_500_000, 1_600_000], [3_000_000, 1_500_000, 1_600_000]]
-        stamps[1][["answered", "sent", "received"].index(differ)] += 5
-        datagrams = []
-        for number, (made, (answered, sent, received)) in enumerate(zip((kind, other), stamps, strict=True)):
-            sequence = ears.native.link.sessions.newest[2] + 1 + number
-            datagrams.append(sealed(made(head(2, sequence, sent=answered, echoes=(Echo(OWN, sent, received),)))))
-        before = len(ears.native.fleet_clock.lessons)
-        ears.hear(*datagrams[:: -1 if turned else 1], sealed(word(head(0, sequence, echoes=(Echo(OWN, 5, 6),)))))
-        lessons = ears.native.fleet_clock.lessons[before:]
-        (late,) = [lesson for lesson in lessons if lesson[0] == 2]
-        assert late[1:4] == tuple(stamps[1][place] / 1e6 for place in (1, 2, 0)) and len(lessons) == 2
-        ears.same()
-
-
-def test_most_is_learned_from_who_keeps_the_time() -> None:
-    """Also when it did not before: what it says next counts, however short ago it was learned from."""
-    ears = Ears()
-    for pid, sequence, after, learned in [(2, 71, 0.0, 1), (2, 72, 0.3, 1), (0, 71, 0.0, 2), (0, 72, 0.3, 3)]:
-        ears.move(after)
-        ears.hear(sealed(word(head(pid, sequence, echoes=(Echo(OWN, 1_500_000, 1_600_000),)))))
-        assert len(ears.native.fleet_clock.lessons) == learned
-    for ear in (ears.native, ears.plain):
-        ear.link.keep_time(2, ear.clock.now())
-    ears.hear(sealed(word(head(2, 73, echoes=(Echo(OWN, 1_500_000, 1_600_000),)))))
-    assert len(ears.native.fleet_clock.lessons) == 4
-    for ear in (ears.native, ears.plain):
-        ear.link.keep_time(2, ear.clock.now())  # which is nothing new
-    ears.hear(sealed(word(head(2, 74, echoes=(Echo(OWN, 1_500_000, 1_600_000),)))))
-    assert len(ears.native.fleet_clock.lessons) == 4
-    ears.same()
-
-
 @pytest.mark.parametrize("pid", [N, 127, 128, 2**53])
 def test_an_echo_of_nobody(pid: int) -> None:
     ears = Ears()
@@ -416,30 +278,6 @@ def test_slots_of_own_echoes_alone_are_nothing() -> None:
         sending[0].send(b"")
         made.wait(PATIENCE)
         assert ear.hear(made.receive()) == [] and ear.link.rejected == {"not authentic": 1}, "which is not nothing"
-
-
-def test_macs_of_several_datagrams_side_by_side() -> None:
-    """Of any lengths, of which some fill their last block; each is judged by its own."""
-    ours, chance = opened(), Random(1)
-    for count in [*range(1, 12)] * 20:
-        payloads = [
-            chance.randbytes(chance.choice((1, 63, 64, 65, 128, 320, LIMIT - 16, chance.randrange(1, LIMIT - 15))))
-            for _ in range(count)
-        ]
-        datagrams, expected = [seal(KEY, MEMORY, payload) for payload in payloads], [OTHER] * count
-        for place in range(count):
-            damage = chance.random()
-            if damage < 0.3:
-                datagram, at = datagrams[place], chance.randrange(len(datagrams[place]))
-                datagrams[place] = datagram[:at] + bytes([datagram[at] ^ 1 << chance.randrange(8)]) + datagram[at + 1 :]
-                expected[place] = FALSE
-            elif damage < 0.4:
-                datagrams[place] = datagrams[place][: chance.randrange(17)]
-                expected[place] = FALSE
-            elif damage < 0.5:
-                datagrams[place] = chance.randbytes(LIMIT + chance.randrange(1, 400))
-                expected[place] = TOO_LONG
-        assert verdicts(ours, datagrams) == expected
 
 
 def test_a_library_of_another_layout_is_refused(tmp_path: Path) -> None:

@@ -61,19 +61,15 @@ def test_a_round_as_nearly_all_are() -> None:
         assert bytes(found.writes[0][2]) == encoder.encode([100 * round_, "ours", 100 * round_ + 2, 100 * round_ + 3])
         assert (table.ledger.number[NEXT], table.ledger.number[LEAST]) == (N, round_)
     assert list(table.ledger.held) == [last] * N and list(table.ledger.heard) == [7, LONG_AGO, 7, 7]
-    assert table.collect(last - DEPTH + 1) is not None and table.collect(last - DEPTH) is None, (
-        "others have taken their places"
-    )
+    assert table.collect(last - DEPTH + 1) is not None
+    assert table.collect(last - DEPTH) is None, "others have taken their places"
     assert [len(table.rows(pid)) for pid in range(N)] == [DEPTH] * N
     assert list(table.ledger.floor) == [last] * N and table.rows(2) == [] and table.collect(last) is None
 
 
-def test_what_the_clock_learns_from_is_told_as_a_word_without_news() -> None:
-    table = Table(N)
-    assert (
-        table.hear(said(1, 1)._replace(echoes=(Echo(0, 5, 6),)), said(2, 1)._replace(echoes=(Echo(3, 5, 6),)))
-        == [True] * 2
-    )
+def test_a_word_that_the_clock_learns_from_is_noted_like_any_other() -> None:
+    echoing = [said(pid, 1)._replace(echoes=(Echo(other, 5, 6),)) for pid, other in ((1, 0), (2, 3))]
+    assert Table(N).hear(*echoing) == [True, True]
 
 
 def test_what_is_settled_is_told_on() -> None:
