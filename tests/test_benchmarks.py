@@ -178,5 +178,9 @@ def test_a_fleet_that_the_host_disturbed_is_tried_again(
     assert tried == [tries]
 
 
-def test_what_the_host_takes_away_can_be_read() -> None:
-    assert shared_memory.taken_away() >= 0
+@pytest.mark.parametrize(
+    ("text", "ticks"), [("cpu  1 2 3 4 5 6 7 80 9 10\ncpu0 0\n", 80), ("cpu 1 2 3\n", 0), ("", 0), ("x " * 9, 0)]
+)
+def test_what_the_host_takes_away_is_read(text: str, ticks: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Path, "read_text", lambda path: text if path == Path("/proc/stat") else "")
+    assert shared_memory.taken_away() == ticks
