@@ -270,9 +270,9 @@ int main(int count, char **arguments) {
             int payload = make(made, 5000 + done + i - below(below(9) ? 9 : 1500));
             lengths[i] = close_up(gate, made, payload);
             if (!below(50)) made[below(lengths[i])] ^= 1;
-            if (!below(50)) lengths[i] = below(2) ? -1 : below(LARGEST + 1);
+            if (!below(50)) lengths[i] = below(2) ? -1 : below(4) ? below(LARGEST + 1) : 2 * MOST_AT_ONCE * LARGEST;
             memcpy(slots + (size_t)i * LARGEST, made, LARGEST);
-            if (lengths[i] > 0) usual += take_one(gate, made, lengths[i]);
+            if (lengths[i] > 0 && lengths[i] <= LARGEST) usual += take_one(gate, made, lengths[i]);
         }
         memset(words, 0, sizeof words), memset(naturals[0], 0, sizeof naturals[0]);
         gate_take(gate, slots, LARGEST, lengths, batch, 12.5, 1e3);
