@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import math
 import os
 import random
 import resource
@@ -60,6 +61,14 @@ def inbox(native: bool, count: int = 1) -> Iterator[Pair]:
 
 def test_the_largest_datagram_is_one_more_than_the_limit() -> None:
     assert courier.LARGEST == LIMIT + 1
+
+
+@pytest.mark.parametrize(("seconds", "told"), [
+    (0.0, 0), (-1.0, 0), (math.nan, 0), (5e-324, 1), (1.5e-6, 2), (0.01, 10_001),
+    (1999.9, 1_999_900_001), (2000.0, 2_000_000_000), (1e300, 2_000_000_000), (math.inf, 2_000_000_000),
+])  # fmt: skip
+def test_no_wait_is_shorter_than_asked_or_longer_than_can_be_told(seconds: float, told: int) -> None:
+    assert courier._microseconds(seconds) == told < 2**31
 
 
 def test_each_robot_has_its_place() -> None:
