@@ -53,9 +53,7 @@ def open_inbox(sockets: Sequence[socket.socket], trouble: Callable[[int], None],
 
 
 class PlainInbox:
-    def __init__(
-        self, sockets: Sequence[socket.socket], trouble: Callable[[int], None], shares: bool = False
-    ) -> None:
+    def __init__(self, sockets: Sequence[socket.socket], trouble: Callable[[int], None], shares: bool = False) -> None:
         self._trouble, self._shares = trouble, shares
         self._poll = select.poll()
         self._sockets = {each.fileno(): each for each in sockets}

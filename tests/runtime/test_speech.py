@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from koordgen.runtime import wire
-from koordgen.runtime.speech import MOST_DATAGRAMS, MOST_PIECES_AT_ONCE
+from koordgen.runtime.speech import ECHOES_A_LESSON, MOST_DATAGRAMS, MOST_PIECES_AT_ONCE, OTHERS_EVERY
 from koordgen.runtime.wire import LIMIT, Closing, Piece, Round, encoder
 from tests.runtime.fleet import KEY
 from tests.runtime.gates import needs_gate
@@ -74,6 +74,26 @@ def test_every_hello_echoes() -> None:
         mouth.speech.hello(0, bytes(8), bytes(8), (), None, None)
     messages: list[Any] = [wire.decode(datagram, KEY) for _, datagram in mouth.sent]
     assert [[echo.pid for echo in message.head.echoes] for message in messages] == [[0]] * 3
+
+
+@pytest.mark.parametrize("apart", [0.05, 0.2, 0.45])
+def test_who_is_due_a_little_later_waits_for_no_other_turn(apart: float) -> None:
+    """Once one was sent an echo alone: for a turn together nobody waits much longer than for its own."""
+    mouth, last, gaps, every = Mouth(), dict[int, float](), list[float](), OTHERS_EVERY / ECHOES_A_LESSON
+    mouth.meet(mouth.others)
+    begun = mouth.clock.time
+    while mouth.clock.time < begun + 10 * every:
+        mouth.speech.round(mouth.others, WORD, ())
+        echoed = [echo.pid for echo in mouth.said()[-1].head.echoes]
+        gaps += [mouth.clock.time - last[pid] for pid in echoed if pid in last]
+        last |= dict.fromkeys(echoed, mouth.clock.time)
+        mouth.clock.time += 0.05
+        if abs(mouth.clock.time - begun - apart) < 1e-9:
+            mouth.speech.hello(0, bytes(8), bytes(8), (), None, None)
+            mouth.sent.clear()
+            last[0] = mouth.clock.time
+    assert sorted(last) == mouth.others
+    assert min(gaps) > every - 1e-6 and max(gaps) < 1.6 * every
 
 
 @pytest.mark.parametrize(("shift", "fleet"), [(None, None), (0.0, 0), (-1.5, -1_500_000), (12.25, 12_250_000)])
