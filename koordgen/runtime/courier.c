@@ -130,9 +130,9 @@ int32_t courier_send(Inbox *inbox, int32_t place, const uint8_t *datagram, int32
     do sent = sendto(inbox->socket[0].fd, datagram, (size_t)length, MSG_DONTWAIT | MSG_NOSIGNAL, to,
                      inbox->address_size[place]);
     while (sent < 0 && errno == EINTR);
-    const int error = sent < 0 ? errno : 0;
+    if (sent < 0) return errno;
     if (place == GROUP && inbox->shares) sched_yield();
-    return error;
+    return 0;
 }
 
 /* Whether it is one of those that were sent; each comes back once. */
