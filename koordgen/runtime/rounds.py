@@ -151,7 +151,7 @@ class Rounds:
             self._begin(round_, sense(now))
         present = self._present
         into = elapsed - (self.round - 1) * self._delta
-        slot = min(SLOTS - 1, math.floor(into / self._delta * SLOTS + 1e-6))
+        slot = max(0, min(SLOTS - 1, math.floor(into / self._delta * SLOTS + 1e-6)))  # it may have begun by rounding
         fresh = slot > present.slot
         timely = fresh and now < self._wake + PUNCTUAL * self._delta / SLOTS
         memory = self._replica.memory

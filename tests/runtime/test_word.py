@@ -1,0 +1,69 @@
+"""What a robot says of itself was kept before, and what it hears counts for the round that it is in; on any network."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+
+from koordgen.runtime.ledger import LAST, TICK
+from koordgen.runtime.memory import AHEAD
+from koordgen.runtime.network import Conditions
+from koordgen.runtime.replica import SLOTS
+from koordgen.runtime.wire import Need, Round, decode
+from tests.runtime.fleet import KEY, Fleet, Kept, Robot
+
+LOSSES = pytest.mark.parametrize("loss", [0.0, 0.3])
+
+
+def fleet(loss: float) -> Fleet:
+    return Fleet(conditions=Conditions(loss, delay=0.001, jitter=0.03)).boot_all()
+
+
+@LOSSES
+def test_nothing_is_said_to_be_applied_before_that_is_kept(loss: float) -> None:
+    """Who dies then and comes back must not know of less: the others may have gone on with what it said."""
+    made, said = fleet(loss), list[int]()
+
+    def watch(robot: Robot, kept: Kept) -> None:
+        transport = robot.agent._transport
+        send = transport.send
+
+        def sends(to: Sequence[int], datagram: bytes) -> None:
+            message = decode(datagram, KEY)
+            if isinstance(message, Round | Need) and message.applied:
+                assert kept.acceptor is not None and kept.acceptor.applied >= message.applied
+                said.append(message.applied)
+            send(to, datagram)
+
+        transport.send = sends  # type: ignore[method-assign]
+
+    for pid, robot in made.robots.items():
+        watch(robot, made.kept[pid])
+    made.run_rounds(60)
+    assert len(set(said)) > 50
+
+
+@LOSSES
+def test_what_is_heard_counts_for_the_present_round(loss: float) -> None:
+    """Also for a robot that lacked something of the last round when this one began: else the gate would soon refuse as
+    too far ahead what the others close."""
+    made, checked = fleet(loss), [0]
+
+    def watch(robot: Robot) -> None:
+        poll = robot.agent.poll
+
+        def polls(now: float) -> float:
+            wake, replica, round_ = poll(now), robot.agent._replica, robot.agent.round
+            if round_ and replica is not None and replica.memory is not None:
+                number, first = replica.memory.ledger.number, (round_ - 1) * SLOTS
+                assert number[LAST] == round_ + AHEAD and first <= number[TICK] < first + SLOTS
+                checked[0] += 1
+            return wake
+
+        robot.agent.poll = polls  # type: ignore[method-assign]
+
+    for robot in made.robots.values():
+        watch(robot)
+    made.run_rounds(60)
+    assert checked[0] > 60 * made.n
