@@ -55,6 +55,15 @@ class Site(Node):
     bad: Formula
 
 
+class Entry:
+    """What a loop invariant may name in `old(...)`: temps that exist where the loop begins, by their names in the IR;
+    `values` has for each variable that was named so a declaration that keeps its value there."""
+
+    def __init__(self, begun: frozenset[str]) -> None:
+        self.begun = begun
+        self.values: dict[Expr, Let] = {}
+
+
 class Context:
     """Mutable; one for a program. What belongs to one event (or function, or property) is set anew by `enter`."""
 
@@ -87,6 +96,7 @@ class Context:
         self.module = ""  # the module whose assumption this is
         self.loops = 0  # how many loops stand around
         self.loop: Loop | None = None  # the innermost `for`, if it counts
+        self.entry: Entry | None = None  # of the loop whose invariant this is
         self.atomic = 0  # how many `atomic` blocks stand around
         self.transaction = False  # the event contains `atomic` somewhere
         self.hoisted: list[Let] = []  # what must be evaluated before the statement that is being checked

@@ -9,6 +9,7 @@ from koordgen.check.collection import check_domain, declare, elements
 from koordgen.check.context import Context
 from koordgen.check.dialect import old_for
 from koordgen.check.facts import formula, range_facts
+from koordgen.check.invariant import check_invariants, split
 from koordgen.check.name import module_named
 from koordgen.check.progress import ends
 from koordgen.check.runs import Loop
@@ -28,29 +29,32 @@ def check_counted(node: tree.CountedFor, c: Context, out: Out) -> None:
 
 def check_for(node: tree.For, c: Context, out: Out) -> None:
     values = check_domain(node.values, c)
+    types = _types(node, values.type, elements(values), c)
+    c.scopes.append({})
+    temps = [declare(name.name, type_, name.span, c) for name, type_ in zip(node.names, types, strict=True)]
+    names = tuple([temp.unique for temp in temps if temp is not None])
+    head, rest = split(node.block)
+    counted = isinstance(values, (ir.Range, ir.Ids))
+    invariants = check_invariants(head, c, out, () if counted else names, names)
     before = c.flow
     changed = written(node.block, c)
     sized = changed - written(node.block, c, True)
     after = before.forgetting(changed, sized) if before is not None else None
     c.flow = after
-    types = _types(node, values.type, elements(values), c)
-    c.scopes.append({})
-    temps = [declare(name.name, type_, name.span, c) for name, type_ in zip(node.names, types, strict=True)]
     around, c.loop = c.loop, None
     if before is not None and after is not None and len(temps) == 1 and temps[0] is not None:
         c.flow = after
         for fact in range_facts(temps[0].unique, values, before, after, changed, sized):
             c.flow = c.flow.knowing(fact)
-        if isinstance(values, (ir.Range, ir.Ids)):
+        if counted:
             c.loop = Loop(node.names[0].name, f"temp {temps[0].unique}", values, before, changed, sized, node.block)
-    block = _body(node.block, c)
+    block = _body(rest, c)
     c.loop = around
     c.scopes.pop()
     c.flow = after
     if values.type is POISON or POISON in types or None in temps:
         return
-    names = tuple([temp.unique for temp in temps if temp is not None])
-    out.append(stmt.For(names, types, values, block, node.span))
+    out.append(stmt.For(names, types, values, block, node.span, invariants))
 
 
 def _types(node: tree.For, values: Type, element: Type, c: Context) -> tuple[Type, ...]:
@@ -70,6 +74,8 @@ def _types(node: tree.For, values: Type, element: Type, c: Context) -> tuple[Typ
 
 
 def check_while(node: tree.While, c: Context, out: Out) -> None:
+    head, rest = split(node.block)
+    invariants = check_invariants(head, c, out)
     before = c.flow
     changed = written(node.block, c)
     sized = changed - written(node.block, c, True)
@@ -86,7 +92,7 @@ def check_while(node: tree.While, c: Context, out: Out) -> None:
         if not poisoned and bounds.impossible(first, before):
             c.warn("K043", f"this loop can never run: {c.text(node.condition.span)} does not hold here", node.span)
     c.poisoned = poisoned or held.type is POISON
-    block = _body(node.block, c)
+    block = _body(rest, c)
     c.poisoned = poisoned
     leaves = _breaks(node.block)
     if start is None or (known == linear.TRUE and not leaves):
@@ -98,7 +104,7 @@ def check_while(node: tree.While, c: Context, out: Out) -> None:
     if not ends(node, c):
         help = "a round must end: let the condition compare a number that each way through the loop moves on by a step"
         c.warn("K035", "nothing shows that this loop ends", node.span, help)
-    out.append(stmt.While(held, block, node.span))
+    out.append(stmt.While(held, block, node.span, invariants))
 
 
 def _body(block: tree.Block, c: Context) -> stmt.Block:
