@@ -1,4 +1,4 @@
-"""One room with the moments of one obligation: what is assumed there, and what is to be shown."""
+"""One room with the states of one obligation: what is assumed there, and what is to be shown."""
 
 from __future__ import annotations
 
@@ -9,17 +9,20 @@ from koordgen.ir import decl, stmt
 from koordgen.ir import expr as ir
 from koordgen.ir.types import Type
 from koordgen.prove import term as t
+from koordgen.prove.encode.expr import Scope
 from koordgen.prove.encode.function import Functions
+from koordgen.prove.encode.loop import conjuncts
 from koordgen.prove.encode.quantifier import domain as domain_of
 from koordgen.prove.encode.room import Room, symbol
 from koordgen.prove.encode.scope import NotHere, OfFleet, OfRobot
-from koordgen.prove.encode.state import Key, State, declared, sensors
-from koordgen.prove.encode.stmt import Cut
+from koordgen.prove.encode.state import Key, State, Written, cleared, declared, sensors
+from koordgen.prove.encode.stmt import Head
 from koordgen.prove.encode.tree import nodes
 from koordgen.prove.encode.types import build, shape
 from koordgen.prove.encode.values import Val
 from koordgen.prove.fragment import complete
-from koordgen.prove.obligation import Cell, Fact, Moment
+from koordgen.prove.loops import INIT, LoopInvariants
+from koordgen.prove.obligation import AtHead, Cell, Fact, Moment
 from koordgen.prove.term import Term
 
 # How much of what is known is told: "little" is what proofs mostly need, "most" all that is known, which solvers find
@@ -30,22 +33,26 @@ UNROLLED, PAIRED = 20, 4  # robots, at most, that are spoken of one by one; wher
 
 
 class Setting:
-    """A program, how many robots it has (None: any number), the params that have values, how much is told."""
+    """A program, how many robots it has (None: any number), the params that have values, how much is told. `dropped`:
+    what does not hold at the heads of loops."""
 
     def __init__(
-        self, program: decl.Program, robots: int | None, params: Mapping[str, ir.Expr] | None, told: Told
-    ) -> None:
+        self, program: decl.Program, robots: int | None, params: Mapping[str, ir.Expr] | None, told: Told,
+        dropped: frozenset[AtHead] = frozenset(),
+    ) -> None:  # fmt: skip
         self.told = told
         pairs = any(_pairs(p.formula) for p in program.properties)
         self.unrolled = robots is not None and (robots <= (PAIRED if pairs else UNROLLED))
         self.program, self.robots, self.params = program, robots, params or {}
         self.types = declared(program)
-        self.sensors = sensors(program)
+        self.sensors, self.cleared = sensors(program), cleared(program)
         self.invariants = [p for p in program.properties if p.kind == "invariant"]
         self.axioms = [(p, *_triggers(p.formula)) for p in program.properties if p.kind == "axiom"]
         self.initially = [p for p in program.properties if p.kind == "initially"]
         self.complete = self.unrolled or complete(program)
         self.mentions = {p.name: frozenset(mentioned(p.formula)) for p in self.invariants}
+        numbered = robots if self.unrolled else None
+        self.loops = LoopInvariants(program, self.mentions, self.params, numbered, dropped)
 
     def touched(self, keys: Collection[Key]) -> list[decl.Property]:
         """The invariants that speak of one of these variables: the others stay as they are."""
@@ -64,7 +71,8 @@ class Stage:
         self.room = Room(program, setting.robots, setting.unrolled)
         self.params: dict[str, Val] = {}
         self.looked: dict[int, int] = {}  # of an axiom's trigger: of how many calls it was told
-        self.encoder = Functions(self.room, self.params).encoder
+        self.functions = Functions(self.room, self.params, self.know)
+        self.encoder = self.functions.encoder
         self.encoder.geometry.brief = self.brief and not thorough
         for param in program.params:
             self.params[param.name] = self._param(param)
@@ -95,7 +103,7 @@ class Stage:
             with self.room.about(label, property_.span.line):
                 self.assume(property_.formula, OfFleet(state), guard)
 
-    def assume(self, formula: ir.Expr, scope: OfFleet, guard: Term = t.TRUE) -> None:
+    def assume(self, formula: ir.Expr, scope: Scope, guard: Term = t.TRUE) -> None:
         """A formula is a fact where `guard` holds; what it says of all, it says of each that is looked at."""
         match formula:
             case ir.Logic("and", left, right):
@@ -124,10 +132,29 @@ class Stage:
             case _:
                 self.room.fact(t.implies(guard, self.encoder.defined(formula, scope)))
 
-    def known_at(self, cut: Cut) -> None:
-        """At the start of a run of a loop the invariants hold."""
-        if cut.kind == "run":
-            self.holds(self.setting.touched(cut.state.writes), cut.state, t.all_of(cut.path), " in a loop")
+    def know(self, head: Head) -> None:
+        """What is assumed at a loop's head holds before each turn and behind the last one, from there on."""
+        loops, place = self.setting.loops, head.turn
+        with self.room.known_at(place.position), self.room.outermost():
+            for at, formula in loops.stated(head.loop):
+                with self.room.about(f"loop invariant of {at.owner}", formula.span.line):
+                    self.assume(formula, place.frame, place.reached)
+            for at, property_ in loops.tried(head.loop):
+                label = f"invariant {property_.name} at the loop in line {head.loop.span.line}"
+                with self.room.about(label, property_.span.line):
+                    formula, scope = self.at_head(at, property_, head.turn.frame.state(f"@{head.loop.span.line}"))
+                    self.assume(formula, scope, place.reached)
+
+    def at_head(self, at: AtHead, property_: decl.Property, state: Written) -> tuple[ir.Expr, OfFleet]:
+        """What an invariant says at a loop's head: in an event, of the fleet as if the event ended there; in `init`, of
+        the robot itself, since the others may have run theirs or not."""
+        scope, formula = OfFleet(state), property_.formula
+        while at.owner == INIT and isinstance(formula, ir.Quantified) and formula.kind == "forall":
+            if not isinstance(formula.domain, ir.Ids):
+                break
+            scope.temps[formula.name] = state.own
+            formula = formula.body
+        return formula, scope
 
     def ports(self, before: State, after: State) -> None:
         """Every robot keeps its modules' assumptions in a step of the environment."""
@@ -246,14 +273,6 @@ def _pairs(formula: ir.Expr, around: bool = False) -> bool:
     return False
 
 
-def conjuncts(formula: ir.Expr) -> Iterator[ir.Expr]:
-    if isinstance(formula, ir.Logic) and formula.op == "and":
-        yield from conjuncts(formula.left)
-        yield from conjuncts(formula.right)
-    else:
-        yield formula
-
-
 def mentioned(formula: object) -> Iterator[Key]:
     """The variables that a formula or a block reads or writes."""
     for node in nodes(formula):
@@ -268,17 +287,3 @@ def mentioned(formula: object) -> Iterator[Key]:
                 yield "cell", name
             case _:
                 pass
-
-
-def temps_of(block: stmt.Block) -> dict[str, Type]:
-    """The types of an event's own variables."""
-    found: dict[str, Type] = {}
-    for node in nodes(block):
-        match node:
-            case stmt.Let(name, type_):
-                found[name] = type_
-            case stmt.For(names, types):
-                found.update(zip(names, types, strict=True))
-            case _:
-                pass
-    return found
