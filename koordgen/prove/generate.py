@@ -13,6 +13,7 @@ from typing import NamedTuple
 from koordgen.ir import decl
 from koordgen.ir import expr as ir
 from koordgen.ir.decl import Program
+from koordgen.node import replace
 from koordgen.prove import term as t
 from koordgen.prove.begin import Launch, Ready, Run, ended, launched
 from koordgen.prove.encode.loop import conjuncts, temps_of
@@ -28,6 +29,7 @@ from koordgen.prove.within import changes
 
 WELL_DEFINED = "(well-defined)"
 AFTERWARDS = " afterwards"
+CONSISTENT = ("initially", "environment")  # what is asked of the assumptions, whatever the program does
 
 
 class Goal(NamedTuple):
@@ -62,8 +64,8 @@ def rooms(
     """The same, by and by: those that share their facts together."""
     t.forget()
     setting = Setting(program, robots, params, told, dropped)
-    for single in consistent(setting):
-        yield [single]
+    for name in CONSISTENT:
+        yield [consistent(setting, name)]
     for function in stating(program):
         yield of_function(setting, function)
     if program.init:
@@ -79,7 +81,8 @@ def assumptions(
 ) -> list[Obligation]:
     """Those of the obligations that ask whether what is assumed can be true."""
     t.forget()
-    return consistent(Setting(program, robots, params, "little"))
+    setting = Setting(program, robots, params, "little")
+    return [consistent(setting, name) for name in CONSISTENT]
 
 
 def of_function(setting: Setting, function: decl.Function) -> list[Obligation]:
@@ -154,7 +157,10 @@ def of_event(setting: Setting, event: decl.Event) -> list[Obligation]:
     cells = stage.cells(moments)
     out = _Output(stage, "event", event.name, event.span.line, stage.close(), cells)
     over = Fact(f"{event.name} ends", ends, program.path, event.span.line)
-    return out.all(goals, demands, (*demands, over))
+    found = out.all(goals, demands, (*demands, over))
+    if any(stage.is_assumed_of_calls(fact) for fact in out.facts):
+        found.append(out.satisfiable(f"consistency-{event.name}", (*demands, over)))
+    return found
 
 
 def guarded(stage: Stage, guard: ir.Expr, frame: Frame) -> None:
@@ -187,27 +193,27 @@ def environment(setting: Setting) -> list[Obligation]:
     return out.all(goals, (), ())
 
 
-def consistent(setting: Setting) -> list[Obligation]:
-    """What is assumed can be true: the mission's start, and a step of the environment within the invariants."""
-    found = []
-    for name in ("initially", "environment"):
-        stage = Stage(setting, thorough=True)
-        room = stage.room
-        room.robot(t.integer(0), known=True)
-        if name == "initially":
-            launch = Ready(stage).launch
-            launched(stage, launch)
-            cells = stage.cells([("before", launch)])
-        else:
-            now = Free(room, setting.types)
-            after = Moved(now, Free(room, setting.types, "@after"), setting.sensors)
-            stage.holds(setting.invariants, now)
-            stage.ports(now, after)
-            cells = stage.cells([("before", now), ("after", after)])
-        facts = stage.close()
-        out = _Output(stage, "consistency", "", 1, facts, cells)
-        found.append(out.one(f"consistency-{name}", Goal("", ()), None, ()))
-    return found
+def consistent(setting: Setting, name: str) -> Obligation:
+    """What is assumed can be true: at the mission's start (of params, sensors, spec functions and contracts, too), or
+    of a step of the environment within the invariants, with an answer of each callable port."""
+    stage = Stage(setting, thorough=True)
+    room = stage.room
+    room.robot(t.integer(0), known=True)
+    if name == "initially":
+        launch = Launch(stage)
+        launched(stage, launch)
+        stage.any_axioms()
+        stage.any_contracts()
+        cells = stage.cells([("before", launch)])
+    else:
+        now = Free(room, setting.types)
+        after = Moved(now, Free(room, setting.types, "@after"), setting.sensors)
+        stage.holds(setting.invariants, now)
+        stage.ports(now, after)
+        stage.any_answers(now)
+        cells = stage.cells([("before", now), ("after", after)])
+    out = _Output(stage, "consistency", "", 1, stage.close(), cells)
+    return out.one(f"consistency-{name}", Goal("", ()), None, ())
 
 
 def at_heads(stage: Stage, heads: Sequence[Head]) -> list[Goal]:
@@ -222,7 +228,7 @@ def at_heads(stage: Stage, heads: Sequence[Head]) -> list[Goal]:
                 parts = goal_at(stage, f"loop invariant of {at.owner}", formula, place.frame, place.path)
                 found.append(Goal(at.invariant, parts, at, name, line, position, demands))
             for at, property_ in loops.tried(head.loop):
-                formula, scope = stage.at_head(at, property_, place.frame.state(f"@{line}"))
+                formula, scope = stage.at_head(at, property_, place.frame.state())
                 parts = goal_at(stage, f"invariant {property_.name}", formula, scope, place.path)
                 found.append(Goal(at.invariant, parts, at, name, line, position, demands))
     return found
@@ -277,6 +283,11 @@ class _Output:
             goal, "sat" if goal is None else "unsat", conjuncts, self.cells, self.complete,
             self.stage.setting.robots, self.notes, wanted.at,
         )  # fmt: skip
+
+    def satisfiable(self, name: str, assumed: tuple[Fact, ...]) -> Obligation:
+        """That the event can get to its end, with what is assumed of the calls on its way."""
+        found = self.one(name, Goal("", ()), "consistency", assumed)
+        return replace(found, goal=None, expected="sat")
 
     def before(self, wanted: Goal) -> tuple[Fact, ...]:
         """The facts that a goal may use: none of later places of the event, and none that says that this invariant, or

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from itertools import islice, product
 from typing import Literal
 
 from koordgen.ir import decl, stmt
@@ -29,6 +30,7 @@ from koordgen.prove.term import Term
 # hard. Counterexamples are of what is told "usual"ly, or most.
 Told = Literal["little", "usual", "most"]
 Trigger = ir.Call | ir.ExternCall | ir.Builtin
+CHOICES = 16  # of values for the names of an axiom, at most, when it is asked whether axioms contradict one another
 UNROLLED, PAIRED = 20, 4  # robots, at most, that are spoken of one by one; where formulas speak of pairs of them
 
 
@@ -142,7 +144,7 @@ class Stage:
             for at, property_ in loops.tried(head.loop):
                 label = f"invariant {property_.name} at the loop in line {head.loop.span.line}"
                 with self.room.about(label, property_.span.line):
-                    formula, scope = self.at_head(at, property_, head.turn.frame.state(f"@{head.loop.span.line}"))
+                    formula, scope = self.at_head(at, property_, place.frame.state())
                     self.assume(formula, scope, place.reached)
 
     def at_head(self, at: AtHead, property_: decl.Property, state: Written) -> tuple[ir.Expr, OfFleet]:
@@ -198,6 +200,45 @@ class Stage:
                 self.room.given(self.encoder.defined(part, scope))
             except (NotHere, KeyError):
                 return  # it speaks of other goals, too
+
+    def any_answers(self, state: State) -> None:
+        """An answer of each callable port of which something is assumed, for goals of which nothing is known."""
+        for module in self.setting.program.modules:
+            for assumption in module.assumptions:
+                for call, _ in decl.handed(assumption.formula):
+                    args = tuple([self.room.any("goal", arg.type) for arg in call.args])
+                    answer = self.room.any(f"{call.module}.{call.port}", call.type)
+                    self.answered(call, args, answer, t.integer(0), state)
+
+    def any_axioms(self) -> None:
+        """Each axiom that speaks of all values, for the same two values of each type, of which nothing is known: so
+        that axioms meet. SOUND: these are some of the instances."""
+        values: dict[Type, tuple[Val, Val]] = {}
+        for axiom, free, _ in self.setting.axioms:
+            for type_ in free.values():
+                if type_ not in values:
+                    values[type_] = self.room.any("some", type_), self.room.any("other", type_)
+            for choice in islice(product(*[values[type_] for type_ in free.values()]), CHOICES) if free else ():
+                scope = OfFleet(_Nowhere())
+                scope.temps = dict(zip(free, choice, strict=True))
+                with self.room.about(f"axiom {axiom.name}", axiom.span.line):
+                    self.room.fact(self.encoder.defined(axiom.formula, scope))
+
+    def any_contracts(self) -> None:
+        """A call of each extern function, for arguments of which nothing is known, with a result."""
+        for function in self.setting.program.externs:
+            args = tuple([self.room.any(p.name.split("@")[0], p.type) for p in function.parameters])
+            result = self.encoder.apply(function.name, symbol(function.name), args, function.result)
+            required, ensured = self.functions.contract(function, args, result)
+            with self.room.about(f"contract of {function.name}", function.span.line):
+                for formula in required:
+                    self.room.fact(formula)
+                for formula, line in ensured:
+                    self.room.fact(formula, line=line)
+
+    def is_assumed_of_calls(self, fact: Fact) -> bool:
+        """Whether a fact says what is assumed of what an event calls."""
+        return fact.label.startswith(("contract of ", "axiom ", "assume of "))
 
     def axioms(self) -> None:
         """What is known of spec functions, for the values that were met."""
@@ -258,11 +299,11 @@ class _Nowhere:
         raise AssertionError(f"{key} where only params are read")
 
 
-def _triggers(axiom: ir.Expr) -> tuple[bool, list[Trigger]]:
-    """Whether an axiom has names that stand for all values; the calls in it that are made of all of them."""
+def _triggers(axiom: ir.Expr) -> tuple[dict[str, Type], list[Trigger]]:
+    """The names in an axiom that stand for all values; the calls in it that are made of all of them."""
     free = decl.free(axiom)
     calls = [n for n in nodes(axiom) if isinstance(n, (ir.Call, ir.ExternCall, ir.Builtin))] if free else []
-    return bool(free), [n for n in calls if free.keys() <= {a.name for a in n.args if isinstance(a, ir.TempRead)}]
+    return free, [n for n in calls if free.keys() <= {a.name for a in n.args if isinstance(a, ir.TempRead)}]
 
 
 def _pairs(formula: ir.Expr, around: bool = False) -> bool:

@@ -192,16 +192,25 @@ def _consistency(outcomes: Sequence[Outcome], solver: Solver | Both) -> tuple[st
     doubt = ""
     for outcome in outcomes:
         obligation = outcome.obligation
-        if obligation.kind != "consistency" or outcome.holds:
+        if obligation.kind != "consistency" or outcome.holds or _is_dead(obligation, outcome.answer, solver):
             continue
         if outcome.answer.result == "unknown":
-            doubt = f"whether the assumptions contradict one another is not known: {outcome.answer.reason}"
+            place = f"{obligation.name} ({obligation.file}:{obligation.line})"
+            doubt = f"{place}: whether the assumptions contradict one another was not decided: {outcome.answer.reason}"
             continue
         core = solver.ask(obligation, core=True).core or range(len(obligation.facts))
         facts = [obligation.facts[place] for place in core if obligation.facts[place].line]
         told = dict.fromkeys(f"{fact.label} ({fact.file}:{fact.line})" for fact in facts)
         return f"no state satisfies {' and '.join(told) or 'what is assumed'}: anything follows from that", ""
     return "", doubt
+
+
+def _is_dead(obligation: Obligation, answer: Answer, solver: Solver | Both) -> bool:
+    """Whether an event cannot get to its end for reasons of its own: whatever is assumed of what it calls."""
+    if not obligation.event or answer.result != "unsat":
+        return False
+    own = tuple([f for f in obligation.facts if not f.label.startswith(("contract of ", "axiom ", "assume of "))])
+    return solver.ask(replace(obligation, facts=own)).result == "unsat"
 
 
 def _verdict(

@@ -89,7 +89,7 @@ local:
   bool b
 fun one(List<int> ys) -> bool:
   for y in ys:
-    if 7 // y == 1: return True
+    if 7 // y == 1 and y > 3: return True
   return False
 Go:
   pre: not b
@@ -125,6 +125,22 @@ Go:
 invariant Two: forall i in ID: len(xs[i]) == 2
 """,
         "(well-defined)",
+    ),
+    "an allread variable had one name at every place of a loop": (
+        """
+allread: int x[N_SYS]
+local: bool done
+Go:
+  pre: not done
+  eff:
+    int k = 0
+    while k < 2:
+      x[pid] = 5
+      k += 1
+    done = True
+invariant N: not 5 in x
+""",
+        "N",
     ),
 }
 

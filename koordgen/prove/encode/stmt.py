@@ -85,11 +85,12 @@ class Frame:
         copy.env, copy.temps = dict(self.env), dict(self.temps)
         return Place(copy, t.all_of(self.room.path), self.room.position, tuple(self.room.demands))
 
-    def state(self, moment: str) -> Written:
-        """The fleet's state if the event ended here."""
+    def state(self) -> Written:
+        """The fleet's state if the event ended here. Its name is its own: variables as a whole are told apart by it."""
         assert self.now is not None
         writes = {key: value for key, value in self.env.items() if key[0] != "wrote"}
-        return Written(self.room, self.now, self.pid, writes, moment)
+        self.room.fresh += 1
+        return Written(self.room, self.now, self.pid, writes, f"@place{self.room.fresh}")
 
     # What is read
 
@@ -117,8 +118,8 @@ class Frame:
     def slots(self, name: str) -> Fleet:
         assert self.seen is not None
         written = {key: value for key, value in self.env.items() if key == ("slot", name)}
-        versions = [self.room.version(value) for value in written.values()]
-        moment = f"{self.seen.moment}@{versions[0]}" if versions else self.seen.moment
+        versions = [(self.room.version(value), self.room.version(self.pid)) for value in written.values()]
+        moment = f"{self.seen.moment}@{versions[0][0]}@{versions[0][1]}" if versions else self.seen.moment
         return slots(Written(self.room, self.seen, self.pid, written, moment), name)
 
     def local_of(self, name: str, robot: Term) -> Val:
