@@ -83,6 +83,7 @@ class Run:
 
         way = stage.setting.loops.way
         self.frame = Frame(stage.encoder, robot, launch, launch, ask, temps_of(init), stage.know, way)
+        self.frame.brief = stage.brief
         with room.aside() as self.demands, room.outermost(), room.about("init", 0):
             live = self.frame.block(init)
             self.env = self.frame.writes()

@@ -137,6 +137,7 @@ def of_event(setting: Setting, event: decl.Event) -> list[Obligation]:
         return answer
 
     frame = Frame(stage.encoder, own, now, seen, ask, temps_of(event.effect), stage.know, setting.loops.way)
+    frame.brief = stage.brief
     with room.aside() as demands:
         with room.about(f"guard of {event.name}", event.guard.span.line):
             guarded(stage, event.guard, frame)

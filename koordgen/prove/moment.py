@@ -73,7 +73,7 @@ class Stage:
         self.room = Room(program, setting.robots, setting.unrolled)
         self.params: dict[str, Val] = {}
         self.looked: dict[int, int] = {}  # of an axiom's trigger: of how many calls it was told
-        self.functions = Functions(self.room, self.params, self.know)
+        self.functions = Functions(self.room, self.params, self.know, self.brief and not thorough)
         self.encoder = self.functions.encoder
         self.encoder.geometry.brief = self.brief and not thorough
         for param in program.params:

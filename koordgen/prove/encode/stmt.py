@@ -78,11 +78,12 @@ class Frame:
         self.temps: dict[str, Val] = {}
         self.exits: list[Exit] = []
         self.heads: list[Head] = []
+        self.brief = False  # of the turns of loops only little is told
 
     def place(self) -> Place:
         """This place, as it is now."""
         copy = Frame(self.e, self.pid, self.now, self.seen, self.ask, self.types, self.know, self.way)
-        copy.env, copy.temps = dict(self.env), dict(self.temps)
+        copy.env, copy.temps, copy.brief = dict(self.env), dict(self.temps), self.brief
         return Place(copy, t.all_of(self.room.path), self.room.position, tuple(self.room.demands))
 
     def state(self) -> Written:
@@ -305,7 +306,7 @@ class Frame:
     def demanded(self, loop: stmt.For, over: Domain, found: Term, first: Term, start: Env) -> None:
         """Demand that each turn that is taken has a value: those of all elements up to the one that leaves the loop."""
         any_ = self.room.new(f"{loop.names[0].split('@')[0]}@taken", t.INT)
-        self.room.element(any_, over.robots, over.places)
+        self.looked_at(any_, over, not self.brief)
         taken = t.and_(over.inside(any_), t.implies(found, over.not_after(any_, first)))
         around, self.exits = self.exits, []
         self.restore(start)
@@ -329,10 +330,10 @@ class Frame:
         if over is not None:
             assert isinstance(loop, stmt.For)
             index = room.new(loop.names[0].split("@")[0], t.INT)
-            room.element(index, over.robots, over.places)
+            self.looked_at(index, over, not self.brief or self.now is not None)
             self.count(loop, index)
         head.turn = self.place()
-        facts_of_turns(head, over, index)
+        facts_of_turns(head, over, index, self.brief)
         if over is None:
             assert isinstance(loop, stmt.While)
             condition, element = self.e.term(loop.condition, self), None
@@ -353,6 +354,14 @@ class Frame:
         self.heads.append(head)
         self.know(head)
         return t.not_(condition)
+
+    def looked_at(self, index: Term, over: Domain, told: bool) -> None:
+        """What is said of all robots, or of all places in lists, is to be said of this one, if so much is told."""
+        if told:
+            self.room.element(index, over.robots, over.places)
+        else:
+            self.room.ignored.add(index)
+            self.room.partial = True
 
     def count(self, loop: Loop, index: Term) -> None:
         """The variable of a loop over numbers, for the loop's invariants: the next value."""

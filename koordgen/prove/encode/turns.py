@@ -24,15 +24,17 @@ if TYPE_CHECKING:
 _ZERO, _ONE = t.integer(0), t.integer(1)
 
 
-def facts_of_turns(head: Head, over: Domain | None, index: Term | None) -> None:
+def facts_of_turns(head: Head, over: Domain | None, index: Term | None, brief: bool) -> None:
     """Add all that is known at a loop's head before any turn or behind the last one; `index` is the place in `over`
-    that a `for` has come to."""
+    that a `for` has come to. `brief`: add only which places these may be, and what is counted."""
     turns = _Turns(head, over, index)
     with turns.room.about(f"turns of the loop in line {head.loop.span.line}", head.loop.span.line):
         turns.places()
         turns.written()
         for key in head.kept:
             turns.counted(key)
+        if brief:
+            return
         groups: dict[tuple[int, int], list[Write]] = {}
         for write in turns.writes.all:
             if write.key in head.kept and turns.writes.only(write.key) is write:
