@@ -115,7 +115,7 @@ class Interned(Generic[T]):
 
 class Machine:
     """One program for a fleet of `n_sys`. Runs the user's file of extern functions, if the program has some. Raises
-    CannotCall. `discards` are all that were met (and events in which a loop invariant was false), `enabled` the indices of the events that had a result."""
+    CannotCall. `discards` are all that were met, `enabled` the indices of the events that had a result."""
 
     def __init__(self, program: decl.Program, n_sys: int, answer: Answer, functions: Path | None = None) -> None:
         self.program, self.n_sys, self.answer = program, n_sys, answer

@@ -45,9 +45,9 @@ class Progress(NamedTuple):
 
 
 class Violation(NamedTuple):
-    """`name`: of the invariant, LOOP with a line, WELL_DEFINED or DEADLOCK. `failed` is what is false at the last moment; where nothing
-    is, `reason` says what is wrong, and `culprit` which robot's event (or init) has no result. `of_agents`: no order of
-    its steps is known to be one that agents do not have."""
+    """`name`: an invariant's, LOOP with a line, WELL_DEFINED or DEADLOCK. `failed` is what is false at the last moment;
+    where nothing is, `reason` says what is wrong, and `culprit` which robot's event (or init) has no result.
+    `of_agents`: no order of its steps is known to be one that agents do not have."""
 
     name: str
     line: int

@@ -199,9 +199,8 @@ Found = Literal["held", "violated", "no value", "unchecked", "out of model"]
 
 class Verdict(msgspec.Struct, frozen=True, tag_field="kind", tag="verdict"):
     """What a run has shown of one property, told at the mission's end: `of` is invariant, initially, assume, axiom or
-    loop invariant; of these only those that were false are told.
-    `since` is when it was first violated, had no value, or was about a robot that was out of the model. `moments`:
-    at how many it was evaluated."""
+    loop invariant; of loop invariants only those that were false are told. `since` is when it was first violated, had
+    no value, or was about a robot that was out of the model. `moments`: at how many it was evaluated."""
 
     t: float
     of: str
