@@ -9,6 +9,7 @@ from koordgen.emit import expr
 from koordgen.emit.names import Names
 from koordgen.emit.types import annotation
 from koordgen.ir import stmt as ir
+from koordgen.ir.expr import Const, Expr
 
 STEP = "    "
 
@@ -24,13 +25,19 @@ def lines(block: ir.Block, names: Names, path: str, indent: str) -> Iterator[str
                 yield from _if(statement, names, path, indent, "if")
             case ir.For(variables, _, values, inner):
                 taken = ", ".join([names.temp(name) for name in variables])
-                yield f"{indent}for {taken} in {expr.domain(values, names)}:{mark}"
+                yield f"{indent}for {taken} in turns({expr.domain(values, names)}):{mark}"
                 yield from lines(inner, names, path, indent + STEP)
             case ir.While(condition, inner):
-                yield f"{indent}while {expr.text(condition, names)}:{mark}"
+                yield f"{indent}while {_each_turn(condition, names)}:{mark}"
                 yield from lines(inner, names, path, indent + STEP)
             case _:
                 yield f"{indent}{_simple(statement, names)}{mark}"
+
+
+def _each_turn(condition: Expr, names: Names) -> str:
+    """The condition of a `while`, which takes a turn where it holds."""
+    forever = isinstance(condition, Const) and condition.value is True
+    return "turn()" if forever else f"{expr.operand_of_and(condition, names)} and turn()"
 
 
 def _simple(statement: ir.Stmt, names: Names) -> str:
