@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from koordgen.semantics.state import OutOfTime
+from koordgen.semantics.deadline import OutOfTime
 
 GRACE = 0.5  # seconds: who looks at the clock in good time ends in its own way before
 

@@ -31,7 +31,7 @@ from koordgen.pipeline import Checked, Rejected, check_file, read_fleet, read_so
 from koordgen.prove.trace import About
 from koordgen.replay.functions import CannotCall, externs
 from koordgen.replay.trace import BadTrace
-from koordgen.semantics.state import OutOfTime
+from koordgen.semantics.deadline import OutOfTime
 from koordgen.source import Source, Span
 
 ROBOTS = 3  # where neither --robots nor a fleet says how many

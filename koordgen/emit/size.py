@@ -33,6 +33,8 @@ def _bits(node: ir.Expr) -> int:
     match node:
         case ir.Const(int() as value):
             return value.bit_length()
+        case ir.Compare() | ir.Logic():
+            return 1
         case ir.Pid() | ir.NSys():
             return _ROBOTS
         case ir.Unary("-", operand) | ir.Builtin("abs", (operand,)):
@@ -43,7 +45,7 @@ def _bits(node: ir.Expr) -> int:
             return max(_bits(left), _bits(right))
         case ir.Binary("%", _, right):
             return _bits(right)
-        case ir.Binary("//", left):
+        case ir.Binary("//" | "/", left):
             return _bits(left) + 1
         case ir.Binary("+" | "-", left, right):
             return max(_bits(left), _bits(right)) + 1

@@ -16,9 +16,9 @@ from koordgen.explore.symmetry import distinguishes, sorted_robots
 from koordgen.ir import decl
 from koordgen.prove.model import Conjunct, failing
 from koordgen.prove.reach import Moment
+from koordgen.semantics.deadline import OutOfTime
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.property import holds_property
-from koordgen.semantics.state import OutOfTime
 from koordgen.semantics.step import initial
 
 WELL_DEFINED, DEADLOCK = "(well-defined)", "(deadlock)"

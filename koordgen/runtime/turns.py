@@ -104,4 +104,3 @@ def _large(found: int, a: int, b: int) -> int:
     if min(a.bit_length(), b.bit_length()) > SMALL_BITS:
         raise TooMuch(TOO_LONG)
     return found
-

@@ -8,7 +8,8 @@ robot. Where the checker has proved that a node cannot fail and it does, that is
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence, Sized as HasLength
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Sized as HasLength
 from typing import Any, NamedTuple, TypeVar
 
 from koordgen.diagnostics import InternalError
@@ -24,7 +25,6 @@ from koordgen.semantics.numbers import arithmetic, as_real, compared
 from koordgen.semantics.state import Robot
 from koordgen.semantics.values import RecordValue, Value, as_, conforms, default, items
 from koordgen.source import Span
-
 
 T = TypeVar("T", bound=HasLength)
 

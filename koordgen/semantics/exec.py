@@ -9,8 +9,9 @@ from koordgen.diagnostics import InternalError
 from koordgen.ir import decl, stmt
 from koordgen.ir import expr as ir
 from koordgen.ir.types import Type
+from koordgen.semantics.deadline import present
 from koordgen.semantics.eval import Call, Discarded, View, elements, evaluate, holds, made, view_of
-from koordgen.semantics.state import Deadline, World
+from koordgen.semantics.state import World
 from koordgen.semantics.values import Value, as_, conforms, encodable, flaw, items
 from koordgen.source import Span
 
@@ -31,11 +32,11 @@ class Writes(NamedTuple):
 
 class Budget:
     """The turns that are left to one event, its functions included: a turn of a loop and a call of a function cost one.
-    With a deadline, the event is given up when it has passed (OutOfTime)."""
+    Where there is a deadline, the event is given up when it has passed (OutOfTime)."""
 
-    def __init__(self, deadline: Deadline | None = None) -> None:
+    def __init__(self) -> None:
         self.left = MAX_TURNS
-        self.deadline = deadline
+        self.deadline = present()
 
     def spend(self, turns: int, span: Span) -> None:
         """Take so many turns. Raises Discarded, OutOfTime."""

@@ -7,7 +7,7 @@ from typing import TypeVar
 
 from koordgen.diagnostics import InternalError
 from koordgen.runtime.values import Point
-from koordgen.semantics.exact import is_exact, power
+from koordgen.semantics.exact import is_exact, power, within_exact
 from koordgen.semantics.values import Value, as_, same
 
 T = TypeVar("T")
@@ -29,19 +29,23 @@ def arithmetic(op: str, left: Value, right: Value) -> Value:
     match left, right:
         case Point(), Point():
             if op == "+":
-                return Point(left.x + right.x, left.y + right.y, left.z + right.z)
-            return Point(left.x - right.x, left.y - right.y, left.z - right.z)
+                return _point(left.x + right.x, left.y + right.y, left.z + right.z)
+            return _point(left.x - right.x, left.y - right.y, left.z - right.z)
         case Point(), _:
             by = as_real(right)
             if op == "*":
-                return Point(left.x * by, left.y * by, left.z * by)
-            return Point(left.x / by, left.y / by, left.z / by)
+                return _point(left.x * by, left.y * by, left.z * by)
+            return _point(left.x / by, left.y / by, left.z / by)
         case _, Point():
             return arithmetic(op, right, left)
         case (str(), str()) | (tuple(), tuple()):
             return left + right  # type: ignore[operator]
         case _:
             return sized(op, as_real(left), as_real(right))
+
+
+def _point(x: float, y: float, z: float) -> Point:
+    return Point(within_exact(x), within_exact(y), within_exact(z))
 
 
 def sized(op: str, left: int | float, right: int | float) -> int | float:
@@ -52,7 +56,7 @@ def sized(op: str, left: int | float, right: int | float) -> int | float:
         raise ValueError(_TOO_LONG)
     found = _of_numbers(op, left, right)
     if not ints or (op in "+-" and min(left.bit_length(), right.bit_length()) <= SMALL_BITS):  # type: ignore[union-attr]
-        return found
+        return within_exact(found)
     return within_bits(found)
 
 

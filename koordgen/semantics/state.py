@@ -38,32 +38,13 @@ def nobody(pid: int, port: str, args: tuple[Value, ...]) -> Value:
     raise LookupError(f"nothing serves {port}")
 
 
-class OutOfTime(BaseException):
-    """The run of a program has passed its deadline: it has no result. No `except Exception` of an extern function or of
-    an event's faults catches it."""
-
-
-class Deadline(NamedTuple):
-    """When a run ends without a result: at the time `until` of `clock`, seconds."""
-
-    clock: Callable[[], float]
-    until: float
-
-    def look(self) -> None:
-        """Raise OutOfTime when it has passed."""
-        if self.clock() > self.until:
-            raise OutOfTime("the time for this run is over")
-
-
 class World(NamedTuple):
     """What a program calls. `externs`: its extern functions by name, over values as here, pure; also `spec fun`s, where
     properties that use them are to be executed. `answer`: what a callable port says, by pid, "Module.port" and
-    arguments; an input, the same as often as an event is run again. What they raise discards the event. `deadline`: when
-    whoever runs the program gives up, if ever."""
+    arguments; an input, the same as often as an event is run again. What they raise discards the event."""
 
     externs: Mapping[str, Callable[..., Value]]
     answer: Callable[[int, str, tuple[Value, ...]], Value]
-    deadline: Deadline | None = None
 
 
 NOTHING = World({}, nobody)
