@@ -70,7 +70,7 @@ _NONLINEAR = frozenset(("*", "/", "div", "mod"))  # unless a factor, or the divi
 
 # Steps that one program's encoding may take, of terms and of expressions: more would take minutes, and no solver
 # decides what comes of it. A number that is computed while terms are made has at most so many bits.
-MOST_STEPS = 3_000_000
+MOST_STEPS = 1_000_000
 MOST_BITS = 1 << 16
 _steps = 0
 

@@ -28,9 +28,14 @@ class TooMuch(Exception):
     """An event exceeds a limit, and is discarded."""
 
 
-def _used_up() -> Iterator[Literal[True]]:
-    raise TooMuch("it is not finished by the end of the round")
-    yield
+class _UsedUp:
+    """What comes after the last turn."""
+
+    def __iter__(self) -> _UsedUp:
+        return self
+
+    def __next__(self) -> Literal[True]:
+        raise TooMuch("it is not finished by the end of the round")
 
 
 class _Count:
@@ -40,7 +45,8 @@ class _Count:
         self.left: Iterator[Literal[True]] | None = None
 
     def full(self) -> Iterator[Literal[True]]:
-        self.left = chain(repeat(True, MOST_TURNS), _used_up())  # type: ignore[arg-type]
+        every: Iterator[Literal[True]] = repeat(True, MOST_TURNS)
+        self.left = chain(every, _UsedUp())
         return self.left
 
 
