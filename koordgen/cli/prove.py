@@ -49,7 +49,7 @@ def run(options: Namespace) -> int:
 
 def _total(options: Namespace) -> float:
     """Seconds for the command: all queries, and what is made for them."""
-    return max(ALL_QUERIES, 10 * options.timeout)
+    return max(ALL_QUERIES, 10 * float(options.timeout))
 
 
 def proved(options: Namespace, solver: Solver | Both) -> int:

@@ -96,7 +96,7 @@ def _power(base: int | float, exponent: int | float) -> int | float:
         raise ValueError("an int to the power of a negative one")
     if exponent > MAX_EXPONENT and abs(base) > 1:
         raise ValueError(f"an exponent above {MAX_EXPONENT}")
-    if abs(base) > 1 and (abs(base).bit_length() - 1) * exponent >= MAX_BITS:  # type: ignore[union-attr]
+    if abs(base) > 1 and (abs(base).bit_length() - 1) * exponent >= MAX_BITS:
         raise ValueError(_TOO_LONG)
     return as_(int, base**exponent)
 
