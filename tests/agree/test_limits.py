@@ -40,6 +40,8 @@ def test_the_limits_of_the_semantics_are_those_of_robots() -> None:
     assert eval.ELEMENTS_A_TURN == turns.ELEMENTS_A_TURN
     assert numbers.MAX_BITS == turns.MOST_BITS
     assert numbers.SMALL_BITS == turns.SMALL_BITS
+    assert size.ELEMENTS_A_TURN == turns.ELEMENTS_A_TURN
+    assert (size.MOST_BITS, size.SMALL_BITS) == (turns.MOST_BITS, turns.SMALL_BITS)
 
 
 def compare(seed: int, seen: Counter[str]) -> None:
