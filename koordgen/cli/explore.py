@@ -14,6 +14,7 @@ from typing import Any
 from koordgen import manifest
 from koordgen.check.params import BadParam, with_params
 from koordgen.cli import HOLDS, INCONCLUSIVE, INTERRUPTED, USAGE, VIOLATED, WRONG, Failure, _params, _tell
+from koordgen.cli.alarm import alarm
 from koordgen.cli.prove import hash_of, save
 from koordgen.cli.terminal import Line
 from koordgen.diagnostics import Diagnostic
@@ -30,6 +31,7 @@ from koordgen.pipeline import Checked, Rejected, check_file, read_fleet, read_so
 from koordgen.prove.trace import About
 from koordgen.replay.functions import CannotCall, externs
 from koordgen.replay.trace import BadTrace
+from koordgen.semantics.deadline import OutOfTime
 from koordgen.source import Source, Span
 
 ROBOTS = 3  # where neither --robots nor a fleet says how many
@@ -82,6 +84,11 @@ def _searched(
 
     functions = options.functions or Path(options.program).with_name(f"{functions_module(program)}.py")
     bounds = Bounds(options.rounds, options.states, options.seconds)
+    started = time.monotonic()
+
+    def left() -> float | None:
+        return None if options.seconds is None else max(0.0, options.seconds - (time.monotonic() - started))
+
     try:
         machine = Machine(program, robots, answering(around, program, robots), Path(functions))
         surroundings = Surroundings(machine, around)
@@ -90,17 +97,21 @@ def _searched(
             symmetry=options.symmetry, independence=options.independence, deadlock=options.deadlock,
             forgetting=options.forgetting,
         )  # fmt: skip
-        result = search.run()
+        with alarm(bounds.seconds):
+            result = search.run()
         found = result.violation
-        if found is None or _of_agents(found, program, about()):
+        if found is None or _of_agents(found, program, about(), left()):
             return result
         machine.discards.clear()
-        again = Search(
-            machine, surroundings, _further(bounds, found, result.progress), time.monotonic, show, symmetry=False,
+        further = _further(bounds, found, result.progress)
+        second = Search(
+            machine, surroundings, further, time.monotonic, show, symmetry=False,
             independence=options.independence, deadlock=found.name == DEADLOCK, forgetting=options.forgetting,
             as_agents=True,
-        ).run().violation  # fmt: skip
-        if again is None or again.name != found.name or not _of_agents(again, program, about()):
+        )  # fmt: skip
+        with alarm(further.seconds):
+            again = second.run().violation
+        if again is None or again.name != found.name or not _of_agents(again, program, about(), left()):
             again = found._replace(of_agents=False)
         return result._replace(violation=again)
     except CannotCall as error:
@@ -116,16 +127,18 @@ def _further(bounds: Bounds, found: Violation, progress: Progress) -> Bounds:
     return Bounds(found.moments[-1].round, min(states, bounds.states or states), seconds)
 
 
-def _of_agents(found: Violation, program: Program, about: About) -> bool:
-    """Whether agents can do all orders of a run, as far as `koordgen sim --follow` can tell."""
+def _of_agents(found: Violation, program: Program, about: About, seconds: float | None) -> bool:
+    """Whether agents can do all orders of a run, as far as `koordgen sim --follow` can tell. Where that takes
+    more than `seconds`, the answer is True, which says nothing."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.jsonl"
         path.write_text(trace(found, program, about))
         try:
-            planned(program, read(path), about.externs)
+            with alarm(seconds):
+                planned(program, read(path), about.externs)
         except ModelOnly:
             return False
-        except (CannotFollow, BadTrace):
+        except (CannotFollow, BadTrace, OutOfTime):
             pass  # `--follow` says why
     return True
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from koordgen.diagnostics import InternalError
+from koordgen.emit import size
 from koordgen.emit.alone import tells_of_itself
 from koordgen.emit.names import Names
 from koordgen.emit.types import display, with_floats
@@ -34,9 +35,9 @@ def text(node: ir.Expr, names: Names) -> str:
     return _text(node, names)[0]
 
 
-def operand(node: ir.Expr, names: Names) -> str:
+def operand_of_and(node: ir.Expr, names: Names) -> str:
     """The Python expression for `node` as an operand of `and`."""
-    return _within(node, names, _NOT)
+    return _within(node, names, _AND)
 
 
 def domain(node: ir.Expr, names: Names) -> str:
@@ -74,6 +75,10 @@ def _text(node: ir.Expr, names: Names) -> tuple[str, int]:
             return f"-{_within(operand, names, _SIGN)}", _SIGN
         case ir.Binary("**", left, right):
             return f"power({text(left, names)}, {text(right, names)})", _ATOM
+        case ir.Binary(op, left, right) if looks := size.checked(node):
+            if looks == "made":
+                return f"made({_within(left, names, _SUM)} {op} {_within(right, names, _PRODUCT)})", _ATOM
+            return f"{looks}({text(left, names)}, {text(right, names)})", _ATOM
         case ir.Binary(op, left, right) | ir.Logic(op, left, right):
             own = _STRENGTH[op]
             return f"{_within(left, names, own)} {op} {_within(right, names, own + 1)}", own
@@ -95,7 +100,7 @@ def _text(node: ir.Expr, names: Names) -> tuple[str, int]:
             if names.formulas:
                 return _quantified(node, names), _ATOM
             every = "all" if kind == "forall" else "any"
-            return f"{every}({text(body, names)} for {names.temp(name)} in {domain(over, names)})", _ATOM
+            return f"{every}({text(body, names)} for {names.temp(name)} in {_counted(over, names)})", _ATOM
         case _:
             return _atom(node, names), _ATOM
 
@@ -107,7 +112,12 @@ def _quantified(node: ir.Quantified, names: Names) -> str:
     body = f"lambda {names.temp(node.name)}: {text(node.body, names)}"
     if tells_of_itself(node):
         return f"s.own({literal(node.name)}, {body})"
-    return f"s.{every}({literal(node.name)}, {domain(node.domain, names)}, {body}{others})"
+    return f"s.{every}({literal(node.name)}, {_counted(node.domain, names)}, {body}{others})"
+
+
+def _counted(over: ir.Expr, names: Names) -> str:
+    """The domain of a quantifier: each of its values costs a turn, unless they are the robots."""
+    return domain(over, names) if isinstance(over, ir.Ids) else f"turns({domain(over, names)})"
 
 
 def _names_a_robot(name: str, body: ir.Expr) -> bool:
@@ -183,7 +193,7 @@ def _part(node: ir.Expr, names: Names) -> str:
         case ir.Slice(operand, start, stop, proved):
             a, b = (None if bound is None else text(bound, names) for bound in (start, stop))
             if proved:
-                return f"{_within(operand, names, _ATOM)}[{a or ''}:{b or ''}]"
+                return f"made({_within(operand, names, _ATOM)}[{a or ''}:{b or ''}])"
             return f"{'part' if operand.type == STRING else 'slice_'}({text(operand, names)}, {a}, {b})"
         case ir.With(operand, name, value):
             return _with(operand, name, text(value, names), names)
@@ -245,13 +255,15 @@ def _builtin(name: str, args: tuple[ir.Expr, ...], names: Names) -> str:
         case "items":  # a map is its pairs
             return given
         case "sorted":
-            return f"tuple(sorted({given}))"
+            return f"made(tuple(sorted({given})))"
         case "reversed":
-            return f"tuple(reversed({given}))"
+            return f"made(tuple(reversed({given})))"
         case "count" if not with_floats(args[1].type):
             return f"{_within(args[0], names, _ATOM)}.count({text(args[1], names)})"
         case "sum" if isinstance(args[0].type, Sequence) and args[0].type.element == FLOAT:
             return f"total({given})"
+        case "sum":
+            return f"checked(sum({given}))"
         case "str" if args[0].type == POINT:
             return f"shown({given})"
         case _:

@@ -31,6 +31,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
     ),
     "koordgen.runtime.region": ("Ball", "Rect"),
     "koordgen.runtime.text": ("part", "shown"),
+    "koordgen.runtime.turns": ("checked", "made", "minus", "plus", "product", "turn", "turns"),
     "koordgen.runtime.values": ("Grid", "Opaque", "Point", "Pose", "Scan", "distance"),
 }  # fmt: skip
 HOME = {name: module for module, names in _MODULES.items() for name in names}

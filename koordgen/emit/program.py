@@ -153,7 +153,8 @@ def _function(function: ir.Function, program: ir.Program, names: Names) -> dict[
     return {
         "name": names.functions[function.name],
         "mark": f"{function.name}, {_mark(program, function)}",
-        "body": _block(function.block, program, names),
+        "body": f"{stmt.STEP}turn(){_MARK.format(program.path)}{function.span.line}\n"
+        + _block(function.block, program, names),
         **_signature(function, names),
     }
 

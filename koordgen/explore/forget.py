@@ -147,7 +147,8 @@ class Forgetting:
                 for index in [index for index, turning in self._turning.items() if turning == name]:
                     event = code.events[index]
                     try:
-                        done = rt.run(code, event.effect, code.begin(frame)) if event.guard(code.begin(frame)) else None
+                        ready = rt.enabled(event, code.begin(frame))
+                        done = rt.run(code, event.effect, code.begin(frame)) if ready else None
                     except Exception:  # of the guard: as the search tells it
                         raise Unread(name) from None
                     if isinstance(done, rt.Fault) or (done is not None and done.violated):
@@ -165,7 +166,7 @@ class Forgetting:
             if index in self.idle:
                 continue
             try:
-                if not event.guard(self._alone(frame)):
+                if not rt.enabled(event, self._alone(frame)):
                     continue
                 done = rt.run(code, event.effect, self._alone(frame))
             except (Exception, Unread, _Others):

@@ -167,7 +167,7 @@ class Machine:
     def _run(self, event: rt.Event, looking: Any, frame: Callable[[], rt.Frame]) -> rt.Effects | rt.Fault | None:
         """What an event does; None where its guard does not hold."""
         try:
-            if not event.guard(looking):
+            if not rt.enabled(event, looking):
                 return None
             return rt.run(self.code, event.effect, self.begin(frame()), event.line)
         except Exception:  # of a guard: the same again, told as of an effect

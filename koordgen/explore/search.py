@@ -16,6 +16,7 @@ from koordgen.explore.symmetry import distinguishes, sorted_robots
 from koordgen.ir import decl
 from koordgen.prove.model import Conjunct, failing
 from koordgen.prove.reach import Moment
+from koordgen.semantics.deadline import OutOfTime
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.property import holds_property
 from koordgen.semantics.step import initial
@@ -119,6 +120,8 @@ class Search:
             violation, stopped = self._settled()
         except _Over as over:
             stopped = str(over)
+        except OutOfTime:  # within one event, or one round
+            stopped = self._bound_of_time()
         except KeyboardInterrupt:
             stopped = "interrupted"
         if not violation and not stopped and self.stuck:
@@ -249,9 +252,12 @@ class Search:
             self.shown = now
             self.show(self.progress())
         if self.bounds.seconds is not None and now - self.started > self.bounds.seconds:
-            raise _Over(f"the bound of {self.bounds.seconds:g} s")
+            raise _Over(self._bound_of_time())
         if self.bounds.states is not None and len(self.known) > self.bounds.states:
             raise _Over(f"the bound of {self.bounds.states} state{'s' * (self.bounds.states != 1)}")
+
+    def _bound_of_time(self) -> str:
+        return f"the bound of {self.bounds.seconds or 0:g} s"
 
     def _dead(self, fleet: Packed) -> bool:
         """Whether nothing will ever be enabled, however the environment goes on, though some robot has not stopped."""

@@ -21,6 +21,7 @@ from koordgen.node import Node, replace
 from koordgen.prove.model import Conjunct, allowed, failing, made_state, true
 from koordgen.prove.reading import Unshowable
 from koordgen.runtime.values import Point
+from koordgen.semantics.deadline import Deadline, OutOfTime, ends
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exact import NotExact, made_exact
 from koordgen.semantics.exec import NoMeaning
@@ -67,12 +68,13 @@ def run_to(
     until = time.process_time() + bounds.seconds
     fleets = [robots] if robots is not None else list(range(1, bounds.robots + 1))
     try:
-        for n_sys in fleets:
-            found = _Search(program, invariant, tuple(hints), bounds, until).of(n_sys)
-            if found is not None:
-                return found
-    except (NotExact, NoMeaning):
-        return None  # a run that cannot be made exactly shows nothing
+        with ends(Deadline(time.process_time, until)):
+            for n_sys in fleets:
+                found = _Search(program, invariant, tuple(hints), bounds, until).of(n_sys)
+                if found is not None:
+                    return found
+    except (NotExact, NoMeaning, OutOfTime):
+        return None  # a run that cannot be made exactly, or takes too long, shows nothing
     return None
 
 

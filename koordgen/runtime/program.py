@@ -18,6 +18,7 @@ import msgspec
 from koordgen.runtime.bounds import Bound
 from koordgen.runtime.containers import Missing, OutOfRange
 from koordgen.runtime.extern import BadExtern, Contract, Library
+from koordgen.runtime.turns import TooMuch, begin, made
 from koordgen.runtime.values import transmissible
 
 T = TypeVar("T")
@@ -183,7 +184,7 @@ class Transaction:
 
     def emit(self, port: str, *parts: str) -> None:
         """One line to a stream."""
-        self._streams.append((port, "".join(parts)))
+        self._streams.append((port, made("".join(parts))))
 
     def news(self) -> dict[str, Any]:
         """What was written, by name; of an allread variable, the robot's own slot."""
@@ -271,11 +272,17 @@ def choose(program: Program, state: Transaction) -> Event | Fault | None:
     so that all of them and the effect share one Transaction."""
     for event in program.events:
         try:
-            if event.guard(state):
+            if enabled(event, state):
                 return event
         except Exception as error:
             return _fault(program, error)
     return None
+
+
+def enabled(event: Event, state: Transaction) -> bool:
+    """Return whether an event's guard holds. It has turns of its own."""
+    begin()
+    return event.guard(state)
 
 
 def run(program: Program, effect: Callable[[Any], None], state: Transaction, line: int = 0) -> Effects | Fault:
@@ -283,6 +290,7 @@ def run(program: Program, effect: Callable[[Any], None], state: Transaction, lin
     the robot, discards it whole."""
     stopped = False
     _violated.clear()
+    begin()
     try:
         effect(state)
     except Stopped:
@@ -321,7 +329,7 @@ def _fault(program: Program, error: Exception) -> Fault:
         if Path(trace.tb_frame.f_code.co_filename) == Path(program.file):
             line = program.lines.get(trace.tb_lineno, line)
         trace = trace.tb_next
-    told = isinstance(error, (OutOfRange, Missing, BadExtern))
+    told = isinstance(error, (OutOfRange, Missing, BadExtern, TooMuch))
     reason = str(error) if told else f"{type(error).__name__}: {error}"
     reason = reason if len(reason) <= LONGEST_REASON else f"{reason[:LONGEST_REASON]} ..."
     return Fault(program.source, line, reason, error.contract if isinstance(error, BadExtern) else None)

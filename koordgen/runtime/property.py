@@ -13,6 +13,7 @@ from typing import Any, Final, Generic, Literal, NamedTuple, TypeVar
 from koordgen.runtime.containers import OutOfRange, equal
 from koordgen.runtime.program import Program
 from koordgen.runtime.trace import Calls
+from koordgen.runtime.turns import begin
 
 T = TypeVar("T")
 Outcome = Literal["held", "violated", "no value", "unknown"]
@@ -266,6 +267,7 @@ class Properties:
 
 def judged(holds: Callable[[Known], bool], known: Known) -> tuple[Outcome, str]:
     """What a formula comes to, and why it has no value or which one is not known."""
+    begin()
     try:
         return ("held" if holds(known) else "violated"), ""
     except Unknown as unknown:

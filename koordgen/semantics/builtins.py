@@ -13,6 +13,7 @@ from typing import Any
 from koordgen.runtime import geometry, gridmap
 from koordgen.runtime.values import Grid, Point, Pose, distance
 from koordgen.semantics import exact
+from koordgen.semantics.numbers import within_bits
 from koordgen.semantics.values import Ball, Rect, Value, items, same
 
 List = tuple[Any, ...]
@@ -50,10 +51,8 @@ def contains(xs: Any, item: Any) -> bool:
 
 def set_of(values: List) -> List:
     """The set of these values: ascending, each once."""
-    found: List = ()
-    for value in values:
-        found = _set_with(found, value)
-    return found
+    ordered = sorted(values)
+    return tuple([value for i, value in enumerate(ordered) if i == 0 or ordered[i - 1] < value])
 
 
 def map_of(pairs: List) -> List:
@@ -98,6 +97,10 @@ def _without(xs: List, i: int) -> List:
     return tuple([x for j, x in enumerate(xs) if j != i])
 
 
+def _common(s: List, t: frozenset[Any], wanted: bool) -> List:
+    return tuple([x for x in s if (x in t) == wanted])
+
+
 def _set_with(s: List, value: Any) -> List:
     below, above = [x for x in s if x < value], [x for x in s if value < x]
     return (*below, value, *above)
@@ -120,7 +123,7 @@ def _sum(xs: List, zero: Any) -> Any:
     total = zero
     for x in xs:
         total = total + x
-    return total
+    return within_bits(total)
 
 
 def _text(value: Any) -> str:
@@ -182,8 +185,8 @@ _CONTAINERS: Mapping[str, Callable[..., Any]] = {
     "popped": lambda xs: _without(xs, len(xs) - 1),
     "cleared": lambda xs: (),
     "union": lambda s, t: set_of((*s, *t)),
-    "intersection": lambda s, t: tuple([x for x in s if contains(t, x)]),
-    "difference": lambda s, t: tuple([x for x in s if not contains(t, x)]),
+    "intersection": lambda s, t: _common(s, frozenset(t), True),
+    "difference": lambda s, t: _common(s, frozenset(t), False),
     "set_with": _set_with,
     "set_without": lambda s, value: _without(s, _where(s, value)),
     "keys": lambda m: tuple([key for key, _ in m]),
@@ -195,3 +198,8 @@ _CONTAINERS: Mapping[str, Callable[..., Any]] = {
     "map_without": lambda m, key: _without(m, _where([own for own, _ in m], key)),  # type: ignore[arg-type]
 }
 MEANINGS = {**_PLAIN, **_CONTAINERS}
+# These make a new list, set, map or queue, which costs turns.
+MAKING = frozenset(
+    ("sorted", "reversed", "updated", "appended", "extended", "inserted", "removed", "without", "popped", "union",
+     "intersection", "difference", "set_with", "set_without", "keys", "values", "map_with", "map_without")
+)  # fmt: skip

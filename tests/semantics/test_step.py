@@ -117,7 +117,7 @@ def test_an_int_beyond_64_bits_is_no_last_value(variable: str) -> None:
 
 
 def test_a_very_long_int_is_told_without_its_digits() -> None:
-    squared = "\n".join(["count = count * count"] * 12)
+    squared = "\n".join(["count = count * count"] * 6)
     _, steps = after(event(f"count = 1000000000000\n{squared}\ntotal = count"))
     assert isinstance(steps[0].outcome, Discarded)
     assert "an int beyond 64 bits" in steps[0].outcome.reason

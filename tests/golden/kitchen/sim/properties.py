@@ -11,6 +11,7 @@ from koordgen.runtime.containers import equal, last
 from koordgen.runtime.gridmap import GridMap
 from koordgen.runtime.property import Asking, Assumption, Each, Known, One, Properties, Property, Trail, Unchecked
 from koordgen.runtime.region import Ball, Rect
+from koordgen.runtime.turns import turns
 from koordgen.runtime.values import Point, Pose, Scan, distance
 
 from program import Cup, PARAM_HOME, PARAM_MARGIN, PROGRAM, Ticket, Tray, fun_heavy
@@ -80,12 +81,12 @@ def initially(s: Fleet) -> bool:
 
 def invariant_fenced(s: Fleet) -> bool:
     """invariant Fenced, kitchen.koord:161"""
-    return s.own("i", lambda my_i: s.motion_position[my_i] in Ball(PARAM_HOME, 10.0) and (not s.local_on[my_i] or s.some("j", range(1, s.n_sys), lambda my_j: equal(s.shared_paths[my_j], s.shared_paths[my_i]))))
+    return s.own("i", lambda my_i: s.motion_position[my_i] in Ball(PARAM_HOME, 10.0) and (not s.local_on[my_i] or s.some("j", turns(range(1, s.n_sys)), lambda my_j: equal(s.shared_paths[my_j], s.shared_paths[my_i]))))
 
 
 def invariant_sized(s: Fleet) -> bool:
     """invariant Sized, kitchen.koord:162"""
-    return s.every("c", s.shared_waiting.value, lambda my_c: fun_heavy(my_c) or my_c.size <= 3, robots=False)
+    return s.every("c", turns(s.shared_waiting.value), lambda my_c: fun_heavy(my_c) or my_c.size <= 3, robots=False)
 
 
 def invariant_class(s: Fleet) -> bool:
