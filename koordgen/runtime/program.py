@@ -18,7 +18,7 @@ import msgspec
 from koordgen.runtime.bounds import Bound
 from koordgen.runtime.containers import Missing, OutOfRange
 from koordgen.runtime.extern import BadExtern, Contract, Library
-from koordgen.runtime.values import transmissible
+from koordgen.runtime.values import NotANumber, transmissible
 
 T = TypeVar("T")
 LONGEST_REASON = 300  # characters
@@ -279,7 +279,7 @@ def _refused(
             continue
         value = found[name]
         flaw = bound.flaw(value)  # also of locals: an int squared every round would soon hang the robot
-        if not flaw and name not in effects.locals and not transmissible(value):
+        if not flaw and not transmissible(value):  # also of locals: NaN never outlives its event
             flaw = f"{reprlib.repr(value)}, which no robot may use"
         if flaw:
             at = program.lines.get(state.written[name].line, line)
@@ -297,7 +297,7 @@ def _fault(program: Program, error: Exception) -> Fault:
         if Path(trace.tb_frame.f_code.co_filename) == Path(program.file):
             line = program.lines.get(trace.tb_lineno, line)
         trace = trace.tb_next
-    told = isinstance(error, (OutOfRange, Missing, BadExtern))
+    told = isinstance(error, (OutOfRange, Missing, NotANumber, BadExtern))
     reason = str(error) if told else f"{type(error).__name__}: {error}"
     reason = reason if len(reason) <= LONGEST_REASON else f"{reason[:LONGEST_REASON]} ..."
     return Fault(program.source, line, reason, error.contract if isinstance(error, BadExtern) else None)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from koordgen.diagnostics import InternalError
-from koordgen.runtime.values import Point
+from koordgen.runtime.values import NotANumber, Point
 from koordgen.semantics.exact import is_exact, power
-from koordgen.semantics.values import Value, as_, same
+from koordgen.semantics.values import Value, as_, has_nan, same
 
 MAX_EXPONENT = 1024
 
@@ -72,6 +72,9 @@ def _power(base: int | float, exponent: int | float) -> int | float:
 
 
 def compared(op: str, left: Value, right: Value) -> bool:
+    """A comparison of two values of one type. Raises NotANumber where either has NaN in it."""
+    if has_nan(left) or has_nan(right):
+        raise NotANumber
     match op:
         case "==":
             return same(left, right)

@@ -16,8 +16,6 @@ from koordgen.runtime.bounds import Blob, Cells, Distinct, Fixed, Many, Pairs, P
 from koordgen.runtime.containers import (
     appended,
     at,
-    count,
-    equal,
     extended,
     first,
     has_key,
@@ -45,7 +43,7 @@ from koordgen.runtime.gridmap import GridMap, area, cell, center, is_known, mark
 from koordgen.runtime.program import Cell, Event, Frame, Port, Program, Slots, Stopped, Transaction, Variable
 from koordgen.runtime.region import Ball, Rect
 from koordgen.runtime.text import shown
-from koordgen.runtime.values import Grid, Opaque, Point, Pose, Scan, distance
+from koordgen.runtime.values import Grid, Opaque, Point, Pose, Scan, distance, no_nan, no_nan_in
 
 Ticket = Annotated[Opaque, "Ticket"]
 
@@ -123,7 +121,7 @@ def extern_weigh(my_goods: tuple[tuple[str, int], ...], my_s: tuple[int, ...]) -
     """extern fun weigh, kitchen.koord:14"""
     EXTERN_WEIGH.require(len(my_goods) > 0, 15)
     my_result: float = EXTERN_WEIGH(my_goods, my_s)
-    EXTERN_WEIGH.ensure(my_result >= 0.0, 16, my_result)
+    EXTERN_WEIGH.ensure(no_nan(my_result) >= 0.0, 16, my_result)
     return my_result
 
 
@@ -149,7 +147,7 @@ def fun_reduce(my_n: int, my_s: int) -> int:
 
 def fun_heavy(my_c: Cup) -> bool:
     """fun heavy, kitchen.koord:34"""
-    return my_c.size > 3 and extern_weigh(map_of(((my_c.name, my_c.size),)), set_of((1, 2))) > 2.0  # kitchen.koord:34
+    return my_c.size > 3 and no_nan(extern_weigh(map_of(((my_c.name, my_c.size),)), set_of((1, 2)))) > 2.0  # kitchen.koord:34
 
 
 def init(s: State) -> None:
@@ -166,12 +164,12 @@ def guard_advance(s: State) -> bool:
 def effect_advance(s: State) -> None:
     """eff of Advance, kitchen.koord:84"""
     my_goal: Point = (s.shared_x[s.pid] + PARAM_HOME) / 2.0 - 0.25 * Point(0.0, 0.0, 1.0)  # kitchen.koord:87
-    if distance(my_goal, s.motion_position) > PARAM_MARGIN:  # kitchen.koord:88
+    if no_nan(distance(my_goal, s.motion_position)) > PARAM_MARGIN:  # kitchen.koord:88
         s.motion_target.value = my_goal  # kitchen.koord:89
     elif s.pid % 2 == 0 and s.n_sys > 1:  # kitchen.koord:90
         s.motion_target.value = -my_goal + s.shared_x[(s.pid + 1) % s.n_sys]  # kitchen.koord:91
     else:
-        my_goal = Point(abs(my_goal.x), min(my_goal.y, s.local_level.value), max(my_goal.z, sqrt(4.0)))  # kitchen.koord:93
+        my_goal = Point(abs(my_goal.x), min(no_nan(my_goal.y), s.local_level.value), max(no_nan(my_goal.z), sqrt(4.0)))  # kitchen.koord:93
         s.motion_target.value = my_goal  # kitchen.koord:94
     s.local_count.value = s.local_count.value + 1  # kitchen.koord:95
     s.shared_class.own = s.local_count.value // 2 if s.local_on.value else -(s.local_count.value - 1)  # kitchen.koord:96
@@ -193,7 +191,7 @@ def effect_collect(s: State) -> None:
     for my_i in range(1, PARAM_LAPS, 2):  # kitchen.koord:107
         s.local_seen.value = set_with(s.local_seen.value, (my_i, s.local_on.value))  # kitchen.koord:108
     for my_i_2 in range(s.n_sys):  # kitchen.koord:109
-        if (my_i_2, False) in s.local_seen.value and not equal(s.shared_x[my_i_2], PARAM_HOME):  # kitchen.koord:110
+        if (my_i_2, False) in s.local_seen.value and s.shared_x[my_i_2] != PARAM_HOME:  # kitchen.koord:110
             s.local_seen.value = union(s.local_seen.value, set_of(((my_i_2, True),)))  # kitchen.koord:111
     for my_n, my_b in s.local_seen.value:  # kitchen.koord:112
         s.local_text.value = s.local_text.value + str(my_n) + str(my_b)  # kitchen.koord:113
@@ -207,11 +205,11 @@ def effect_collect(s: State) -> None:
     s.local_tray.value = replace(s.local_tray.value, None_=(s.local_count.value, fun_longest((s.local_text.value, at(s.local_tray.value.class_, 0).name[1:3]))))  # kitchen.koord:120
     s.local_text.value = s.local_tray.value.None_[1]  # kitchen.koord:121
     s.local_levels.value = inserted(s.local_levels.value, 0, exp(s.local_level.value))  # kitchen.koord:122
-    s.local_levels.value = removed(s.local_levels.value, 2.5)  # kitchen.koord:123
-    s.local_levels.value = extended(s.local_levels.value, tuple(sorted(s.local_levels.value))[:2] + tuple(reversed(s.local_levels.value)))  # kitchen.koord:124
+    s.local_levels.value = removed(no_nan_in(s.local_levels.value), 2.5)  # kitchen.koord:123
+    s.local_levels.value = extended(s.local_levels.value, tuple(sorted(no_nan_in(s.local_levels.value)))[:2] + tuple(reversed(s.local_levels.value)))  # kitchen.koord:124
     s.local_level.value = at(s.local_levels.value, len(s.local_levels.value) - 1)  # kitchen.koord:125
     s.local_levels.value = popped(s.local_levels.value)  # kitchen.koord:125
-    my_where: int = index_of(s.local_levels.value, s.local_level.value) + count(s.local_levels.value, s.local_level.value) + fun_reduce(s.local_count.value, len(s.local_levels.value))  # kitchen.koord:126
+    my_where: int = index_of(no_nan_in(s.local_levels.value), no_nan(s.local_level.value)) + no_nan_in(s.local_levels.value).count(no_nan(s.local_level.value)) + fun_reduce(s.local_count.value, len(s.local_levels.value))  # kitchen.koord:126
     s.local_ticket.value = extern_stamp(s.local_ticket.value, my_c_2, s.shared_paths.all)  # kitchen.koord:127
     if fun_heavy(my_c_2):  # kitchen.koord:128
         s.emit("Log.stdout", "heavy ", my_c_2.name, str(my_where), " at ", shown(my_c_2.at))  # kitchen.koord:129
@@ -255,7 +253,7 @@ def effect_finish(s: State) -> None:
 
 
 # Line of this file -> line of kitchen.koord.
-LINES: dict[int, int] = {69: 36, 70: 37, 71: 38, 72: 39, 73: 40, 132: 19, 133: 20, 134: 21, 135: 22, 136: 23, 141: 26, 142: 27, 143: 28, 144: 29, 145: 30, 146: 31, 147: 32, 152: 34, 156: 80, 157: 81, 158: 82, 163: 85, 168: 87, 169: 88, 170: 89, 171: 90, 172: 91, 174: 93, 175: 94, 176: 95, 177: 96, 178: 97, 179: 98, 184: 101, 189: 103, 190: 104, 191: 105, 192: 106, 193: 107, 194: 108, 195: 109, 196: 110, 197: 111, 198: 112, 199: 113, 200: 114, 201: 115, 202: 116, 203: 117, 204: 117, 205: 118, 206: 119, 207: 120, 208: 121, 209: 122, 210: 123, 211: 124, 212: 125, 213: 125, 214: 126, 215: 127, 216: 128, 217: 129, 222: 132, 227: 134, 228: 135, 229: 136, 230: 137, 231: 138, 232: 139, 233: 140, 234: 141, 235: 142, 236: 143, 237: 144, 238: 145, 239: 146, 240: 147, 241: 148, 246: 151, 251: 153, 252: 154, 253: 155, 254: 156, 266: 66, 267: 67, 268: 68, 269: 69, 270: 70, 271: 71, 272: 72, 273: 73, 274: 74, 275: 75, 276: 76, 277: 77, 280: 57, 281: 58, 282: 59, 283: 61, 284: 62, 285: 63, 286: 64}
+LINES: dict[int, int] = {67: 36, 68: 37, 69: 38, 70: 39, 71: 40, 130: 19, 131: 20, 132: 21, 133: 22, 134: 23, 139: 26, 140: 27, 141: 28, 142: 29, 143: 30, 144: 31, 145: 32, 150: 34, 154: 80, 155: 81, 156: 82, 161: 85, 166: 87, 167: 88, 168: 89, 169: 90, 170: 91, 172: 93, 173: 94, 174: 95, 175: 96, 176: 97, 177: 98, 182: 101, 187: 103, 188: 104, 189: 105, 190: 106, 191: 107, 192: 108, 193: 109, 194: 110, 195: 111, 196: 112, 197: 113, 198: 114, 199: 115, 200: 116, 201: 117, 202: 117, 203: 118, 204: 119, 205: 120, 206: 121, 207: 122, 208: 123, 209: 124, 210: 125, 211: 125, 212: 126, 213: 127, 214: 128, 215: 129, 220: 132, 225: 134, 226: 135, 227: 136, 228: 137, 229: 138, 230: 139, 231: 140, 232: 141, 233: 142, 234: 143, 235: 144, 236: 145, 237: 146, 238: 147, 239: 148, 244: 151, 249: 153, 250: 154, 251: 155, 252: 156, 264: 66, 265: 67, 266: 68, 267: 69, 268: 70, 269: 71, 270: 72, 271: 73, 272: 74, 273: 75, 274: 76, 275: 77, 278: 57, 279: 58, 280: 59, 281: 61, 282: 62, 283: 63, 284: 64}
 
 PROGRAM = Program(
     name="kitchen",
