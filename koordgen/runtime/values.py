@@ -109,8 +109,8 @@ def transmissible(value: object) -> bool:
     """Whether a value may be kept, or go to a port or to another robot: at no depth NaN, infinity, an int beyond 64
     bits, text that is not Unicode, or anything that is no Koord value. A list of its own instead of recursion: no
     nesting can exhaust the stack (what a typed decoder yields is as deep as its static type, and no deeper)."""
-    if type(value) is str:
-        return value.isascii() or _encodable(value)
+    if type(value) in _PARTLESS:
+        return _plain(value)
     pending: list[Any] = [value]
     for item in pending:  # grows meanwhile
         kind = type(item)
@@ -128,6 +128,9 @@ def transmissible(value: object) -> bool:
         elif not _plain(item):
             return False
     return True
+
+
+_PARTLESS = frozenset((bool, int, float, str))
 
 
 def _plain(value: object) -> bool:
