@@ -4,6 +4,10 @@ A list or queue is a tuple (a queue's front first); a set is the tuple of its el
 a map is the tuple of its (key, value) pairs, keys ascending, without repetition. So equal sets are equal tuples. The
 elements of one set, and the keys of one map, are of one type, which is ordered: int, bool, string, tuples of those.
 
+Python's own `==`, `in` and `count` look at parts by identity first, which differs from Koord's equality for NaN alone.
+So generated code looks for NaN first where there may be some (no_nan in values.py), also before it calls index_of and
+removed.
+
 OutOfRange, Missing, ValueError and ArithmeticError discard the event in which they are raised.
 """
 
@@ -16,8 +20,6 @@ from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from operator import itemgetter
 from typing import Any, Protocol, TypeVar, overload
-
-import msgspec
 
 from koordgen.runtime.turns import MOST_BITS, TOO_LONG, TooMuch, checked, made
 
@@ -116,7 +118,7 @@ def last(xs: tuple[T, ...]) -> T:
 
 def index_of(xs: tuple[T, ...], v: T) -> int:
     """Where the first element that equals v stands. Missing when there is none."""
-    if within(v, xs):
+    if v in xs:
         return xs.index(v)
     raise Missing(f"{_shown(v)} is not in the list")
 
@@ -135,31 +137,6 @@ def _index(xs: Sequence[Any], i: int) -> int:
         reason = f"indices are 0 to {len(xs) - 1}" if xs else "it is empty"
         raise OutOfRange(f"index {_shown(i)} is out of range: {reason}")
     return i
-
-
-# Equality of what holds floats: as IEEE 754 has it, NaN equals nothing, at no depth. Python looks at parts by identity
-# first. So the two differ only where there is a NaN, and it is enough to look for one on either side.
-
-
-def equal(a: object, b: object) -> bool:
-    """a == b, of one type."""
-    return a == b and not _holds_nan(a)
-
-
-def within(v: object, xs: tuple[Any, ...]) -> bool:
-    """Whether an element of a list or queue equals v."""
-    return v in xs and not _holds_nan(v)
-
-
-def count(xs: tuple[Any, ...], v: object) -> int:
-    """How many elements equal v."""
-    return 0 if _holds_nan(v) else xs.count(v)
-
-
-def _holds_nan(value: object) -> bool:
-    if isinstance(value, msgspec.Struct):
-        value = msgspec.structs.astuple(value)
-    return any(map(_holds_nan, value)) if isinstance(value, tuple) else value != value
 
 
 # Sets

@@ -2,8 +2,9 @@
 
 Numbers are Python's: ints without bound inside an event, floats of 64 bits, `/` a true quotient (of two ints as well),
 `//` and `%` floored with the divisor's sign. What has no value (a division by zero, an index out of range, a key that
-is not there, an int too large for a float) discards the event; NaN and infinity may arise and only must not leave the
-robot. Where the checker has proved that a node cannot fail and it does, that is a mistake of the compiler.
+is not there, an int too large for a float) discards the event. NaN and infinity may arise, but a comparison that meets
+NaN discards the event, and so does either where it would be kept or sent. Where the checker has proved that a node
+cannot fail and it does, that is a mistake of the compiler.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from koordgen.semantics import builtins
 from koordgen.semantics.exact import is_exact
 from koordgen.semantics.numbers import arithmetic, as_real, compared
 from koordgen.semantics.state import Robot
-from koordgen.semantics.values import RecordValue, Value, as_, conforms, default, items
+from koordgen.semantics.values import RecordValue, Value, as_, conforms, default, items, number_flaw
 from koordgen.source import Span
 
 T = TypeVar("T", bound=HasLength)
@@ -147,7 +148,13 @@ def _binary(node: ir.Binary, view: View) -> Value:
 def _contains(node: ir.Contains, view: View) -> Value:
     member, held = evaluate(node.item, view), evaluate(node.values, view)
     of_map = isinstance(node.values.type, MapOf)
-    return builtins.contains([pair[0] for pair in items(held)] if of_map else held, member)
+    among = tuple([pair[0] for pair in items(held)]) if of_map else held
+    return _guarded(node, lambda: builtins.contains(among, member))
+
+
+def _compare(node: ir.Compare, view: View) -> Value:
+    left, right = evaluate(node.left, view), evaluate(node.right, view)
+    return _guarded(node, lambda: compared(node.op, left, right))
 
 
 def _logic(node: ir.Logic, view: View) -> Value:
@@ -218,7 +225,7 @@ def _asked(node: ir.PortCall, view: View) -> Value:
         answer = view.ask(port, args)
     except Exception as error:
         raise Discarded(f"{port} failed: {error}", node.span) from None
-    if not conforms(answer, node.type):
+    if not conforms(answer, node.type) or number_flaw(answer):
         raise Discarded(f"{port} answered {answer!r}, which is no {node.type}", node.span)
     return answer
 
@@ -300,7 +307,7 @@ MEANINGS: Mapping[type[Node], Callable[[Any, View], Value]] = {
     ir.Widen: lambda node, view: _guarded(node, lambda: float(_number(node.operand, view))),
     ir.Unary: _unary,
     ir.Binary: _binary,
-    ir.Compare: lambda node, view: compared(node.op, evaluate(node.left, view), evaluate(node.right, view)),
+    ir.Compare: _compare,
     ir.Contains: _contains,
     ir.Logic: _logic,
     ir.Conditional: lambda node, view: evaluate(node.then if holds(node.condition, view) else node.orelse, view),

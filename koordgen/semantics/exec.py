@@ -34,9 +34,9 @@ class Writes(NamedTuple):
 
 
 class Budget:
-    """One event, its functions included: the turns that are `left` to it (a turn of a loop and a call of a function cost
-    one), and the loop invariants that were false or had no value, by where they stand. Where there is a deadline, the
-    event is given up when it has passed (OutOfTime)."""
+    """One event, its functions included: the turns that are `left` to it (a turn of a loop and a call of a function
+    cost one), and the loop invariants that were false or had no value, by where they stand. Where there is a deadline,
+    the event is given up when it has passed (OutOfTime)."""
 
     def __init__(self) -> None:
         self.left = MAX_TURNS
@@ -232,17 +232,20 @@ class Run:
                 assert_never(place)
 
     def writes(self, stopped: bool) -> Writes | Discarded:
-        """What counts at the event's end; a last value that its variable may not keep discards all of it."""
+        """What counts at the event's end; a last value that its variable may not keep discards all of it. Of several
+        such, the one whose variable is declared first is told, as robots do: locals, shared variables, actuators."""
         types = declared(self.program)
+        order = {name: place for place, name in enumerate(types)}
+        written = sorted(self.written.items(), key=lambda item: (item[0][0] == "stream", order[item[0][1]]))
         values: dict[str, dict[str, Value]] = {"slot": {}, "cell": {}, "port": {}, "local": {}}
         where: dict[str, Mapping[str, Value]] = {"cell": self.cells, "port": self.ports, "local": self.locals}
-        for (kind, name), span in self.written.items():
+        for (kind, name), span in written:
             if kind == "stream":
                 if not all(encodable(line) for _, line in self.streams):
                     return Discarded(f"{name} would get a text that is not Unicode", span)
                 continue
             value = self.slots[name][self.view.pid] if kind == "slot" else where[kind][name]
-            wrong = flaw(value, types[name], leaving=kind != "local")
+            wrong = flaw(value, types[name])
             if wrong:
                 return Discarded(f"{name} would become {wrong}, which no robot may use", span)
             values[kind][name] = value

@@ -6,9 +6,9 @@ import math
 from typing import TypeVar
 
 from koordgen.diagnostics import InternalError
-from koordgen.runtime.values import Point
+from koordgen.runtime.values import NotANumber, Point
 from koordgen.semantics.exact import is_exact, power, within_exact
-from koordgen.semantics.values import Value, as_, same
+from koordgen.semantics.values import Value, as_, has_nan, same
 
 T = TypeVar("T")
 
@@ -105,6 +105,9 @@ _TOO_LONG = f"an int of more than {MAX_BITS} bits"
 
 
 def compared(op: str, left: Value, right: Value) -> bool:
+    """A comparison of two values of one type. Raises NotANumber where either has NaN in it."""
+    if has_nan(left) or has_nan(right):
+        raise NotANumber
     match op:
         case "==":
             return same(left, right)

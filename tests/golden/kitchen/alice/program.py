@@ -16,8 +16,6 @@ from koordgen.runtime.bounds import Blob, Cells, Distinct, Fixed, Many, Pairs, P
 from koordgen.runtime.containers import (
     appended,
     at,
-    count,
-    equal,
     extended,
     first,
     has_key,
@@ -46,7 +44,7 @@ from koordgen.runtime.program import Cell, Event, Frame, Port, Program, Slots, S
 from koordgen.runtime.region import Ball, Rect
 from koordgen.runtime.text import shown
 from koordgen.runtime.turns import made, minus, plus, turn, turns
-from koordgen.runtime.values import Grid, Opaque, Point, Pose, Scan, distance
+from koordgen.runtime.values import Grid, Opaque, Point, Pose, Scan, distance, no_nan, no_nan_in
 
 Ticket = Annotated[Opaque, "Ticket"]
 
@@ -124,7 +122,7 @@ def extern_weigh(my_goods: tuple[tuple[str, int], ...], my_s: tuple[int, ...]) -
     """extern fun weigh, kitchen.koord:14"""
     EXTERN_WEIGH.require(len(my_goods) > 0, 15)
     my_result: float = EXTERN_WEIGH(my_goods, my_s)
-    EXTERN_WEIGH.ensure(my_result >= 0.0, 16, my_result)
+    EXTERN_WEIGH.ensure(no_nan(my_result) >= 0.0, 16, my_result)
     return my_result
 
 
@@ -153,7 +151,7 @@ def fun_reduce(my_n: int, my_s: int) -> int:
 def fun_heavy(my_c: Cup) -> bool:
     """fun heavy, kitchen.koord:34"""
     turn()  # kitchen.koord:34
-    return my_c.size > 3 and extern_weigh(map_of(((my_c.name, my_c.size),)), set_of((1, 2))) > 2.0  # kitchen.koord:34
+    return my_c.size > 3 and no_nan(extern_weigh(map_of(((my_c.name, my_c.size),)), set_of((1, 2)))) > 2.0  # kitchen.koord:34
 
 
 def init(s: State) -> None:
@@ -170,12 +168,12 @@ def guard_advance(s: State) -> bool:
 def effect_advance(s: State) -> None:
     """eff of Advance, kitchen.koord:84"""
     my_goal: Point = (s.shared_x[s.pid] + PARAM_HOME) / 2.0 - 0.25 * Point(0.0, 0.0, 1.0)  # kitchen.koord:87
-    if distance(my_goal, s.motion_position) > PARAM_MARGIN:  # kitchen.koord:88
+    if no_nan(distance(my_goal, s.motion_position)) > PARAM_MARGIN:  # kitchen.koord:88
         s.motion_target.value = my_goal  # kitchen.koord:89
     elif s.pid % 2 == 0 and s.n_sys > 1:  # kitchen.koord:90
         s.motion_target.value = -my_goal + s.shared_x[(s.pid + 1) % s.n_sys]  # kitchen.koord:91
     else:
-        my_goal = Point(abs(my_goal.x), min(my_goal.y, s.local_level.value), max(my_goal.z, sqrt(4.0)))  # kitchen.koord:93
+        my_goal = Point(abs(my_goal.x), min(no_nan(my_goal.y), s.local_level.value), max(no_nan(my_goal.z), sqrt(4.0)))  # kitchen.koord:93
         s.motion_target.value = my_goal  # kitchen.koord:94
     s.local_count.value = s.local_count.value + 1  # kitchen.koord:95
     s.shared_class.own = s.local_count.value // 2 if s.local_on.value else -(s.local_count.value - 1)  # kitchen.koord:96
@@ -197,7 +195,7 @@ def effect_collect(s: State) -> None:
     for my_i in turns(range(1, PARAM_LAPS, 2)):  # kitchen.koord:107
         s.local_seen.value = set_with(s.local_seen.value, (my_i, s.local_on.value))  # kitchen.koord:108
     for my_i_2 in turns(range(s.n_sys)):  # kitchen.koord:109
-        if (my_i_2, False) in s.local_seen.value and not equal(s.shared_x[my_i_2], PARAM_HOME):  # kitchen.koord:110
+        if (my_i_2, False) in s.local_seen.value and s.shared_x[my_i_2] != PARAM_HOME:  # kitchen.koord:110
             s.local_seen.value = union(s.local_seen.value, set_of(((my_i_2, True),)))  # kitchen.koord:111
     for my_n, my_b in turns(s.local_seen.value):  # kitchen.koord:112
         s.local_text.value = made(made(s.local_text.value + str(my_n)) + str(my_b))  # kitchen.koord:113
@@ -211,11 +209,11 @@ def effect_collect(s: State) -> None:
     s.local_tray.value = replace(s.local_tray.value, None_=(s.local_count.value, fun_longest((s.local_text.value, made(at(s.local_tray.value.class_, 0).name[1:3])))))  # kitchen.koord:120
     s.local_text.value = s.local_tray.value.None_[1]  # kitchen.koord:121
     s.local_levels.value = inserted(s.local_levels.value, 0, exp(s.local_level.value))  # kitchen.koord:122
-    s.local_levels.value = removed(s.local_levels.value, 2.5)  # kitchen.koord:123
-    s.local_levels.value = extended(s.local_levels.value, made(made(made(tuple(sorted(s.local_levels.value)))[:2]) + made(tuple(reversed(s.local_levels.value)))))  # kitchen.koord:124
+    s.local_levels.value = removed(no_nan_in(s.local_levels.value), 2.5)  # kitchen.koord:123
+    s.local_levels.value = extended(s.local_levels.value, made(made(made(tuple(sorted(no_nan_in(s.local_levels.value))))[:2]) + made(tuple(reversed(s.local_levels.value)))))  # kitchen.koord:124
     s.local_level.value = at(s.local_levels.value, len(s.local_levels.value) - 1)  # kitchen.koord:125
     s.local_levels.value = popped(s.local_levels.value)  # kitchen.koord:125
-    my_where: int = index_of(s.local_levels.value, s.local_level.value) + count(s.local_levels.value, s.local_level.value) + fun_reduce(s.local_count.value, len(s.local_levels.value))  # kitchen.koord:126
+    my_where: int = index_of(no_nan_in(s.local_levels.value), no_nan(s.local_level.value)) + no_nan_in(s.local_levels.value).count(no_nan(s.local_level.value)) + fun_reduce(s.local_count.value, len(s.local_levels.value))  # kitchen.koord:126
     s.local_ticket.value = extern_stamp(s.local_ticket.value, my_c_2, s.shared_paths.all)  # kitchen.koord:127
     if fun_heavy(my_c_2):  # kitchen.koord:128
         s.emit("Log.stdout", "heavy ", my_c_2.name, str(my_where), " at ", shown(my_c_2.at))  # kitchen.koord:129
@@ -259,7 +257,7 @@ def effect_finish(s: State) -> None:
 
 
 # Line of this file -> line of kitchen.koord.
-LINES: dict[int, int] = {70: 36, 71: 37, 72: 38, 73: 39, 74: 40, 133: 18, 134: 19, 135: 20, 136: 21, 137: 22, 138: 23, 143: 25, 144: 26, 145: 27, 146: 28, 147: 29, 148: 30, 149: 31, 150: 32, 155: 34, 156: 34, 160: 80, 161: 81, 162: 82, 167: 85, 172: 87, 173: 88, 174: 89, 175: 90, 176: 91, 178: 93, 179: 94, 180: 95, 181: 96, 182: 97, 183: 98, 188: 101, 193: 103, 194: 104, 195: 105, 196: 106, 197: 107, 198: 108, 199: 109, 200: 110, 201: 111, 202: 112, 203: 113, 204: 114, 205: 115, 206: 116, 207: 117, 208: 117, 209: 118, 210: 119, 211: 120, 212: 121, 213: 122, 214: 123, 215: 124, 216: 125, 217: 125, 218: 126, 219: 127, 220: 128, 221: 129, 226: 132, 231: 134, 232: 135, 233: 136, 234: 137, 235: 138, 236: 139, 237: 140, 238: 141, 239: 142, 240: 143, 241: 144, 242: 145, 243: 146, 244: 147, 245: 148, 250: 151, 255: 153, 256: 154, 257: 155, 258: 156, 270: 66, 271: 67, 272: 68, 273: 69, 274: 70, 275: 71, 276: 72, 277: 73, 278: 74, 279: 75, 280: 76, 281: 77, 284: 57, 285: 58, 286: 59, 287: 61, 288: 62, 289: 63, 290: 64}
+LINES: dict[int, int] = {68: 36, 69: 37, 70: 38, 71: 39, 72: 40, 131: 18, 132: 19, 133: 20, 134: 21, 135: 22, 136: 23, 141: 25, 142: 26, 143: 27, 144: 28, 145: 29, 146: 30, 147: 31, 148: 32, 153: 34, 154: 34, 158: 80, 159: 81, 160: 82, 165: 85, 170: 87, 171: 88, 172: 89, 173: 90, 174: 91, 176: 93, 177: 94, 178: 95, 179: 96, 180: 97, 181: 98, 186: 101, 191: 103, 192: 104, 193: 105, 194: 106, 195: 107, 196: 108, 197: 109, 198: 110, 199: 111, 200: 112, 201: 113, 202: 114, 203: 115, 204: 116, 205: 117, 206: 117, 207: 118, 208: 119, 209: 120, 210: 121, 211: 122, 212: 123, 213: 124, 214: 125, 215: 125, 216: 126, 217: 127, 218: 128, 219: 129, 224: 132, 229: 134, 230: 135, 231: 136, 232: 137, 233: 138, 234: 139, 235: 140, 236: 141, 237: 142, 238: 143, 239: 144, 240: 145, 241: 146, 242: 147, 243: 148, 248: 151, 253: 153, 254: 154, 255: 155, 256: 156, 268: 66, 269: 67, 270: 68, 271: 69, 272: 70, 273: 71, 274: 72, 275: 73, 276: 74, 277: 75, 278: 76, 279: 77, 282: 57, 283: 58, 284: 59, 285: 61, 286: 62, 287: 63, 288: 64}
 
 PROGRAM = Program(
     name="kitchen",
