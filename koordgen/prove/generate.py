@@ -19,6 +19,7 @@ from koordgen.prove.encode.values import Val
 from koordgen.prove.goal import goal
 from koordgen.prove.moment import Setting, Stage, Told, temps_of
 from koordgen.prove.obligation import Cell, Fact, Kind, Moment, Obligation
+from koordgen.prove.priority import assume_priority
 from koordgen.prove.within import changes
 
 WELL_DEFINED = "(well-defined)"
@@ -93,6 +94,7 @@ def of_event(setting: Setting, event: decl.Event) -> list[Obligation]:
         stage.answered(node, args, answer, own, now)
         return answer
 
+    assume_priority(stage, event, own, now, begun)
     frame = Frame(stage.encoder, own, now, seen, ask)
     with room.aside() as demands:
         with room.about(f"guard of {event.name}", event.guard.span.line):

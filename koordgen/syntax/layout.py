@@ -27,9 +27,8 @@ KEYWORDS = frozenset(
     )
 )  # fmt: skip
 GENERICS = frozenset(("List", "Map", "Set", "Queue"))
-_SOFT = frozenset(
-    ("max", "type", "requires", "ensures", "priority")
-)  # words of the language in one place each, names elsewhere
+# Words of the language in one place each, names elsewhere.
+_SOFT = frozenset(("max", "type", "requires", "ensures", "priority"))
 _MARKS = frozenset(
     (
         "//=", "**=", "**", "+=", "-=", "*=", "/=", "%=", "//", "<<", "==", "!=", "<=", ">=", "&&", "||", "->",
