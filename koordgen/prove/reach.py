@@ -209,11 +209,11 @@ class _Search:
         for pid, robot in enumerate(state.robots):
             pools = [self.nearby(name, type_, robot.ports, state) for name, type_ in self.sensors]
             found = []
-            for choice in islice(product(*pools), 4 * self.bounds.moves):
-                new = {**robot.ports, **dict(choice)}
+            for moves in islice(product(*pools), 4 * self.bounds.moves):
+                new = {**robot.ports, **dict(moves)}
                 try:
                     if allowed(self.program, robot.ports, new, pid, state):
-                        found.append(dict(choice))
+                        found.append(dict(moves))
                 except Unshowable:
                     continue
             each.append(found[: self.bounds.values])

@@ -71,9 +71,7 @@ def is_order_of_agents(program: decl.Program, run: Sequence[Happened], world: Wo
     return all(_is_round_of_agents(program, begun, steps, world) for begun, steps in rounds_of.values())
 
 
-def _is_round_of_agents(
-    program: decl.Program, begun: State, steps: Sequence[tuple[int, str]], world: World
-) -> bool:
+def _is_round_of_agents(program: decl.Program, begun: State, steps: Sequence[tuple[int, str]], world: World) -> bool:
     locks: list[int] = []  # of the commits
     plain: list[int] = []  # pids of the plain events
     for pid, name in steps:
