@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from random import Random
 
 from tests.prove.random_programs import program
@@ -18,6 +19,14 @@ def ranked(seed: int) -> str:
     first, end = Random(seed).choice(BLOCKS)
     block = "".join(f"  {line}\n" for event in events[first:end] for line in event.splitlines())
     return "".join([before, *events[:first], "priority:\n", block, *events[end:], behind])
+
+
+def in_one_block(text: str) -> str:
+    """A program whose events, which stand together, are put into one `priority:` block."""
+    sections = re.split(r"^(?=\S)", text, flags=re.MULTILINE)
+    inside = [i for i, section in enumerate(sections) if "\n  pre:" in section]
+    block = "".join("  " + line for i in inside for line in sections[i].splitlines(keepends=True) if line.strip())
+    return "".join([*sections[: inside[0]], "priority:\n", block, *sections[inside[-1] + 1 :]])
 
 
 def _parts(text: str) -> tuple[str, list[str], str]:
