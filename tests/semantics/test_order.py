@@ -77,7 +77,7 @@ def test_blocks_do_not_order_one_another() -> None:
     text = (
         ORDERED.format(stop="a == 0", go="True")
         + "priority:\n  Late:\n    pre: a == 0\n    eff: a = 7\n  Later:\n    pre: True\n    eff: a = 8\n"
-    )  # noqa: E501
+    )
     assert allowed(text) == {"Stop", "Wait", "Late"}
 
 
