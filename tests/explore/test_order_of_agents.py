@@ -12,7 +12,7 @@ import pytest
 
 from koordgen.cli import main
 from koordgen.ir import decl
-from koordgen.semantics.relations import is_order_of_agents
+from koordgen.semantics.relations import Happened, choice, is_order_of_agents
 from koordgen.semantics.state import State
 from koordgen.semantics.step import applied, initial, round_, run_init, select
 from tests.explore.reference import LEVEL, after_explored, explored, key, unjudged
@@ -104,7 +104,7 @@ invariant No: forall i in ID: a[i] < 2
     program = compiled(text)
     first = initial(program, 1)
     begun, _ = run_init(program, first)
-    run = [(first, "", None, 0), (begun, "init", None, 0)]
+    run: list[Happened] = [(first, "", None, 0), (begun, "init", None, 0)]
     state = begun
     for number, event in ((1, "Go"), (2, "Bad")):
         chosen = next(e for e in program.events if e.name == event)
@@ -115,8 +115,6 @@ invariant No: forall i in ID: a[i] < 2
 
 
 def compiled_step(program: decl.Program, event: decl.Event, state: State) -> Any:
-    from koordgen.semantics.relations import choice
-
     step = choice(program, event, state, 0)
     assert step is not None
     return step
