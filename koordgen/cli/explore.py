@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-import tempfile
 import time
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Mapping
@@ -24,14 +23,13 @@ from koordgen.explore.environment import Environment, Lacking, Surroundings, ans
 from koordgen.explore.machine import Machine
 from koordgen.explore.search import DEADLOCK, Bounds, Progress, Result, Search, Violation
 from koordgen.explore.show import document, itf, report, told, trace
-from koordgen.follow.plan import CannotFollow, ModelOnly, planned
-from koordgen.follow.read import read
 from koordgen.ir.decl import Program
 from koordgen.pipeline import Checked, Rejected, check_file, read_fleet, read_source
 from koordgen.prove.trace import About
 from koordgen.replay.functions import CannotCall, externs
-from koordgen.replay.trace import BadTrace
 from koordgen.semantics.deadline import OutOfTime
+from koordgen.semantics.relations import is_order_of_agents
+from koordgen.semantics.state import World, nobody
 from koordgen.source import Source, Span
 
 ROBOTS = 3  # where neither --robots nor a fleet says how many
@@ -102,18 +100,19 @@ def _searched(
         found = result.violation
         if found is None or _of_agents(found, program, about(), left()):
             return result
+        found = found._replace(of_agents=False)
         machine.discards.clear()
         further = _further(bounds, found, result.progress)
         second = Search(
-            machine, surroundings, further, time.monotonic, show, symmetry=False,
-            independence=options.independence, deadlock=found.name == DEADLOCK, forgetting=options.forgetting,
-            as_agents=True,
+            machine, surroundings, further, time.monotonic, show, deadlock=found.name == DEADLOCK, as_agents=True,
         )  # fmt: skip
         with alarm(further.seconds):
             again = second.run().violation
         if again is None or again.name != found.name or not _of_agents(again, program, about(), left()):
-            again = found._replace(of_agents=False)
-        return result._replace(violation=again)
+            return result._replace(violation=found)
+        rounds = found.moments[-1].round
+        more = rounds < again.moments[-1].round
+        return result._replace(violation=again._replace(shortest=rounds if more else None))
     except CannotCall as error:
         raise Failure(WRONG, str(error), "name it with --functions") from None
     finally:
@@ -121,26 +120,23 @@ def _searched(
 
 
 def _further(bounds: Bounds, found: Violation, progress: Progress) -> Bounds:
-    """How far a run of no more rounds than the one found is looked for among those that agents can do."""
+    """How far a run is looked for among those that agents can do. What is one round of the language may take one of
+    theirs for each robot: they commit one transaction for each lock in a round."""
     states = max(MORE, progress.states)
     seconds = None if bounds.seconds is None else max(0.0, bounds.seconds - progress.seconds)
-    return Bounds(found.moments[-1].round, min(states, bounds.states or states), seconds)
+    rounds = found.moments[-1].round * len(found.moments[0].state.robots)
+    return Bounds(rounds, min(states, bounds.states or states), seconds)
 
 
 def _of_agents(found: Violation, program: Program, about: About, seconds: float | None) -> bool:
-    """Whether agents can do all orders of a run, as far as `koordgen sim --follow` can tell. Where that takes
-    more than `seconds`, the answer is True, which says nothing."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "run.jsonl"
-        path.write_text(trace(found, program, about))
-        try:
-            with alarm(seconds):
-                planned(program, read(path), about.externs)
-        except ModelOnly:
-            return False
-        except (CannotFollow, BadTrace, OutOfTime):
-            pass  # `--follow` says why
-    return True
+    """Whether agents can do each round of a run; an event without a result is a part of it. Where that takes more than
+    `seconds` to find out, the answer is False."""
+    run = found.moments if found.culprit is None else (*found.moments, found.culprit)
+    try:
+        with alarm(seconds):
+            return is_order_of_agents(program, run, World(about.externs, nobody))
+    except OutOfTime:
+        return False
 
 
 def _fleet(options: Namespace, checked: Checked) -> tuple[int, Mapping[str, Any]]:

@@ -168,7 +168,7 @@ def _events(rng: Random, program: d.Program) -> tuple[d.Event, ...]:
         if i < count - 1:
             guard = Expressions(rng, program, "guard").expr(BOOL, 3)
         effect = Statements(rng, program, "effect", "t").block(2, rng.randrange(3, 7))
-        found.append(d.Event(f"Event{i}", guard, effect, None, AT))
+        found.append(d.Event(f"Event{i}", guard, effect, None, None, AT))
     return tuple(found)
 
 

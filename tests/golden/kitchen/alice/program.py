@@ -262,7 +262,7 @@ LINES: dict[int, int] = {68: 36, 69: 37, 70: 38, 71: 39, 72: 40, 131: 18, 132: 1
 PROGRAM = Program(
     name="kitchen",
     source="kitchen.koord",
-    program_hash="49b8e7c03d90b0a3",
+    program_hash="3315572f65966cb3",
     interface_hash="b1f61fc5e4735cea",
     locals=(
         Variable("count", "local", int, Fixed(9), lambda: 0),  # kitchen.koord:66
