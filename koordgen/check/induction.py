@@ -155,11 +155,10 @@ def _writes(block: stmt.Block) -> Iterator[tuple[str, bool]]:
     """The variables that a block may write; whether a write leaves the length as it was."""
     for statement in block:
         match statement:
-            case stmt.Assign(place, value):
-                name = variable_of(place)
-                assert name is not None
-                updated = isinstance(value, ir.Builtin) and value.name == "updated"
-                yield name, updated and variable_of(value.args[0]) == name
+            case stmt.Assign(place, ir.Builtin("updated", (changed, *_))) if variable_of(changed) == variable_of(place):
+                yield variable_of(place) or "", True
+            case stmt.Assign(place):
+                yield variable_of(place) or "", False
             case stmt.Let(name):
                 yield f"temp {name}", False
             case stmt.If(_, then, orelse):
@@ -190,13 +189,14 @@ def _holds(node: ir.Expr) -> Candidate:
 
 
 def counters(turns: Turns, condition: ir.Expr | None) -> list[Candidate]:
-    """Bounds of the ints that a loop writes: the values that they begin with, the condition of `while`, the counter."""
+    """Bounds of the ints that a loop writes: what they begin with, the condition of `while`, the loop's variable."""
     reads = dict.fromkeys(_counted(turns.block))
     found: list[Candidate] = []
     for read in list(reads)[:MOST_COUNTERS]:
         begin = turns.before.value(variable_of(read) or "")
         if isinstance(begin, Linear) and independent(begin, turns.changed, turns.sized):
             found += [_at_least(read, begin), _at_most(read, begin)]
+        found += _known(read, turns)
         if turns.stop is not None:  # where an element was found: behind, or at, where the loop has come to
             here = linear.variable(turns.counter)
             found += [_at_most(read, here), _at_most(read, linear.combine(here, linear.constant(-1)))]
@@ -232,6 +232,21 @@ def _counted(block: stmt.Block) -> Iterator[ir.Expr]:
                 yield from _counted(statement.block)
             case _:
                 pass
+
+
+def _known(read: ir.Expr, turns: Turns) -> Iterator[Candidate]:
+    """The comparisons of a variable that are known where the loop begins."""
+    name = variable_of(read)
+    for fact in turns.before.facts:
+        for part in fact.parts if isinstance(fact, linear.And) else (fact,):
+            if isinstance(part, linear.AtLeastZero) and isinstance(name, str):
+                rest = linear.substitute(part.linear, name, linear.constant(0))
+                if rest != part.linear and independent(rest, turns.changed, turns.sized):
+                    yield _compared(read, name, part.linear)
+
+
+def _compared(read: ir.Expr, name: str, known: Linear) -> Candidate:
+    return lambda flow: linear.AtLeastZero(linear.substitute(known, name, _term(read, flow)))
 
 
 def _at_least(read: ir.Expr, bound: Linear) -> Candidate:
