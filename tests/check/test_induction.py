@@ -1,4 +1,4 @@
-"""What the checker shows of loops: what it proves holds in random states, and seeded faults in its reasoning show."""
+"""Induction over loops in the checker: its marks hold in random states, and seeded faults in it are found."""
 
 from __future__ import annotations
 
