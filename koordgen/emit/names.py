@@ -75,7 +75,7 @@ class Names:
         return found
 
     def turns(self, name: str) -> str:
-        """A name for what a loop runs over; `name` is the loop's variable."""
+        """Mint a name for the range that a loop runs over; `name` is the loop's variable."""
         return self._mint(f"turns_{name}")
 
     def within(self, floats: Mapping[Place, int]) -> Names:

@@ -33,7 +33,7 @@ def lines(block: ir.Block, names: Names, path: str, indent: str) -> Iterator[str
 
 
 def _for(loop: ir.For, names: Names, path: str, indent: str) -> Iterator[str]:
-    """A loop that counts has its invariants evaluated with the value that comes next: what it runs over gets a name."""
+    """Yield a `for` loop. Invariants of a loop that counts are evaluated with the next value: its range gets a name."""
     mark = f"  # {path}:{loop.span.line}"
     taken, over = ", ".join([names.temp(name) for name in loop.names]), expr.domain(loop.values, names)
     claims = [f"{claim}  # {path}:{line}" for claim, line in _claims(loop, names)]
@@ -54,7 +54,7 @@ def _for(loop: ir.For, names: Names, path: str, indent: str) -> Iterator[str]:
 
 
 def _while(loop: ir.While, names: Names, path: str, indent: str) -> Iterator[str]:
-    """Its invariants are evaluated before its condition; where that is True, at the beginning of the block."""
+    """Yield a `while` loop. Its invariants are evaluated before its condition, or, where that is True, in the block."""
     mark = f"  # {path}:{loop.span.line}"
     claims = _claims(loop, names)
     endless = loop.condition == Const(True, BOOL, loop.span)
@@ -69,7 +69,7 @@ def _while(loop: ir.While, names: Names, path: str, indent: str) -> Iterator[str
 
 
 def _claims(loop: ir.For | ir.While, names: Names) -> list[tuple[str, int]]:
-    """What evaluates a loop's invariants, each with its line; it is always true."""
+    """Return the calls that evaluate a loop's invariants, each with its line; a call is always true."""
     lines = [invariant.span.line for invariant in loop.invariants]
     held = [expr.text(invariant.formula, names) for invariant in loop.invariants]
     return [(f"claim({line}, lambda: {text})", line) for line, text in zip(lines, held, strict=True)]

@@ -22,7 +22,7 @@ from koordgen.semantics.property import holds_property
 from koordgen.semantics.step import initial
 
 WELL_DEFINED, DEADLOCK = "(well-defined)", "(deadlock)"
-LOOP = "line "  # what the name of a loop invariant begins with; its line follows
+LOOP = "line "  # prefix of a loop invariant's name; its line follows
 SHOWN = 0.25  # seconds from one view of the progress to the next
 
 
@@ -351,7 +351,7 @@ class Search:
         return self._discarded(discard, moments, at, number)
 
     def _discarded(self, found: Discard, moments: list[Moment], at: Packed, number: int) -> Violation:
-        """What is to be said of an event that is tried in the fleet `at`, in round `number` behind `moments`."""
+        """Return the violation of an event that is tried in the fleet `at`, in round `number` behind `moments`."""
         event = self.machine.program.events[found.event].name if found.event >= 0 else "init"
         if found.choice is not None:
             moments.append(self._false_in(found, found.choice, event, at, number))

@@ -180,7 +180,7 @@ class Replay:
                 self._own[name] = value
 
     def _loops(self, line: Line, record: dict[str, Any], done: Writes) -> Iterator[Difference]:
-        """The lines of the loop invariants that were false."""
+        """Compare the lines of the loop invariants that were false."""
         told, meant = record.get("violated", []), [span.line for span in done.violated]
         self.counts.violated += bool(meant)
         if told != meant:

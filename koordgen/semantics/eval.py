@@ -100,7 +100,7 @@ def elements(node: ir.Expr, view: View) -> Iterator[Value]:
 
 
 def counting(node: ir.Expr, view: View) -> Iterator[int] | None:
-    """What a loop over a range or `ID` counts, without an end; None of a loop over elements."""
+    """Return the numbers that a loop over a range or `ID` counts, without an end; None for a loop over elements."""
     match node:
         case ir.Range(start, _, step):
             return count(_number(start, view), step)
