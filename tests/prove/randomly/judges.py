@@ -7,7 +7,7 @@ are kept that the program's assumptions allow. Neither says anything of what it 
 
 from __future__ import annotations
 
-import math
+import signal
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -47,7 +47,7 @@ MOVES = {1: 6, 2: 3, 3: 2}  # of one robot's sensors in one step, by the number 
 class Effort(NamedTuple):
     """How much is spent on one program: states and rounds of each exploration, its seconds; random runs of each number
     of robots, and their rounds. `explaining`: seconds for the run to what is not proved, on which every failed proof
-    spends some."""
+    spends some. `proving`: seconds of the whole proof, after which it is given up."""
 
     states: int = 150
     rounds: int = 4
@@ -55,6 +55,11 @@ class Effort(NamedTuple):
     runs: int = 4
     length: int = 5
     explaining: float = 0.02
+    proving: float = 2.0
+
+
+class Overtime(BaseException):
+    """The prover has had its time. No handler of `Exception` holds it up."""
 
 
 class Contradiction(NamedTuple):
@@ -88,7 +93,7 @@ def judged(program: decl.Program, solver: Solver | Both, seed: int, effort: Effo
     seconds: dict[str, float] = {}
     fault = ""
     try:
-        with _timed(seconds, "prove"), _brief(effort):
+        with _timed(seconds, "prove"), _brief(effort), _within(effort.proving):
             verdicts = {v.invariant: v.verdict for v in prove(Question(program), solver)}
         proved = frozenset(name for name, verdict in verdicts.items() if verdict == "PROVED")
         for name, judge in JUDGES.items() if proved else ():
@@ -97,8 +102,12 @@ def judged(program: decl.Program, solver: Solver | Both, seed: int, effort: Effo
                     found += filter(None, [judge(program, proved, seed, effort)])
                 except Lacking as error:
                     skipped.append(f"{name}: {error}")
+    except Overtime:
+        solver.__exit__()  # it may be in the midst of an answer
+        skipped.append("prove: overtime")
     except Exception:
         fault = traceback.format_exc()
+        solver.__exit__()
     return Judged(verdicts, tuple(found), fault, tuple(skipped), seconds)
 
 
@@ -109,6 +118,22 @@ def _timed(seconds: dict[str, float], name: str) -> Iterator[None]:
         yield
     finally:
         seconds[name] = seconds.get(name, 0.0) + time.monotonic() - began
+
+
+@contextmanager
+def _within(seconds: float) -> Iterator[None]:
+    """Raises Overtime after so many seconds, in the main thread."""
+
+    def over(*_: object) -> None:
+        raise Overtime
+
+    kept = signal.signal(signal.SIGALRM, over)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, kept)
 
 
 @contextmanager
@@ -135,8 +160,16 @@ class Nearby(Surroundings):
         self.apart = "the moves that are tried are not the same for all"
 
     def starts(self) -> Iterator[tuple[dict[str, Any], ...]]:
-        each = list(product(*[self._few(self._starts(domains)) for domains in self.domains]))
+        each = list(product(*[self._few(self._first(domains)) for domains in self.domains]))
         return iter(self._few(each, 4))
+
+    def _first(self, domains: Mapping[str, Domain]) -> list[dict[str, Any]]:
+        """What one robot's sensors say when a mission begins. It stands anywhere, whether the program asks where or
+        not, and an unset target is where it stands."""
+        found = self._starts(domains)
+        for name in unplaced(self.machine.program):
+            found = [{**sensors, name: place} for sensors in found for place in POOLS[POINT]]
+        return found
 
     def moves(self, pid: int, own: int) -> tuple[int, ...]:
         found = self._moves.get((pid, own))
@@ -172,6 +205,12 @@ def surroundings(program: decl.Program) -> Environment:
         if p.direction == "callable"
     }
     return Environment(domains, answers)
+
+
+def unplaced(program: decl.Program) -> list[str]:
+    """The targets beside which no position is declared."""
+    modules = [(m.name, {p.name for p in m.ports if p.direction != "callable"}) for m in program.modules]
+    return [f"{name}.target" for name, ports in modules if "target" in ports and "position" not in ports]
 
 
 # Exploration
@@ -312,6 +351,9 @@ class _Runs:
                 {name: True if name in unset else self.random.choice(d.values) for name, d in self.around.domains.items()}
                 for _ in range(self.n_sys)
             ]
+            for name in unplaced(self.program):
+                for sensed in sensors:
+                    sensed[name] = self.random.choice(POOLS[POINT])
             state = initial(self.program, self.n_sys, sensors)
             try:
                 if all(holds_property(rule, self.program, state) for rule in rules):

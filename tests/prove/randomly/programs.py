@@ -143,7 +143,9 @@ class _Writer:
         allowed = [m for m in MOVES if position and (reached or "reached" not in m) and (self.bounded or "lo" not in m)]
         for _ in range(self.random.choice((0, 1, 1, 2)) if allowed else 0):
             yield f"  assume {self.random.choice(allowed)}"
-        if self.planner and position:
+        if self.planner and self.chance(0.1):
+            yield from ("  assume planner(goal) == []", "  assume len(planner(goal)) > 0")
+        elif self.planner and position:
             yield f"  assume {self.pick(*PLANS)}"
 
     def shared(self) -> Iterator[str]:
@@ -152,8 +154,8 @@ class _Writer:
             made = homes[home]  # type: ignore[index]
             for _ in range(self.random.randint(1 if home == "local" else 0, most)):
                 made.append(int_variable(self.random, self.words["int"].pop(), home))  # type: ignore[arg-type]
-        for type_ in ("bool", "bool", "float", "Point", *self.random.sample(BIG, 2)):
-            if self.chance(0.45):
+        for type_ in ("bool", "bool", "float", "Point", *self.random.sample(BIG, 3)):
+            if self.chance(0.5):
                 home = self.random.choice(("local", "local", "local", "allread", "allwrite"))
                 if self.words[type_]:
                     homes[home].append(Variable(self.words[type_].pop(), type_, home))  # type: ignore[index, arg-type]
@@ -246,6 +248,8 @@ class _Writer:
         v = self.random.choice([v for v in known if v.type == "int" and v.home != "sensor"] if self.chance(0.6) else known)
         claim = self.claim(v, "i")
         roll = self.random.random()
+        if self.chance(0.015):
+            return self.pick("N_SYS < 0", "False", "N_SYS >= 1")
         if roll < 0.15 and v.own:
             other = self.random.choice([w for w in known if w.type in ("bool", "int")] or [v])
             guard = other.of("i") if other.type == "bool" else f"{other.of('i')} {self.pick('>', '<', '==')} {self.pick('0', '1', '3')}"

@@ -56,15 +56,15 @@ class Statements(Expressions):
 
     def statement(self, depth: int) -> list[str]:
         roll = self.random.random()
-        if depth < DEEPEST and roll < 0.28:
+        if depth < DEEPEST and self.chance((0.3, 0.14, 0.07)[depth]):
             return self.loop(depth)
-        if depth < DEEPEST and roll < 0.45:
+        if depth < DEEPEST and self.chance((0.22, 0.2, 0.12)[depth]):
             return self.branch(depth)
-        if roll < 0.6 and (lines := self.change()):
+        if roll < 0.3 and (lines := self.change()):
             return lines
-        if roll < 0.66:
+        if roll < 0.37:
             return self.let()
-        if roll < 0.68 and self.log:
+        if roll < 0.4 and self.log:
             return [f'Log.stdout << "at " << {self.number(1)}']
         return self.write()
 
