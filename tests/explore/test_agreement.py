@@ -23,7 +23,7 @@ from tests.explore.reference import (
     search,
     unjudged,
 )
-from tests.prove.random_programs import program as random_text
+from tests.explore.random_programs import program as random_text
 from tests.semantics.programs import compiled
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

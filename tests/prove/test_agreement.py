@@ -22,7 +22,7 @@ from koordgen.semantics.exact import exact
 from koordgen.semantics.relations import choices
 from koordgen.semantics.state import State
 from koordgen.semantics.step import applied, initial, run_init
-from tests.prove.random_programs import program, violated
+from tests.explore.random_programs import program, violated
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("*/*.koord"))
 

@@ -24,7 +24,7 @@ from tests.explore.mutants import Mutant
 from tests.explore.reference import LEVEL, explored, unjudged
 from tests.explore.test_mutants import edited
 from tests.explore.test_search import LOST, STALE
-from tests.prove.random_programs import program as random_text
+from tests.explore.random_programs import program as random_text
 from tests.sim.following import DRIVER, Followed, fleet, follow, replays
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

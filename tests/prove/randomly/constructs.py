@@ -69,7 +69,7 @@ ANYWHERE: dict[str, str] = {
     "float": r"^ +float ",
     "index that may leave its range": r"\w\[(?:(?!pid)[a-z]\w*|\d)\](?!:)",
     "first or last": r"\b(?:first|last)\(",
-    "division by a length": r"// len\(",
+    "division by what may be zero": r"// len\(|1 / \(",
     "remove": r"\.remove\(",
     "sqrt": r"sqrt\(",
     "invariant of pairs": r"^invariant .*forall i, j",

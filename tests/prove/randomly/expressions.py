@@ -7,7 +7,7 @@ from random import Random
 from tests.prove.randomly.names import KEYS, Variable
 
 COMPARISONS = ("==", "<", "<=", ">", ">=", "!=")
-RISKY = 0.25  # of the atoms that may fail, how many are written without a test before them
+RISKY = 0.3  # of the atoms that may fail, how many are written without a test before them
 
 
 class Expressions:
@@ -50,6 +50,8 @@ class Expressions:
                 return self.real(depth)
             case "Point":
                 return self.point(depth)
+        if (call := self.call(type_, depth)) and self.chance(0.4):
+            return call
         if (known := self.read(type_)) and self.chance(0.6):
             return known
         return self.made(type_)
@@ -88,7 +90,7 @@ class Expressions:
                 f"{a} + {b}", f"{a} + 1", f"{a} - 1", f"({a}) - ({b})", f"min({a}, {b})", f"max({a}, {b})",
                 f"abs({a})", f"({a}) * 2", f"({a}) // 2", f"({a}) % 3", f"({a} if {self.truth(3)} else {b})",
             )  # fmt: skip
-        if roll < 0.6 and (known := self.read("int")):
+        if roll < 0.55 and (known := self.read("int")):
             return known
         if roll < 0.75 and (part := self.part()):
             return part

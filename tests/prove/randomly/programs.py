@@ -133,10 +133,10 @@ class _Writer:
             self.variables.append(Variable("Motion.reached", "bool", "sensor"))
         yield "  actuators: Point target"
         self.variables.append(Variable("Motion.target", "Point", "actuator"))
-        if self.chance(0.2):
+        self.planner = self.chance(0.35)
+        if self.chance(0.7 if self.planner else 0.1):
             yield "  actuators: List<Point> path"
             self.variables.append(Variable("Motion.path", "List<Point>", "actuator"))
-        self.planner = self.chance(0.3)
         if self.planner:
             yield "  PathPlanner planner"
             self.functions.setdefault("List<Point>", []).append(("Motion.planner", ["Point"]))

@@ -188,7 +188,7 @@ class Statements(Expressions):
             case "List<(int, int)>":
                 return self.lines(f"if len({v}) < 3: {v}.append(({n}, {self.number(2)}))", f"{v}.clear()")
             case "List<Point>":
-                return self.lines(f"if len({v}) < 3: {v}.append({self.point(1)})", f"{v} = [{self.point(1)}]", f"{v}.clear()")
+                return self.lines(f"if len({v}) < 3: {v}.append({self.point(1)})", f"{v} = {self.value(target.type, 1)}", f"{v} = {self.value(target.type, 1)}", f"{v}.clear()")
         return [f"{v} = {self.value(target.type)}"]
 
     # Loops
@@ -196,10 +196,10 @@ class Statements(Expressions):
     def loop(self, depth: int) -> list[str]:
         made: Callable[[int], list[str]] = self.random.choice((
             self.counted, self.counted, self.counted, self.robots_all, self.robots_all, self.over_list, self.over_list,
-            self.over_other, self.counter, self.counter, self.forever, self.drain, self.fold, self.fold, self.search,
+            self.over_other, self.over_other, self.over_other, self.counter, self.counter, self.forever, self.drain, self.fold, self.fold, self.search,
             self.search,
         ))  # fmt: skip
-        return made(depth) or self.counted(depth)
+        return made(depth) or self.counter(depth)
 
     def run(self, header: str, depth: int, names: Sequence[Variable] = (), first: Sequence[str] = ()) -> list[str]:
         """A loop with a block of its own; `first` are lines with which its block begins."""
@@ -259,19 +259,19 @@ class Statements(Expressions):
         return self.run(f"for {name} in ID:", depth, [Variable(name, "int", "temp")], first)
 
     def over_list(self, depth: int) -> list[str]:
-        found = self.some(self.pick("List<int>", "List<int>", "List<Task>", "List<List<int>>", "List<Point>"))
-        if found is None:
-            found = self.some("List<int>")
-        if found is None:
+        lists = [v for v in self.scope if v.type in ("List<int>", "List<Task>", "List<List<int>>", "List<Point>")]
+        if not lists:
             return []
+        found = self.random.choice(lists)
         element = found.type[5:-1]
         name = self.mint({"int": "x", "Task": "job", "List<int>": "row", "Point": "p"}[element])
         return self.run(f"for {name} in {found.here}:", depth, [Variable(name, element, "temp")])
 
     def over_other(self, depth: int) -> list[str]:
-        found = self.some(self.pick("Map<int, int>", "Set<int>", "List<(int, int)>", "Map<string, int>", "Map<int, int>"))
-        if found is None:
+        others = [v for v in self.scope if v.type in ("Map<int, int>", "Set<int>", "List<(int, int)>", "Map<string, int>")]
+        if not others:
             return []
+        found = self.random.choice(others)
         a, b, v = self.mint("key", "a"), self.mint("value", "b"), found.here
         key, value = Variable(a, "int", "temp"), Variable(b, "int", "temp")
         if found.type == "Set<int>":
