@@ -15,10 +15,11 @@ import sys
 from argparse import ArgumentParser, Namespace
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from koordgen.prove.solve import Both, Limits, Solver, solver_of
+from koordgen.prove.solve import Both, Limits, solver_of
 from tests.prove.randomly.constructs import constructs
 from tests.prove.randomly.judges import Effort, Judged, judged
 from tests.prove.randomly.programs import Made, checked, program
@@ -77,7 +78,9 @@ def record(runner: Runner, seed: int, folder: Path) -> dict[str, Any]:
         small = runner.small(made, seed, found)
         again = checked(small)
         assert again is not None
-        write_finding(folder / f"{seed:06d}.koord", seed, kind, small, made.text, runner.judged(Made(small, again, 0), seed))
+        write_finding(
+            folder / f"{seed:06d}.koord", seed, kind, small, made.text, runner.judged(Made(small, again, 0), seed)
+        )
     return {
         "seed": seed, "refused": made.refused, "verdicts": found.verdicts, "kind": kind, "skipped": found.skipped,
         "constructs": constructs(made.text), "left": constructs(small) if kind else [],
@@ -87,8 +90,18 @@ def record(runner: Runner, seed: int, folder: Path) -> dict[str, Any]:
 
 def write_finding(path: Path, seed: int, kind: str, small: str, whole: str, found: Judged) -> None:
     """A program that is wrong, with what was found as comments."""
-    told = [f"{c.invariant} is PROVED, and false in a {c.judge} of {c.robots} robots\n{c.story}" for c in found.contradictions]
-    story = "\n".join([kind, f"seed {seed}: python -m tests.prove.campaign --from {seed} --count 1 --folder /tmp/again", *told, found.fault])
+    told = [
+        f"{c.invariant} is PROVED, and false in a {c.judge} of {c.robots} robots\n{c.story}"
+        for c in found.contradictions
+    ]
+    story = "\n".join(
+        [
+            kind,
+            f"seed {seed}: python -m tests.prove.campaign --from {seed} --count 1 --folder /tmp/again",
+            *told,
+            found.fault,
+        ]
+    )
     comments = "\n".join(f"# {line}" for line in story.splitlines())
     whole_too = "\n".join(f"# {line}" for line in f"the program as it was written:\n{whole}".splitlines())
     path.write_text(f"{comments}\n{small}\n{whole_too}\n")
@@ -100,7 +113,7 @@ def write_finding(path: Path, seed: int, kind: str, small: str, whole: str, foun
 def slices(first: int, count: int) -> list[range]:
     """The seeds, in slices that begin at multiples of SLICE."""
     ends = [first, *range((first // SLICE + 1) * SLICE, first + count, SLICE), first + count]
-    return [range(a, b) for a, b in zip(ends, ends[1:], strict=False) if a < b]
+    return [range(a, b) for a, b in pairwise(ends) if a < b]
 
 
 def file_of(folder: Path, solver: str, seed: int) -> Path:
@@ -156,7 +169,9 @@ def summary(lines: Sequence[dict[str, Any]]) -> str:
     spent: Counter[str] = Counter()
     for line in lines:
         spent.update(line["seconds"])
-    skipped = Counter(reason.split(":")[0] + ":" + reason.split(":")[1][:40] for line in lines for reason in line["skipped"])
+    skipped = Counter(
+        reason.split(":")[0] + ":" + reason.split(":")[1][:40] for line in lines for reason in line["skipped"]
+    )
     many = max(len(lines), 1)
     refused = sum(line["refused"] for line in lines)
     rows = [f"programs                {len(lines)}"]
@@ -183,18 +198,24 @@ def coverage(lines: Sequence[dict[str, Any]]) -> list[str]:
         proved.update(line["constructs"] if "PROVED" in own else ())
         refuted.update(line["constructs"] if own & REFUTED else ())
     rows = [f"{'construct':{CONSTRUCTS_WIDTH}} programs  PROVED  refuted"]
-    return rows + [f"{name:{CONSTRUCTS_WIDTH}} {n:8}  {proved[name]:6}  {refuted[name]:7}" for name, n in sorted(having.items())]
+    return rows + [
+        f"{name:{CONSTRUCTS_WIDTH}} {n:8}  {proved[name]:6}  {refuted[name]:7}" for name, n in sorted(having.items())
+    ]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run what is left to run, print the summary; 1 where anything is wrong."""
-    parser = ArgumentParser(prog="python -m tests.prove.campaign", description=__doc__.split("\n")[0] if __doc__ else "")
+    parser = ArgumentParser(
+        prog="python -m tests.prove.campaign", description=__doc__.split("\n")[0] if __doc__ else ""
+    )
     parser.add_argument("--from", dest="first", type=int, default=0, help="the first seed")
     parser.add_argument("--count", type=int, default=20_000, help="how many programs")
     parser.add_argument("--folder", default="build/prover-campaign", help="where the results are kept")
     parser.add_argument("--jobs", type=int, default=1, help="how many processes")
     parser.add_argument("--solver", choices=("z3", "cvc5", "both"), default="z3")
-    parser.add_argument("--seconds", type=float, default=0.5, help="of a program; its proof is given up after 4 times as many")
+    parser.add_argument(
+        "--seconds", type=float, default=0.5, help="of a program; its proof is given up after 4 times as many"
+    )
     options = parser.parse_args(arguments)
     Path(options.folder).mkdir(parents=True, exist_ok=True)
     todo = slices(options.first, options.count)
@@ -202,7 +223,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         run_slices(todo, options)
     else:
         context = multiprocessing.get_context("spawn")
-        crew = [context.Process(target=run_slices, args=(todo[k :: options.jobs], options)) for k in range(options.jobs)]
+        crew = [
+            context.Process(target=run_slices, args=(todo[k :: options.jobs], options)) for k in range(options.jobs)
+        ]
         for process in crew:
             process.start()
         for process in crew:

@@ -52,7 +52,10 @@ def sound(runner: Runner, made: Made, seed: int) -> Judged:
     """A program, judged: nothing is wrong with it."""
     found = runner.judged(made, seed)
     again = f"python -m tests.prove.campaign --from {seed} --count 1 --folder /tmp/again"
-    told = [f"{c.invariant} is PROVED, and false in the {c.judge} of {c.robots} robots\n{c.story}" for c in found.contradictions]
+    told = [
+        f"{c.invariant} is PROVED, and false in the {c.judge} of {c.robots} robots\n{c.story}"
+        for c in found.contradictions
+    ]
     assert not kind_of(found), "\n".join([f"seed {seed}: {again}", made.text, *told, found.fault])
     return found
 

@@ -12,7 +12,10 @@ def _names(*types: str) -> str:
     return "(?:" + "|".join(word for type_ in types for word in WORDS[type_]) + ")"
 
 
-LISTS, MAPS = _names("List<int>", "List<Task>", "List<List<int>>", "List<Point>"), _names("Map<int, int>", "Map<string, int>")
+LISTS, MAPS = (
+    _names("List<int>", "List<Task>", "List<List<int>>", "List<Point>"),
+    _names("Map<int, int>", "Map<string, int>"),
+)
 LOOP = r"^\s*(?:for|while) "
 
 

@@ -13,7 +13,9 @@ RISKY = 0.3  # of the atoms that may fail, how many are written without a test b
 class Expressions:
     """`scope` is what can be read; `functions` are calls by the type of their result, with the types of arguments."""
 
-    def __init__(self, random: Random, scope: list[Variable], functions: dict[str, list[tuple[str, list[str]]]]) -> None:
+    def __init__(
+        self, random: Random, scope: list[Variable], functions: dict[str, list[tuple[str, list[str]]]]
+    ) -> None:
         self.random = random
         self.scope = scope
         self.functions = functions
@@ -68,7 +70,11 @@ class Expressions:
             return f"{{{', '.join(sorted({self.pick('0', '1', '2', '3'), self.pick('0', '5')}))}}}"
         if type_.startswith("Map<"):
             return f"{{{KEYS[0] if 'string' in type_ else 1}: {self.number(3)}}}"
-        return f"Task({self.number(3)}, {self.number(3)})" if type_ == "Task" else {"string": '"a"'}.get(type_, self.literal(type_))
+        return (
+            f"Task({self.number(3)}, {self.number(3)})"
+            if type_ == "Task"
+            else {"string": '"a"'}.get(type_, self.literal(type_))
+        )
 
     def literal(self, type_: str) -> str:
         match type_:
@@ -96,9 +102,15 @@ class Expressions:
             return part
         if roll < 0.8 and self.robots:
             return self.pick("pid", "pid", "N_SYS", "N_SYS - 1", "(pid + 1) % N_SYS")
-        if roll < 0.85 and self.robots and (slots := [v for v in self.scope if v.home == "allread" and v.type == "int"]):
+        if (
+            roll < 0.85
+            and self.robots
+            and (slots := [v for v in self.scope if v.home == "allread" and v.type == "int"])
+        ):
             slot = self.random.choice(slots).name
-            return self.pick(f"{slot}[0]", f"{slot}[N_SYS - 1]", f"{slot}[(pid + 1) % N_SYS]", f"sum({slot})", f"{slot}.count(1)")
+            return self.pick(
+                f"{slot}[0]", f"{slot}[N_SYS - 1]", f"{slot}[(pid + 1) % N_SYS]", f"sum({slot})", f"{slot}.count(1)"
+            )
         if roll < 0.9 and (call := self.call("int", depth)):
             return call
         return self.literal("int")
@@ -111,13 +123,23 @@ class Expressions:
         name, risky = found.here, self.chance(RISKY)
         match found.type:
             case "List<int>" | "Queue<int>":
-                safe = [f"len({name})"] + ([f"{name}.count({self.number(3)})", f"sum({name})"] if found.type[0] == "L" else [])
+                safe = [f"len({name})"] + (
+                    [f"{name}.count({self.number(3)})", f"sum({name})"] if found.type[0] == "L" else []
+                )
                 risk = [f"first({name})", f"last({name})", f"7 // len({name})"]
-                risk += [f"{name}[{self.pick('0', '1', self.number(3))}]", f"{name}.index({self.number(3)})"] if found.type[0] == "L" else []
+                risk += (
+                    [f"{name}[{self.pick('0', '1', self.number(3))}]", f"{name}.index({self.number(3)})"]
+                    if found.type[0] == "L"
+                    else []
+                )
                 return self.pick(*(risk if risky else safe))
             case "Map<int, int>" | "Map<string, int>":
                 key = self.pick(*KEYS) if "string" in found.type else self.number(3)
-                return f"{name}[{key}]" if risky else self.pick(f"{name}.get({key}, {self.pick('0', '1', '-1')})", f"len({name})")
+                return (
+                    f"{name}[{key}]"
+                    if risky
+                    else self.pick(f"{name}.get({key}, {self.pick('0', '1', '-1')})", f"len({name})")
+                )
             case "Set<int>" | "List<Task>" | "List<List<int>>" | "List<Point>" | "List<(int, int)>":
                 if risky and found.type == "List<Task>":
                     return self.pick(f"first({name}).cost", f"{name}[{self.number(3)}].id", f"last({name}).id")
@@ -157,7 +179,12 @@ class Expressions:
         name = found.here
         match found.type:
             case "List<int>" | "Set<int>" | "Map<int, int>" | "Queue<int>":
-                return self.pick(f"{self.number(3)} in {name}", f"len({name}) > 0", f"len({name}) < 3", f"{self.number(3)} not in {name}")
+                return self.pick(
+                    f"{self.number(3)} in {name}",
+                    f"len({name}) > 0",
+                    f"len({name}) < 3",
+                    f"{self.number(3)} not in {name}",
+                )
             case "Map<string, int>":
                 return f"{self.pick(*KEYS)} in {name}"
             case "Point":

@@ -1,8 +1,8 @@
 """Judges of the prover: what it says PROVED of is held against an exploration and against random runs.
 
 The exploration is `koordgen explore`'s, on the code that robots run, for 1, 2 and 3 robots. The random runs are made by
-the executable semantics, in orders that nothing chooses for them. Both have an environment of few values, of which those
-are kept that the program's assumptions allow. Neither says anything of what it did not come to.
+the executable semantics, in random orders. Both take sensor values from small pools, as far as the program's
+assumptions allow them. Neither judge says anything of states that it did not reach.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import signal
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from itertools import islice, product
 from random import Random
@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 from unittest.mock import patch
 
 from koordgen.explore.environment import STRAIGHT, Domain, Environment, Lacking, Surroundings, answering
-from koordgen.explore.machine import Discard, Machine, Own, Packed
+from koordgen.explore.machine import Discard, Machine, Own
 from koordgen.explore.search import Bounds, Search
 from koordgen.ir import decl
 from koordgen.ir.types import BOOL, FLOAT, INT, POINT, Type
@@ -72,8 +72,8 @@ class Contradiction(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """`verdicts` by the name of the invariant. `fault`: the traceback of an exception that should not be. `skipped`: why
-    a judge could say nothing. `seconds` by what they were spent on."""
+    """`verdicts` by the name of the invariant. `fault`: the traceback of an unexpected exception. `skipped`: why a
+    judge could say nothing. `seconds` by what they were spent on."""
 
     verdicts: Mapping[str, str]
     contradictions: tuple[Contradiction, ...]
@@ -85,7 +85,7 @@ class Judged(NamedTuple):
 Judge = Callable[[decl.Program, frozenset[str], int, Effort], "Contradiction | None"]
 
 
-def judged(program: decl.Program, solver: Solver | Both, seed: int, effort: Effort = Effort()) -> Judged:
+def judged(program: decl.Program, solver: Solver | Both, seed: int, effort: Effort) -> Judged:
     """What the prover says of a program, and what the judges say of that."""
     verdicts: dict[str, str] = {}
     found: list[Contradiction] = []
@@ -184,7 +184,9 @@ class Nearby(Surroundings):
     def _options(self, pid: int, robot: Own) -> list[dict[str, Any]]:
         pools = []
         for name in self.machine.sensors:
-            sent = [v for v in robot.actuators.values() if isinstance(v, Point) and isinstance(robot.sensors[name], Point)]
+            sent = [
+                v for v in robot.actuators.values() if isinstance(v, Point) and isinstance(robot.sensors[name], Point)
+            ]
             values = dict.fromkeys([robot.sensors[name], *sent, *self.domains[pid][name].values])
             pools.append([True] if name in robot.unset else list(values))
         options = [dict(zip(self.machine.sensors, values, strict=True)) for values in product(*pools)]
@@ -241,9 +243,10 @@ def explored(program: decl.Program, proved: frozenset[str], seed: int, effort: E
     for n_sys in FLEETS:
         machine = Machine(claimed, n_sys, answering(around, claimed, n_sys))
         machine.discards = _Told(WELL_DEFINED in proved)
+        bounds = Bounds(effort.rounds, effort.states, effort.seconds)
         search = Search(
-            machine, Nearby(machine, around, seed), Bounds(effort.rounds, effort.states, effort.seconds), time.monotonic,
-            lambda _: None, deadlock=False, forgetting=False,
+            machine, Nearby(machine, around, seed), bounds, time.monotonic, lambda _: None,
+            deadlock=False, forgetting=False,
         )  # fmt: skip
         violation = search.run().violation
         if violation is not None:
@@ -348,7 +351,10 @@ class _Runs:
         unset = {f"{name.partition('.')[0]}.reached" for name in actuators if name.endswith((".target", ".path"))}
         for _ in range(12):
             sensors = [
-                {name: True if name in unset else self.random.choice(d.values) for name, d in self.around.domains.items()}
+                {
+                    name: True if name in unset else self.random.choice(d.values)
+                    for name, d in self.around.domains.items()
+                }
                 for _ in range(self.n_sys)
             ]
             for name in unplaced(self.program):
@@ -375,7 +381,9 @@ class _Runs:
         sent = [v for name, v in ports.items() if isinstance(v, Point) and name not in self.around.domains]
         for _ in range(12):
             new = {
-                name: True if name in held else self.random.choice([ports[name], *sent, *d.values] if isinstance(ports[name], Point) else d.values)
+                name: True
+                if name in held
+                else self.random.choice([ports[name], *sent, *d.values] if isinstance(ports[name], Point) else d.values)
                 for name, d in self.around.domains.items()
             }
             if self.allowed(state, pid, {**ports, **new}):

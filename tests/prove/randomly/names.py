@@ -9,7 +9,20 @@ Home = Literal["local", "allread", "allwrite", "sensor", "actuator", "param", "t
 Form = Literal["any", "range", "grows", "index", "same"]
 
 WORDS: dict[str, tuple[str, ...]] = {
-    "int": ("count", "total", "best", "most", "step", "votes", "bid", "rank", "leader", "battery", "seen_last", "tries"),
+    "int": (
+        "count",
+        "total",
+        "best",
+        "most",
+        "step",
+        "votes",
+        "bid",
+        "rank",
+        "leader",
+        "battery",
+        "seen_last",
+        "tries",
+    ),
     "bool": ("done", "ready", "busy", "found", "armed", "idle", "told", "late"),
     "float": ("speed", "heat", "margin", "average"),
     "Point": ("home", "place", "mark", "corner"),

@@ -17,16 +17,26 @@ from tests.prove.randomly.statements import Features, Statements, indented
 NOW = Features()  # what the language has today; the campaign and the everyday test write this
 TRIES = 40  # texts of one seed, until the checker takes one
 BIG = (
-    "List<int>", "List<int>", "List<int>", "List<Task>", "List<List<int>>", "Map<int, int>", "Map<string, int>", "Set<int>",
-    "Queue<int>", "(int, bool)", "List<(int, int)>", "Task", "List<Point>",
+    "List<int>", "List<int>", "List<int>", "List<Task>", "List<List<int>>", "Map<int, int>", "Map<string, int>",
+    "Set<int>", "Queue<int>", "(int, bool)", "List<(int, int)>", "Task", "List<Point>",
 )  # fmt: skip
-LEVELS = ("level' >= 0", "0 <= level' and level' <= 3", "level' == level or level' == 0", "level' <= level + 1", "level' >= level")
+LEVELS = (
+    "level' >= 0",
+    "0 <= level' and level' <= 3",
+    "level' == level or level' == 0",
+    "level' <= level + 1",
+    "level' >= level",
+)
 MOVES = (
     "position' in Rect(position, target)", "position' in Rect(lo, hi)", "position' == position or position' == target",
     "not reached' or position' == target",
 )  # fmt: skip
-PLANS = ("planner(goal) == [] or first(planner(goal)) == position", "planner(goal) == [] or last(planner(goal)) == goal",
-         "len(planner(goal)) <= 3")  # fmt: skip
+PLANS = (
+    "planner(goal) == [] or first(planner(goal)) == position",
+    "planner(goal) == [] or last(planner(goal)) == goal",
+    "len(planner(goal)) <= 3",
+)
+HEATS = ("heat_now >= 0", "heat_now' >= heat_now", "0 <= heat_now' and heat_now' <= 2.5")
 
 
 class Made(NamedTuple):
@@ -109,7 +119,7 @@ class _Writer:
             for _ in range(self.random.choice((0, 1, 1, 2)) if "int level" in kinds else 0):
                 yield f"  assume {self.pick(*LEVELS)}"
             if "float heat_now" in kinds and self.chance(0.6):
-                yield f"  assume {self.pick('heat_now >= 0', '''heat_now' >= heat_now''', '''0 <= heat_now' and heat_now' <= 2.5''')}"
+                yield f"  assume {self.pick(*HEATS)}"
         if self.motion:
             yield from self.moving()
         self.log = self.chance(0.15)
@@ -185,7 +195,9 @@ class _Writer:
         """A function with a loop, mostly: a search, a fold or anything."""
         name = ("chosen", "rated")[number]
         result = self.pick("int", "int", "bool")
-        parameter = self.pick("List<int>", "List<int>", "List<int>", "int", "Map<int, int>", "Set<int>", "List<List<int>>")
+        parameter = self.pick(
+            "List<int>", "List<int>", "List<int>", "int", "Map<int, int>", "Set<int>", "List<List<int>>"
+        )
         takes = [Variable("values", parameter, "param"), Variable("wanted", "int", "param")]
         body = self.writer(takes, "function")
         body.result = result
@@ -245,15 +257,23 @@ class _Writer:
 
     def invariant(self) -> str:
         known = [v for v in self.variables if v.home != "param"]
-        v = self.random.choice([v for v in known if v.type == "int" and v.home != "sensor"] if self.chance(0.6) else known)
+        v = self.random.choice(
+            [v for v in known if v.type == "int" and v.home != "sensor"] if self.chance(0.6) else known
+        )
         claim = self.claim(v, "i")
         roll = self.random.random()
         if self.chance(0.015):
             return self.pick("N_SYS < 0", "False", "N_SYS >= 1")
         if roll < 0.15 and v.own:
             other = self.random.choice([w for w in known if w.type in ("bool", "int")] or [v])
-            guard = other.of("i") if other.type == "bool" else f"{other.of('i')} {self.pick('>', '<', '==')} {self.pick('0', '1', '3')}"
-            claim = self.pick(f"not ({guard}) or ({claim})", f"({claim}) or {guard}", f"{claim} and {self.claim(v, 'i')}")
+            guard = (
+                other.of("i")
+                if other.type == "bool"
+                else f"{other.of('i')} {self.pick('>', '<', '==')} {self.pick('0', '1', '3')}"
+            )
+            claim = self.pick(
+                f"not ({guard}) or ({claim})", f"({claim}) or {guard}", f"{claim} and {self.claim(v, 'i')}"
+            )
         if roll > 0.93 and v.own:
             pair = self.pick("!=", "<=", "==")
             return f"forall i, j in ID: i == j or {v.of('i')} {pair if v.type == 'int' else '=='} {v.of('j')}"
@@ -274,8 +294,18 @@ class _Writer:
             case "float":
                 return self.pick(f"{name} >= 0", f"{name} <= 2", f"{name} == 0", f"{name} > -3", f"{name} < 10")
             case "Point":
-                box = self.pick("Rect(lo, hi)", "Rect(Point(0, 0, 0), Point(5, 5, 5))") if self.bounded else "Rect(Point(0, 0, 0), Point(5, 5, 5))"
-                return self.pick(f"{name} in {box}", f"{name} in {box}", f"{name}.z == 0", f"{name} == Point(0, 0, 0)", f"{name}.x >= 0")
+                box = (
+                    self.pick("Rect(lo, hi)", "Rect(Point(0, 0, 0), Point(5, 5, 5))")
+                    if self.bounded
+                    else "Rect(Point(0, 0, 0), Point(5, 5, 5))"
+                )
+                return self.pick(
+                    f"{name} in {box}",
+                    f"{name} in {box}",
+                    f"{name}.z == 0",
+                    f"{name} == Point(0, 0, 0)",
+                    f"{name}.x >= 0",
+                )
             case "Task":
                 return self.pick(f"{name}.cost >= 0", f"{name}.id == 0", f"{name}.id <= 5")
             case "(int, bool)":
@@ -285,7 +315,13 @@ class _Writer:
             case "Map<string, int>":
                 return self.pick(f'not "a" in {name}', f"len({name}) <= 3")
             case "List<int>":
-                return self.pick(f"len({name}) <= 3", f"len({name}) > 0", f"len({name}) == 0", f"not 3 in {name}", f"sum({name}) >= 0")
+                return self.pick(
+                    f"len({name}) <= 3",
+                    f"len({name}) > 0",
+                    f"len({name}) == 0",
+                    f"not 3 in {name}",
+                    f"sum({name}) >= 0",
+                )
         return self.pick(f"len({name}) <= 3", f"len({name}) <= 2", f"len({name}) == 0", f"len({name}) >= 0")
 
     def number_claim(self, v: Variable, i: str) -> str:
@@ -298,7 +334,11 @@ class _Writer:
             "same": (f"{name} == {low}", f"{name} <= {low}", f"{name} >= {low}"),
         }.get(v.form, (f"{name} >= 0", f"{name} <= 3", f"{name} == 0"))
         others = [w for w in self.variables if w.type == "int" and w != v]
-        wild = [f"{name} >= {self.pick('0', '1', '-1', '5')}", f"{name} <= {self.pick('0', '1', '3', '10')}", f"{name} == {self.pick('0', '1')}"]
+        wild = [
+            f"{name} >= {self.pick('0', '1', '-1', '5')}",
+            f"{name} <= {self.pick('0', '1', '3', '10')}",
+            f"{name} == {self.pick('0', '1')}",
+        ]
         wild += [f"{name} != {self.pick('7', '5', '2')}"]
         if others:
             w = self.random.choice(others)

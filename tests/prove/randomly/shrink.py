@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterator
 from itertools import count
 
 SIMPLER = (
-    (r" and [^:]*$", ""), (r": .* and ", ": "), (r"pre: .*", "pre: True"), (r" = [^=].*", " = 0"), (r" = [^=].*", " = 7"),
-    (r" = [^=].*", " = True"), (r"range\(.*\):", "range(9):"), (r"^(\s*)eff: atomic:", r"\1eff:"),
-    (r"if .*: (.*)", r"\1"), (r"in range\(.*\):", "in ID:"), (r" (else|if) .*", ""),
+    (r" and [^:]*$", ""), (r": .* and ", ": "), (r"pre: .*", "pre: True"), (r" = [^=].*", " = 0"),
+    (r" = [^=].*", " = 7"), (r" = [^=].*", " = True"), (r"range\(.*\):", "range(9):"),
+    (r"^(\s*)eff: atomic:", r"\1eff:"), (r"if .*: (.*)", r"\1"), (r"in range\(.*\):", "in ID:"), (r" (else|if) .*", ""),
 )  # fmt: skip
 
 

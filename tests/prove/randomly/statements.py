@@ -129,13 +129,21 @@ class Statements(Expressions):
                     f"{v} = max({v} - 1, {low})",
                 )
             case "grows":
-                return self.lines(f"{v} += 1", f"{v} += 2", f"{v} = max({v}, {self.number(1)})", f"{v} += abs({self.number(2)})")
+                return self.lines(
+                    f"{v} += 1", f"{v} += 2", f"{v} = max({v}, {self.number(1)})", f"{v} += abs({self.number(2)})"
+                )
             case "index":
                 told = ("pid", "-1", f"({v} + 1) % N_SYS", "0") if self.robots else ("-1", "0")
                 return [f"{v} = {self.pick(*told)}"]
             case "same":
                 return self.lines(f"{v} = {low}", f"{v} = max({v}, {low})", f"if {v} != {low}: {v} = {low}")
-        return self.lines(f"{v} = {self.number()}", f"{v} = {self.number()}", f"{v} += {self.number(2)}", f"{v} -= 1", f"{v} = {self.literal('int')}")
+        return self.lines(
+            f"{v} = {self.number()}",
+            f"{v} = {self.number()}",
+            f"{v} += {self.number(2)}",
+            f"{v} -= 1",
+            f"{v} = {self.literal('int')}",
+        )
 
     def lines(self, *options: str) -> list[str]:
         return [self.random.choice(options)]
@@ -157,14 +165,17 @@ class Statements(Expressions):
                     f"{v}.append({n})", f"if len({v}) < 3: {v}.append({n})", f"if len({v}) < 3: {v}.append({n})",
                     f"{v}.clear()", f"{v}.remove(3)", f"if {n} in {v}: {v}.remove({n})", f"{v}[0] = {n}",
                     f"if len({v}) > 0: {v}[len({v}) - 1] = {n}", f"{v}.insert(0, {n})", f"if len({v}) > 0: {v}.pop()",
-                    f"{v} = {v} + [{n}]", f"{v} = sorted({v})", f"{v} = reversed({v})", f"{v}.extend([1, 2])", f"{v} = []",
+                    f"{v} = {v} + [{n}]", f"{v} = sorted({v})", f"{v} = reversed({v})", f"{v}.extend([1, 2])",
+                    f"{v} = []",
                 )  # fmt: skip
             case "Queue<int>":
                 popped = self.target("int")
                 taken = [f"{popped.here} = {v}.pop()"] if popped else []
                 return self.lines(f"{v}.push({n})", f"if len({v}) < 2: {v}.push({n})", f"{v}.clear()", *taken)
             case "Set<int>":
-                return self.lines(f"{v}.add({n})", f"{v}.clear()", f"if {n} in {v}: {v}.remove({n})", f"{v} = {v}.union({{1, 2}})")
+                return self.lines(
+                    f"{v}.add({n})", f"{v}.clear()", f"if {n} in {v}: {v}.remove({n})", f"{v} = {v}.union({{1, 2}})"
+                )
             case "Map<int, int>" | "Map<string, int>":
                 key = self.pick(*KEYS) if "string" in target.type else n
                 return self.lines(
@@ -188,17 +199,22 @@ class Statements(Expressions):
             case "List<(int, int)>":
                 return self.lines(f"if len({v}) < 3: {v}.append(({n}, {self.number(2)}))", f"{v}.clear()")
             case "List<Point>":
-                return self.lines(f"if len({v}) < 3: {v}.append({self.point(1)})", f"{v} = {self.value(target.type, 1)}", f"{v} = {self.value(target.type, 1)}", f"{v}.clear()")
+                return self.lines(
+                    f"if len({v}) < 3: {v}.append({self.point(1)})",
+                    f"{v} = {self.value(target.type, 1)}",
+                    f"{v} = {self.value(target.type, 1)}",
+                    f"{v}.clear()",
+                )
         return [f"{v} = {self.value(target.type)}"]
 
     # Loops
 
     def loop(self, depth: int) -> list[str]:
-        made: Callable[[int], list[str]] = self.random.choice((
-            self.counted, self.counted, self.counted, self.robots_all, self.robots_all, self.over_list, self.over_list,
-            self.over_other, self.over_other, self.over_other, self.counter, self.counter, self.forever, self.drain, self.fold, self.fold, self.search,
-            self.search,
-        ))  # fmt: skip
+        kinds: tuple[tuple[int, Callable[[int], list[str]]], ...] = (
+            (3, self.counted), (2, self.robots_all), (2, self.over_list), (3, self.over_other), (2, self.counter),
+            (1, self.forever), (1, self.drain), (2, self.fold), (2, self.search),
+        )  # fmt: skip
+        (made,) = self.random.choices([kind for _, kind in kinds], [weight for weight, _ in kinds])
         return made(depth) or self.counter(depth)
 
     def run(self, header: str, depth: int, names: Sequence[Variable] = (), first: Sequence[str] = ()) -> list[str]:
@@ -223,15 +239,15 @@ class Statements(Expressions):
         if found is None:
             return []
         low, high = f"{found.here} >= {found.low}", f"{found.here} <= {found.high}"
-        return [f"invariant {self.pick(low, high, f'{found.here} >= old({found.here})', f'{found.here} == old({found.here})')}"]
+        kept = self.pick(low, high, f"{found.here} >= old({found.here})", f"{found.here} == old({found.here})")
+        return [f"invariant {kept}"]
 
     def leaving(self) -> list[str]:
         """The end of a loop's run, or of more."""
         how = ["break", "break", "break"]
         how += [f"return {self.value(self.result, 1)}"] if self.result else []
         how += ["stop"] if self.place == "event" and self.chance(0.3) else []
-        lines = ["break"] if self.chance(0.15) else [f"if {self.truth(1)}: {self.random.choice(how)}"]
-        return lines
+        return ["break"] if self.chance(0.15) else [f"if {self.truth(1)}: {self.random.choice(how)}"]
 
     def bound(self) -> str:
         """How far a loop over numbers goes."""
@@ -246,8 +262,8 @@ class Statements(Expressions):
         name = self.mint("i", "k", "at")
         bound = self.bound()
         ends = self.pick(
-            bound, bound, bound, f"1, {bound}", f"0, {bound}, 2", f"{bound}, 0, -1", f"{bound} - 1, -1, -1", "4, 0, -1", "1, 10, 3",
-            f"{self.number(2)}, {bound}",
+            bound, bound, bound, f"1, {bound}", f"0, {bound}, 2", f"{bound}, 0, -1", f"{bound} - 1, -1, -1", "4, 0, -1",
+            "1, 10, 3", f"{self.number(2)}, {bound}",
         )  # fmt: skip
         return self.run(f"for {name} in range({ends}):", depth, [Variable(name, "int", "temp")])
 
@@ -268,7 +284,9 @@ class Statements(Expressions):
         return self.run(f"for {name} in {found.here}:", depth, [Variable(name, element, "temp")])
 
     def over_other(self, depth: int) -> list[str]:
-        others = [v for v in self.scope if v.type in ("Map<int, int>", "Set<int>", "List<(int, int)>", "Map<string, int>")]
+        others = [
+            v for v in self.scope if v.type in ("Map<int, int>", "Set<int>", "List<(int, int)>", "Map<string, int>")
+        ]
         if not others:
             return []
         found = self.random.choice(others)
@@ -313,7 +331,10 @@ class Statements(Expressions):
             job = self.mint("job", "next")
             self.locked.add(queue.name)
             lines = self.run(
-                f"while len({queue.here}) > 0:", depth, [Variable(job, "int", "temp")], [f"int {job} = {queue.here}.pop()"]
+                f"while len({queue.here}) > 0:",
+                depth,
+                [Variable(job, "int", "temp")],
+                [f"int {job} = {queue.here}.pop()"],
             )
             self.locked.discard(queue.name)
             return lines
@@ -338,21 +359,39 @@ class Statements(Expressions):
         name, domain, element = self.elements()
         v = target.here
         count = f"if {element} {self.pick('>', '==', '<')} {self.number(2)}: {v} += 1"
-        step = self.pick(f"{v} = max({v}, {element})", f"{v} = min({v}, {element})", f"{v} += {element}", count, f"if {element} > {v}: {v} = {element}")
+        step = self.pick(
+            f"{v} = max({v}, {element})",
+            f"{v} = min({v}, {element})",
+            f"{v} += {element}",
+            count,
+            f"if {element} > {v}: {v} = {element}",
+        )
         first = [f"{v} = {self.pick('0', '0', '-1', '10')}"] if self.chance(0.5) else []
         return [*first, f"for {name} in {domain}:", f"  {step}"]
 
     def search(self, depth: int) -> list[str]:
         """The first element that something is true of."""
         name, domain, element = self.elements()
-        condition = self.pick(f"{element} {self.pick('>', '==', '<')} {self.number(2)}", f"{element} != 0", self.truth(1))
+        condition = self.pick(
+            f"{element} {self.pick('>', '==', '<')} {self.number(2)}", f"{element} != 0", self.truth(1)
+        )
         if self.result and self.chance(0.6):
             return [f"for {name} in {domain}:", f"  if {condition}: return {self.value(self.result, 2)}"]
         flag, number = self.target("bool"), self.target("int")
         found = [f"{flag.here} = True"] if flag else []
-        found += [f"{number.here} = {name if domain != 'pairs' else element}"] if number and (not flag or self.chance(0.6)) else []
+        found += (
+            [f"{number.here} = {name if domain != 'pairs' else element}"]
+            if number and (not flag or self.chance(0.6))
+            else []
+        )
         first = [f"{flag.here} = False"] if flag and self.chance(0.6) else []
-        return [*first, f"for {name} in {domain}:", f"  if {condition}:", *[f"    {line}" for line in found or ["pass"]], "    break"]
+        return [
+            *first,
+            f"for {name} in {domain}:",
+            f"  if {condition}:",
+            *[f"    {line}" for line in found or ["pass"]],
+            "    break",
+        ]
 
     def elements(self) -> tuple[str, str, str]:
         """A loop's variable, what it runs over, and an int of each run."""
@@ -369,4 +408,3 @@ class Statements(Expressions):
 
 def indented(lines: Sequence[str]) -> list[str]:
     return [f"  {line}" for line in lines]
-
