@@ -27,6 +27,7 @@ from tests.prove.randomly.shrink import shrunk
 
 SLICE = 250  # programs of one file
 TRIES = 250  # texts that are looked at to make one program small
+PATIENCE = 20.0  # seconds of making one program small
 REFUTED = {"FALSIFIED", "NOT INDUCTIVE"}
 CONSTRUCTS_WIDTH = 40
 
@@ -56,7 +57,7 @@ class Runner:
             again = checked(text)
             return again is not None and kind_of(self.judged(Made(text, again, 0), seed)) == kind
 
-        return shrunk(made.text, still, TRIES)
+        return shrunk(made.text, still, TRIES, PATIENCE)
 
 
 def kind_of(found: Judged) -> str:

@@ -70,7 +70,7 @@ ANYWHERE: dict[str, str] = {
     "record": r"^ +Task ",
     "Point": r"^ +Point ",
     "float": r"^ +float ",
-    "index that may leave its range": r"\w\[(?:(?!pid)[a-z]\w*|\d)\](?!:)",
+    "index by a variable or a number": r"\w\[(?:(?!pid)[a-z]\w*|\d)\](?!:)",
     "first or last": r"\b(?:first|last)\(",
     "division by what may be zero": r"// len\(|1 / \(",
     "remove": r"\.remove\(",

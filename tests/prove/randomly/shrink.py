@@ -5,7 +5,9 @@ A line goes with the block below it, or a header goes and leaves its block, or a
 
 from __future__ import annotations
 
+import math
 import re
+import time
 from collections.abc import Callable, Iterator
 from itertools import count
 
@@ -16,14 +18,15 @@ SIMPLER = (
 )  # fmt: skip
 
 
-def shrunk(text: str, still: Callable[[str], bool], tries: int = 400) -> str:
-    """The smallest text found of which `still` holds, as it does of `text`; `still` is asked `tries` times at most."""
-    budget = count()
+def shrunk(text: str, still: Callable[[str], bool], tries: int = 400, seconds: float = math.inf) -> str:
+    """The smallest text found of which `still` holds, as it does of `text`; `still` is asked `tries` times
+    at most, and not after so many seconds."""
+    budget, until = count(), time.monotonic() + seconds
     going = True
     while going:
         going = False
         for smaller in _smaller(text):
-            if next(budget) >= tries:
+            if next(budget) >= tries or time.monotonic() > until:
                 return text
             if smaller != text and still(smaller):
                 text, going = smaller, True
