@@ -100,7 +100,10 @@ def constructs(text: str) -> list[str]:
 
 def _blocks(text: str) -> list[Block]:
     found: list[Block] = []
-    for line in text.split("\n"):
+    within = 0  # the indentation of what stands under `priority:`
+    for whole in text.split("\n"):
+        within = 2 if whole == "priority:" else within if whole.startswith(" ") or not whole else 0
+        line = whole[within:] if whole.startswith(" ") else whole
         if line and not line.startswith(" "):
             kind = "function" if line.startswith("fun ") else "init" if line.startswith("init:") else "other"
             if re.fullmatch(r"[A-Z]\w*:", line):

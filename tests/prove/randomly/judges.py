@@ -47,12 +47,12 @@ MOVES = {1: 6, 2: 3, 3: 2}  # of one robot's sensors in one step, by the number 
 class Effort(NamedTuple):
     """How much is spent on one program: states and rounds of each exploration, its seconds; random runs of each number
     of robots, and their rounds. `explaining`: seconds for the run to what is not proved, on which every failed proof
-    spends some. `proving`: seconds of the whole proof, after which it is given up."""
+    spends some. `proving`: seconds that a proof may compute, solvers aside, before it is given up."""
 
     states: int = 150
     rounds: int = 4
     seconds: float = 0.03
-    runs: int = 4
+    runs: int = 3
     length: int = 5
     explaining: float = 0.02
     proving: float = 2.0
@@ -122,18 +122,19 @@ def _timed(seconds: dict[str, float], name: str) -> Iterator[None]:
 
 @contextmanager
 def _within(seconds: float) -> Iterator[None]:
-    """Raises Overtime after so many seconds, in the main thread."""
+    """Raises Overtime once this process has computed for so many seconds; solvers have limits of their own. Of the main
+    thread only."""
 
     def over(*_: object) -> None:
         raise Overtime
 
-    kept = signal.signal(signal.SIGALRM, over)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    kept = signal.signal(signal.SIGVTALRM, over)
+    signal.setitimer(signal.ITIMER_VIRTUAL, seconds)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, kept)
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
+        signal.signal(signal.SIGVTALRM, kept)
 
 
 @contextmanager
@@ -245,7 +246,7 @@ def explored(program: decl.Program, proved: frozenset[str], seed: int, effort: E
         machine.discards = _Told(WELL_DEFINED in proved)
         bounds = Bounds(effort.rounds, effort.states, effort.seconds)
         search = Search(
-            machine, Nearby(machine, around, seed), bounds, time.monotonic, lambda _: None,
+            machine, Nearby(machine, around, seed), bounds, time.process_time, lambda _: None,
             deadlock=False, forgetting=False,
         )  # fmt: skip
         violation = search.run().violation
