@@ -33,7 +33,7 @@ from koordgen.semantics.state import State, World
 from koordgen.semantics.step import Step, applied, enabled, execute, initial, run_init, sense
 
 FLEETS = (1, 2, 3)
-LIMITS = ("would become", "would get", "not finished")  # of these `(well-defined)` says nothing
+LIMITS = ("would become", "would get", "not finished", " failed: ")  # of these `(well-defined)` says nothing
 POOLS: dict[Type, tuple[Any, ...]] = {
     BOOL: (True, False),
     INT: (0, 1, 3),
