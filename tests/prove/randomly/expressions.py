@@ -7,7 +7,7 @@ from random import Random
 from tests.prove.randomly.names import KEYS, Variable
 
 COMPARISONS = ("==", "<", "<=", ">", ">=", "!=")
-RISKY = 0.3  # of the atoms that may fail, how many are written without a test before them
+RISKY = 0.4  # of the atoms that may fail, how many are written without a test before them
 
 
 class Expressions:

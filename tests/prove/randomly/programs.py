@@ -122,7 +122,7 @@ class _Writer:
                 yield f"  assume {self.pick(*HEATS)}"
         if self.motion:
             yield from self.moving()
-        self.log = self.chance(0.15)
+        self.log = self.chance(0.25)
         if self.log:
             yield from ("using Log:", "  stream stdout")
 
@@ -339,7 +339,21 @@ class _Writer:
             f"{name} <= {self.pick('0', '1', '3', '10')}",
             f"{name} == {self.pick('0', '1')}",
         ]
-        wild += [f"{name} != {self.pick('7', '5', '2')}"]
+        wild += [
+            f"{name} != {self.pick('7', '5', '2')}",
+            f"{name} <= N_SYS",
+            f"{name} == N_SYS",
+            f"{name} == {i} or {name} <= 0" if v.own else f"{name} < 9",
+        ]
+        lists = [w for w in self.variables if w.type == "List<int>"]
+        if lists:
+            xs = self.random.choice(lists).of(i)
+            wild += [
+                f"{name} <= len({xs})",
+                f"{name} >= len({xs})",
+                f"{name} in {xs} or {name} <= 0",
+                f"{name} >= sum({xs})",
+            ]
         if others:
             w = self.random.choice(others)
             wild += [f"{name} <= {w.of(i)}", f"{name} >= {w.of(i)}", f"{name} == {w.of(i)}", f"{name} + {w.of(i)} >= 0"]

@@ -217,30 +217,37 @@ class Statements(Expressions):
         (made,) = self.random.choices([kind for _, kind in kinds], [weight for weight, _ in kinds])
         return made(depth) or self.counter(depth)
 
-    def run(self, header: str, depth: int, names: Sequence[Variable] = (), first: Sequence[str] = ()) -> list[str]:
-        """A loop with a block of its own; `first` are lines with which its block begins."""
+    def run(
+        self, header: str, depth: int, names: Sequence[Variable] = (), first: Sequence[str] = (),
+        last: Sequence[str] = (), counter: str = "",
+    ) -> list[str]:  # fmt: skip
+        """A loop with a block of its own, which begins with the lines `first` and ends with `last`. `counter`: what the
+        loop counts up, from 0 or more."""
         kept = list(self.scope)
         self.scope += names
         self.loops += 1
         body = self.block(self.random.choice((1, 1, 2, 3)), depth + 1)
         if self.chance(0.25):
             body += self.leaving()
-        elif self.chance(0.15) and "continue" not in " ".join(first):
+        elif self.chance(0.15) and not last:
             body = [f"if {self.truth(1)}: continue", *body]
         self.loops -= 1
         self.scope[:] = kept
-        return [header, *indented([*self.promises(names), *first, *body])]
+        return [header, *indented([*self.promises(counter), *first, *body, *last])]
 
-    def promises(self, names: Sequence[Variable]) -> list[str]:
-        """Loop invariants, where the language has them: what is true of the variables that keep to a range, mostly."""
+    def promises(self, counter: str = "") -> list[str]:
+        """Loop invariants, where the language has them; many of them are true."""
         if not self.features.loop_invariants or self.chance(0.5):
             return []
+        if counter and self.chance(0.6):
+            return [f"invariant {counter} >= {self.pick('0', '0', f'old({counter})', '1')}"]
         found = self.some("int", writable=True)
         if found is None:
             return []
-        low, high = f"{found.here} >= {found.low}", f"{found.here} <= {found.high}"
-        kept = self.pick(low, high, f"{found.here} >= old({found.here})", f"{found.here} == old({found.here})")
-        return [f"invariant {kept}"]
+        v = found.here
+        low, high = f"{v} >= {found.low}", f"{v} <= {found.high}"
+        told = self.pick(low, high, f"{low} and {high}", f"{v} >= old({v})", f"{v} == old({v})")
+        return [f"invariant {told}"]
 
     def leaving(self) -> list[str]:
         """The end of a loop's run, or of more."""
@@ -303,14 +310,16 @@ class Statements(Expressions):
         return self.run(f"for {a} in {self.pick(v, f'{v}.keys()')}:", depth, [key])
 
     def counter(self, depth: int) -> list[str]:
-        """A `while` with a counter of its own, which counts first, so that `continue` does not hold it up."""
+        """A `while` with a counter of its own, which `continue` does not hold up."""
         name = self.mint("k", "turn", "n")
         lines = [f"int {name} = 0"]
         also = f" and {self.truth(1)}" if self.chance(0.3) else ""
         bound = self.bound()
         self.scope.append(Variable(name, "int", "temp"))
         self.locked.add(name)
-        body = self.run(f"while {name} < {bound}{also}:", depth, (), [f"{name} += 1"])
+        step, end = [f"{name} += 1"], self.chance(0.5)
+        header = f"while {name} < {bound}{also}:"
+        body = self.run(header, depth, (), [] if end else step, step if end else [], name)
         self.locked.discard(name)
         return lines + body
 
@@ -320,7 +329,7 @@ class Statements(Expressions):
         self.locked.add(name)
         self.scope.append(Variable(name, "int", "temp"))
         leave = [ends, f"{name} += 1"] if self.chance(0.5) else [f"{name} += 1", ends]
-        lines = [f"int {name} = 0", *self.run("while True:", depth, (), leave)]
+        lines = [f"int {name} = 0", *self.run("while True:", depth, (), leave, (), name)]
         self.locked.discard(name)
         return lines
 
@@ -367,7 +376,7 @@ class Statements(Expressions):
             f"if {element} > {v}: {v} = {element}",
         )
         first = [f"{v} = {self.pick('0', '0', '-1', '10')}"] if self.chance(0.5) else []
-        return [*first, f"for {name} in {domain}:", f"  {step}"]
+        return [*first, f"for {name} in {domain}:", *indented([*self.promises(v), step])]
 
     def search(self, depth: int) -> list[str]:
         """The first element that something is true of."""
