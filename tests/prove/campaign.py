@@ -146,6 +146,8 @@ def run_slices(todo: Sequence[range], options: Namespace) -> None:
         done = {line["seed"] for line in lines_of(path)}
         with path.open("a") as file:
             for seed in seeds:
+                if (parent := multiprocessing.parent_process()) is not None and not parent.is_alive():
+                    return  # the command was killed
                 if seed not in done:
                     file.write(json.dumps(record(runner, seed, folder)) + "\n")
                     file.flush()
