@@ -220,14 +220,16 @@ def unplaced(program: decl.Program) -> list[str]:
 
 
 class _Told(list[Discard]):
-    """The events without a result of which `(well-defined)` speaks, where it is PROVED; the others are let go."""
+    """The events without a result of which `(well-defined)` speaks, and false loop invariants, by their line; both only
+    where they are PROVED."""
 
-    def __init__(self, wanted: bool) -> None:
+    def __init__(self, proved: frozenset[str]) -> None:
         super().__init__()
-        self.wanted = wanted
+        self.proved = proved
 
     def append(self, found: Discard) -> None:
-        if self.wanted and not _limit(found.reason):
+        name = f"line {found.line}" if found.reason.startswith("the loop invariant") else WELL_DEFINED
+        if name in self.proved and not _limit(found.reason):
             super().append(found)
 
 
@@ -243,7 +245,7 @@ def explored(program: decl.Program, proved: frozenset[str], seed: int, effort: E
     around = surroundings(program)
     for n_sys in FLEETS:
         machine = Machine(claimed, n_sys, answering(around, claimed, n_sys))
-        machine.discards = _Told(WELL_DEFINED in proved)
+        machine.discards = _Told(proved)
         bounds = Bounds(effort.rounds, effort.states, effort.seconds)
         search = Search(
             machine, Nearby(machine, around, seed), bounds, time.process_time, lambda _: None,
