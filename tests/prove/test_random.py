@@ -117,6 +117,19 @@ def test_what_a_variable_may_not_keep_is_no_contradiction(judge: Any) -> None:
     assert judge(made, frozenset({"(well-defined)"}), 1, Effort(runs=10, length=8)) is None
 
 
+@pytest.mark.parametrize("judge", (explored, ran), ids=("exploration", "runs"))
+def test_a_false_loop_invariant_is_contradicted_where_it_is_proved(judge: Any) -> None:
+    made = checked(
+        "local: int n\nGo:\n  pre: n < 9\n  eff:\n    for k in range(2):\n      invariant n < 1\n      n += 1\n"
+        "invariant I: True\n"
+    )
+    assert made is not None
+    effort = Effort(runs=20, seconds=5.0)
+    found = judge(made, frozenset({"line 6"}), 1, effort)
+    assert found is not None and found.invariant == "line 6"
+    assert judge(made, frozenset({"I"}), 1, effort) is None
+
+
 def test_an_unset_target_is_anywhere_where_no_position_is_declared() -> None:
     made = checked(
         "using Motion:\n  actuators: Point target\nlocal: int n\nGo:\n  pre: n < 2\n  eff: n += 1\n"

@@ -28,6 +28,7 @@ from koordgen.prove.solve import Both, Solver
 from koordgen.prove.verdict import WELL_DEFINED, Question, prove
 from koordgen.runtime.values import Point
 from koordgen.semantics.eval import Discarded
+from koordgen.semantics.exec import Writes
 from koordgen.semantics.property import holds_assumption, holds_property
 from koordgen.semantics.state import State, World
 from koordgen.semantics.step import Step, applied, enabled, execute, initial, run_init, sense
@@ -286,6 +287,7 @@ class _Runs:
         state, steps = run_init(self.program, state, self.world(state))
         for step in steps:
             self.result(step.outcome, step.pid, "init")
+            self.kept(step.outcome)
         if any(isinstance(step.outcome, Discarded) for step in steps):
             return  # a mission whose `init` has no result does not begin
         self.judge(state, "init")
@@ -313,6 +315,7 @@ class _Runs:
             if ready:
                 outcome = execute(self.program, event.effect, seen, pid, world)
                 self.result(outcome, pid, event.name)
+                self.kept(outcome)
                 state = applied(state, Step(pid, event.name, outcome))
                 self.judge(state, f"{event.name} of {pid}")
         return state
@@ -331,6 +334,12 @@ class _Runs:
         if isinstance(outcome, Discarded) and WELL_DEFINED in self.proved and not _limit(outcome.reason):
             self.moments.append(f"{event} of {pid} has no result: {outcome}")
             raise _Broken(WELL_DEFINED)
+
+    def kept(self, outcome: object) -> None:
+        """Every loop invariant that is PROVED held at its loop's head."""
+        for span in outcome.violated if isinstance(outcome, Writes) else ():
+            if f"line {span.line}" in self.proved:
+                raise _Broken(f"line {span.line}")
 
     def look(self, state: State, moment: str) -> None:
         self.moments.append(f"{moment}: {state}")
