@@ -14,9 +14,9 @@ from itertools import pairwise
 from typing import Any
 
 from koordgen.ir import decl, expr
-from koordgen.ir.types import FLOAT, INT, Type
+from koordgen.ir.types import BOOL, FLOAT, INT, Type
 from koordgen.node import Node
-from koordgen.runtime.values import Point
+from koordgen.runtime.values import Grid, Point, Pose
 from koordgen.source import Span
 
 
@@ -168,6 +168,10 @@ def made_exact(value: Any) -> Any:
         return Fraction(value)
     if isinstance(value, Point):
         return Point(*(made_exact(part) for part in (value.x, value.y, value.z)))
+    if isinstance(value, Pose):
+        return Pose(made_exact(value.position), made_exact(value.yaw))
+    if isinstance(value, Grid):
+        return Grid(value.x, value.y, made_exact(value.size))
     if type(value) is tuple:
         return tuple([made_exact(part) for part in value])
     if isinstance(value, tuple):  # a record
@@ -194,10 +198,18 @@ def _exact(node: Any) -> Any:
             return expr.Const(Fraction(value), type_, span)  # type: ignore[arg-type]
         case expr.Widen(operand, _, span):
             return _widened(operand, span)
+        case expr.Builtin("sum", (values,), type_, span) if type_ == FLOAT:
+            return _summed(values, made, span)
         case expr.Binary("/", left, right, proved, type_, span) if left.type == INT:
             return expr.Binary("/", _widened(left, span), right, proved, type_, span)
         case _:
             return made
+
+
+def _summed(values: expr.Expr, whole: expr.Expr, span: Span) -> expr.Expr:
+    """The sum of no numbers is an exact zero, too."""
+    some = expr.Compare("<", expr.Const(0, INT, span), expr.Builtin("len", (values,), INT, span), BOOL, span)
+    return expr.Conditional(some, whole, expr.Const(Fraction(0), FLOAT, span), FLOAT, span)  # type: ignore[arg-type]
 
 
 def _widened(operand: expr.Expr, span: Span) -> expr.Expr:

@@ -15,6 +15,7 @@ from koordgen.semantics.values import Value, as_, conforms, encodable, flaw, ite
 from koordgen.source import Span
 
 MAX_TURNS = 1_000_000  # of all loops of one event; a robot's round is over before
+UNFINISHED = "it is not finished by the end of the round"
 
 
 class Writes(NamedTuple):
@@ -30,15 +31,15 @@ class Writes(NamedTuple):
 
 
 class Budget:
-    """The turns of loops that are left to one event, its functions included."""
+    """The turns of loops that are left to one event, its functions included: `turns`, or MAX_TURNS."""
 
-    def __init__(self) -> None:
-        self.left = MAX_TURNS
+    def __init__(self, turns: int | None = None) -> None:
+        self.left = MAX_TURNS if turns is None else turns
 
     def turn(self, span: Span) -> None:
         self.left -= 1
         if self.left < 0:
-            raise Discarded("it is not finished by the end of the round", span)
+            raise Discarded(UNFINISHED, span)
 
 
 def library(

@@ -1,0 +1,367 @@
+"""Attack on a program's PROVED invariants, within a budget: which states are run, in which order, and what was found.
+
+Cheap and telling states come first: initial states, `init`, the first events of each robot. Then two sources take
+turns by the time that they have used: random walks out of `init`, and states from the solver's models, from which one
+round is run in every order. The same program and seed give the same states; the budget says how many of them.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping
+from itertools import cycle
+from random import Random
+from typing import TYPE_CHECKING, NamedTuple
+
+from koordgen.ir import decl
+from koordgen.ir import expr as ir
+from koordgen.node import replace
+from koordgen.semantics.exact import NotExact, exact
+from koordgen.semantics.state import State
+from koordgen.verify.attack.judge import (
+    ENVIRONMENT,
+    INIT,
+    WELL_DEFINED,
+    Act,
+    Breach,
+    Contradiction,
+    Judge,
+    Refused,
+    Trial,
+    Unusable,
+    key_of,
+)
+from koordgen.verify.attack.states import States
+
+if TYPE_CHECKING:
+    from koordgen.prove.solve import Both, Solver
+
+SECONDS = 0.05  # of an attack, where nothing else is asked for
+FLEETS = (1, 2, 3, 4)  # robots
+STARTS = 3  # initial states of each number of robots, at first
+TRIES = 12  # of drawing an initial state
+ROUNDS = 6  # of one random walk
+ORDERS = 60  # steps in one round from one pre-state, at most
+SKIPS = 0.15  # of the turns of robots in a random walk
+STALE = 400  # pieces of work without a new state, after which the attack ends
+FIRST = 0.4  # of the budget, until the solver is asked
+
+Clock = Callable[[], float]
+
+
+class Report(NamedTuple):
+    """What an attack came to. `states`: how many each invariant was judged in, by step (an event's name, "init",
+    "(environment)") and invariant. `reasons`: why it was judged in none, likewise."""
+
+    states: Mapping[tuple[str, str], int]
+    reasons: Mapping[tuple[str, str], str]
+    contradiction: Contradiction | None
+    seconds: float
+
+    def of(self, step: str, invariant: str) -> tuple[int, str]:
+        """How many states an obligation was attacked with; why none, where it is 0."""
+        count = self.states.get((step, invariant), 0)
+        if count:
+            return count, ""
+        found = self.reasons.get((step, invariant)) or self.reasons.get((step, "")) or self.reasons.get(("", ""))
+        return 0, found or "no state was found from which the step can be run"
+
+
+class Spent(Exception):
+    """The budget is used up."""
+
+
+class Found(Exception):
+    """A step contradicts a verdict."""
+
+    def __init__(self, contradiction: Contradiction) -> None:
+        super().__init__(contradiction.breach.why)
+        self.contradiction = contradiction
+
+
+class Place(NamedTuple):
+    """Within a round: its start, the state now, the robots that had their turn, the steps until now."""
+
+    start: State
+    now: State
+    turns: frozenset[int]
+    acts: tuple[Act, ...]
+
+
+def attack(
+    program: decl.Program, proved: Collection[str], robots: int | None = None,
+    params: Mapping[str, ir.Expr] | None = None, solver: Solver | Both | None = None, seconds: float = SECONDS,
+    clock: Clock = time.process_time, seed: int = 0,
+) -> Report:  # fmt: skip
+    """Look for a state that contradicts a PROVED invariant (or "(well-defined)"), for `seconds` of `clock`, which are
+    those of computing, the solver's included. `params` are fixed, all others may have any value; `solver` tells
+    pre-states, where there is one."""
+    began = clock()
+    if robots is not None and robots > FLEETS[-1]:
+        return _none(f"only fleets of at most {FLEETS[-1]} robots are attacked")
+    if not proved:
+        return _none("nothing is PROVED")
+    search = _Search(program, proved, robots, dict(params or {}), solver, began + seconds, clock, seed)
+    found = search.run()
+    reasons = {("", ""): f"the budget of {1000 * seconds:g} ms was used up before"} if search.spent else {}
+    reasons.update(search.judge.reasons)
+    return Report(dict(search.judge.counts), reasons, found, search.clock() - began)
+
+
+def _none(why: str) -> Report:
+    return Report({}, {("", ""): why}, None, 0.0)
+
+
+class _Search:
+    def __init__(
+        self, program: decl.Program, proved: Collection[str], robots: int | None, params: dict[str, ir.Expr],
+        solver: Solver | Both | None, until: float, clock: Clock, seed: int,
+    ) -> None:  # fmt: skip
+        given = tuple([replace(p, default=params[p.name]) if p.name in params else p for p in program.params])
+        kept = tuple([p for p in program.properties if p.kind != "invariant" or p.name in proved])
+        self.program = replace(program, params=given, properties=kept)
+        self.exact = exact(self.program)
+        self.random = Random(seed)
+        self.states = States(self.exact, [p.name for p in program.params if p.name not in params], self.random)
+        self.proved = proved
+        self.judge = Judge(self.exact, proved, self.states.answers)
+        self.fleets = FLEETS if robots is None else (robots,)
+        self.params, self.solver, self.until = params, solver, until
+        self.computing = clock
+        self.waited = 0.0  # seconds for the solver
+        self.ready: list[State] = []
+        self.seen: set[tuple[object, ...]] = set()
+        self.launched: dict[int, int] = {}
+        self.runs: dict[str, int] = {}  # of each event
+        self.tried: dict[str, int] = {}  # of each step: the runs that models were expected to bring
+        self.spent = False
+        self.units = 0
+        self.news = 0, 0  # the judged states, and at which unit the last new one was
+
+    def clock(self) -> float:
+        return self.computing() + self.waited
+
+    def run(self) -> Contradiction | None:
+        began = self.clock()
+        try:
+            for _ in self.first():
+                if self.clock() > began + FIRST * (self.until - began):
+                    break
+            self.alternate()
+        except Spent:
+            pass
+        except Found as found:
+            return self.confirmed(found.contradiction)
+        return None
+
+    def confirmed(self, found: Contradiction) -> Contradiction | None:
+        """A contradiction once more, from its beginning: what the semantics does not repeat is none."""
+        try:
+            return Judge(self.exact, self.proved, self.states.answers).follow(found.trial)
+        except (Refused, Unusable) as error:
+            raise AssertionError(f"the attack found what it cannot repeat: {error}") from None
+
+    def alternate(self) -> None:
+        """Walks and models, each with half of the time, until the budget is used up."""
+        sources = [self.walks()] + ([self.modelled()] if self.solver is not None else [])
+        used = [0.0] * len(sources)
+        while sources:
+            place = used.index(min(used))
+            before = self.clock()
+            try:
+                next(sources[place])
+            except StopIteration:
+                del sources[place], used[place]
+                continue
+            used[place] += self.clock() - before
+            self.unit()
+
+    def unit(self) -> None:
+        """One piece of work is done. Raises Spent, also where none of the last ones came to a new state."""
+        if len(self.judge.known) > self.news[0]:
+            self.news = len(self.judge.known), self.units
+        self.units += 1
+        self.spent = self.clock() > self.until
+        if self.spent or self.units - self.news[1] > STALE:
+            raise Spent
+
+    # Initial states and first rounds
+
+    def first(self) -> Iterator[None]:
+        """Initial states of each number of robots, `init`, one event of each robot, one step of the environment."""
+        for robots in self.fleets:
+            for _ in range(STARTS):
+                state = self.launch(robots)
+                if state is not None:
+                    yield from self.once(state)
+
+    def launch(self, robots: int) -> State | None:
+        """A state after every robot's init; None where none was found."""
+        for _ in range(TRIES):
+            self.unit()
+            attempt = self.launched[robots] = self.launched.get(robots, -1) + 1
+            try:
+                state = self.states.launch(robots, attempt, self.judge.is_start)
+                if state is None or not self.fresh(state):
+                    continue
+                after, act, breach = self.judge.init(state)
+            except (Unusable, NotExact) as error:
+                self.judge.reasons["", ""] = f"no initial state can be made: {error}"
+                continue
+            self.check(Trial(state, (act,)), breach, state, after)
+            self.ready.append(after)
+            return after
+        self.judge.reasons.setdefault((INIT, ""), "no state was found that satisfies what holds `initially`")
+        return None
+
+    def once(self, state: State) -> Iterator[None]:
+        """Every event that one robot alone may run in a state, each followed by the environment's step."""
+        place = Place(state, state, frozenset(), ())
+        self.settle(place)
+        for step in self.steps(place):
+            yield
+            self.settle(step)
+
+    # Walks
+
+    def walks(self) -> Iterator[None]:
+        """Random walks, out of initial states, new ones among them."""
+        for robots in cycle(self.fleets):
+            state = self.launch(robots) if self.random.random() < 0.5 or not self.ready else None
+            yield
+            if state is None and not self.ready:
+                return
+            yield from self.walk(self.random.choice(self.ready) if state is None else state)
+
+    def walk(self, state: State) -> Iterator[None]:
+        for _ in range(ROUNDS):
+            place: Place | None = Place(state, state, frozenset(), ())
+            assert place is not None
+            order = self.random.sample(range(len(state.robots)), len(state.robots))
+            for pid in order:
+                if self.random.random() >= SKIPS:
+                    place = self.turn(place, pid)
+                    yield
+            after = self.settle(place)
+            if after is None:
+                return
+            state = after
+
+    def turn(self, place: Place, pid: int) -> Place:
+        """One event of a robot, one that was run seldom; the same place where it has none."""
+        events = [event for event in self.options(place, pid)]
+        events.sort(key=lambda event: (self.runs.get(event.name, 0), self.random.random()))
+        for event in events:
+            step = self.step(place, pid, event)
+            if step is not None:
+                return step
+        return place
+
+    # Models
+
+    def modelled(self) -> Iterator[None]:
+        """Rounds from states of the solver's models, of each event in turn."""
+        from koordgen.verify.attack.models import Models
+
+        assert self.solver is not None
+        models = Models(self.program, self.exact, self.params, self.solver, self.random)
+        plain = {event.name: event for event in self.program.events}
+        wanted = [*plain] + ([ENVIRONMENT] if self.states.sensors else [])
+        sizes = cycle(self.fleets)
+        idle = 0
+        while wanted and idle < 2 * len(wanted) * len(self.fleets):
+            name = min(wanted, key=lambda step: self.runs.get(step, 0) + self.tried.get(step, 0))
+            self.tried[name] = self.tried.get(name, 0) + ORDERS
+            state = models.state(plain.get(name), next(sizes), self.until - self.clock())
+            self.waited = models.waited
+            idle += 1
+            yield
+            try:
+                if state is None or self.judge.relied_upon(state) or not self.fresh(state):
+                    continue
+            except Unusable as error:
+                self.judge.reasons.setdefault((name, ""), str(error))
+                continue
+            idle = 0
+            yield from self.every_order(state)
+
+    def every_order(self, state: State) -> Iterator[None]:
+        """One round from a state, in every order, and the environment's step after each."""
+        places, count = [Place(state, state, frozenset(), ())], 0
+        while places and count < ORDERS:
+            place = places.pop(0)
+            self.settle(place)
+            for step in self.steps(place):
+                count += 1
+                yield
+                places.append(step)
+
+    # Steps
+
+    def steps(self, place: Place) -> Iterator[Place]:
+        """Every event of every robot that had no turn yet."""
+        for pid in range(len(place.now.robots)):
+            if pid not in place.turns:
+                for event in self.options(place, pid):
+                    step = self.step(place, pid, event)
+                    if step is not None:
+                        yield step
+
+    def options(self, place: Place, pid: int) -> list[decl.Event]:
+        """The events that a robot may run."""
+        try:
+            found = self.judge.ready(place.start, place.now, pid)
+        except Unusable:
+            return []
+        for one in found:
+            if isinstance(one, Breach):
+                name = one.why.split(" ")[1]
+                act = Act(name, pid, (), self.judge.ports.answers())
+                self.check(Trial(place.start, (*place.acts, act)), one, place.now, place.now)
+        return [one for one in found if isinstance(one, decl.Event)]
+
+    def step(self, place: Place, pid: int, event: decl.Event) -> Place | None:
+        """A place after a robot's event; None where it has no result. Raises Spent, Found."""
+        self.unit()
+        self.runs[event.name] = self.runs.get(event.name, 0) + 1
+        try:
+            found = self.judge.event(place.start, place.now, pid, event)
+        except Unusable:
+            return None
+        if found is None:
+            return None
+        after, act, breach = found
+        acts = (*place.acts, act)
+        self.check(Trial(place.start, acts), breach, place.now, after)
+        return Place(place.start, after, place.turns | {pid}, acts)
+
+    def settle(self, place: Place) -> State | None:
+        """The state after the environment's step; None where no move was drawn that the assumptions allow."""
+        self.unit()
+        fleet = []
+        try:
+            for pid, robot in enumerate(place.now.robots):
+                moves = self.states.moves(place.now, pid)
+                allowed = (m for m in moves if self.judge.may_move(place.now, pid, {**robot.ports, **m}))
+                move = next(allowed, None)
+                if move is None:
+                    self.judge.reasons.setdefault((ENVIRONMENT, ""), "no move was drawn that the assumptions allow")
+                    return None
+                fleet.append(move)
+            after, act, breach = self.judge.moved(place.now, tuple(fleet))
+        except Unusable:
+            return None
+        self.check(Trial(place.start, (*place.acts, act)), breach, place.now, after)
+        return after
+
+    def check(self, trial: Trial, breach: Breach | None, before: State, after: State) -> None:
+        if breach is not None:
+            raise Found(Contradiction(trial, breach, before, after))
+
+    def fresh(self, state: State) -> bool:
+        """Whether a state was not attacked before."""
+        key = key_of(state)
+        if key in self.seen:
+            return False
+        self.seen.add(key)
+        return True

@@ -1,0 +1,336 @@
+"""Judge of verdicts: runs steps by the executable semantics, and says which PROVED invariant a state contradicts.
+
+What the language allows is asked of `koordgen.semantics` alone: which events may run (`choices`), what they write, how
+sensors may move. A state in which an invariant cannot be evaluated (a root that is no fraction, a `spec fun`) is no
+contradiction; it is not counted as a state that the invariant was attacked with.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from typing import NamedTuple
+
+from koordgen.diagnostics import InternalError
+from koordgen.ir import decl
+from koordgen.ir import expr as ir
+from koordgen.node import nodes, replace
+from koordgen.prove.model import allowed
+from koordgen.prove.reading import Unshowable
+from koordgen.semantics.eval import Discarded
+from koordgen.semantics.exact import NotExact
+from koordgen.semantics.exec import UNFINISHED, NoMeaning, Writes
+from koordgen.semantics.property import holds_property
+from koordgen.semantics.relations import choices
+from koordgen.semantics.state import State
+from koordgen.semantics.step import Step, applied, enabled, execute, run_init, sense
+from koordgen.semantics.values import Value
+from koordgen.verify.attack.ports import Answer, Draw, Ports
+
+WELL_DEFINED = "(well-defined)"
+INIT, ENVIRONMENT = "init", "(environment)"
+PROVED_RIGHT = "proved to have a value, but: "  # the compiler's own claim, in the semantics' words
+# The operations of which `(well-defined)` says that they have a value, in the semantics' words. Capacities, 64 bits,
+# turns of loops, `ensures` and ports discard an event as well, and are not promised.
+COVERED = (
+    "index ", "a slice from", "what is looked for is not there", "the map has no such key",
+    "math domain error", "an int to the power of a negative one",
+)  # fmt: skip
+COVERED_WITHIN = (" by zero", " is no place in a list of ", " requires what does not hold")
+FALLIBLE = (ir.SlotRead, ir.At, ir.Slice, ir.Binary, ir.Builtin, ir.Call, ir.ExternCall)
+
+
+class Act(NamedTuple):
+    """One step of a trial: an event of robot `pid`; INIT of all robots; ENVIRONMENT with all robots' new sensors."""
+
+    event: str
+    pid: int | None = None
+    sensors: tuple[Mapping[str, Value], ...] = ()
+    answers: tuple[Answer, ...] = ()
+
+
+class Trial(NamedTuple):
+    """A state at a round's start and the steps of that round that are run on it; or a state before `init`, which is the
+    one step then."""
+
+    state: State
+    acts: tuple[Act, ...]
+
+
+class Breach(NamedTuple):
+    """The invariant that is contradicted, and how."""
+
+    invariant: str
+    why: str
+
+
+class Contradiction(NamedTuple):
+    """A trial whose last step contradicts a PROVED invariant; the states around that step."""
+
+    trial: Trial
+    breach: Breach
+    before: State
+    after: State
+
+
+class Unusable(Exception):
+    """A step shows nothing: the message says why."""
+
+
+class Refused(Exception):
+    """A trial is none that the verdicts speak of: the message says why."""
+
+
+class Judge:
+    """Of one program, made exact, and the names of its invariants that are PROVED. `draw` proposes answers of callable
+    ports. `counts` has the states that each invariant was judged in, by step and invariant; `reasons` why it could not
+    be judged."""
+
+    def __init__(self, program: decl.Program, proved: Collection[str], draw: Draw) -> None:
+        self.program = program
+        self.defined = WELL_DEFINED in proved
+        self.invariants = [p for p in program.properties if p.kind == "invariant" and p.name in proved]
+        self.initially = [p for p in program.properties if p.kind == "initially"]
+        self.events = {event.name: event for event in program.events}
+        self.guards = replace(program, events=tuple([replace(event, effect=()) for event in program.events]))
+        self.fallible = {e.name for e in program.events if any(isinstance(n, FALLIBLE) for n in nodes(e.guard))}
+        self.ports = Ports(program, draw)
+        self.counts: Counter[tuple[str, str]] = Counter()
+        self.reasons: dict[tuple[str, str], str] = {}
+        self.known: set[tuple[object, ...]] = set()  # the states after steps, and before events, that were judged
+
+    # What is promised of a state
+
+    def judged(self, state: State, event: str) -> Breach | None:
+        """The first PROVED invariant that does not hold after `event`. Each state is judged once after each event."""
+        if not self._new(event, key_of(state)):
+            return None
+        for property_ in self.invariants:
+            breach = self._judged(property_, state, event)
+            if breach is not None:
+                return breach
+        return None
+
+    def _judged(self, property_: decl.Property, state: State, event: str) -> Breach | None:
+        key = event, property_.name
+        self.ports.lacking = ""
+        try:
+            if not holds_property(property_, self.program, state, self.ports.world):
+                return Breach(property_.name, "it is false")
+        except Discarded as fault:
+            if self.ports.lacking or not is_covered(fault.reason):
+                self.reasons[key] = self.ports.lacking or fault.reason
+                return None
+            return Breach(property_.name, f"it has no value: {fault}")
+        except (NotExact, NoMeaning, InternalError) as error:
+            self.reasons[key] = str(error)
+            return None
+        self.counts[key] += 1
+        return None
+
+    def _new(self, *what: object) -> bool:
+        before = len(self.known)
+        self.known.add(what)
+        return len(self.known) > before
+
+    def is_start(self, state: State) -> bool:
+        """Return whether a state is one in which a mission may begin. Raises Unusable where that is not known."""
+        return all(self._true(property_, state) for property_ in self.initially)
+
+    def relied_upon(self, state: State) -> str:
+        """The first PROVED invariant that does not hold, which a state needs to be attacked; empty where all hold.
+        Raises Unusable."""
+        return next((p.name for p in self.invariants if not self._true(p, state)), "")
+
+    def _true(self, property_: decl.Property, state: State) -> bool:
+        self.ports.begin(state)
+        try:
+            held = holds_property(property_, self.program, state, self.ports.world)
+        except Discarded:
+            held = False
+        except (NotExact, NoMeaning, InternalError) as error:
+            raise Unusable(f"{property_.kind} {property_.name} cannot be evaluated: {error}") from None
+        if self.ports.lacking:
+            raise Unusable(self.ports.lacking)
+        return held
+
+    # Steps
+
+    def init(self, state: State, given: Iterable[Answer] | None = None) -> tuple[State, Act, Breach | None]:
+        """Every robot's init. Raises Unusable."""
+        self.ports.begin(state, given)
+        try:
+            after, steps = run_init(self.program, state, self.ports.world)
+        except (NotExact, NoMeaning) as error:
+            raise self._unusable(INIT, str(error)) from None
+        except InternalError as error:
+            breach = self._fault(INIT, str(error))
+            if breach is None:
+                raise self._unusable(INIT, str(error)) from None
+            return state, self._act(INIT), breach
+        if self.ports.lacking:
+            raise self._unusable(INIT, self.ports.lacking)
+        faults = [step.outcome for step in steps if isinstance(step.outcome, Discarded)]
+        if any(fault.reason == UNFINISHED for fault in faults):
+            raise self._unusable(INIT, UNFINISHED)
+        breach = next(filter(None, [self._fault(INIT, str(f), f.reason) for f in faults]), None)
+        if breach is None and self.defined and self._new(WELL_DEFINED, INIT, key_of(state)):
+            self.counts[INIT, WELL_DEFINED] += 1
+        return after, self._act(INIT), breach or self.judged(after, INIT)
+
+    def ready(self, start: State, now: State, pid: int) -> list[decl.Event | Breach]:
+        """The events that robot `pid` may run in a round that began with `start`; or a guard that has no value. Raises
+        Unusable."""
+        self.ports.begin(now)
+        return self._ready(start, now, pid)
+
+    def _ready(self, start: State, now: State, pid: int) -> list[decl.Event | Breach]:
+        try:
+            steps = choices(self.guards, now, pid, start.store, self.ports.world)
+        except (NotExact, NoMeaning, InternalError) as error:
+            raise Unusable(f"the guards cannot be evaluated: {error}") from None
+        found: list[decl.Event | Breach] = [self.events[step.event] for step in steps if step.event is not None]
+        return found + (self._guards(start, now, pid, found) if self.defined and not now.robots[pid].stopped else [])
+
+    def _guards(
+        self, start: State, now: State, pid: int, found: list[decl.Event | Breach]
+    ) -> list[decl.Event | Breach]:
+        """The guards that have no value where one is promised."""
+        breaches: list[decl.Event | Breach] = []
+        for event in self.program.events:
+            if event.name in self.fallible and event not in found:
+                try:
+                    enabled(self.program, event, _seen(event, start, now), pid, self.ports.world)
+                except Discarded as fault:
+                    breach = None if self.ports.lacking else self._fault(event.name, str(fault), fault.reason)
+                    breaches += [breach] if breach else []
+                except (NotExact, NoMeaning, InternalError) as error:
+                    raise Unusable(f"the guards cannot be evaluated: {error}") from None
+        return breaches
+
+    def event(
+        self, start: State, now: State, pid: int, event: decl.Event
+    ) -> tuple[State, Act, Breach | None] | None:
+        """The event of robot `pid`, which `ready` found; None where it is discarded. Raises Unusable."""
+        self.ports.lacking = ""
+        name = event.name
+        try:
+            outcome = execute(self.program, event.effect, _seen(event, start, now), pid, self.ports.world)
+        except (NotExact, NoMeaning) as error:
+            raise self._unusable(name, str(error)) from None
+        except InternalError as error:
+            return now, self._act(name, pid), self._fault(name, str(error))
+        if self.ports.lacking:
+            raise self._unusable(name, self.ports.lacking)
+        if not isinstance(outcome, Writes):
+            breach = self._fault(name, str(outcome), outcome.reason)
+            if breach is None:
+                self.reasons.setdefault((name, ""), f"each run of it was discarded: {outcome.reason}")
+            return (now, self._act(name, pid), breach) if breach else None
+        if self.defined and self._new(WELL_DEFINED, name, pid, key_of(_seen(event, start, now))):
+            self.counts[name, WELL_DEFINED] += 1
+        after = applied(now, Step(pid, name, outcome))
+        return after, self._act(name, pid), self.judged(after, name)
+
+    def environment(
+        self, now: State, sensors: tuple[Mapping[str, Value], ...]
+    ) -> tuple[State, Act, Breach | None]:
+        """The environment's step, where the assumptions allow it. Raises Unusable."""
+        for pid, (robot, new) in enumerate(zip(now.robots, sensors, strict=True)):
+            if not self.may_move(now, pid, {**robot.ports, **new}):
+                raise Unusable("the assumptions do not allow it")
+        return self.moved(now, sensors)
+
+    def moved(self, now: State, sensors: tuple[Mapping[str, Value], ...]) -> tuple[State, Act, Breach | None]:
+        """The environment's step, which the assumptions allow."""
+        after = sense(now, sensors)._replace(round=now.round + 1)
+        return after, Act(ENVIRONMENT, sensors=sensors), self.judged(after, ENVIRONMENT)
+
+    def may_move(self, now: State, pid: int, ports: Mapping[str, Value]) -> bool:
+        """Return whether the assumptions allow that a robot's ports become these. Raises Unusable."""
+        try:
+            return allowed(self.program, now.robots[pid].ports, ports, pid, now)
+        except (Unshowable, NotExact, NoMeaning, InternalError) as error:
+            raise self._unusable(ENVIRONMENT, str(error)) from None
+
+    def _act(self, event: str, pid: int | None = None) -> Act:
+        return Act(event, pid, (), self.ports.answers())
+
+    def _unusable(self, event: str, why: str) -> Unusable:
+        self.reasons[event, ""] = why
+        return Unusable(why)
+
+    def _fault(self, event: str, told: str, reason: str = "") -> Breach | None:
+        """A fault of an operation that `(well-defined)` promises."""
+        where = "init" if event == INIT else f"event {event}"
+        before, claimed, reason_claimed = told.partition(PROVED_RIGHT)
+        if not is_covered(reason_claimed if claimed else reason):
+            if not reason:
+                raise self._unusable(event, told)
+            return None
+        return Breach(WELL_DEFINED, f"{where} has no result: {told}") if self.defined else None
+
+    # A whole trial
+
+    def follow(self, trial: Trial) -> Contradiction | None:
+        """Run a trial from its beginning, believing nothing of it; the contradiction of its last step, if there is
+        one. Raises Refused, Unusable."""
+        state, acts = trial.state, trial.acts
+        if state.round == 0:
+            if not self.is_start(state):
+                raise Refused("what the program says in `initially` does not hold in its state")
+        elif broken := self.relied_upon(state):
+            raise Refused(f"{broken} does not hold in its state, before any step")
+        before = now = state
+        breach: Breach | None = None
+        for act in acts:
+            if breach is not None:
+                raise Refused("it goes on after a step that contradicts a verdict")
+            before = now
+            now, breach = self._followed(trial, act, now)
+        return Contradiction(trial, breach, before, now) if breach else None
+
+    def _followed(self, trial: Trial, act: Act, now: State) -> tuple[State, Breach | None]:
+        if (act.event == INIT) != (now.round == 0):
+            raise Refused("`init` comes first, and once")
+        if act.event == INIT:
+            after, _, breach = self.init(now, act.answers)
+            return after, breach
+        if act.event == ENVIRONMENT:
+            if act is not trial.acts[-1]:
+                raise Refused("the environment's step ends a round")
+            after, _, breach = self.environment(now, act.sensors)
+            return after, breach
+        if sum(other.pid == act.pid for other in trial.acts) > 1:
+            raise Refused(f"robot {act.pid} runs two events in one round")
+        assert act.pid is not None
+        self.ports.begin(now, act.answers)
+        for found in self._ready(trial.state, now, act.pid):
+            if isinstance(found, Breach):
+                if act is trial.acts[-1] and found.why.startswith(f"event {act.event} "):
+                    return now, found
+            elif found.name == act.event:
+                step = self.event(trial.state, now, act.pid, found)
+                if step is None:
+                    raise Refused(f"event {act.event} of robot {act.pid} is discarded")
+                return step[0], step[2]
+        raise Refused(f"robot {act.pid} may not run {act.event} there")
+
+
+def is_covered(reason: str) -> bool:
+    """Return whether an operation without a value is one of those that `(well-defined)` promises."""
+    return reason.startswith(COVERED) or any(part in reason for part in COVERED_WITHIN)
+
+
+def _seen(event: decl.Event, start: State, now: State) -> State:
+    """The state that an event reads: a plain one the store of the round's start."""
+    return now if event.lock is not None else now._replace(store=start.store)
+
+
+def key_of(state: State) -> tuple[object, ...]:
+    """What tells states apart."""
+    robots = [(*r.locals.values(), None, *r.ports.values(), r.stopped) for r in state.robots]
+    store = (*state.store.slots.values(), None, *state.store.cells.values())
+    return (*state.params.values(), None, *robots, *store)
+
+

@@ -1,0 +1,213 @@
+"""Concrete states to attack with: initial ones, moves of sensors, answers of planners. All are drawn, none is judged.
+
+Values come from where they are most telling: what the program's formulas and events compare with, the params, commands
+that were given, and a few beside them. The same seed draws the same states.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from fractions import Fraction
+from random import Random
+from typing import Any
+
+from koordgen.ir import decl
+from koordgen.ir import expr as ir
+from koordgen.ir.types import BOOL, FLOAT, INT, POINT, POSE, STRING, RecordType, TupleOf, Type
+from koordgen.ir.types import Sequence as SequenceType
+from koordgen.node import Node
+from koordgen.prove.model import made_state, with_values
+from koordgen.prove.reach import Pools
+from koordgen.runtime.values import Point, Pose
+from koordgen.semantics.exact import made_exact
+from koordgen.semantics.state import Robot, State, Store
+from koordgen.semantics.step import initial
+from koordgen.semantics.values import RecordValue, Value, default
+from koordgen.source import Span
+
+VALUES = 16  # of one type that are drawn from
+DRAWS = 6  # of one robot's initial sensors, until they fit the robots before it
+MOVES = 5  # of one robot that are drawn in one step of the environment
+BASE = (BOOL, INT, FLOAT, POINT)
+
+
+def _exact_point(x: int, y: int, z: int) -> Point:
+    return Point(Fraction(x), Fraction(y), Fraction(z))  # type: ignore[arg-type]
+
+
+ELSEWHERE = (_exact_point(2, -1, 1), _exact_point(-3, 4, 0))
+
+
+class States:
+    """Draws of one program, made exact; `free` are the params that may have any value."""
+
+    def __init__(self, program: decl.Program, free: Iterable[str], random: Random) -> None:
+        self.program, self.random = program, random
+        self.free = [p for p in program.params if p.name in set(free) and p.type in BASE]
+        ports = [(m, p) for m in program.modules for p in m.ports]
+        self.sensors = [(f"{m.name}.{p.name}", p.type) for m, p in ports if p.direction == "sensor"]
+        # An unset target is where the robot is; in a module without `position` nothing tells where that is.
+        self.targets = {
+            f"{m.name}.target": f"{m.name}.position"
+            for m, p in ports
+            if (p.name, p.direction, p.type) == ("target", "actuator", POINT)
+        }
+        self.usual: State | None = None
+        self.sensed = {name for name, _ in self.sensors}
+        spoken, self.texts = _spoken(program)
+        self.pools = Pools((), [*spoken, *ELSEWHERE], VALUES)
+        self.pooled: dict[tuple[Type, int], tuple[Mapping[str, Value], list[Value]]] = {}
+
+    # Before init
+
+    def launch(self, robots: int, attempt: int, plausible: Callable[[State], bool]) -> State | None:
+        """A state before `init` that is `plausible`; None where it is not. Robots are drawn one after the other, so that
+        each fits those before it. The first attempt sets robots apart and has the params of the program."""
+        values = {}
+        if self.free and attempt > 1 and attempt % 2:
+            bare = self._blank({})
+            values = {p.name: self.value(p.type, bare) for p in self.free if self.random.random() < 0.5}
+        blank = self._blank(values)
+        fleet: list[Robot] = []
+        for pid in range(robots):
+            state = blank
+            for _ in range(DRAWS):
+                robot = self._launched(blank, pid, attempt)
+                state = _fleet(blank, [*fleet, robot])
+                held = plausible(state)
+                if held:
+                    break
+                attempt = max(attempt, 1)
+            fleet.append(robot)
+        return state if held else None
+
+    def _blank(self, values: Mapping[str, Value]) -> State:
+        """One robot before any `init`, with these params."""
+        if values or self.usual is None:
+            found = made_state(initial(with_values(self.program, values), 1))
+            if values:
+                return found
+            self.usual = found
+        return self.usual
+
+    def _launched(self, blank: State, pid: int, attempt: int) -> Robot:
+        found: dict[str, Value] = {}
+        for name, type_ in self.sensors:
+            pool = self.pools.first(name, type_, blank) if name.endswith(".reached") else self.pool(type_, blank)
+            if pool and attempt == 0:
+                found[name] = pool[pid % len(pool)]
+            else:
+                found[name] = self.random.choice(pool) if pool else self.value(type_, blank)
+        for name, position in self.targets.items():
+            pool = self.pool(POINT, blank)
+            elsewhere = pool[-1 - pid % len(pool)] if attempt == 0 else self.random.choice(pool)
+            found[name] = found.get(position, elsewhere)
+        robot = blank.robots[0]
+        return robot._replace(ports={**robot.ports, **found})
+
+    # The environment's step
+
+    def moves(self, now: State, pid: int) -> Iterator[dict[str, Value]]:
+        """New sensor values of one robot, first where it was sent, last where it is."""
+        ports = now.robots[pid].ports
+        goals = [goal for name, value in ports.items() if name not in self.sensed for goal in _goal(value)]
+        yield {name: self._arrived(name, type_, goals, ports) for name, type_ in self.sensors}
+        for _ in range(MOVES):
+            yield {name: self._moved(name, type_, goals, ports, now) for name, type_ in self.sensors}
+        yield {name: ports[name] for name, _ in self.sensors}
+
+    def _arrived(self, name: str, type_: Type, goals: list[Point], ports: Mapping[str, Value]) -> Value:
+        if type_ == POINT and goals:
+            return goals[0]
+        return True if type_ == BOOL and name.endswith(".reached") else ports[name]
+
+    def _moved(self, name: str, type_: Type, goals: list[Point], ports: Mapping[str, Value], now: State) -> Value:
+        chance = self.random.random()
+        if chance < 0.3:
+            return ports[name]
+        if chance < 0.6 and type_ == POINT and goals:
+            goal, place = self.random.choice(goals), ports[name]
+            return (place + goal) / 2 if chance < 0.4 and isinstance(place, Point) else goal
+        return self.value(type_, now)
+
+    # Callable ports
+
+    def answers(self, state: State, pid: int, port: str, args: tuple[Value, ...]) -> Iterator[Value]:
+        """What a planner may say: no way, the straight way, a detour, the goal alone, in an order that is drawn."""
+        position = state.robots[pid].ports.get(f"{port.partition('.')[0]}.position")
+        goal = next((arg for arg in args if isinstance(arg, Point)), None)
+        ways: list[Value] = [()]
+        if goal is not None:
+            start = (position,) if isinstance(position, Point) else ()
+            ways += [(*start, goal), (*start, self.random.choice(ELSEWHERE), goal), (goal,)]
+        self.random.shuffle(ways)
+        yield from ways
+
+    # Values
+
+    def pool(self, type_: Type, state: State) -> list[Value]:
+        """The values that are most telling of a type; none of one that has parts."""
+        if type_ not in BASE:
+            return []
+        key = type_, len(state.robots)
+        known = self.pooled.get(key)
+        if known is None or known[0] != state.params:
+            known = self.pooled[key] = state.params, self.pools.pool(type_, state)
+        return known[1]
+
+    def value(self, type_: Type, state: State) -> Value:
+        """Some value of a type."""
+        pool = self.pool(type_, state)
+        if pool:
+            return self.random.choice(pool)
+        match type_:
+            case _ if type_ == POSE:
+                return Pose(self.value(POINT, state), self.value(FLOAT, state))  # type: ignore[arg-type]
+            case _ if type_ == STRING:
+                return self.random.choice(["", *self.texts])
+            case TupleOf(parts):
+                return tuple([self.value(part, state) for part in parts])
+            case RecordType(name, fields):
+                return RecordValue(name, tuple([self.value(part, state) for _, part in fields]))
+            case SequenceType("List" | "Queue", element, capacity):
+                count = min(self.random.randrange(3), capacity)
+                return tuple([self.value(element, state) for _ in range(count)])
+            case _:
+                return made_exact(default(type_, {}))  # type: ignore[no-any-return]
+
+
+def _fleet(blank: State, robots: Sequence[Robot]) -> State:
+    """A state before `init` of these robots."""
+    count = len(robots)
+    slots = {name: values[:1] * count for name, values in blank.store.slots.items()}
+    return blank._replace(robots=tuple(robots), store=Store(slots, blank.store.cells))
+
+
+def _goal(command: Value) -> list[Point]:
+    """Where a command sends its robot."""
+    last = command[-1] if isinstance(command, tuple) and command else command
+    return [last] if isinstance(last, Point) else []
+
+
+def _spoken(program: decl.Program) -> tuple[list[Value], list[str]]:
+    """The numbers and Points that a program names, numbers beside them, and its texts."""
+    numbers: dict[Any, None] = {}
+    points: list[Value] = []
+    texts: dict[str, None] = {}
+    left: list[object] = [program.functions, program.modules, program.events, program.properties]
+    while left:
+        node = left.pop()
+        if type(node) is tuple:
+            left.extend(node)
+        elif isinstance(node, ir.Const):
+            if type(node.value) is str:
+                texts[node.value] = None
+            elif type(node.value) is not bool:
+                numbers[node.value] = None
+        elif isinstance(node, Node) and not isinstance(node, (Span, Type)):
+            if isinstance(node, ir.Builtin) and node.name == "Point":
+                parts = [arg.value for arg in node.args if isinstance(arg, ir.Const)]
+                points += [Point(*map(Fraction, parts))] if len(parts) == 3 else []  # type: ignore[arg-type]
+            left.extend([getattr(node, field) for field in type(node).__match_args__])  # type: ignore[attr-defined]
+    beside = [number + 1 for number in numbers] + [number - 1 for number in numbers]
+    return [*numbers, *points, *beside], list(texts)
