@@ -179,6 +179,7 @@ class _Search:
         for fleet in islice(product(*each), self.bounds.moves):
             yield sense(state, fleet)
 
+
 class Pools:
     """The values that sensors are tried with: of each type those of which the program and some hints speak, at most
     `count` of them."""

@@ -21,7 +21,6 @@ from koordgen.semantics.state import State
 from koordgen.verify.attack.judge import (
     ENVIRONMENT,
     INIT,
-    WELL_DEFINED,
     Act,
     Breach,
     Contradiction,
@@ -31,6 +30,7 @@ from koordgen.verify.attack.judge import (
     Unusable,
     key_of,
 )
+from koordgen.verify.attack.models import Models
 from koordgen.verify.attack.states import States
 
 if TYPE_CHECKING:
@@ -157,7 +157,7 @@ class _Search:
     def confirmed(self, found: Contradiction) -> Contradiction | None:
         """A contradiction once more, from its beginning: what the semantics does not repeat is none."""
         try:
-            return Judge(self.exact, self.proved, self.states.answers).follow(found.trial)
+            return Judge(self.exact, self.proved, self.states.answers).follow(found.trial).contradiction
         except (Refused, Unusable) as error:
             raise AssertionError(f"the attack found what it cannot repeat: {error}") from None
 
@@ -249,9 +249,8 @@ class _Search:
 
     def turn(self, place: Place, pid: int) -> Place:
         """One event of a robot, one that was run seldom; the same place where it has none."""
-        events = [event for event in self.options(place, pid)]
-        events.sort(key=lambda event: (self.runs.get(event.name, 0), self.random.random()))
-        for event in events:
+        seldom = lambda event: (self.runs.get(event.name, 0), self.random.random())  # noqa: E731
+        for event in sorted(self.options(place, pid), key=seldom):
             step = self.step(place, pid, event)
             if step is not None:
                 return step
@@ -261,8 +260,6 @@ class _Search:
 
     def modelled(self) -> Iterator[None]:
         """Rounds from states of the solver's models, of each event in turn."""
-        from koordgen.verify.attack.models import Models
-
         assert self.solver is not None
         models = Models(self.program, self.exact, self.params, self.solver, self.random)
         plain = {event.name: event for event in self.program.events}
@@ -310,15 +307,13 @@ class _Search:
     def options(self, place: Place, pid: int) -> list[decl.Event]:
         """The events that a robot may run."""
         try:
-            found = self.judge.ready(place.start, place.now, pid)
+            ready = self.judge.ready(place.start, place.now, pid)
         except Unusable:
             return []
-        for one in found:
-            if isinstance(one, Breach):
-                name = one.why.split(" ")[1]
-                act = Act(name, pid, (), self.judge.ports.answers())
-                self.check(Trial(place.start, (*place.acts, act)), one, place.now, place.now)
-        return [one for one in found if isinstance(one, decl.Event)]
+        if ready.fault is not None:
+            act, breach = ready.fault
+            self.check(Trial(place.start, (*place.acts, act)), breach, place.now, place.now)
+        return ready.events
 
     def step(self, place: Place, pid: int, event: decl.Event) -> Place | None:
         """A place after a robot's event; None where it has no result. Raises Spent, Found."""

@@ -8,7 +8,7 @@ contradiction; it is not counted as a state that the invariant was attacked with
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import NamedTuple
 
 from koordgen.diagnostics import InternalError
@@ -71,6 +71,20 @@ class Contradiction(NamedTuple):
     breach: Breach
     before: State
     after: State
+
+
+class Ready(NamedTuple):
+    """The events that a robot may run; the step of one whose guard has no value where one is promised."""
+
+    events: list[decl.Event]
+    fault: tuple[Act, Breach] | None
+
+
+class Followed(NamedTuple):
+    """The states of a trial, before its first step and after each; the contradiction of its last step, if it is one."""
+
+    states: tuple[State, ...]
+    contradiction: Contradiction | None
 
 
 class Unusable(Exception):
@@ -178,39 +192,32 @@ class Judge:
             self.counts[INIT, WELL_DEFINED] += 1
         return after, self._act(INIT), breach or self.judged(after, INIT)
 
-    def ready(self, start: State, now: State, pid: int) -> list[decl.Event | Breach]:
-        """The events that robot `pid` may run in a round that began with `start`; or a guard that has no value. Raises
-        Unusable."""
-        self.ports.begin(now)
-        return self._ready(start, now, pid)
-
-    def _ready(self, start: State, now: State, pid: int) -> list[decl.Event | Breach]:
+    def ready(self, start: State, now: State, pid: int, given: Iterable[Answer] | None = None) -> Ready:
+        """What robot `pid` may do in a round that began with `start`. Raises Unusable."""
+        self.ports.begin(now, given)
         try:
             steps = choices(self.guards, now, pid, start.store, self.ports.world)
+            found = [self.events[step.event] for step in steps if step.event is not None]
+            stopped = now.robots[pid].stopped or not self.defined
+            return Ready(found, None if stopped else self._guard_fault(start, now, pid, found))
         except (NotExact, NoMeaning, InternalError) as error:
             raise Unusable(f"the guards cannot be evaluated: {error}") from None
-        found: list[decl.Event | Breach] = [self.events[step.event] for step in steps if step.event is not None]
-        return found + (self._guards(start, now, pid, found) if self.defined and not now.robots[pid].stopped else [])
 
-    def _guards(
-        self, start: State, now: State, pid: int, found: list[decl.Event | Breach]
-    ) -> list[decl.Event | Breach]:
-        """The guards that have no value where one is promised."""
-        breaches: list[decl.Event | Breach] = []
+    def _guard_fault(self, start: State, now: State, pid: int, found: list[decl.Event]) -> tuple[Act, Breach] | None:
+        """A guard that has no value, where one is promised."""
         for event in self.program.events:
-            if event.name in self.fallible and event not in found:
-                try:
-                    enabled(self.program, event, _seen(event, start, now), pid, self.ports.world)
-                except Discarded as fault:
-                    breach = None if self.ports.lacking else self._fault(event.name, str(fault), fault.reason)
-                    breaches += [breach] if breach else []
-                except (NotExact, NoMeaning, InternalError) as error:
-                    raise Unusable(f"the guards cannot be evaluated: {error}") from None
-        return breaches
+            if event.name not in self.fallible or event in found:
+                continue
+            self.ports.lacking = ""
+            try:
+                enabled(self.program, event, _seen(event, start, now), pid, self.ports.world)
+            except Discarded as fault:
+                breach = None if self.ports.lacking else self._fault(event.name, str(fault), fault.reason)
+                if breach is not None:
+                    return self._act(event.name, pid), breach
+        return None
 
-    def event(
-        self, start: State, now: State, pid: int, event: decl.Event
-    ) -> tuple[State, Act, Breach | None] | None:
+    def event(self, start: State, now: State, pid: int, event: decl.Event) -> tuple[State, Act, Breach | None] | None:
         """The event of robot `pid`, which `ready` found; None where it is discarded. Raises Unusable."""
         self.ports.lacking = ""
         name = event.name
@@ -232,9 +239,7 @@ class Judge:
         after = applied(now, Step(pid, name, outcome))
         return after, self._act(name, pid), self.judged(after, name)
 
-    def environment(
-        self, now: State, sensors: tuple[Mapping[str, Value], ...]
-    ) -> tuple[State, Act, Breach | None]:
+    def environment(self, now: State, sensors: tuple[Mapping[str, Value], ...]) -> tuple[State, Act, Breach | None]:
         """The environment's step, where the assumptions allow it. Raises Unusable."""
         for pid, (robot, new) in enumerate(zip(now.robots, sensors, strict=True)):
             if not self.may_move(now, pid, {**robot.ports, **new}):
@@ -263,8 +268,8 @@ class Judge:
     def _fault(self, event: str, told: str, reason: str = "") -> Breach | None:
         """A fault of an operation that `(well-defined)` promises."""
         where = "init" if event == INIT else f"event {event}"
-        before, claimed, reason_claimed = told.partition(PROVED_RIGHT)
-        if not is_covered(reason_claimed if claimed else reason):
+        _, claimed, within = told.partition(PROVED_RIGHT)
+        if not is_covered(within if claimed else reason):
             if not reason:
                 raise self._unusable(event, told)
             return None
@@ -272,23 +277,22 @@ class Judge:
 
     # A whole trial
 
-    def follow(self, trial: Trial) -> Contradiction | None:
-        """Run a trial from its beginning, believing nothing of it; the contradiction of its last step, if there is
-        one. Raises Refused, Unusable."""
+    def follow(self, trial: Trial) -> Followed:
+        """Run a trial from its beginning, believing nothing of it. Raises Refused, Unusable."""
         state, acts = trial.state, trial.acts
         if state.round == 0:
             if not self.is_start(state):
                 raise Refused("what the program says in `initially` does not hold in its state")
         elif broken := self.relied_upon(state):
             raise Refused(f"{broken} does not hold in its state, before any step")
-        before = now = state
+        states = [state]
         breach: Breach | None = None
         for act in acts:
             if breach is not None:
                 raise Refused("it goes on after a step that contradicts a verdict")
-            before = now
-            now, breach = self._followed(trial, act, now)
-        return Contradiction(trial, breach, before, now) if breach else None
+            now, breach = self._followed(trial, act, states[-1])
+            states.append(now)
+        return Followed(tuple(states), Contradiction(trial, breach, *states[-2:]) if breach else None)
 
     def _followed(self, trial: Trial, act: Act, now: State) -> tuple[State, Breach | None]:
         if (act.event == INIT) != (now.round == 0):
@@ -304,16 +308,15 @@ class Judge:
         if sum(other.pid == act.pid for other in trial.acts) > 1:
             raise Refused(f"robot {act.pid} runs two events in one round")
         assert act.pid is not None
-        self.ports.begin(now, act.answers)
-        for found in self._ready(trial.state, now, act.pid):
-            if isinstance(found, Breach):
-                if act is trial.acts[-1] and found.why.startswith(f"event {act.event} "):
-                    return now, found
-            elif found.name == act.event:
-                step = self.event(trial.state, now, act.pid, found)
+        ready = self.ready(trial.state, now, act.pid, act.answers)
+        for event in ready.events:
+            if event.name == act.event:
+                step = self.event(trial.state, now, act.pid, event)
                 if step is None:
                     raise Refused(f"event {act.event} of robot {act.pid} is discarded")
                 return step[0], step[2]
+        if ready.fault is not None and ready.fault[0].event == act.event and act is trial.acts[-1]:
+            return now, ready.fault[1]
         raise Refused(f"robot {act.pid} may not run {act.event} there")
 
 
@@ -332,5 +335,3 @@ def key_of(state: State) -> tuple[object, ...]:
     robots = [(*r.locals.values(), None, *r.ports.values(), r.stopped) for r in state.robots]
     store = (*state.store.slots.values(), None, *state.store.cells.values())
     return (*state.params.values(), None, *robots, *store)
-
-

@@ -120,5 +120,3 @@ class _Asked:
         self.reader = Reader(obligation)
         self.parts = list(dict.fromkeys([term for cell in obligation.cells for term in cell.terms]))
         self.useless = False
-
-

@@ -61,8 +61,8 @@ class States:
     # Before init
 
     def launch(self, robots: int, attempt: int, plausible: Callable[[State], bool]) -> State | None:
-        """A state before `init` that is `plausible`; None where it is not. Robots are drawn one after the other, so that
-        each fits those before it. The first attempt sets robots apart and has the params of the program."""
+        """A state before `init` that is `plausible`; None where it is not. Robots are drawn one after the other, so
+        that each fits those before it. The first attempt sets robots apart and has the params of the program."""
         values = {}
         if self.free and attempt > 1 and attempt % 2:
             bare = self._blank({})
