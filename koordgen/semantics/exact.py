@@ -93,6 +93,8 @@ def _segments(path: tuple[Point, ...]) -> list[tuple[Point, Point]]:
 def _squared(p: Point, q: Point, r: Point, s: Point) -> Fraction:
     """Of the segments pq and rs: the squared distance of p + x (q - p) and r + y (s - r) is convex in x and y; its
     least value on the unit square is at one end of a segment, or where both derivatives are zero."""
+    if p == q or r == s:
+        return _beyond(p, r, s) if p == q else _beyond(r, p, q)
     d, e, w = _minus(q, p), _minus(s, r), _minus(p, r)
     best = min(_beyond(p, r, s), _beyond(q, r, s), _beyond(r, p, q), _beyond(s, p, q))
     dd, ee, de, dw, ew = _dot(d, d), _dot(e, e), _dot(d, e), _dot(d, w), _dot(e, w)
@@ -107,7 +109,10 @@ def _squared(p: Point, q: Point, r: Point, s: Point) -> Fraction:
 
 def _beyond(x: Point, p: Point, q: Point) -> Fraction:
     """The squared distance of a point from the segment pq."""
-    d, w = _minus(q, p), _minus(x, p)
+    w = _minus(x, p)
+    if p == q:
+        return _dot(w, w)
+    d = _minus(q, p)
     along = _dot(d, d)
     t = min(max(_dot(w, d) / along, Fraction(0)), Fraction(1)) if along else Fraction(0)
     gap = [w[i] - t * d[i] for i in range(3)]

@@ -11,13 +11,14 @@ import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from itertools import cycle
 from random import Random
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from koordgen.ir import decl
 from koordgen.ir import expr as ir
-from koordgen.node import replace
+from koordgen.node import Node, nodes, replace
 from koordgen.semantics.exact import NotExact, exact
 from koordgen.semantics.state import State
+from koordgen.semantics.step import initial
 from koordgen.verify.attack.judge import (
     ENVIRONMENT,
     INIT,
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
 
 SECONDS = 0.05  # of an attack, where nothing else is asked for
 FLEETS = (1, 2, 3, 4)  # robots
-STARTS = 3  # initial states of each number of robots, at first
+STARTS = 2  # initial states of each number of robots, at first
 TRIES = 12  # of drawing an initial state
 ROUNDS = 6  # of one random walk
 ORDERS = 60  # steps in one round from one pre-state, at most
@@ -47,6 +48,7 @@ STALE = 400  # pieces of work without a new state, after which the attack ends
 FIRST = 0.4  # of the budget, until the solver is asked
 
 Clock = Callable[[], float]
+V = TypeVar("V", decl.Local, decl.Shared)
 
 
 class Report(NamedTuple):
@@ -112,6 +114,29 @@ def _none(why: str) -> Report:
     return Report({}, {("", ""): why}, None, 0.0)
 
 
+def runnable(program: decl.Program) -> tuple[decl.Program, bool]:
+    """The program made exact; and whether first values of variables, GridMaps, are those of robots, which depend on the
+    params that the program has."""
+    rounded = {v.name for v in (*program.locals, *program.shared) if any(_is_map(n) for n in nodes(v.initial))}
+    made = exact(program)
+    if not rounded:
+        return made, False
+    first = initial(program, 1)
+    values = {**first.robots[0].locals, **first.store.cells, **{n: v[0] for n, v in first.store.slots.items()}}
+
+    def known(variable: V) -> V:
+        value: Any = values[variable.name]
+        given = ir.Const(value, variable.type, variable.span)  # the semantics takes a constant's value as it is
+        return replace(variable, initial=given) if variable.name in rounded else variable
+
+    locals_, shared = [known(v) for v in made.locals], [known(v) for v in made.shared]
+    return replace(made, locals=tuple(locals_), shared=tuple(shared)), True
+
+
+def _is_map(node: Node) -> bool:
+    return isinstance(node, ir.Builtin) and node.name == "GridMap"
+
+
 class _Search:
     def __init__(
         self, program: decl.Program, proved: Collection[str], robots: int | None, params: dict[str, ir.Expr],
@@ -120,9 +145,10 @@ class _Search:
         given = tuple([replace(p, default=params[p.name]) if p.name in params else p for p in program.params])
         kept = tuple([p for p in program.properties if p.kind != "invariant" or p.name in proved])
         self.program = replace(program, params=given, properties=kept)
-        self.exact = exact(self.program)
+        self.exact, rounded = runnable(self.program)
         self.random = Random(seed)
-        self.states = States(self.exact, [p.name for p in program.params if p.name not in params], self.random)
+        free = [] if rounded else [p.name for p in program.params if p.name not in params]
+        self.states = States(self.exact, free, self.random)
         self.proved = proved
         self.judge = Judge(self.exact, proved, self.states.answers)
         self.fleets = FLEETS if robots is None else (robots,)
@@ -188,12 +214,14 @@ class _Search:
     # Initial states and first rounds
 
     def first(self) -> Iterator[None]:
-        """Initial states of each number of robots, `init`, one event of each robot, one step of the environment."""
+        """Initial states of each number of robots, `init`, one event of each robot, one step of the environment; then
+        some rounds."""
         for robots in self.fleets:
             for _ in range(STARTS):
                 state = self.launch(robots)
                 if state is not None:
                     yield from self.once(state)
+                    yield from self.walk(state)
 
     def launch(self, robots: int) -> State | None:
         """A state after every robot's init; None where none was found."""
@@ -211,7 +239,8 @@ class _Search:
             self.check(Trial(state, (act,)), breach, state, after)
             self.ready.append(after)
             return after
-        self.judge.reasons.setdefault((INIT, ""), "no state was found that satisfies what holds `initially`")
+        unmade = self.judge.reasons.get(("", ""), "no state was found that satisfies what holds `initially`")
+        self.judge.reasons.setdefault((INIT, ""), unmade)
         return None
 
     def once(self, state: State) -> Iterator[None]:

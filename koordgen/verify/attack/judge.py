@@ -8,7 +8,7 @@ contradiction; it is not counted as a state that the invariant was attacked with
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 from koordgen.diagnostics import InternalError
@@ -105,6 +105,7 @@ class Judge:
         self.defined = WELL_DEFINED in proved
         self.invariants = [p for p in program.properties if p.kind == "invariant" and p.name in proved]
         self.initially = [p for p in program.properties if p.kind == "initially"]
+        self.rigid = [p for property_ in self.initially for p in _conjuncts(property_.formula) if not _of_fleet(p)]
         self.events = {event.name: event for event in program.events}
         self.guards = replace(program, events=tuple([replace(event, effect=()) for event in program.events]))
         self.fallible = {e.name for e in program.events if any(isinstance(n, FALLIBLE) for n in nodes(e.guard))}
@@ -152,8 +153,11 @@ class Judge:
         return all(self._true(property_, state) for property_ in self.initially)
 
     def relied_upon(self, state: State) -> str:
-        """The first PROVED invariant that does not hold, which a state needs to be attacked; empty where all hold.
-        Raises Unusable."""
+        """What a state needs to be attacked and does not satisfy: the PROVED invariants, and what is said of params in
+        `initially`, which holds for good; empty where all hold. Raises Unusable."""
+        for part in self.rigid:
+            if not self._true(decl.Property("initially", "", part, part.span), state):
+                return f"what `initially` says of params in line {part.span.line}"
         return next((p.name for p in self.invariants if not self._true(p, state)), "")
 
     def _true(self, property_: decl.Property, state: State) -> bool:
@@ -318,6 +322,20 @@ class Judge:
         if ready.fault is not None and ready.fault[0].event == act.event and act is trial.acts[-1]:
             return now, ready.fault[1]
         raise Refused(f"robot {act.pid} may not run {act.event} there")
+
+
+def _conjuncts(formula: ir.Expr) -> Iterator[ir.Expr]:
+    if isinstance(formula, ir.Logic) and formula.op == "and":
+        yield from _conjuncts(formula.left)
+        yield from _conjuncts(formula.right)
+    else:
+        yield formula
+
+
+def _of_fleet(formula: ir.Expr) -> bool:
+    """Return whether a formula speaks of anything but params."""
+    return any(isinstance(n, (ir.LocalOf, ir.PortOf, ir.SlotRead, ir.SlotsRead, ir.SharedRead, ir.Ids, ir.NSys))
+               for n in nodes(formula))  # fmt: skip
 
 
 def is_covered(reason: str) -> bool:
