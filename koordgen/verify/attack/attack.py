@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from itertools import cycle
 from random import Random
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from koordgen.ir import decl
 from koordgen.ir import expr as ir
@@ -48,7 +48,6 @@ STALE = 400  # pieces of work without a new state, after which the attack ends
 FIRST = 0.4  # of the budget, until the solver is asked
 
 Clock = Callable[[], float]
-V = TypeVar("V", decl.Local, decl.Shared)
 
 
 class Report(NamedTuple):
@@ -117,20 +116,22 @@ def _none(why: str) -> Report:
 def runnable(program: decl.Program) -> tuple[decl.Program, bool]:
     """The program made exact; and whether first values of variables, GridMaps, are those of robots, which depend on the
     params that the program has."""
-    rounded = {v.name for v in (*program.locals, *program.shared) if any(_is_map(n) for n in nodes(v.initial))}
+    variables: list[decl.Local | decl.Shared] = [*program.locals, *program.shared]
+    rounded = {v.name for v in variables if any(_is_map(n) for n in nodes(v.initial))}
     made = exact(program)
     if not rounded:
         return made, False
     first = initial(program, 1)
     values = {**first.robots[0].locals, **first.store.cells, **{n: v[0] for n, v in first.store.slots.items()}}
 
-    def known(variable: V) -> V:
-        value: Any = values[variable.name]
-        given = ir.Const(value, variable.type, variable.span)  # the semantics takes a constant's value as it is
-        return replace(variable, initial=given) if variable.name in rounded else variable
+    def known(variable: decl.Local | decl.Shared) -> ir.Expr:
+        value: Any = values[variable.name]  # the semantics takes a constant's value as it is
+        given = ir.Const(value, variable.type, variable.span)
+        return given if variable.name in rounded else variable.initial
 
-    locals_, shared = [known(v) for v in made.locals], [known(v) for v in made.shared]
-    return replace(made, locals=tuple(locals_), shared=tuple(shared)), True
+    locals_ = tuple([replace(v, initial=known(v)) for v in made.locals])
+    shared = tuple([replace(v, initial=known(v)) for v in made.shared])
+    return replace(made, locals=locals_, shared=shared), True
 
 
 def _is_map(node: Node) -> bool:
@@ -362,6 +363,8 @@ class _Search:
     def settle(self, place: Place) -> State | None:
         """The state after the environment's step; None where no move was drawn that the assumptions allow."""
         self.unit()
+        if not self.states.sensors:
+            return place.now._replace(round=place.now.round + 1)
         fleet = []
         try:
             for pid, robot in enumerate(place.now.robots):

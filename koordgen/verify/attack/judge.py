@@ -37,7 +37,10 @@ COVERED = (
     "math domain error", "an int to the power of a negative one",
 )  # fmt: skip
 COVERED_WITHIN = (" by zero", " is no place in a list of ", " requires what does not hold")
-FALLIBLE = (ir.SlotRead, ir.At, ir.Slice, ir.Binary, ir.Builtin, ir.Call, ir.ExternCall)
+FALLIBLE = frozenset(
+    ("first", "last", "index", "map_at", "sqrt", "updated", "without", "inserted", "popped", "removed", "set_without",
+     "map_without")
+)  # fmt: skip
 
 
 class Act(NamedTuple):
@@ -108,7 +111,10 @@ class Judge:
         self.rigid = [p for property_ in self.initially for p in _conjuncts(property_.formula) if not _of_fleet(p)]
         self.events = {event.name: event for event in program.events}
         self.guards = replace(program, events=tuple([replace(event, effect=()) for event in program.events]))
-        self.fallible = {e.name for e in program.events if any(isinstance(n, FALLIBLE) for n in nodes(e.guard))}
+        functions: set[str] = set()
+        for function in program.functions:
+            functions |= {function.name} if _is_fallible(function.block, functions) else set()
+        self.fallible = {event.name for event in program.events if _is_fallible(event.guard, functions)}
         self.ports = Ports(program, draw)
         self.counts: Counter[tuple[str, str]] = Counter()
         self.reasons: dict[tuple[str, str], str] = {}
@@ -336,6 +342,26 @@ def _of_fleet(formula: ir.Expr) -> bool:
     """Return whether a formula speaks of anything but params."""
     return any(isinstance(n, (ir.LocalOf, ir.PortOf, ir.SlotRead, ir.SlotsRead, ir.SharedRead, ir.Ids, ir.NSys))
                for n in nodes(formula))  # fmt: skip
+
+
+def _is_fallible(part: object, functions: Collection[str]) -> bool:
+    """Return whether an operation that `(well-defined)` promises stands in a part of a program, or in one of the
+    functions that it calls."""
+    for node in nodes(part):
+        match node:
+            case ir.SlotRead(_, index):
+                found = not isinstance(index, ir.Pid)
+            case ir.Binary(op):
+                found = op in ("/", "//", "%", "**")
+            case ir.Builtin(name):
+                found = name in FALLIBLE
+            case ir.Call(name):
+                found = name in functions
+            case _:
+                found = isinstance(node, (ir.At, ir.Slice, ir.ExternCall))
+        if found:
+            return True
+    return False
 
 
 def is_covered(reason: str) -> bool:

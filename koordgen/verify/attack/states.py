@@ -35,7 +35,7 @@ def _exact_point(x: int, y: int, z: int) -> Point:
     return Point(Fraction(x), Fraction(y), Fraction(z))  # type: ignore[arg-type]
 
 
-ELSEWHERE = (_exact_point(2, -1, 1), _exact_point(-3, 4, 0))
+ELSEWHERE = tuple([_exact_point(*place) for place in ((2, -1, 1), (-3, 4, 0), (9, 9, 0), (-9, 6, 2))])
 
 
 class States:
@@ -43,7 +43,7 @@ class States:
 
     def __init__(self, program: decl.Program, free: Iterable[str], random: Random) -> None:
         self.program, self.random = program, random
-        self.free = [p for p in program.params if p.name in set(free) and p.type in BASE]
+        self.free = [p for p in program.params if p.name in set(free)]
         ports = [(m, p) for m in program.modules for p in m.ports]
         self.sensors = [(f"{m.name}.{p.name}", p.type) for m, p in ports if p.direction == "sensor"]
         # An unset target is where the robot is; in a module without `position` nothing tells where that is.
@@ -64,22 +64,23 @@ class States:
         """A state before `init` that is `plausible`; None where it is not. Robots are drawn one after the other, so
         that each fits those before it. The first attempt sets robots apart and has the params of the program."""
         values = {}
-        if self.free and attempt > 1 and attempt % 2:
+        if self.free and attempt % 2:
             bare = self._blank({})
             values = {p.name: self.value(p.type, bare) for p in self.free if self.random.random() < 0.5}
         blank = self._blank(values)
         fleet: list[Robot] = []
+        state = blank
         for pid in range(robots):
-            state = blank
             for _ in range(DRAWS):
                 robot = self._launched(blank, pid, attempt)
                 state = _fleet(blank, [*fleet, robot])
-                held = plausible(state)
-                if held:
+                if plausible(state):
                     break
                 attempt = max(attempt, 1)
+            else:
+                return None
             fleet.append(robot)
-        return state if held else None
+        return state
 
     def _blank(self, values: Mapping[str, Value]) -> State:
         """One robot before any `init`, with these params."""
@@ -194,7 +195,7 @@ def _spoken(program: decl.Program) -> tuple[list[Value], list[str]]:
     numbers: dict[Any, None] = {}
     points: list[Value] = []
     texts: dict[str, None] = {}
-    left: list[object] = [program.functions, program.modules, program.events, program.properties]
+    left: list[object] = [program.params, program.functions, program.modules, program.events, program.properties]
     while left:
         node = left.pop()
         if type(node) is tuple:
