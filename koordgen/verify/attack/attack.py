@@ -304,13 +304,13 @@ class _Search:
             idle += 1
             yield
             try:
-                if state is None or self.judge.relied_upon(state) or not self.fresh(state):
-                    continue
+                if state is None:
+                    self.judge.reasons.setdefault((name, ""), models.why)
+                elif not self.judge.relied_upon(state) and self.fresh(state):
+                    idle = 0
+                    yield from self.every_order(state)
             except Unusable as error:
                 self.judge.reasons.setdefault((name, ""), str(error))
-                continue
-            idle = 0
-            yield from self.every_order(state)
 
     def every_order(self, state: State) -> Iterator[None]:
         """One round from a state, in every order, and the environment's step after each."""

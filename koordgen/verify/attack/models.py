@@ -38,12 +38,13 @@ class Models:
     ) -> None:  # fmt: skip
         self.program, self.exact, self.params, self.solver, self.random = program, exact, params, solver, random
         self.asked: dict[tuple[str, int], _Asked] = {}
+        self.why = ""
         self.waited = 0.0  # seconds for the solver
         t.forget()
 
     def state(self, event: decl.Event | None, robots: int, most: float) -> State | None:
         """A state of so many robots in which the guard of `event` holds for one of them, found within `most` seconds;
-        None where the solver tells none that can be read."""
+        None where there is none that can be read, and `why` says the reason."""
         key = event.name if event is not None else "", robots
         if key not in self.asked:
             self.asked[key] = _Asked(self._hypotheses(event, robots))
@@ -64,10 +65,13 @@ class Models:
             answer = self.solver.ask(query, asked.reader.wanted(), most=most)
             self.waited += answer.seconds
             if answer.result != "sat":
+                said = "no state satisfies" if answer.result == "unsat" else "the solver found no state that satisfies"
+                self.why = f"{said} the invariants and its guard, in a fleet of {robots}"
                 return None
             asked.reader.answered(answer.values)
             return Reading(self.exact, asked.obligation, asked.reader, robots).state("before")
-        except (Unshowable, SolverMissing, NotExact):
+        except (Unshowable, SolverMissing, NotExact) as error:
+            self.why = f"the solver's states cannot be run: {error}"
             return None
 
     def _nudges(self, asked: _Asked) -> tuple[Term, ...]:

@@ -27,6 +27,7 @@ from koordgen.source import Span
 
 VALUES = 16  # of one type that are drawn from
 DRAWS = 6  # of one robot's initial sensors, until they fit the robots before it
+ARRIVING = 0.4  # of the moves, where a robot comes to where it was sent
 MOVES = 5  # of one robot that are drawn in one step of the environment
 BASE = (BOOL, INT, FLOAT, POINT)
 
@@ -109,10 +110,11 @@ class States:
     # The environment's step
 
     def moves(self, now: State, pid: int) -> Iterator[dict[str, Value]]:
-        """New sensor values of one robot, first where it was sent, last where it is."""
+        """New sensor values of one robot: often where it was sent, in the end as they are."""
         ports = now.robots[pid].ports
         goals = [goal for name, value in ports.items() if name not in self.sensed for goal in _goal(value)]
-        yield {name: self._arrived(name, type_, goals, ports) for name, type_ in self.sensors}
+        if self.random.random() < ARRIVING:
+            yield {name: self._arrived(name, type_, goals, ports) for name, type_ in self.sensors}
         for _ in range(MOVES):
             yield {name: self._moved(name, type_, goals, ports, now) for name, type_ in self.sensors}
         yield {name: ports[name] for name, _ in self.sensors}
