@@ -185,5 +185,5 @@ def test_an_answer_that_the_assumptions_do_not_allow_shows_nothing() -> None:
     program = exact(checked(text))
     assert any(act.answers and act.answers[0].asked.answer for act in FOUND.trial.acts), "it answered with a way"
     given = read(TEXT.encode(), program, HASH)
-    with pytest.raises(Unusable, match="no answer of Motion.planner is known"):
+    with pytest.raises(Unusable, match=r"no answer of Motion\.planner is known"):
         Judge(program, given.proved, lambda *_: ()).follow(given.trial)
