@@ -149,7 +149,8 @@ def _shown(program: Program, trial: Trial, followed: Followed) -> Iterator[str]:
 
     first, *others = followed.states
     moments = [Moment(first, "", None, first.round)]
-    moments += [Moment(s, act.event, act.pid, first.round) for act, s in zip(trial.acts, others, strict=True)]
+    for act, state in zip(trial.acts, others, strict=True):
+        moments.append(Moment(state, act.event, act.pid, moments[-1].state.round))
     yield from moment_lines(moments)
     contradiction = followed.contradiction
     for property_ in program.properties:

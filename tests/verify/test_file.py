@@ -120,7 +120,7 @@ CHANGES: dict[str, tuple[Callable[[Any], object], str]] = {
     "a map of cells that is none": (
         lambda d: d["state"]["robots"][0]["locals"].update(map=["1", 0, 0, 9, 9, "AA=="]), "is no GridMap",
     ),
-    "no steps": (lambda d: d.update(steps=[]), "steps is no list of 1 to 5"),
+    "no steps": (lambda d: d.update(steps=[]), "steps is no list of 1 to 64"),
     "an unknown event": (lambda d: d["steps"][-1].update(event="Fly"), "a step's event"),
     "a robot that is not there": (lambda d: d["steps"][-1].update(robot=2), "is no number from 0 to 1"),
     "answers of nobody": (lambda d: d["steps"][-1]["answers"][0].update(port="Motion.target"), "an answer's port"),

@@ -13,12 +13,14 @@ from itertools import cycle
 from random import Random
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from koordgen.diagnostics import InternalError
 from koordgen.ir import decl
 from koordgen.ir import expr as ir
 from koordgen.node import Node, nodes, replace
 from koordgen.semantics.exact import NotExact, exact
 from koordgen.semantics.state import State
 from koordgen.semantics.step import initial
+from koordgen.semantics.values import Value
 from koordgen.verify.attack.judge import (
     ENVIRONMENT,
     INIT,
@@ -81,12 +83,26 @@ class Found(Exception):
 
 
 class Place(NamedTuple):
-    """Within a round: its start, the state now, the robots that had their turn, the steps until now."""
+    """Within a round: the state that all began with, the round's start, the state now, the robots that had their turn
+    in this round, all steps until now."""
 
+    first: State
     start: State
     now: State
     turns: frozenset[int]
     acts: tuple[Act, ...]
+
+    def then(self, act: Act, now: State) -> Place:
+        """After a step of a robot; the beginning of the next round where it is the environment's, or `init`."""
+        acts = (*self.acts, act)
+        if act.pid is None:
+            return Place(self.first, now, now, frozenset(), acts)
+        return Place(self.first, self.start, now, self.turns | {act.pid}, acts)
+
+
+def beginning(state: State) -> Place:
+    """A state before `init`, or at a round's start, from which steps are run."""
+    return Place(state, state, state, frozenset(), ())
 
 
 def attack(
@@ -156,7 +172,7 @@ class _Search:
         self.params, self.solver, self.until = params, solver, until
         self.computing = clock
         self.waited = 0.0  # seconds for the solver
-        self.ready: list[State] = []
+        self.ready: list[Place] = []  # after `init`
         self.seen: set[tuple[object, ...]] = set()
         self.launched: dict[int, int] = {}
         self.runs: dict[str, int] = {}  # of each event
@@ -181,12 +197,16 @@ class _Search:
             return self.confirmed(found.contradiction)
         return None
 
-    def confirmed(self, found: Contradiction) -> Contradiction | None:
-        """A contradiction once more, from its beginning: what the semantics does not repeat is none."""
+    def confirmed(self, found: Contradiction) -> Contradiction:
+        """A contradiction once more, from its beginning, by another judge."""
+        why = "it is none the second time"
         try:
-            return Judge(self.exact, self.proved, self.states.answers).follow(found.trial).contradiction
+            again = Judge(self.exact, self.proved, self.states.answers).follow(found.trial).contradiction
+            if again is not None:
+                return again
         except (Refused, Unusable) as error:
-            raise AssertionError(f"the attack found what it cannot repeat: {error}") from None
+            why = str(error)
+        raise InternalError(f"the attack on {found.breach.invariant} found what it cannot repeat: {why}")
 
     def alternate(self) -> None:
         """Walks and models, each with half of the time, until the budget is used up."""
@@ -219,13 +239,13 @@ class _Search:
         some rounds."""
         for robots in self.fleets:
             for _ in range(STARTS):
-                state = self.launch(robots)
-                if state is not None:
-                    yield from self.once(state)
-                    yield from self.walk(state)
+                place = self.launch(robots)
+                if place is not None:
+                    yield from self.once(place)
+                    yield from self.walk(place)
 
-    def launch(self, robots: int) -> State | None:
-        """A state after every robot's init; None where none was found."""
+    def launch(self, robots: int) -> Place | None:
+        """A place after every robot's init; None where none was found."""
         for _ in range(TRIES):
             self.unit()
             attempt = self.launched[robots] = self.launched.get(robots, -1) + 1
@@ -237,16 +257,15 @@ class _Search:
             except (Unusable, NotExact) as error:
                 self.judge.reasons["", ""] = f"no initial state can be made: {error}"
                 continue
-            self.check(Trial(state, (act,)), breach, state, after)
-            self.ready.append(after)
-            return after
+            place = self.check(beginning(state), act, after, breach)
+            self.ready.append(place)
+            return place
         unmade = self.judge.reasons.get(("", ""), "no state was found that satisfies what holds `initially`")
         self.judge.reasons.setdefault((INIT, ""), unmade)
         return None
 
-    def once(self, state: State) -> Iterator[None]:
+    def once(self, place: Place) -> Iterator[None]:
         """Every event that one robot alone may run in a state, each followed by the environment's step."""
-        place = Place(state, state, frozenset(), ())
         self.settle(place)
         for step in self.steps(place):
             yield
@@ -257,25 +276,23 @@ class _Search:
     def walks(self) -> Iterator[None]:
         """Random walks, out of initial states, new ones among them."""
         for robots in cycle(self.fleets):
-            state = self.launch(robots) if self.random.random() < 0.5 or not self.ready else None
+            place = self.launch(robots) if self.random.random() < 0.5 or not self.ready else None
             yield
-            if state is None and not self.ready:
+            if place is None and not self.ready:
                 return
-            yield from self.walk(self.random.choice(self.ready) if state is None else state)
+            yield from self.walk(self.random.choice(self.ready) if place is None else place)
 
-    def walk(self, state: State) -> Iterator[None]:
+    def walk(self, place: Place) -> Iterator[None]:
         for _ in range(ROUNDS):
-            place: Place | None = Place(state, state, frozenset(), ())
-            assert place is not None
-            order = self.random.sample(range(len(state.robots)), len(state.robots))
-            for pid in order:
+            robots = len(place.now.robots)
+            for pid in self.random.sample(range(robots), robots):
                 if self.random.random() >= SKIPS:
                     place = self.turn(place, pid)
                     yield
-            after = self.settle(place)
-            if after is None:
+            moved = self.settle(place)
+            if moved is None:
                 return
-            state = after
+            place = moved
 
     def turn(self, place: Place, pid: int) -> Place:
         """One event of a robot, one that was run seldom; the same place where it has none."""
@@ -314,7 +331,7 @@ class _Search:
 
     def every_order(self, state: State) -> Iterator[None]:
         """One round from a state, in every order, and the environment's step after each."""
-        places, count = [Place(state, state, frozenset(), ())], 0
+        places, count = [beginning(state)], 0
         while places and count < ORDERS:
             place = places.pop(0)
             self.settle(place)
@@ -342,7 +359,7 @@ class _Search:
             return []
         if ready.fault is not None:
             act, breach = ready.fault
-            self.check(Trial(place.start, (*place.acts, act)), breach, place.now, place.now)
+            self.check(place, act, place.now, breach)
         return ready.events
 
     def step(self, place: Place, pid: int, event: decl.Event) -> Place | None:
@@ -356,15 +373,15 @@ class _Search:
         if found is None:
             return None
         after, act, breach = found
-        acts = (*place.acts, act)
-        self.check(Trial(place.start, acts), breach, place.now, after)
-        return Place(place.start, after, place.turns | {pid}, acts)
+        return self.check(place, act, after, breach)
 
-    def settle(self, place: Place) -> State | None:
-        """The state after the environment's step; None where no move was drawn that the assumptions allow."""
+    def settle(self, place: Place) -> Place | None:
+        """The beginning of the next round, after the environment's step; None where no move was drawn that the
+        assumptions allow."""
         self.unit()
         if not self.states.sensors:
-            return place.now._replace(round=place.now.round + 1)
+            sensors: tuple[Mapping[str, Value], ...] = tuple([{} for _ in place.now.robots])
+            return place.then(Act(ENVIRONMENT, sensors=sensors), place.now._replace(round=place.now.round + 1))
         fleet = []
         try:
             for pid, robot in enumerate(place.now.robots):
@@ -378,12 +395,14 @@ class _Search:
             after, act, breach = self.judge.moved(place.now, tuple(fleet))
         except Unusable:
             return None
-        self.check(Trial(place.start, (*place.acts, act)), breach, place.now, after)
-        return after
+        return self.check(place, act, after, breach)
 
-    def check(self, trial: Trial, breach: Breach | None, before: State, after: State) -> None:
+    def check(self, place: Place, act: Act, after: State, breach: Breach | None) -> Place:
+        """The place after a step. Raises Found where the step contradicts a verdict."""
+        step = place.then(act, after)
         if breach is not None:
-            raise Found(Contradiction(trial, breach, before, after))
+            raise Found(Contradiction(Trial(step.first, step.acts), breach, place.now, after))
+        return step
 
     def fresh(self, state: State) -> bool:
         """Whether a state was not attacked before."""

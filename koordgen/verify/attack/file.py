@@ -47,7 +47,7 @@ from koordgen.verify.attack.ports import Answer
 FORMAT = "koord-unsound/1"
 MOST_BYTES = 4 << 20
 MOST_ROBOTS = 4
-MOST_ACTS = MOST_ROBOTS + 1
+MOST_ACTS = 64
 DIGITS = 1000  # of a number
 _NUMBER = re.compile(rf"-?[0-9]{{1,{DIGITS}}}(/[0-9]{{1,{DIGITS}}})?")
 _ROOT = re.compile(r"sqrt\((.*)\)", re.DOTALL)

@@ -53,8 +53,8 @@ class Act(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """A state at a round's start and the steps of that round that are run on it; or a state before `init`, which is the
-    one step then."""
+    """A state at a round's start, or before `init`, and the steps that are run on it: in a round each robot runs one
+    event at most, and the environment's step ends the round."""
 
     state: State
     acts: tuple[Act, ...]
@@ -295,37 +295,38 @@ class Judge:
                 raise Refused("what the program says in `initially` does not hold in its state")
         elif broken := self.relied_upon(state):
             raise Refused(f"{broken} does not hold in its state, before any step")
-        states = [state]
+        states, start = [state], state
+        turns: set[int] = set()  # the robots that had theirs in this round
         breach: Breach | None = None
         for act in acts:
             if breach is not None:
                 raise Refused("it goes on after a step that contradicts a verdict")
-            now, breach = self._followed(trial, act, states[-1])
+            if act.pid in turns:
+                raise Refused(f"robot {act.pid} runs two events in one round")
+            now, breach = self._followed(start, states[-1], act)
             states.append(now)
+            start, turns = (now, set()) if act.pid is None else (start, turns | {act.pid})
         return Followed(tuple(states), Contradiction(trial, breach, *states[-2:]) if breach else None)
 
-    def _followed(self, trial: Trial, act: Act, now: State) -> tuple[State, Breach | None]:
+    def _followed(self, start: State, now: State, act: Act) -> tuple[State, Breach | None]:
+        """One step of a trial, in a round that began with `start`."""
         if (act.event == INIT) != (now.round == 0):
             raise Refused("`init` comes first, and once")
         if act.event == INIT:
             after, _, breach = self.init(now, act.answers)
             return after, breach
         if act.event == ENVIRONMENT:
-            if act is not trial.acts[-1]:
-                raise Refused("the environment's step ends a round")
             after, _, breach = self.environment(now, act.sensors)
             return after, breach
-        if sum(other.pid == act.pid for other in trial.acts) > 1:
-            raise Refused(f"robot {act.pid} runs two events in one round")
         assert act.pid is not None
-        ready = self.ready(trial.state, now, act.pid, act.answers)
+        ready = self.ready(start, now, act.pid, act.answers)
         for event in ready.events:
             if event.name == act.event:
-                step = self.event(trial.state, now, act.pid, event)
+                step = self.event(start, now, act.pid, event)
                 if step is None:
                     raise Refused(f"event {act.event} of robot {act.pid} is discarded")
                 return step[0], step[2]
-        if ready.fault is not None and ready.fault[0].event == act.event and act is trial.acts[-1]:
+        if ready.fault is not None and ready.fault[0].event == act.event:
             return now, ready.fault[1]
         raise Refused(f"robot {act.pid} may not run {act.event} there")
 
@@ -340,7 +341,7 @@ def _conjuncts(formula: ir.Expr) -> Iterator[ir.Expr]:
 
 def _of_fleet(formula: ir.Expr) -> bool:
     """Return whether a formula speaks of anything but params."""
-    return any(isinstance(n, (ir.LocalOf, ir.PortOf, ir.SlotRead, ir.SlotsRead, ir.SharedRead, ir.Ids, ir.NSys))
+    return any(isinstance(n, (ir.LocalOf, ir.PortOf, ir.SlotRead, ir.SlotsRead, ir.SharedRead, ir.Ids))
                for n in nodes(formula))  # fmt: skip
 
 
