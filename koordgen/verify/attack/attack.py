@@ -7,6 +7,7 @@ round is run in every order. The same program and seed give the same states; the
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from itertools import cycle
@@ -111,8 +112,8 @@ def attack(
     clock: Clock = time.process_time, seed: int = 0,
 ) -> Report:  # fmt: skip
     """Look for a state that contradicts a PROVED invariant (or "(well-defined)"), for `seconds` of `clock`, which are
-    those of computing, the solver's included. `params` are fixed, all others may have any value; `solver` tells
-    pre-states, where there is one."""
+    those of computing, the solver's included; with another clock, that counts work, waiting for the solver takes none.
+    `params` are fixed, all others may have any value; `solver` tells pre-states, where there is one."""
     began = clock()
     if robots is not None and robots > FLEETS[-1]:
         return _none(f"only fleets of at most {FLEETS[-1]} robots are attacked")
@@ -170,7 +171,7 @@ class _Search:
         self.judge = Judge(self.exact, proved, self.states.answers)
         self.fleets = FLEETS if robots is None else (robots,)
         self.params, self.solver, self.until = params, solver, until
-        self.computing = clock
+        self.computing, self.timed = clock, clock is time.process_time
         self.waited = 0.0  # seconds for the solver
         self.ready: list[Place] = []  # after `init`
         self.seen: set[tuple[object, ...]] = set()
@@ -316,8 +317,9 @@ class _Search:
         while wanted and idle < 2 * len(wanted) * len(self.fleets):
             name = min(wanted, key=lambda step: self.runs.get(step, 0) + self.tried.get(step, 0))
             self.tried[name] = self.tried.get(name, 0) + ORDERS
-            state = models.state(plain.get(name), next(sizes), self.until - self.clock())
-            self.waited = models.waited
+            most = self.until - self.clock() if self.timed else math.inf
+            state = models.state(plain.get(name), next(sizes), most)
+            self.waited = models.waited if self.timed else 0.0
             idle += 1
             yield
             try:

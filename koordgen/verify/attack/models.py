@@ -24,7 +24,7 @@ from koordgen.prove.term import Term
 from koordgen.semantics.exact import NotExact
 from koordgen.semantics.state import State
 
-QUERY = 0.5  # seconds of one query, at most
+QUERY = 2.0  # seconds of one query, at most
 NUDGES = 3  # parts of a state that are asked to be something else, at most
 NUMBERS = (-1, 0, 1, 2, 3, 7)
 
