@@ -14,7 +14,7 @@ from koordgen.ir.decl import Program
 from koordgen.semantics.exact import exact
 from koordgen.verify.attack.attack import attack
 from koordgen.verify.attack.file import MOST_BYTES, BadFile, read, written
-from koordgen.verify.attack.judge import Contradiction, Judge, Refused, Unusable
+from koordgen.verify.attack.judge import Contradiction, Judge, Refused, Trial, Unusable
 from tests.prove.told import checked
 from tests.verify.faults import every_name, ticks
 
@@ -62,9 +62,13 @@ invariant Q: forall i in ID: n[i] == 0
 
 
 def made() -> tuple[Program, Contradiction, str]:
+    """A contradiction from a state after `init`."""
     program = checked(RICH)
     found = attack(program, every_name(program), robots=2, clock=ticks()).contradiction
     assert found is not None
+    state, acts = found.trial
+    begun = Judge(exact(program), [], lambda *_: ()).follow(Trial(state, acts[:1])).states[1]
+    found = found._replace(trial=Trial(begun, acts[1:]))
     return exact(program), found, written(found, ["Q", "(well-defined)"], HASH, "app.koord")
 
 
