@@ -261,3 +261,20 @@ invariant Q: forall i in ID: on[i] or not on[i]
 """
     found = attacked(text, robots=1)
     assert found.states == {(INIT, "Q"): 1, ("Go", "Q"): 1, (INIT, WELL_DEFINED): 1, ("Go", WELL_DEFINED): 1}
+
+
+def test_first_values_that_a_param_makes_impossible_are_no_error() -> None:
+    text = """
+param int n = 2
+local: int a = 6 // n
+Go:
+  pre: a > 0
+  eff: a = 0
+invariant Q: forall i in ID: a[i] >= 0 or n < 0
+"""
+    assert broken(attacked(text)) == ""
+
+
+def test_states_of_models_keep_first_values_of_what_no_model_tells(solver: Solver) -> None:
+    text = FAR.replace("local: int n", "local:\n  int n\n  Set<int> seen max 4\n  Map<int, int> m max 4")
+    assert broken(attacked(text, solver=solver, seconds=0.2)) == "Q"

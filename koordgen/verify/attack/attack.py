@@ -18,6 +18,7 @@ from koordgen.diagnostics import InternalError
 from koordgen.ir import decl
 from koordgen.ir import expr as ir
 from koordgen.node import Node, nodes, replace
+from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exact import NotExact, exact
 from koordgen.semantics.state import State
 from koordgen.semantics.step import initial
@@ -255,7 +256,7 @@ class _Search:
                 if state is None or not self.fresh(state):
                     continue
                 after, act, breach = self.judge.init(state)
-            except (Unusable, NotExact) as error:
+            except (Unusable, NotExact, Discarded) as error:
                 self.judge.reasons["", ""] = f"no initial state can be made: {error}"
                 continue
             place = self.check(beginning(state), act, after, breach)
@@ -395,7 +396,7 @@ class _Search:
                     return None
                 fleet.append(move)
             after, act, breach = self.judge.moved(place.now, tuple(fleet))
-        except Unusable:
+        except (Unusable, NotExact):
             return None
         return self.check(place, act, after, breach)
 

@@ -14,6 +14,7 @@ from typing import NamedTuple
 from koordgen.diagnostics import InternalError
 from koordgen.ir import decl
 from koordgen.ir import expr as ir
+from koordgen.ir.types import BOOL
 from koordgen.node import nodes, replace
 from koordgen.prove.model import allowed
 from koordgen.prove.reading import Unshowable
@@ -25,6 +26,7 @@ from koordgen.semantics.relations import choices
 from koordgen.semantics.state import State
 from koordgen.semantics.step import Step, applied, enabled, execute, run_init, sense
 from koordgen.semantics.values import Value
+from koordgen.source import Span
 from koordgen.verify.attack.ports import Answer, Draw, Ports
 
 WELL_DEFINED = "(well-defined)"
@@ -37,6 +39,7 @@ COVERED = (
     "math domain error", "an int to the power of a negative one",
 )  # fmt: skip
 COVERED_WITHIN = (" by zero", " is no place in a list of ", " requires what does not hold")
+TRUE = ir.Const(True, BOOL, Span(1, 1, 1, 1))
 FALLIBLE = frozenset(
     ("first", "last", "index", "map_at", "sqrt", "updated", "without", "inserted", "popped", "removed", "set_without",
      "map_without")
@@ -223,9 +226,15 @@ class Judge:
                 enabled(self.program, event, _seen(event, start, now), pid, self.ports.world)
             except Discarded as fault:
                 breach = None if self.ports.lacking else self._fault(event.name, str(fault), fault.reason)
-                if breach is not None:
+                if breach is not None and self._comes_to(event, start, now, pid):
                     return self._act(event.name, pid), breach
         return None
+
+    def _comes_to(self, event: decl.Event, start: State, now: State, pid: int) -> bool:
+        """Return whether a robot may run an event if its guard holds: none that goes before it keeps it from that."""
+        events = [replace(e, guard=TRUE) if e.name == event.name else e for e in self.guards.events]
+        steps = choices(replace(self.guards, events=tuple(events)), now, pid, start.store, self.ports.world)
+        return any(step.event == event.name for step in steps)
 
     def event(self, start: State, now: State, pid: int, event: decl.Event) -> tuple[State, Act, Breach | None] | None:
         """The event of robot `pid`, which `ready` found; None where it is discarded. Raises Unusable."""

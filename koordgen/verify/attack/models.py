@@ -10,6 +10,8 @@ from random import Random
 
 from koordgen.ir import decl
 from koordgen.ir import expr as ir
+from koordgen.ir.types import MapOf, RecordType, Sized, TupleOf, Type
+from koordgen.ir.types import Sequence as SequenceType
 from koordgen.node import replace
 from koordgen.prove import term as t
 from koordgen.prove.encode.state import Free
@@ -21,6 +23,7 @@ from koordgen.prove.obligation import Fact, Obligation
 from koordgen.prove.reading import Reader, Unshowable
 from koordgen.prove.solve import Both, Solver, SolverMissing
 from koordgen.prove.term import Term
+from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exact import NotExact
 from koordgen.semantics.state import State
 
@@ -70,7 +73,7 @@ class Models:
                 return None
             asked.reader.answered(answer.values)
             return Reading(self.exact, asked.obligation, asked.reader, robots).state("before")
-        except (Unshowable, SolverMissing, NotExact) as error:
+        except (Unshowable, SolverMissing, NotExact, Discarded) as error:
             self.why = f"the solver's states cannot be run: {error}"
             return None
 
@@ -103,7 +106,7 @@ class Models:
             with room.about(f"guard of {event.name}", event.guard.span.line):
                 room.fact(stage.encoder.term(event.guard, Frame(stage.encoder, pid, now, now, ask)))
         stage.holds(setting.invariants, now)
-        cells = stage.cells([("before", now)])
+        cells = tuple([cell for cell in stage.cells([("before", now)]) if _is_readable(cell.type)])
         facts = stage.close()
         traits = 0
         for fact in facts:
@@ -114,6 +117,21 @@ class Models:
             f"attack-{name}", "consistency", "", name, self.program.path, 1, logic, facts, None, "sat", (), cells, True,
             robots, (),
         )  # fmt: skip
+
+
+def _is_readable(type_: Type) -> bool:
+    """Return whether a model tells which value of a type it is; other variables keep their first values."""
+    match type_:
+        case RecordType(_, fields):
+            return all(_is_readable(field) for _, field in fields)
+        case TupleOf(items):
+            return all(map(_is_readable, items))
+        case SequenceType(name, element):
+            return name in ("List", "Queue") and _is_readable(element)
+        case Sized(name):
+            return name == "string"
+        case _:
+            return not isinstance(type_, MapOf)
 
 
 class _Asked:

@@ -18,7 +18,7 @@ from koordgen.semantics.property import Asked
 from koordgen.semantics.state import NOTHING, State, World
 from koordgen.semantics.values import Value
 
-TURNS = 5_000  # of loops of one event: an event that turns more often is given up, and shows nothing
+TURNS = 2_000  # of loops of one event: an event that turns more often is given up, and shows nothing
 
 Draw = Callable[[State, int, str, tuple[Value, ...]], Iterable[Value]]
 Question = tuple[int, str, tuple[Value, ...]]

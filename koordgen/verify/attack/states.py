@@ -52,6 +52,7 @@ class States:
             f"{m.name}.target": f"{m.name}.position"
             for m, p in ports
             if (p.name, p.direction, p.type) == ("target", "actuator", POINT)
+            and all(other.type == POINT for other in m.ports if other.name == "position")
         }
         self.usual: State | None = None
         self.sensed = {name for name, _ in self.sensors}
