@@ -14,8 +14,9 @@ from koordgen.ir.types import MapOf, RecordType, Sized, TupleOf, Type
 from koordgen.ir.types import Sequence as SequenceType
 from koordgen.node import replace
 from koordgen.prove import term as t
+from koordgen.prove.encode.room import Room
+from koordgen.prove.encode.scope import OfFleet
 from koordgen.prove.encode.state import Free
-from koordgen.prove.encode.stmt import Frame
 from koordgen.prove.encode.values import Val
 from koordgen.prove.model import Reading
 from koordgen.prove.moment import Setting, Stage
@@ -98,13 +99,9 @@ class Models:
         room, setting = stage.room, stage.setting
         now = Free(room, setting.types)
         if event is not None:
-            pid = room.acting("pid")
-
-            def ask(node: ir.PortCall, args: tuple[Val, ...]) -> Val:
-                return room.any(f"{node.module}.{node.port}", node.type)
-
+            scope = _Acting(now, room, room.acting("pid"))
             with room.about(f"guard of {event.name}", event.guard.span.line):
-                room.fact(stage.encoder.term(event.guard, Frame(stage.encoder, pid, now, now, ask)))
+                room.fact(stage.encoder.term(event.guard, scope))
         stage.holds(setting.invariants, now)
         cells = tuple([cell for cell in stage.cells([("before", now)]) if _is_readable(cell.type)])
         facts = stage.close()
@@ -117,6 +114,23 @@ class Models:
             f"attack-{name}", "consistency", "", name, self.program.path, 1, logic, facts, None, "sat", (), cells, True,
             robots, (),
         )  # fmt: skip
+
+
+class _Acting(OfFleet):
+    """A guard: what one robot reads at a round's start. Callable ports answer anything."""
+
+    def __init__(self, state: Free, room: Room, robot: Term) -> None:
+        super().__init__(state)
+        self.room, self.pid = room, robot
+
+    def local(self, name: str) -> Val:
+        return self.state.of(("local", name), self.pid)
+
+    def port(self, name: str, primed: bool) -> Val:
+        return self.state.of(("port", name), self.pid)
+
+    def ask(self, node: ir.PortCall, args: tuple[Val, ...]) -> Val:
+        return self.room.any(f"{node.module}.{node.port}", node.type)
 
 
 def _is_readable(type_: Type) -> bool:
