@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from koordgen.diagnostics import InternalError
 from koordgen.pipeline import check_file
 from koordgen.prove.solve import Limits, Solver
 from koordgen.verify.attack.attack import attack
-from koordgen.verify.attack.judge import ENVIRONMENT, INIT, WELL_DEFINED
+from koordgen.verify.attack.judge import ENVIRONMENT, INIT, WELL_DEFINED, Followed, Judge
 from tests.prove.battery import BATTERY
 from tests.prove.told import checked
 from tests.verify.faults import FAULTS, attacked, broken, ticks
@@ -278,3 +279,9 @@ invariant Q: forall i in ID: a[i] >= 0 or n < 0
 def test_states_of_models_keep_first_values_of_what_no_model_tells(solver: Solver) -> None:
     text = FAR.replace("local: int n", "local:\n  int n\n  Set<int> seen max 4\n  Map<int, int> m max 4")
     assert broken(attacked(text, solver=solver, seconds=0.2)) == "Q"
+
+
+def test_what_the_semantics_does_not_repeat_is_an_error_of_the_attack(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Judge, "follow", lambda judge, trial: Followed((trial.state,), None))
+    with pytest.raises(InternalError, match="it is none the second time"):
+        attacked(FAULTS["a value written before a loop"])

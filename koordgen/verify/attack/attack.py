@@ -46,7 +46,8 @@ FLEETS = (1, 2, 3, 4)  # robots
 STARTS = 2  # initial states of each number of robots, at first
 TRIES = 12  # of drawing an initial state
 ROUNDS = 6  # of one random walk
-ORDERS = 60  # steps in one round from one pre-state, at most
+ORDERS = 150  # steps in one round from one pre-state, at most
+MODEL_RUNS = 60  # steps that one pre-state is expected to bring to its event, until the solver is asked for another
 SKIPS = 0.15  # of the turns of robots in a random walk
 STALE = 400  # pieces of work without a new state, after which the attack ends
 FIRST = 0.4  # of the budget, until the solver is asked
@@ -248,6 +249,7 @@ class _Search:
 
     def launch(self, robots: int) -> Place | None:
         """A place after every robot's init; None where none was found."""
+        why = "no state was found that satisfies what holds `initially`"
         for _ in range(TRIES):
             self.unit()
             attempt = self.launched[robots] = self.launched.get(robots, -1) + 1
@@ -257,13 +259,12 @@ class _Search:
                     continue
                 after, act, breach = self.judge.init(state)
             except (Unusable, NotExact, Discarded) as error:
-                self.judge.reasons["", ""] = f"no initial state can be made: {error}"
+                why = f"no initial state can be made: {error}"
                 continue
             place = self.check(beginning(state), act, after, breach)
             self.ready.append(place)
             return place
-        unmade = self.judge.reasons.get(("", ""), "no state was found that satisfies what holds `initially`")
-        self.judge.reasons.setdefault((INIT, ""), unmade)
+        self.judge.reasons.setdefault((INIT, ""), why)
         return None
 
     def once(self, place: Place) -> Iterator[None]:
@@ -298,8 +299,8 @@ class _Search:
 
     def turn(self, place: Place, pid: int) -> Place:
         """One event of a robot, one that was run seldom; the same place where it has none."""
-        seldom = lambda event: (self.runs.get(event.name, 0), self.random.random())  # noqa: E731
-        for event in sorted(self.options(place, pid), key=seldom):
+        drawn = [(self.runs.get(event.name, 0), self.random.random(), event) for event in self.options(place, pid)]
+        for _, _, event in sorted(drawn, key=lambda each: each[:2]):
             step = self.step(place, pid, event)
             if step is not None:
                 return step
@@ -317,7 +318,7 @@ class _Search:
         idle = 0
         while wanted and idle < 2 * len(wanted) * len(self.fleets):
             name = min(wanted, key=lambda step: self.runs.get(step, 0) + self.tried.get(step, 0))
-            self.tried[name] = self.tried.get(name, 0) + ORDERS
+            self.tried[name] = self.tried.get(name, 0) + MODEL_RUNS
             most = self.until - self.clock() if self.timed else math.inf
             state = models.state(plain.get(name), next(sizes), most)
             self.waited = models.waited if self.timed else 0.0
