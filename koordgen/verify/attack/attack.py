@@ -1,8 +1,9 @@
 """Attack on a program's PROVED invariants, within a budget: which states are run, in which order, and what was found.
 
-Cheap and telling states come first: initial states, `init`, the first events of each robot. Then two sources take
-turns by the time that they have used: random walks out of `init`, and states from the solver's models, from which one
-round is run in every order. The same program and seed give the same states; the budget says how many of them.
+Cheap and telling states come first: initial states, `init`, the first events of each robot. Then three sources take
+turns by the time that they have used: random walks out of `init`; states from the solver's models, from which one round
+is run in every order; and states beside those, which differ in a few variables. The same program and seed give the same
+states; the budget says how many of them.
 """
 
 from __future__ import annotations
@@ -47,6 +48,7 @@ STARTS = 2  # initial states of each number of robots, at first
 TRIES = 12  # of drawing an initial state
 ROUNDS = 6  # of one random walk
 ORDERS = 150  # steps in one round from one pre-state, at most
+VARIED_ORDERS = 8  # the same, from a state beside a known one
 MODEL_RUNS = 60  # steps that one pre-state is expected to bring to its event, until the solver is asked for another
 SKIPS = 0.15  # of the turns of robots in a random walk
 STALE = 400  # pieces of work without a new state, after which the attack ends
@@ -176,6 +178,7 @@ class _Search:
         self.computing, self.timed = clock, clock is time.process_time
         self.waited = 0.0  # seconds for the solver
         self.ready: list[Place] = []  # after `init`
+        self.known: list[State] = []  # at a round's start
         self.seen: set[tuple[object, ...]] = set()
         self.launched: dict[int, int] = {}
         self.runs: dict[str, int] = {}  # of each event
@@ -212,8 +215,8 @@ class _Search:
         raise InternalError(f"the attack on {found.breach.invariant} found what it cannot repeat: {why}")
 
     def alternate(self) -> None:
-        """Walks and models, each with half of the time, until the budget is used up."""
-        sources = [self.walks()] + ([self.modelled()] if self.solver is not None else [])
+        """All sources, each with the same time, until the budget is used up."""
+        sources = [self.walks(), self.varied()] + ([self.modelled()] if self.solver is not None else [])
         used = [0.0] * len(sources)
         while sources:
             place = used.index(min(used))
@@ -263,6 +266,7 @@ class _Search:
                 continue
             place = self.check(beginning(state), act, after, breach)
             self.ready.append(place)
+            self.known.append(place.now)
             return place
         self.judge.reasons.setdefault((INIT, ""), why)
         return None
@@ -296,6 +300,7 @@ class _Search:
             if moved is None:
                 return
             place = moved
+            self.known.append(place.now)
 
     def turn(self, place: Place, pid: int) -> Place:
         """One event of a robot, one that was run seldom; the same place where it has none."""
@@ -305,6 +310,16 @@ class _Search:
             if step is not None:
                 return step
         return place
+
+    # States beside known ones
+
+    def varied(self) -> Iterator[None]:
+        """Rounds from states that differ from known ones, and in which the PROVED invariants hold."""
+        while self.known and self.states.variables:
+            state = self.states.varied(self.random.choice(self.known))
+            self.unit()
+            yield
+            yield from self.every_order(state, VARIED_ORDERS)
 
     # Models
 
@@ -324,19 +339,27 @@ class _Search:
             self.waited = models.waited if self.timed else 0.0
             idle += 1
             yield
-            try:
-                if state is None:
-                    self.judge.reasons.setdefault((name, ""), models.why)
-                elif not self.judge.relied_upon(state) and self.fresh(state):
-                    idle = 0
-                    yield from self.every_order(state)
-            except Unusable as error:
-                self.judge.reasons.setdefault((name, ""), str(error))
+            if state is None:
+                self.judge.reasons.setdefault((name, ""), models.why)
+                continue
+            for _ in self.every_order(state, ORDERS, name):
+                idle = 0
+                yield
 
-    def every_order(self, state: State) -> Iterator[None]:
-        """One round from a state, in every order, and the environment's step after each."""
+    def every_order(self, state: State, most: int, wanted: str = "") -> Iterator[None]:
+        """One round from a state in which the PROVED invariants hold, in every order, and the environment's step after
+        each: at most so many steps."""
+        try:
+            if self.judge.relied_upon(state) or not self.fresh(state):
+                return
+        except Unusable as error:
+            if wanted:
+                self.judge.reasons.setdefault((wanted, ""), str(error))
+            return
+        yield
+        self.known.append(state)
         places, count = [beginning(state)], 0
-        while places and count < ORDERS:
+        while places and count < most:
             place = places.pop(0)
             self.settle(place)
             for step in self.steps(place):

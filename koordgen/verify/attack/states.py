@@ -13,12 +13,13 @@ from typing import Any
 
 from koordgen.ir import decl
 from koordgen.ir import expr as ir
-from koordgen.ir.types import BOOL, FLOAT, INT, POINT, POSE, STRING, RecordType, TupleOf, Type
+from koordgen.ir.types import BOOL, FLOAT, INT, POINT, POSE, STRING, MapOf, RecordType, TupleOf, Type
 from koordgen.ir.types import Sequence as SequenceType
 from koordgen.node import Node
 from koordgen.prove.model import made_state, with_values
 from koordgen.prove.reach import Pools
 from koordgen.runtime.values import Point, Pose
+from koordgen.semantics.builtins import map_of, set_of
 from koordgen.semantics.exact import made_exact
 from koordgen.semantics.state import Robot, State, Store
 from koordgen.semantics.step import initial
@@ -26,6 +27,7 @@ from koordgen.semantics.values import RecordValue, Value, default
 from koordgen.source import Span
 
 VALUES = 16  # of one type that are drawn from
+VARIED = 3  # variables of a state that are changed together, at most
 DRAWS = 6  # of one robot's initial sensors, until they fit the robots before it
 ARRIVING = 0.4  # of the moves, where a robot comes to where it was sent
 MOVES = 5  # of one robot that are drawn in one step of the environment
@@ -55,6 +57,11 @@ class States:
             and all(other.type == POINT for other in m.ports if other.name == "position")
         }
         self.usual: State | None = None
+        self.variables = [("local", v.name, v.type) for v in program.locals]
+        self.variables += [("slot" if v.kind == "allread" else "cell", v.name, v.type) for v in program.shared]
+        self.variables += [
+            ("port", f"{m.name}.{p.name}", p.type) for m, p in ports if p.direction in ("sensor", "actuator")
+        ]
         self.sensed = {name for name, _ in self.sensors}
         spoken, self.texts = _spoken(program)
         self.pools = Pools((), [*spoken, *ELSEWHERE], VALUES)
@@ -134,6 +141,25 @@ class States:
             return (place + goal) / 2 if chance < 0.4 and isinstance(place, Point) else goal
         return self.value(type_, now)
 
+    # States beside a state
+
+    def varied(self, state: State) -> State:
+        """A state that differs in a few variables: drawn values, or those of other variables and robots."""
+        for _ in range(self.random.randint(1, VARIED)):
+            kind, name, type_ = self.random.choice(self.variables)
+            pids = range(len(state.robots))
+            chosen = pids if self.random.random() < 0.3 else [self.random.choice(pids)]
+            value = self._other(state, self.random.choice(pids), type_)
+            for pid in chosen if kind != "cell" else [0]:
+                state = _with(state, kind, name, pid, value)
+        return state
+
+    def _other(self, state: State, pid: int, type_: Type) -> Value:
+        alike = [(kind, name) for kind, name, other in self.variables if other == type_]
+        if self.random.random() < 0.4:
+            return _of(state, *self.random.choice(alike), pid)
+        return self.value(type_, state)
+
     # Callable ports
 
     def answers(self, state: State, pid: int, port: str, args: tuple[Value, ...]) -> Iterator[Value]:
@@ -173,9 +199,12 @@ class States:
                 return tuple([self.value(part, state) for part in parts])
             case RecordType(name, fields):
                 return RecordValue(name, tuple([self.value(part, state) for _, part in fields]))
-            case SequenceType("List" | "Queue", element, capacity):
+            case SequenceType(name, element, capacity):
                 count = min(self.random.randrange(3), capacity)
-                return tuple([self.value(element, state) for _ in range(count)])
+                found = tuple([self.value(element, state) for _ in range(count)])
+                return set_of(found) if name == "Set" else found
+            case MapOf(key, held):
+                return map_of((self.value(TupleOf((key, held)), state),) * self.random.randrange(2))
             case _:
                 return made_exact(default(type_, {}))  # type: ignore[no-any-return]
 
@@ -185,6 +214,33 @@ def _fleet(blank: State, robots: Sequence[Robot]) -> State:
     count = len(robots)
     slots = {name: values[:1] * count for name, values in blank.store.slots.items()}
     return blank._replace(robots=tuple(robots), store=Store(slots, blank.store.cells))
+
+
+def _of(state: State, kind: str, name: str, pid: int) -> Value:
+    """A variable's value, of robot `pid` where each has its own."""
+    if kind == "cell":
+        return state.store.cells[name]
+    if kind == "slot":
+        return state.store.slots[name][pid]
+    robot = state.robots[pid]
+    return (robot.locals if kind == "local" else robot.ports)[name]
+
+
+def _with(state: State, kind: str, name: str, pid: int, value: Value) -> State:
+    """The state in which a variable has another value."""
+    store = state.store
+    if kind == "cell":
+        return state._replace(store=Store(store.slots, {**store.cells, name: value}))
+    if kind == "slot":
+        slots = (*store.slots[name][:pid], value, *store.slots[name][pid + 1 :])
+        return state._replace(store=Store({**store.slots, name: slots}, store.cells))
+    robot = state.robots[pid]
+    changed = (
+        robot._replace(locals={**robot.locals, name: value})
+        if kind == "local"
+        else robot._replace(ports={**robot.ports, name: value})
+    )
+    return state._replace(robots=(*state.robots[:pid], changed, *state.robots[pid + 1 :]))
 
 
 def _goal(command: Value) -> list[Point]:
