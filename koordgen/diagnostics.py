@@ -65,6 +65,7 @@ CATALOGUE: dict[str, str] = {
     "K055": "a type contains itself",
     "K056": "wrong use of a stream",
     "K057": "a number outside a function's domain",
+    "K058": "a loop invariant or 'old' has no place here",
     "F001": "not YAML",
     "F002": "unknown key",
     "F003": "missing key",

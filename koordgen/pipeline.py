@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 from koordgen.check import check
 from koordgen.diagnostics import Diagnostic, in_order, together
 from koordgen.ir.decl import Program
+from koordgen.ir.stmt import LoopInvariant
 from koordgen.ir.types import POINT, RecordType, Sequence, list_of
 from koordgen.ir.verify import verify
-from koordgen.node import Node, replace
+from koordgen.node import Node, nodes, replace
 from koordgen.source import Source, Span
 from koordgen.syntax import decl as tree
 from koordgen.syntax.parse import parse
@@ -247,6 +248,8 @@ def _known(program: Program, fleet_path: str, program_path: str) -> Known:
     own += [f"assume {module.name}" for module in program.modules if module.assumptions]
     own += [f"requires {f.name}" for f in program.externs if f.requires]
     own += [f"ensures {f.name}" for f in program.externs if f.ensures]
+    if any(isinstance(node, LoopInvariant) for node in nodes((program.init, program.events, program.functions))):
+        own.append("loop invariants")
     return Known(unpublished, unmarked, lambda d, methods: unfit(d.module, d.name, methods), tuple(own))
 
 

@@ -1,4 +1,4 @@
-"""Contracts of extern functions, and all else for which events were discarded, as robots told of it."""
+"""Contracts of extern functions, other reasons to discard an event, and loop invariants, as robots told of them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import Any
 
 from koordgen.audit.finding import AFTER, Finding, Moment, Outcome, Violation
 from koordgen.audit.story import Mission, Story
-from koordgen.ir import decl
+from koordgen.ir import decl, stmt
+from koordgen.node import nodes
 from koordgen.prove.spell import spelled
 from koordgen.replay.robot import OVERRAN
 
@@ -28,7 +29,7 @@ def contracts(program: decl.Program, mission: Mission) -> list[Finding]:
     for round_ in range(1, mission.last + 1):
         told: dict[int, list[tuple[Outcome, str]]] = {line: [] for line in (0, *found)}
         for story in mission.stories:
-            record = story.rounds[round_].record if round_ in story.rounds else {}
+            record = _record(story, round_)
             if record.get("event") is None and record.get("fault") is None:
                 continue
             broken = _line(record, found)
@@ -40,6 +41,33 @@ def contracts(program: decl.Program, mission: Mission) -> list[Finding]:
         for finding in (general, *found.values()):
             finding.close(round_, told[finding.line], of_each=True)
     return [*found.values(), general]
+
+
+def loops(program: decl.Program, mission: Mission) -> list[Finding]:
+    """A finding for each loop invariant: what is counted are events (and each `init`), with its loop or without."""
+    parts = (program.functions, program.init, program.events)
+    invariants = {n.span.line: n for n in nodes(parts) if isinstance(n, stmt.LoopInvariant)}
+    found = {line: Finding("loop invariant", f"line {line}", line) for line in sorted(invariants)}
+    for round_ in range(mission.last + 1):
+        ran: list[tuple[Story, Mapping[str, Any]]] = []
+        for story in mission.stories:
+            record = (story.init or {}) if round_ == 0 else _record(story, round_)
+            if record.get("kind") == "init" or (record.get("event") is not None and record.get("fault") is None):
+                ran.append((story, record))
+        for line, finding in found.items():
+            told: list[tuple[Outcome, str]] = []
+            for story, record in ran:
+                broken = line in record.get("violated", ())
+                told.append(("violated" if broken else "held", ""))
+                if broken and finding.first is None:
+                    read = (f"in {record.get('event') or 'init'}: {spelled(invariants[line].formula)}",)
+                    finding.first = Violation(Moment(round_, False), AFTER, (story.name,), (), read, "", ())
+            finding.close(round_, told, of_each=True)
+    return list(found.values())
+
+
+def _record(story: Story, round_: int) -> Mapping[str, Any]:
+    return story.rounds[round_].record if round_ in story.rounds else {}
 
 
 def late(mission: Mission) -> int:

@@ -8,6 +8,7 @@ from koordgen.check.base import a, argument, check_expr, fitting, same, widened
 from koordgen.check.context import Context
 from koordgen.check.dialect import FUNCTIONS as OLD_FUNCTIONS
 from koordgen.check.dialect import old_call
+from koordgen.check.invariant import check_old, port_called
 from koordgen.check.match import Bound, bind, filled, shown
 from koordgen.check.name import (
     HABITS,
@@ -67,6 +68,8 @@ def check_call(node: ast.Call, c: Context, wanted: Type | None = None) -> ir.Exp
         return _own(node, function, c)
     if name in FUNCTIONS:
         return _builtin(name, node, c)
+    if name == "old":
+        return check_old(node, c)
     if name in OLD_FUNCTIONS:
         modern = old_call(node, function, c)
         if modern is not None:
@@ -341,6 +344,8 @@ def _port_call(node: ast.Call, module: decl.Module, function: ast.Attribute, c: 
         what = where.get(c.place, "a property")
         help = "call it in 'eff:' and keep the answer in a variable"
         return c.error("K027", f"{what} cannot call {name}: its answer is an input of the event", node.span, help)
+    if c.entry is not None:
+        return port_called(name, node, c)
     if any(arg.type is POISON for arg in args):
         return c.poison(node.span)
     return ir.PortCall(module.name, port.name, tuple(args), _PATH, node.span)

@@ -352,9 +352,10 @@ def _step(node: ir.Expr) -> int:
 
 def check_quantified(node: ast.Quantified, c: Context, wanted: Type | None = None) -> ir.Expr:
     """Several names arrive nested, each over the same domain."""
-    if c.place not in ("property", "contract", "assume"):
+    if c.place not in ("property", "contract", "assume") and c.entry is None:
         help = "a loop goes through them: 'for i in ID:'"
-        return c.error("K054", f"'{node.kind}' has a place in properties and contracts only", node.span, help)
+        message = f"'{node.kind}' has a place in properties, contracts and loop invariants only"
+        return c.error("K054", message, node.span, help)
     domain = check_domain(node.domain, c)
     saved = c.path
     c.scopes.append({})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 from koordgen.check.facts import Flow
 from koordgen.check.linear import Formula
@@ -55,6 +55,32 @@ class Site(Node):
     bad: Formula
 
 
+class Entry:
+    """What a loop invariant may name in `old(...)`: temps that exist where the loop begins, by their names in the IR;
+    `values` has for each variable that was named so a declaration that keeps its value there."""
+
+    def __init__(self, begun: frozenset[str]) -> None:
+        self.begun = begun
+        self.values: dict[Expr, Let] = {}
+
+
+# What `back` leaves alone: all that belongs to the whole program.
+_LASTING = frozenset(("source", "program", "found", "owners", "entities", "types", "defaults", "calls", "broken"))
+
+
+class Mark(NamedTuple):
+    """A state of a Context: how many diagnostics there were, and what belongs to the present section."""
+
+    found: int
+    kept: dict[str, Any]
+
+
+def _copied(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_copied(item) for item in value]
+    return value.copy() if isinstance(value, (dict, set)) else value
+
+
 class Context:
     """Mutable; one for a program. What belongs to one event (or function, or property) is set anew by `enter`."""
 
@@ -87,6 +113,7 @@ class Context:
         self.module = ""  # the module whose assumption this is
         self.loops = 0  # how many loops stand around
         self.loop: Loop | None = None  # the innermost `for`, if it counts
+        self.entry: Entry | None = None  # of the loop whose invariant this is
         self.atomic = 0  # how many `atomic` blocks stand around
         self.transaction = False  # the event contains `atomic` somewhere
         self.hoisted: list[Let] = []  # what must be evaluated before the statement that is being checked
@@ -99,6 +126,16 @@ class Context:
     @flow.setter
     def flow(self, flow: Flow | None) -> None:
         self.path = None if flow is None else known(flow)
+
+    def mark(self) -> Mark:
+        """The present state, to which `back` goes."""
+        kept = {name: _copied(value) for name, value in vars(self).items() if name not in _LASTING}
+        return Mark(len(self.found), kept)
+
+    def back(self, mark: Mark) -> None:
+        """As if nothing had been checked since the mark."""
+        del self.found[mark.found :]
+        vars(self).update({name: _copied(value) for name, value in mark.kept.items()})
 
     def mention(self, name: str) -> None:
         """A variable of the robot, a shared one, or pid, is read or written."""

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from koordgen.check import bounds, linear
 from koordgen.check.base import a, condition
 from koordgen.check.block import Out, check_block
 from koordgen.check.collection import check_domain, declare, elements
 from koordgen.check.context import Context
 from koordgen.check.dialect import old_for
-from koordgen.check.facts import formula, range_facts
+from koordgen.check.facts import Flow, formula, range_facts, term
+from koordgen.check.flow import independent
+from koordgen.check.induction import Step, Turns, behind, counters, kept, knowing, written_down
+from koordgen.check.invariant import check_invariants, split
 from koordgen.check.name import module_named
+from koordgen.check.path import Path
 from koordgen.check.progress import ends
 from koordgen.check.runs import Loop
 from koordgen.check.update import updates
@@ -18,8 +24,12 @@ from koordgen.ir import expr as ir
 from koordgen.ir import stmt
 from koordgen.ir.decl import Local, Shared
 from koordgen.ir.types import BOOL, POISON, MapOf, Sequence, TupleOf, Type
+from koordgen.node import nodes
 from koordgen.syntax import expr as ast
 from koordgen.syntax import stmt as tree
+
+MOST_LOOPS = 4  # within one another; in deeper ones nothing is looked for
+_DOUBTS = frozenset(("K030", "K031", "K032", "K033", "K034"))
 
 
 def check_counted(node: tree.CountedFor, c: Context, out: Out) -> None:
@@ -28,29 +38,115 @@ def check_counted(node: tree.CountedFor, c: Context, out: Out) -> None:
 
 def check_for(node: tree.For, c: Context, out: Out) -> None:
     values = check_domain(node.values, c)
+    types = _types(node, values.type, elements(values), c)
+    c.scopes.append({})
+    temps = [declare(name.name, type_, name.span, c) for name, type_ in zip(node.names, types, strict=True)]
+    names = tuple([temp.unique for temp in temps if temp is not None])
+    head, rest = split(node.block)
+    counted = isinstance(values, (ir.Range, ir.Ids))
+    invariants = check_invariants(head, c, out, () if counted else names, names)
     before = c.flow
     changed = written(node.block, c)
     sized = changed - written(node.block, c, True)
     after = before.forgetting(changed, sized) if before is not None else None
     c.flow = after
-    types = _types(node, values.type, elements(values), c)
-    c.scopes.append({})
-    temps = [declare(name.name, type_, name.span, c) for name, type_ in zip(node.names, types, strict=True)]
     around, c.loop = c.loop, None
+    facts: list[linear.Formula] = []
     if before is not None and after is not None and len(temps) == 1 and temps[0] is not None:
-        c.flow = after
-        for fact in range_facts(temps[0].unique, values, before, after, changed, sized):
-            c.flow = c.flow.knowing(fact)
-        if isinstance(values, (ir.Range, ir.Ids)):
+        facts += range_facts(temps[0].unique, values, before, after, changed, sized)
+        if counted:
             c.loop = Loop(node.names[0].name, f"temp {temps[0].unique}", values, before, changed, sized, node.block)
-    block = _body(node.block, c)
+
+    def enter(flow: Flow) -> Flow:
+        for fact in facts:
+            flow = flow.knowing(fact)
+        return flow
+
+    def turns(block: stmt.Block) -> Turns:
+        assert before is not None and after is not None
+        if not (counted and names):
+            return Turns(before, after, changed, sized, block, enter, _same, _same, _same, _same)
+        counting = _counting(names[0], values, before, changed, sized, block)
+        return Turns(before, after, changed, sized, block, enter, _same, *counting)
+
+    block = _checked(rest, after, enter, turns, invariants, None, c)
     c.loop = around
     c.scopes.pop()
-    c.flow = after
+    c.path = None if after is None else _behind(turns(block), invariants, None)
     if values.type is POISON or POISON in types or None in temps:
         return
-    names = tuple([temp.unique for temp in temps if temp is not None])
-    out.append(stmt.For(names, types, values, block, node.span))
+    out.append(stmt.For(names, types, values, block, node.span, invariants))
+
+
+def _same(flow: Flow) -> Flow:
+    return flow
+
+
+def _counting(
+    unique: str, values: ir.Expr, before: Flow, changed: frozenset[str], sized: frozenset[str], block: stmt.Block
+) -> tuple[Step, Step, Step, str, linear.Linear | None]:
+    """What puts the first, the next and the last value into the variable of a loop that counts; the variable, and the
+    first value that it does not take, where it counts up. Where nothing is known of a value, it may be any."""
+    name = f"temp {unique}"
+    first: linear.Linear | None = linear.constant(0)
+    stop: linear.Linear | None = linear.variable(linear.N_SYS)
+    last, step = stop, 1
+    if isinstance(values, ir.Range):
+        first, stop, step = term(values.start, before), term(values.stop, before), values.step
+        last = None
+        if first is not None and stop is not None and step == 1:
+            last = linear.variable(linear.Choice(linear.at_least(stop, first), stop, first))
+    kept = last is not None and independent(last, changed, sized)
+    stays = step > 0 and stop is not None and independent(stop, changed, sized)
+    moved = any(isinstance(n, stmt.Assign) and n.place == stmt.TempPlace(unique) for n in nodes(block))
+    following = None if moved else linear.combine(linear.variable(name), linear.constant(step))
+    return (
+        lambda flow: flow.assigned(name, first),
+        lambda flow: _stated(flow, name).assigned(name, following),
+        lambda flow: flow.assigned(name, last if kept else None),
+        name,
+        stop if stays else None,
+    )
+
+
+def _stated(flow: Flow, name: str) -> Flow:
+    """The same, with what is known by a variable's value as a condition: a step of the variable moves conditions."""
+    for other, (value, about) in flow.values.items():
+        if name in about and isinstance(value, linear.Linear) and not other.startswith("len "):
+            flow = flow.knowing(linear.equal(linear.variable(other), value))
+    return flow
+
+
+def _checked(
+    rest: tree.Block, head: Flow | None, enter: Step, turns: Callable[[stmt.Block], Turns],
+    invariants: tuple[stmt.LoopInvariant, ...], condition: ir.Expr | None, c: Context,
+) -> stmt.Block:  # fmt: skip
+    """The block of a loop. Where an index or a divisor in it is doubtful, what each turn keeps is looked for, and the
+    block is checked again with that."""
+    if head is not None:
+        c.flow = enter(head)
+    mark = c.mark()
+    block = _body(rest, c)
+    doubtful = any(found.code in _DOUBTS for found in c.found[mark.found :])
+    if head is None or not doubtful or c.loops >= MOST_LOOPS:
+        return block
+    whole = turns(block)
+    found = kept(whole, [*written_down(invariants), *counters(whole, condition)])
+    if not found.inside:
+        return block
+    c.back(mark)
+    c.flow = enter(knowing(head, found.inside))
+    return _body(rest, c)
+
+
+def _behind(turns: Turns, invariants: tuple[stmt.LoopInvariant, ...], condition: ir.Expr | None) -> Path:
+    """The point behind a loop. What its turns keep is looked for when somebody asks what is known there."""
+
+    def known() -> Flow:
+        found = kept(turns, [*written_down(invariants), *counters(turns, condition)])
+        return behind(turns, found)
+
+    return Path((), known)
 
 
 def _types(node: tree.For, values: Type, element: Type, c: Context) -> tuple[Type, ...]:
@@ -70,6 +166,8 @@ def _types(node: tree.For, values: Type, element: Type, c: Context) -> tuple[Typ
 
 
 def check_while(node: tree.While, c: Context, out: Out) -> None:
+    head, rest = split(node.block)
+    invariants = check_invariants(head, c, out)
     before = c.flow
     changed = written(node.block, c)
     sized = changed - written(node.block, c, True)
@@ -80,25 +178,33 @@ def check_while(node: tree.While, c: Context, out: Out) -> None:
     poisoned = c.poisoned
     if start is not None and held.type is BOOL:
         known = formula(held, start)
-        c.flow = start.knowing(known)
         assert before is not None
         first = formula(held, before)
         if not poisoned and bounds.impossible(first, before):
             c.warn("K043", f"this loop can never run: {c.text(node.condition.span)} does not hold here", node.span)
     c.poisoned = poisoned or held.type is POISON
-    block = _body(node.block, c)
-    c.poisoned = poisoned
     leaves = _breaks(node.block)
-    if start is None or (known == linear.TRUE and not leaves):
-        c.flow = None
-    else:
-        c.flow = start if leaves else start.knowing(linear.negate(known))
+
+    def enter(flow: Flow) -> Flow:
+        return flow.knowing(known)
+
+    def leave(flow: Flow) -> Flow:
+        return flow if leaves else flow.knowing(linear.negate(known))
+
+    def turns(block: stmt.Block) -> Turns:
+        assert before is not None and start is not None
+        return Turns(before, start, changed, sized, block, enter, leave, _same, _same, _same)
+
+    block = _checked(rest, start, enter, turns, invariants, held, c)
+    c.poisoned = poisoned
+    endless = start is None or (known == linear.TRUE and not leaves)
+    c.path = None if endless else _behind(turns(block), invariants, held)
     if held.type is POISON:
         return
     if not ends(node, c):
         help = "a round must end: let the condition compare a number that each way through the loop moves on by a step"
         c.warn("K035", "nothing shows that this loop ends", node.span, help)
-    out.append(stmt.While(held, block, node.span))
+    out.append(stmt.While(held, block, node.span, invariants))
 
 
 def _body(block: tree.Block, c: Context) -> stmt.Block:

@@ -65,7 +65,7 @@ def _judged(program: Program, functions: Path | None, whole: Mission) -> list[Fi
         judged = judge.run(lambda round_, last: None if round_ % 50 else line.show(f"round {round_} of {last}"))
     finally:
         line.end()
-    return [*judged, *faults.contracts(program, whole)]
+    return [*judged, *faults.loops(program, whole), *faults.contracts(program, whole)]
 
 
 def _notes(judged: Sequence[Finding], whole: Mission) -> list[str]:

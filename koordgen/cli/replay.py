@@ -38,6 +38,9 @@ def replay(options: Namespace) -> int:
     if len(found) > MOST_TOLD:
         _say(f"... and {len(found) - MOST_TOLD} more")
     late = f", {counts.late} that overran left aside" if counts.late else ""
+    if counts.violated:
+        where = f"{_count(counts.violated, 'event')}"
+        _say(f"note: a loop invariant was false in {where}, as the program means: `koordgen audit` says which")
     robots = 1 if trace.own else len(trace.robots)
     what = f"{_count(robots, 'robot')}, {_count(counts.rounds, 'round')}, {_count(counts.events, 'event')}{late}"
     if trace.cut:

@@ -34,6 +34,11 @@ def text(node: ir.Expr, names: Names) -> str:
     return _text(node, names)[0]
 
 
+def operand(node: ir.Expr, names: Names) -> str:
+    """The Python expression for `node` as an operand of `and`."""
+    return _within(node, names, _NOT)
+
+
 def domain(node: ir.Expr, names: Names) -> str:
     """What a loop over `node` runs over in Python: of a Map its keys."""
     match node:

@@ -24,7 +24,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "merge",
     ),
     "koordgen.runtime.program": (
-        "Cell", "Event", "Frame", "Port", "Program", "Slots", "Stopped", "Transaction", "Variable",
+        "Cell", "Event", "Frame", "Port", "Program", "Slots", "Stopped", "Transaction", "Variable", "behind", "claim",
     ),
     "koordgen.runtime.property": (
         "Asking", "Assumption", "Each", "Known", "One", "Properties", "Property", "Trail", "Unchecked",

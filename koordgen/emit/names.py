@@ -70,6 +70,10 @@ class Names:
             taken.add(name)
         return found
 
+    def turns(self, name: str) -> str:
+        """A name for what a loop runs over; `name` is the loop's variable."""
+        return self._mint(f"turns_{name}")
+
     @staticmethod
     def temp(name: str) -> str:
         """A variable declared inside an event or function: unique there already, and no other name starts so."""

@@ -9,6 +9,8 @@ from koordgen.emit import expr
 from koordgen.emit.names import Names
 from koordgen.emit.types import annotation
 from koordgen.ir import stmt as ir
+from koordgen.ir.expr import Const, Ids, Range
+from koordgen.ir.types import BOOL
 
 STEP = "    "
 
@@ -22,15 +24,55 @@ def lines(block: ir.Block, names: Names, path: str, indent: str) -> Iterator[str
         match statement:
             case ir.If():
                 yield from _if(statement, names, path, indent, "if")
-            case ir.For(variables, _, values, inner):
-                taken = ", ".join([names.temp(name) for name in variables])
-                yield f"{indent}for {taken} in {expr.domain(values, names)}:{mark}"
-                yield from lines(inner, names, path, indent + STEP)
-            case ir.While(condition, inner):
-                yield f"{indent}while {expr.text(condition, names)}:{mark}"
-                yield from lines(inner, names, path, indent + STEP)
+            case ir.For():
+                yield from _for(statement, names, path, indent)
+            case ir.While():
+                yield from _while(statement, names, path, indent)
             case _:
                 yield f"{indent}{_simple(statement, names)}{mark}"
+
+
+def _for(loop: ir.For, names: Names, path: str, indent: str) -> Iterator[str]:
+    """A loop that counts has its invariants evaluated with the value that comes next: what it runs over gets a name."""
+    mark = f"  # {path}:{loop.span.line}"
+    taken, over = ", ".join([names.temp(name) for name in loop.names]), expr.domain(loop.values, names)
+    claims = [f"{claim}  # {path}:{line}" for claim, line in _claims(loop, names)]
+    counts = bool(claims) and isinstance(loop.values, (Range, Ids))
+    if counts:
+        turns = names.turns(loop.names[0])
+        yield f"{indent}{turns} = {over}{mark}"
+        over = turns
+    yield f"{indent}for {taken} in {over}:{mark}"
+    yield from (f"{indent}{STEP}{claim}" for claim in claims)
+    if loop.block or not claims:
+        yield from lines(loop.block, names, path, indent + STEP)
+    if claims:
+        yield f"{indent}else:"
+    if counts:
+        yield f"{indent}{STEP}{taken} = behind({over}){mark}"
+    yield from (f"{indent}{STEP}{claim}" for claim in claims)
+
+
+def _while(loop: ir.While, names: Names, path: str, indent: str) -> Iterator[str]:
+    """Its invariants are evaluated before its condition; where that is True, at the beginning of the block."""
+    mark = f"  # {path}:{loop.span.line}"
+    claims = _claims(loop, names)
+    endless = loop.condition == Const(True, BOOL, loop.span)
+    if not claims or endless:
+        yield f"{indent}while {expr.text(loop.condition, names)}:{mark}"
+        yield from (f"{indent}{STEP}{claim}  # {path}:{line}" for claim, line in claims)
+    else:
+        heads = " and ".join([claim for claim, _ in claims])
+        yield f"{indent}while {heads} and {expr.operand(loop.condition, names)}:{mark}"
+    if loop.block or not (claims and endless):
+        yield from lines(loop.block, names, path, indent + STEP)
+
+
+def _claims(loop: ir.For | ir.While, names: Names) -> list[tuple[str, int]]:
+    """What evaluates a loop's invariants, each with its line; it is always true."""
+    lines = [invariant.span.line for invariant in loop.invariants]
+    held = [expr.text(invariant.formula, names) for invariant in loop.invariants]
+    return [(f"claim({line}, lambda: {text})", line) for line, text in zip(lines, held, strict=True)]
 
 
 def _simple(statement: ir.Stmt, names: Names) -> str:

@@ -150,7 +150,7 @@ class Forgetting:
                         done = rt.run(code, event.effect, code.begin(frame)) if event.guard(code.begin(frame)) else None
                     except Exception:  # of the guard: as the search tells it
                         raise Unread(name) from None
-                    if isinstance(done, rt.Fault):
+                    if isinstance(done, rt.Fault) or (done is not None and done.violated):
                         raise Unread(name)
                     if done is not None:
                         machine.enabled.add(index)
@@ -170,7 +170,7 @@ class Forgetting:
                 done = rt.run(code, event.effect, self._alone(frame))
             except (Exception, Unread, _Others):
                 return False
-            if not isinstance(done, rt.Effects) or not done.stopped or done.shared or done.actuators:
+            if not isinstance(done, rt.Effects) or done.violated or not done.stopped or done.shared or done.actuators:
                 return False
             if any(done.locals[name] is not robot.locals[name] for name in self._named):
                 return False

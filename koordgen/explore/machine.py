@@ -53,7 +53,8 @@ class Choice(NamedTuple):
 
 
 class Discard(NamedTuple):
-    """An event (-1: init) that has no result. It read the store `seen`, two parts of a packed fleet."""
+    """An event (-1: init) that has no result, or in which the loop invariant on `line` is false: then `choice` is its
+    result. It read the store `seen`, two parts of a packed fleet."""
 
     pid: int
     event: int
@@ -61,6 +62,7 @@ class Discard(NamedTuple):
     seen: Packed
     line: int
     reason: str
+    choice: Choice | None = None
 
 
 class Asking:
@@ -156,7 +158,7 @@ class Machine:
                     self.discards.append(Discard(pid, index, own, seen, done.line, done.reason))
                 elif isinstance(done, rt.Effects):
                     self.enabled.add(index)
-                    found[self._choice(index, pid, robot, seen, done)] = None
+                    found[self._noted(index, pid, own, seen, done)] = None
         return tuple(found)
 
     def _asking(self, pid: int, robot: Own) -> Asking:
@@ -187,7 +189,7 @@ class Machine:
                 if isinstance(done, rt.Fault):
                     self.discards.append(Discard(pid, -1, fleet[pid], seen, done.line, done.reason))
                 else:
-                    made[self._choice(-1, pid, robot, seen, done)] = None
+                    made[self._noted(-1, pid, fleet[pid], seen, done)] = None
             found = [self.applied(after, pid, choice) for after in found for choice in made]
         return found
 
@@ -277,6 +279,14 @@ class Machine:
         }
         cells = dict(zip(self.allwrite, self.cells.values[fleet[-1]], strict=True))
         return State(self.params, tuple(robots), Store(slots, self._meant(cells)), number)
+
+    def _noted(self, index: int, pid: int, own: int, seen: Packed, done: rt.Effects) -> Choice:
+        """The choice that an event's effects are; a loop invariant that was false in it is put among the discards."""
+        choice = self._choice(index, pid, self.owns.values[own], seen, done)
+        for line in done.violated[:1]:
+            reason = f"the loop invariant on line {line} is false or has no value"
+            self.discards.append(Discard(pid, index, own, seen, line, reason, choice))
+        return choice
 
     def _choice(self, index: int, pid: int, robot: Own, seen: Packed, done: rt.Effects) -> Choice:
         sent = {name.rpartition(".")[0] for name in done.actuators if name.endswith((".target", ".path"))}

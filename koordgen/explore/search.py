@@ -10,7 +10,7 @@ from koordgen.diagnostics import InternalError
 from koordgen.explore.environment import Surroundings
 from koordgen.explore.forget import Forgetting, Unread
 from koordgen.explore.invariants import Invariants
-from koordgen.explore.machine import Discard, Machine, Packed
+from koordgen.explore.machine import Choice, Discard, Machine, Packed
 from koordgen.explore.rounds import Came, Node, Rounds, steps
 from koordgen.explore.symmetry import distinguishes, sorted_robots
 from koordgen.ir import decl
@@ -21,6 +21,7 @@ from koordgen.semantics.property import holds_property
 from koordgen.semantics.step import initial
 
 WELL_DEFINED, DEADLOCK = "(well-defined)", "(deadlock)"
+LOOP = "line "  # what the name of a loop invariant begins with; its line follows
 SHOWN = 0.25  # seconds from one view of the progress to the next
 
 
@@ -44,9 +45,9 @@ class Progress(NamedTuple):
 
 
 class Violation(NamedTuple):
-    """`name`: of the invariant, WELL_DEFINED or DEADLOCK. `failed` is what is false at the last moment; where nothing
-    is, `reason` says what is wrong, and `culprit` which robot's event (or init) has no result. `of_agents`: no order of
-    its steps is known to be one that agents do not have."""
+    """`name`: an invariant's, LOOP with a line, WELL_DEFINED or DEADLOCK. `failed` is what is false at the last moment;
+    where nothing is, `reason` says what is wrong, and `culprit` which robot's event (or init) has no result.
+    `of_agents`: no order of its steps is known to be one that agents do not have."""
 
     name: str
     line: int
@@ -149,9 +150,8 @@ class Search:
         for before, after in self._starts():
             alike = self.alike(after)
             if self.machine.discards:
-                return self._discarded(
-                    self.machine.discards[0], [Moment(self.machine.state(before, 0), "", None, 0)]
-                ), ""
+                moments = [Moment(self.machine.state(before, 0), "", None, 0)]
+                return self._discarded(self.machine.discards[0], moments, before, 0), ""
             if alike not in self.begin:
                 self.begin[alike], self.known[alike] = before, None
                 layer.append(alike)
@@ -309,6 +309,14 @@ class Search:
         for pid, event, fleet in steps(found, node):
             yield Moment(self.machine.state(fleet, number), self.machine.program.events[event].name, pid, number)
 
+    def _false_in(self, found: Discard, choice: Choice, event: str, at: Packed, number: int) -> Moment:
+        """The moment after an event in which a loop invariant is false."""
+        machine = self.machine
+        if found.event < 0:  # the others run init, too
+            begun = next(fleet for fleet in machine.begun(at) if fleet[found.pid] == choice.own)
+            return Moment(machine.state(begun), event, None, 0)
+        return Moment(machine.state(machine.applied(at, found.pid, choice), number), event, found.pid, number)
+
     def _broken(self, moments: list[Moment]) -> Violation:
         """The invariant that is false at the last moment, by the executable semantics."""
         program, state = self.machine.program, moments[-1].state
@@ -321,16 +329,23 @@ class Search:
         """An event without a result, in a round from `fleet`: looked for once more, by the robots that really took the
         steps before it."""
         moments, at = self._way_to(fleet)
+        number = moments[-1].round + 1
         self.machine.discards.clear()
         found = self.exact.ways(at)
         discard, n_sys = self.machine.discards[0], self.machine.n_sys
         if self.machine.program.events[discard.event].lock is not None:  # it read what others wrote in this round
             there = [n for n in found if n[1][discard.pid] == discard.own and n[1][n_sys:] == discard.seen]
             node = min(there, key=lambda node: node[0].bit_count())
-            moments += self._taken(found, node, moments[-1].round + 1)
-        return self._discarded(discard, moments)
+            moments += self._taken(found, node, number)
+            at = node[1]
+        return self._discarded(discard, moments, at, number)
 
-    def _discarded(self, found: Discard, moments: list[Moment]) -> Violation:
+    def _discarded(self, found: Discard, moments: list[Moment], at: Packed, number: int) -> Violation:
+        """What is to be said of an event that is tried in the fleet `at`, in round `number` behind `moments`."""
         event = self.machine.program.events[found.event].name if found.event >= 0 else "init"
+        if found.choice is not None:
+            moments.append(self._false_in(found, found.choice, event, at, number))
+            reason = f"{found.reason} in {event} of robot {found.pid}"
+            return Violation(f"{LOOP}{found.line}", found.line, tuple(moments), None, reason)
         reason = f"{event} of robot {found.pid} has no result: {found.reason}"
         return Violation(WELL_DEFINED, found.line, tuple(moments), None, reason, (found.pid, event))

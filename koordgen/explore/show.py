@@ -7,7 +7,7 @@ import textwrap
 from collections.abc import Iterator
 from typing import Any
 
-from koordgen.explore.search import DEADLOCK, WELL_DEFINED, Progress, Result, Violation
+from koordgen.explore.search import DEADLOCK, LOOP, WELL_DEFINED, Progress, Result, Violation
 from koordgen.ir import decl
 from koordgen.prove.spell import spelled
 from koordgen.prove.table import WIDTH, failed_lines, moment_lines, moments_data, own
@@ -59,6 +59,8 @@ def _violation(found: Violation, program: decl.Program) -> Iterator[str]:
     rounds = found.moments[-1].round
     after = f"after {rounds} round{'s' * (rounds != 1)}" if rounds else "at the beginning"
     what = {DEADLOCK: "deadlock", WELL_DEFINED: "an event without a result"}.get(found.name)
+    if found.name.startswith(LOOP):
+        what = f"the loop invariant on {found.name} is violated"
     yield from _wrapped(f"{what or f'{found.name} is violated'} {after}; no run of fewer rounds leads to it:")
     yield from moment_lines(found.moments)
     if found.failed is not None:

@@ -94,9 +94,11 @@ def _block(block: stmt.Block, indent: str) -> Iterator[str]:
             case stmt.For(names, types, values, inner):
                 declared = ", ".join(f"{name}: {type_}" for name, type_ in zip(names, types, strict=True))
                 yield f"{indent}for {declared} in {expression(values)}"
+                yield from _invariants(statement, indent + "  ")
                 yield from _block(inner, indent + "  ")
             case stmt.While(condition, inner):
                 yield f"{indent}while {expression(condition)}"
+                yield from _invariants(statement, indent + "  ")
                 yield from _block(inner, indent + "  ")
             case stmt.Return(value):
                 yield f"{indent}return {expression(value)}"
@@ -110,6 +112,11 @@ def _block(block: stmt.Block, indent: str) -> Iterator[str]:
                 yield f"{indent}stop"
             case _:
                 assert_never(statement)
+
+
+def _invariants(loop: stmt.For | stmt.While, indent: str) -> Iterator[str]:
+    for invariant in loop.invariants:
+        yield f"{indent}invariant {expression(invariant.formula)}"
 
 
 def _if(statement: stmt.If, indent: str) -> Iterator[str]:

@@ -72,15 +72,26 @@ class If(Node):
     span: Span
 
 
+class LoopInvariant(Node):
+    """A condition that is evaluated at a loop's head: before the first turn, before each further turn, and when the
+    condition of `while` is false or the elements of `for` are used up. A false one is reported and changes nothing."""
+
+    formula: Expr
+    span: Span
+
+
 class For(Node):
     """Runs over the value of `values` as it is at the start. One name takes each element (of a Map: each key); several
-    names take the items of each element, a tuple of that length. The names live in the block."""
+    names take the items of each element, a tuple of that length. The names live in the block. Over a Range or Ids, the
+    name may stand in an invariant, where it is the next value: `start` at first, at the end the first value not taken.
+    """
 
     names: tuple[str, ...]
     types: tuple[Type, ...]
     values: Expr
     block: Block
     span: Span
+    invariants: tuple[LoopInvariant, ...] = ()
 
 
 class While(Node):
@@ -89,6 +100,7 @@ class While(Node):
     condition: Expr
     block: Block
     span: Span
+    invariants: tuple[LoopInvariant, ...] = ()
 
 
 class Break(Node):

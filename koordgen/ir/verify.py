@@ -182,6 +182,7 @@ class _Walk(Expressions):
                 case stmt.For():
                     self.loop(statement)
                 case stmt.While(condition, inner):
+                    self.invariants(statement)
                     self.typed(condition, BOOL)
                     self.loops += 1
                     self.block(inner)
@@ -198,13 +199,24 @@ class _Walk(Expressions):
             must(pairs, f"a {element} for {len(node.names)} names", node.span)
         else:
             must((element,) == node.types, f"a {element} for a {node.types[0]}", node.span)
+        named = isinstance(node.values, (expr.Range, expr.Ids))
+        if not named:
+            self.invariants(node)
         for name, type_ in zip(node.names, node.types, strict=True):
             self.declare(name, type_, node.span)
+        if named:
+            self.invariants(node)
         self.loops += 1
         self.block(node.block)
         self.loops -= 1
         for name in node.names:
             del self.temps[name]
+
+    def invariants(self, loop: stmt.For | stmt.While) -> None:
+        self.at_head = True
+        for invariant in loop.invariants:
+            self.typed(invariant.formula, BOOL)
+        self.at_head = False
 
     def simple(self, node: stmt.Stmt) -> None:
         match node:

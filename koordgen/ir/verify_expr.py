@@ -90,6 +90,7 @@ class Expressions:
         self.module = ""
         self.result: Type | None = None
         self.loops = 0
+        self.at_head = False  # within a loop invariant
 
     def declare(self, name: str, type_: Type, span: Span) -> None:
         must(name not in self.minted, f"{name} is declared twice in one {self.place}", span)
@@ -110,7 +111,9 @@ class Expressions:
         """The type of a node, which its parts agree with."""
         kind = type(node)
         places = _PLACES.get(kind)
-        if places is not None and self.place not in places:
+        if self.at_head and kind is expr.PortCall:
+            must(False, "a PortCall in a loop invariant", node.span)
+        if places is not None and self.place not in places and not (self.at_head and kind is expr.Quantified):
             must(False, f"a {kind.__name__} in a {self.place}", node.span)
         found: Type = _READERS.get(kind, Expressions.call)(self, node)
         if found is not node.type and found != node.type:

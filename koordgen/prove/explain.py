@@ -11,7 +11,7 @@ from koordgen.ir.expr import Expr
 from koordgen.node import replace
 from koordgen.prove.generate import obligations
 from koordgen.prove.model import Counterexample, replayed, with_values
-from koordgen.prove.obligation import Fact, Obligation
+from koordgen.prove.obligation import AtHead, Fact, Obligation
 from koordgen.prove.reach import Bounds, Run, run_to
 from koordgen.prove.reading import Reader, Unshowable, flat
 from koordgen.prove.solve import Answer, Both, Solver
@@ -56,8 +56,10 @@ class Explainer:
         params: Mapping[str, Expr] | None,
         solver: Solver | Both,
         proved: decl.Program,
+        dropped: frozenset[AtHead] = frozenset(),
     ) -> None:
         self.program, self.robots, self.params, self.solver, self.proved = program, robots, params, solver, proved
+        self.dropped = dropped
         self.made: dict[tuple[decl.Program, int], list[Obligation]] = {}
 
     def explain(self, name: str, group: Iterable[Outcome], relied: decl.Program) -> Explanation:
@@ -93,7 +95,7 @@ class Explainer:
         free = {p.name: p.default for p in relied.params if self.free(p.name)}
         if not free:
             return False
-        made = obligations(relied, self.robots, {**(self.params or {}), **free})
+        made = obligations(relied, self.robots, {**(self.params or {}), **free}, dropped=self.dropped)
         own = [o for o in made if o.invariant == name and o.kind != "consistency"]
         return all(self.solver.ask(o, most=MOST).result == o.expected for o in own)
 
@@ -136,7 +138,7 @@ class Explainer:
     def of(self, program: decl.Program, robots: int) -> list[Obligation]:
         key = (program, robots)
         if key not in self.made:
-            self.made[key] = obligations(program, robots, self.params, told="most")
+            self.made[key] = obligations(program, robots, self.params, "most", self.dropped)
         return self.made[key]
 
     def lacking(self, proved: decl.Program, invariant: decl.Property) -> tuple[str, ...] | None:
@@ -148,7 +150,8 @@ class Explainer:
         def proves(program: decl.Program, names: frozenset[str]) -> frozenset[str]:
             nonlocal solving
             bad: set[str] = set()
-            for obligation in obligations(program, None, self.params):  # for every number is for this one, and faster
+            # What holds for every number holds for this one, and is decided faster.
+            for obligation in obligations(program, None, self.params, dropped=self.dropped):
                 if obligation.invariant in names - bad and obligation.kind != "consistency":
                     if time.process_time() + solving > until:
                         return frozenset()

@@ -95,7 +95,7 @@ def boolean(value: bool) -> Term:
 
 
 def apply(function: Function, *args: Term) -> Term:
-    key = (function.name, args)
+    key = (function.name, function.result.name, args)  # one room's x@1 may be a bool where another's is a list
     found = _TERMS.get(key)
     if found is None:
         assert tuple(a.sort for a in args) == function.domain, f"{function.name} of {[a.sort.name for a in args]}"

@@ -40,6 +40,7 @@ class Unreplayable(Exception):
 class Counts:
     rounds: int = 0
     events: int = 0
+    violated: int = 0  # events (and `init`s) in which a loop invariant was false, as the program means
     late: int = 0  # events that overran, which nobody can judge afterwards
 
 
@@ -108,6 +109,7 @@ class Replay:
         else:
             meant = {"locals": done.locals, "shared": {**done.slots, **done.cells}, "stopped": done.stopped}
             yield from self._compared(line, record, {**meant, "actuators": {**actuators, **done.ports}})
+            yield from self._loops(line, record, done)
             self._streams = list(done.streams)
 
     def _unset(self, record: dict[str, Any]) -> dict[str, Value]:
@@ -170,10 +172,18 @@ class Replay:
         told = {**{name: plain(value) for name, value in self._own.items()}, **record.get("locals", {})}
         meant = {"locals": done.locals, "shared": {**done.slots, **done.cells}, "actuators": done.ports}
         yield from self._compared(line, {**record, "locals": told}, {**meant, "stopped": done.stopped})
+        yield from self._loops(line, record, done)
         self._streams = list(done.streams)
         for name, value in done.locals.items():  # exactly, where the trace has null for what is not finite
             if plain(value) == told[name]:
                 self._own[name] = value
+
+    def _loops(self, line: Line, record: dict[str, Any], done: Writes) -> Iterator[Difference]:
+        """The lines of the loop invariants that were false."""
+        told, meant = record.get("violated", []), [span.line for span in done.violated]
+        self.counts.violated += bool(meant)
+        if told != meant:
+            yield Difference(line.number, self._round, self.pid, "what loop invariants were false", told, meant)
 
     def _fault(
         self, line: Line, event: str | None, fault: dict[str, Any], chosen: decl.Event | Step | None, state: State,

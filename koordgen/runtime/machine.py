@@ -300,6 +300,7 @@ class Agent:
         self._body.command(done.actuators, now)
         self._init = Life(0, done.locals, self._body.actuators, done.stopped)
         self._journal.init(frame.sensors, done, self._init, calls, now)
+        self.monitors.ran(done, None, 0, now)
         self._joining.ready(result)
 
     def _begin_rounds(self, now: float) -> None:

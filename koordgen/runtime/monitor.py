@@ -12,6 +12,7 @@ from typing import Any
 
 from koordgen.runtime.allowance import Allowance, Cpu
 from koordgen.runtime.extern import Contract
+from koordgen.runtime.program import Effects
 from koordgen.runtime.property import UNKNOWN, Assumption, Known, Outcome, Properties, Trail, judged
 from koordgen.runtime.runner import Limit, Overrun
 from koordgen.runtime.safety import GO, Verdict
@@ -25,6 +26,7 @@ LONGEST_WAIT = 50  # rounds, then one is evaluated whatever it takes
 BUDGET = 0.1  # of delta: what the properties of one round may take, all together
 MOST_OVERRUNS = 3  # a property that takes too long more often is not looked at any more
 GOALS = ("target", "path")
+LOOPS = "loop invariants"  # their name in the settings, all together
 
 Tell = Callable[[Change], None]
 
@@ -46,6 +48,7 @@ class Monitors:
         self._invariants: list[Watched] = []
         self._assumptions: list[Watched] = []
         self._contracts: dict[Contract, tuple[Watched, str | None]] = {}  # broken ones, with the event that broke it
+        self._loops: dict[int, tuple[Watched, str | None]] = {}  # loop invariants that were false, by line, likewise
         self._off: list[Watched] = []
         self._last: Record | None = None
         self._actuators: Mapping[str, Any] | None = None  # after the last record's round
@@ -91,8 +94,8 @@ class Monitors:
     @property
     def watched(self) -> list[Watched]:
         """Everything that has an outcome or may get one."""
-        contracts = (watched for watched, _ in self._contracts.values())
-        return [*self._invariants, *self._assumptions, *self._off, *contracts]
+        noted = (watched for watched, _ in (*self._contracts.values(), *self._loops.values()))
+        return [*self._invariants, *self._assumptions, *self._off, *noted]
 
     @property
     def wanted(self) -> bool:
@@ -173,6 +176,26 @@ class Monitors:
             actuators = {**actuators, **record.effects.actuators}
         self._actuators = actuators
         self._contract(record)
+        if record.effects is not None:
+            self.ran(record.effects, record.event, record.round, record.time)
+
+    def ran(self, effects: Effects, event: str | None, round_: int, time: float) -> None:
+        """An event (None: `init`) that counts: its loop invariants that were false; or that none was any more."""
+        where = f"the event {event}" if event is not None else "init"
+        for line in effects.violated:
+            action = self._action(LOOPS)
+            if action == "off":
+                return
+            source = self._found.program.source if self._found is not None else ""
+            made = Watched("loop invariant", f"line {line}", f"{source}:{line}", action)
+            watched, _ = self._loops.get(line, (made, None))
+            self._loops[line] = watched, event
+            watched.true = round_
+            self._become(watched, "violated", f"in {where} it was false or had no value", time)
+        for line, (watched, broke) in self._loops.items():
+            if watched.outcome == "violated" and broke == event and line not in effects.violated:
+                watched.true = round_
+                self._become(watched, "held", f"{where} ran through again", time)
 
     def _assume(self, before: Record, after: Record, actuators: Mapping[str, Any]) -> None:
         """Of the round that `before` tells of: from right after its event to the sensors of the next round."""

@@ -45,13 +45,15 @@ class Frame(msgspec.Struct, frozen=True):
 
 class Effects(msgspec.Struct, frozen=True):
     """What an event did: all locals as they are afterwards, only those shared variables and actuators that it
-    wrote (an equal value counts as written), and the lines it put out, as (port, line) in order."""
+    wrote (an equal value counts as written), and the lines it put out, as (port, line) in order. `violated`: the Koord
+    lines of the loop invariants that were false or had no value, each once."""
 
     locals: Mapping[str, Any]
     shared: Mapping[str, Any]
     actuators: Mapping[str, Any]
     stopped: bool
     streams: tuple[tuple[str, str], ...] = ()
+    violated: tuple[int, ...] = ()
 
 
 class Life(msgspec.Struct, frozen=True):
@@ -80,6 +82,26 @@ class Fault:
 
 class Stopped(Exception):
     """Raised by `stop` in generated code: ends the event at once, with what it wrote so far."""
+
+
+_violated: dict[int, None] = {}  # Koord lines of the loop invariants that did not hold in the event that is run
+
+
+def claim(line: int, holds: Callable[[], bool]) -> bool:
+    """Evaluate the loop invariant on a Koord line, for the event that is run. Always true, whatever comes of it: it
+    stands before a loop's condition."""
+    try:
+        held = holds()
+    except Exception:
+        held = False
+    if not held:
+        _violated[line] = None
+    return True
+
+
+def behind(turns: range) -> int:
+    """The value at which a loop over `turns` ends: the first that it does not take."""
+    return turns.start + len(turns) * turns.step
 
 
 class Cell(Generic[T]):
@@ -177,6 +199,7 @@ class Transaction:
             {name: found[name] for name in frame.actuators if name in found},
             stopped,
             tuple(self._streams),
+            tuple(_violated),
         )
 
 
@@ -259,6 +282,7 @@ def run(program: Program, effect: Callable[[Any], None], state: Transaction, lin
     """Run one effect, which stands on a Koord line. Whatever it raises, and any value that must not be kept or leave
     the robot, discards it whole."""
     stopped = False
+    _violated.clear()
     try:
         effect(state)
     except Stopped:

@@ -91,7 +91,8 @@ class Trace:
             "actuators": after.actuators,
             "stopped": after.stopped,
         }
-        self._write(line | ({"calls": calls} if calls else {}))
+        extra = {"calls": calls, "violated": effects.violated}
+        self._write(line | {key: value for key, value in extra.items() if value})
 
     def view(self, time: float, number: int, since: int, members: Sequence[int]) -> None:
         """Who counts from round `since` on: each robot's incarnation, -1 of one that does not."""
@@ -117,8 +118,9 @@ class Trace:
 
     def round(self, record: Record, clock_bound: float, counters: Mapping[str, int]) -> None:
         """One round; `clock_bound` is how far fleet time may be off (s), `counters` those that changed. Of its
-        locals those that the event wrote. `copy` is what has changed in this robot's copy of the shared store since it
-        was told last, of an allread variable by pid."""
+        locals those that the event wrote; `violated` are the lines of its loop invariants that did not hold. `copy` is
+        what has changed in this robot's copy of the shared store since it was told last, of an allread variable by
+        pid."""
         fault, effects, restored = record.fault, record.effects, record.restored
         line = {
             "kind": "round",
@@ -140,6 +142,7 @@ class Trace:
             "restored": restored and {name: getattr(restored, name) for name in Life.__struct_fields__},
             "counters": counters,
             "calls": record.calls,
+            "violated": effects.violated if effects else (),
         }
         self._write(line | {key: value for key, value in extra.items() if value})
 

@@ -12,7 +12,7 @@ from koordgen.runtime.property import UNKNOWN, Assumption, Known, Outcome, Prope
 from koordgen.runtime.settings import Action
 from koordgen.runtime.values import transmissible
 
-Of = Literal["invariant", "assume", "requires", "ensures"]
+Of = Literal["invariant", "assume", "requires", "ensures", "loop invariant"]
 FOR_GOOD = ("land", "stop")
 
 # How much of a moment is certain: what is sensed; the robot's own variables, too; the shared store, too.

@@ -9,6 +9,7 @@ robot. Where the checker has proved that a node cannot fail and it does, that is
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import count
 from typing import Any, NamedTuple
 
 from koordgen.diagnostics import InternalError
@@ -78,6 +79,17 @@ def elements(node: ir.Expr, view: View) -> Iterator[Value]:
         return _steps(_number(node.start, view), _number(node.stop, view), node.step)
     values = items(evaluate(node, view))
     return iter([pair[0] for pair in values] if isinstance(node.type, MapOf) else values)
+
+
+def counting(node: ir.Expr, view: View) -> Iterator[int] | None:
+    """What a loop over a range or `ID` counts, without an end; None of a loop over elements."""
+    match node:
+        case ir.Range(start, _, step):
+            return count(_number(start, view), step)
+        case ir.Ids():
+            return count()
+        case _:
+            return None
 
 
 def _steps(start: int, stop: int, step: int) -> Iterator[int]:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from itertools import repeat
 from typing import Literal, NamedTuple, assert_never
 
 from koordgen.diagnostics import InternalError
 from koordgen.ir import decl, stmt
 from koordgen.ir import expr as ir
 from koordgen.ir.types import Type
-from koordgen.semantics.eval import Call, Discarded, View, elements, evaluate, holds, view_of
+from koordgen.semantics.eval import Call, Discarded, View, counting, elements, evaluate, holds, view_of
 from koordgen.semantics.state import World
 from koordgen.semantics.values import Value, as_, conforms, encodable, flaw, items
 from koordgen.source import Span
@@ -20,7 +21,8 @@ UNFINISHED = "it is not finished by the end of the round"
 
 class Writes(NamedTuple):
     """What an event did: all its robot's locals afterwards; own slots, cells and actuators only where written; the
-    lines that it put out, as ("Module.port", line), in order."""
+    lines that it put out, as ("Module.port", line), in order; where the loop invariants stand that were false or had no
+    value, those of the functions that it called included, each once."""
 
     locals: Mapping[str, Value]
     slots: Mapping[str, Value]
@@ -28,13 +30,16 @@ class Writes(NamedTuple):
     ports: Mapping[str, Value]
     streams: tuple[tuple[str, str], ...]
     stopped: bool
+    violated: tuple[Span, ...] = ()
 
 
 class Budget:
-    """The turns of loops that are left to one event, its functions included: `turns`, or MAX_TURNS."""
+    """One event, its functions included: the turns of loops that are `left` to it, of `turns` or MAX_TURNS; the loop
+    invariants that were false or had no value, by where they stand."""
 
     def __init__(self, turns: int | None = None) -> None:
         self.left = MAX_TURNS if turns is None else turns
+        self.violated: dict[Span, None] = {}
 
     def turn(self, span: Span) -> None:
         self.left -= 1
@@ -156,22 +161,45 @@ class Run:
         return None
 
     def loop(self, loop: stmt.For | stmt.While) -> Exit:
-        values = elements(loop.values, self.view) if isinstance(loop, stmt.For) else iter(())
+        if isinstance(loop, stmt.While):
+            return self.turns(loop, repeat(()))
+        values = elements(loop.values, self.view)
+        count = counting(loop.values, self.view) if loop.invariants else None
+        return self.turns(loop, values if count is None else self.counted(values, count, loop.names))
+
+    def turns(self, loop: stmt.For | stmt.While, values: Iterator[Value]) -> Exit:
         while True:
-            if isinstance(loop, stmt.For):
-                try:
-                    value = next(values)
-                except StopIteration:
-                    return None
-                self.take(loop.names, value)
-            elif not holds(loop.condition, self.view):
+            value = next(values, None)
+            self.judge(loop.invariants)
+            if value is None or (isinstance(loop, stmt.While) and not holds(loop.condition, self.view)):
                 return None
+            if isinstance(loop, stmt.For):
+                self.take(loop.names, value)
             self.budget.turn(loop.span)
             left = self.block(loop.block)
             if left == "break":
                 return None
             if left in ("return", "stop"):
                 return left
+
+    def counted(self, values: Iterator[Value], count: Iterator[int], names: tuple[str, ...]) -> Iterator[Value]:
+        """The values of a loop that counts: at its head its variable is the next one, at last the first not taken."""
+        for following in count:
+            value = next(values, None)
+            self.take(names, following)
+            if value is None:
+                return
+            yield value
+
+    def judge(self, invariants: tuple[stmt.LoopInvariant, ...]) -> None:
+        """Note those that are false or have no value."""
+        for invariant in invariants:
+            try:
+                held = holds(invariant.formula, self.view)
+            except Discarded:
+                held = False
+            if not held:
+                self.budget.violated[invariant.span] = None
 
     def take(self, names: tuple[str, ...], value: Value) -> None:
         """One element into the names of a loop."""
@@ -213,7 +241,8 @@ class Run:
                 return Discarded(f"{name} would become {wrong}, which no robot may use", span)
             values[kind][name] = value
         streams = tuple(self.streams)
-        return Writes(self.locals, values["slot"], values["cell"], values["port"], streams, stopped)
+        violated = tuple(self.budget.violated)
+        return Writes(self.locals, values["slot"], values["cell"], values["port"], streams, stopped, violated)
 
 
 def declared(program: decl.Program) -> dict[str, Type]:

@@ -83,3 +83,7 @@ def pass_(c: Children) -> stmt.Pass:
 
 def stop_(c: Children) -> stmt.Stop:
     return stmt.Stop(token_span(c[0]))
+
+
+def loop_invariant(c: Children) -> stmt.Invariant:
+    return stmt.Invariant(c[1], reach(c[0], c[1]))

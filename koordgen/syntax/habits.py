@@ -62,6 +62,7 @@ FOREIGN = {
     "global": _GLOBAL,
     "nonlocal": _GLOBAL,
     "del": "write xs.remove(value), xs.pop(i) or m.remove(key)",
+    "decreases": "the condition of 'while' shows that a loop ends: leave the line out",
     "assert": "'invariant Name: ...' states what is to hold; an event's guard says when it may run",
 }
 # Types of other languages that hold others, as Koord has them.
@@ -249,6 +250,8 @@ def headers(spot: Spot) -> Diagnostic | None:
     annotated = _annotation(spot)
     if annotated is not None:
         return annotated
+    if spot.kind == ":" and spot.start > 0 and spot.first[0] == "invariant":
+        return spot.error("a loop invariant has neither name nor ':'", "write 'invariant condition'")
     if spot.kind == ":" and spot.before_is("invariant", "axiom") and spot.before is not None:
         word = spot.before[1]
         return spot.error(f"expected a name after '{word}', found ':'", f"write '{word} Name: ...'")

@@ -12,7 +12,7 @@ from koordgen.syntax.spot import Spot, behind, place, shown
 
 _EXPRESSION = {"NAME", "INT", "FLOAT", "STRING", "True", "False", "(", "[", "{", "-", "not", "forall", "exists"}
 _STATEMENT = {
-    "GENERIC", "if", "for", "while", "atomic", "return", "break", "continue", "pass", "stop",
+    "GENERIC", "if", "for", "while", "atomic", "return", "break", "continue", "pass", "stop", "invariant",
 }  # fmt: skip
 _SECTION = {
     "using", "param", "allread", "allwrite", "local", "def", "fun", "extern", "spec", "axiom", "invariant", "initially",

@@ -203,7 +203,8 @@ class _Repair:
         prefix = [token for part in parts[:bad] for token in part]
         part, rest = parts[bad], [token for later in parts[bad + 1 :] for token in later]
         hole = [_broken(tokens[start:end])]
-        if part[-1][0] == ":" or block > end + 1:
+        of_loop = part[0][0] == "invariant" and start > 0  # no header, whatever marks stand in it
+        if (part[-1][0] == ":" or block > end + 1) and not of_loop:
             for head in _heads(part, hole[0], tokens[block], {token[0] for token in tokens}):
                 for tail in (rest, hole, []):
                     yield [*prefix, *head, *tail], True

@@ -115,6 +115,13 @@ class Stop(Node):
     span: Span
 
 
+class Invariant(Node):
+    """`invariant condition`, at the head of a loop's block."""
+
+    condition: Expr
+    span: Span
+
+
 class BrokenStmt(Node):
     """A statement that could not be read; it has been reported. `names` are the names that stand in it."""
 
@@ -124,6 +131,6 @@ class BrokenStmt(Node):
 
 Stmt = (
     Assign | Declare | If | For | CountedFor | While | Atomic | Evaluate | Return | Break | Continue | Pass | Stop
-    | BrokenStmt
+    | Invariant | BrokenStmt
 )  # fmt: skip
 Block = tuple[Stmt, ...]

@@ -79,6 +79,7 @@ class Init(msgspec.Struct, frozen=True, tag_field="kind", tag="init"):
     locals: Values = {}
     shared: Values = {}
     actuators: Values = {}
+    violated: tuple[int, ...] = ()  # as of Round
     stopped: bool = False
     time: float = 0.0
     t: float = 0.0
@@ -97,7 +98,8 @@ class Restored(msgspec.Struct, frozen=True):
 class Round(msgspec.Struct, frozen=True, tag_field="kind", tag="round"):
     """An agent's round; of its fields those that are looked at here. `late` is seconds after the tick. Of locals, the
     shared store and actuators it has what the event wrote; `copy` is what had changed before in the robot's copy of the
-    shared store, of an allread variable by pid; `calls` of callable ports: port, arguments, answer."""
+    shared store, of an allread variable by pid; `calls` of callable ports: port, arguments, answer; `violated` are the
+    lines of the loop invariants that were false in its event."""
 
     round: int
     event: str | None = None
@@ -110,6 +112,7 @@ class Round(msgspec.Struct, frozen=True, tag_field="kind", tag="round"):
     actuators: Values = {}
     copy: Values = {}
     calls: tuple[tuple[str, tuple[msgspec.Raw, ...], msgspec.Raw], ...] = ()
+    violated: tuple[int, ...] = ()
     stopped: bool = False
     restored: Restored | None = None
     time: float = 0.0
@@ -195,9 +198,9 @@ Found = Literal["held", "violated", "no value", "unchecked", "out of model"]
 
 
 class Verdict(msgspec.Struct, frozen=True, tag_field="kind", tag="verdict"):
-    """What a run has shown of one property, told at the mission's end: `of` is invariant, initially, assume or axiom.
-    `since` is when it was first violated, had no value, or was about a robot that was out of the model. `moments`:
-    at how many it was evaluated."""
+    """What a run has shown of one property, told at the mission's end: `of` is invariant, initially, assume, axiom or
+    loop invariant; of loop invariants only those that were false are told. `since` is when it was first violated, had
+    no value, or was about a robot that was out of the model. `moments`: at how many it was evaluated."""
 
     t: float
     of: str

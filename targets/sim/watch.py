@@ -31,7 +31,7 @@ from targets.sim.bodies import BodyState
 from targets.sim.crew import Agent
 from targets.sim.judge import Of, Watched, all_of
 from targets.sim.run import Run
-from targets.sim.trace import Init, Phase, Record, Round, Verdict, View
+from targets.sim.trace import Init, Phase, Record, Round, Verdict, View, Violation
 from targets.sim.truth import Truth
 from targets.sim.windows import Came, Windows
 
@@ -86,6 +86,7 @@ class Watcher:
         self._stopped: set[int] = set()
         self._until = math.inf  # the mission's end: the robots were told to come to rest, or all have stopped
         self._watched = all_of(found, self._n)
+        self._loops: dict[int, tuple[Violation, str]] = {}  # loop invariants that were false, by line; in which event
 
     def launched(self, run: Run) -> None:
         self._run = run
@@ -107,6 +108,7 @@ class Watcher:
             match record:
                 case Init() | Round():
                     self._truth.hear(pid, record)
+                    self._note_loops(agent.robot.name, record)
                     if record.stopped:
                         self._stopped.add(pid)
                 case Phase(phase="resting") if not agent.told:
@@ -120,6 +122,17 @@ class Watcher:
                 self._out.setdefault(other.robot.pid, self._run.conduct.now())
         self._judge(self._ready)
         self.seconds += time.perf_counter() - began
+
+    def _note_loops(self, robot: str, record: Init | Round) -> None:
+        """The loop invariants that were false in a robot's event, the first time of each."""
+        where = f"the event {record.event}" if isinstance(record, Round) else "init"
+        for line in record.violated:
+            if line not in self._loops and record.time <= self._until:
+                why = f"in {where} of {robot} it was false or had no value"
+                text, at = f"loop invariant line {line} does not hold: {why}", f"{self._found.program.source}:{line}"
+                violation = Violation(record.time, "property", (robot,), text, f"line {line}", at)
+                self._loops[line] = violation, why
+                self._run.mark(violation)
 
     def _rests(self, pid: int, at: float) -> None:
         """A robot comes to rest unasked: when all have stopped, that is the mission's end, else it leaves the model."""
@@ -135,6 +148,9 @@ class Watcher:
         gone = ", ".join(self._names[pid] for pid in self._gone(at))
         for watched in self._watched:
             self._run.mark(watched.verdict(at, self._run.zero, gone))
+        for found, why in self._loops.values():
+            since = None if self._run.zero is None else round(found.t - self._run.zero, 6)
+            self._run.mark(Verdict(at, "loop invariant", found.name, found.line, "violated", since, found.robots, why))
         for left in self._found.unchecked:
             line = f"{self._found.program.source}:{left.line}"
             self._run.mark(Verdict(at, left.kind, left.name, line, "unchecked", detail=left.why))

@@ -146,7 +146,7 @@ class Generated:
         found: dict[str, Any] = {
             word: {name: key(value, types[name]) for name, value in group.items()} for word, group in groups.items()
         }
-        return {**found, "stopped": done.stopped, "streams": done.streams}
+        return {**found, "stopped": done.stopped, "streams": done.streams, "violated": done.violated}
 
 
 class Meant:
@@ -185,7 +185,8 @@ class Meant:
         found: dict[str, Any] = {
             word: {name: key(value, types[name]) for name, value in group.items()} for word, group in groups.items()
         }
-        return {**found, "stopped": done.stopped, "streams": done.streams}
+        violated = tuple([span.line for span in done.violated])
+        return {**found, "stopped": done.stopped, "streams": done.streams, "violated": violated}
 
 
 def _packed(value: Any, type_: Type) -> Any:
@@ -234,6 +235,7 @@ def agree(
             expected = semantics.event(state, pid)
             _compare(generated.event(state, pid), expected, seed, pid, generated)
             seen["none" if expected[0] is None else "discarded" if expected[2] == "discarded" else "ran"] += 1
+            seen["violated"] += isinstance(expected[2], dict) and len(expected[2]["violated"])
     for pid in range(N_SYS):
         _compare(generated.init(state, pid), semantics.init(state, pid), seed, pid, generated)
     return program

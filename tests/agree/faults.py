@@ -179,6 +179,9 @@ COMMON = [
     Fault("a Set keeps its writing's order", rewriting(unordered_sets)),
     Fault("a part is not replaced", rewriting(kept_parts)),
     Fault("for runs over the live list", patch=live_loops),
+    Fault("no loop invariant is evaluated", rewriting(without(s.LoopInvariant))),
+    Fault("a loop invariant without a value discards", spoil=library("claim", lambda line, holds: holds() or True)),
+    Fault("a loop ends at its last value", spoil=library("behind", lambda turns: turns[-1] if turns else turns.start)),
 ]
 RARE = [
     Fault("// truncates", patch=truncation),

@@ -99,12 +99,18 @@ class _Source:
                         yield from self.block(orelse, indent + "  ")
                 case s.For(names, _, values, inner):
                     yield f"{indent}for {', '.join(names)} in {self.domain(values)}:"
+                    yield from self.invariants(statement, indent + "  ")
                     yield from self.block(inner, indent + "  ")
                 case s.While(condition, inner):
                     yield f"{indent}while {self.text(condition)}:"
+                    yield from self.invariants(statement, indent + "  ")
                     yield from self.block(inner, indent + "  ")
                 case _:
                     yield indent + self.simple(statement)
+
+    def invariants(self, loop: s.For | s.While, indent: str) -> Iterator[str]:
+        for invariant in loop.invariants:
+            yield f"{indent}invariant {self.text(invariant.formula)}"
 
     def domain(self, values: e.Expr) -> str:
         if isinstance(values, e.Range):
@@ -173,6 +179,8 @@ class _Source:
                 return f"({self.text(item)} in {self.text(values)})"
             case e.Conditional(condition, then, orelse):
                 return f"({self.text(then)} if {self.text(condition)} else {self.text(orelse)})"
+            case e.Quantified(kind, name, domain, body):
+                return f"({kind} {name} in {self.domain(domain)}: {self.text(body)})"
             case _:
                 return self.part(node)
 

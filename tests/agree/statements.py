@@ -19,6 +19,8 @@ from koordgen.ir.types import (
     Type,
     list_of,
 )
+from koordgen.node import nodes
+from koordgen.source import Span
 from tests.agree.expressions import Expressions
 from tests.agree.general import Temp, binary, call, compare, length
 from tests.agree.kinds import AT, random_type, whole
@@ -123,10 +125,38 @@ class Statements(Expressions):
             types = element.items
         kept = list(self.temps)
         taken = [self.mint(type_) for type_ in types]
-        self.temps += taken
+        ends: e.Expr | None = None  # what a loop that counts ends at, mostly
+        if isinstance(values, (e.Range, e.Ids)):
+            self.temps += taken
+            ends = values.stop if isinstance(values, e.Range) else e.NSys(INT, AT)
+        invariants = self.invariants(taken[0], ends)
+        self.temps = [*kept, *taken]
         block = (*self.meddling(values), *self.body(depth))
         self.temps = kept
-        return [s.For(tuple([t.name for t in taken]), types, values, block, AT)]
+        return [s.For(tuple([t.name for t in taken]), types, values, block, AT, invariants)]
+
+    def invariants(self, counter: Temp, ends: e.Expr | None) -> tuple[s.LoopInvariant, ...]:
+        """Of a loop: conditions true and false, some without a value, each on a line of its own."""
+        busy, place = self.busy, self.place
+        self.busy, self.place = True, "guard" if place == "effect" else place  # where no port is called
+        found = []
+        for _ in range(self.rng.choice((0, 0, 0, 1, 2))):
+            formula = self.quantified() if self.rng.random() < 0.3 else self.expr(BOOL, 2)
+            if ends is not None and self.rng.random() < 0.5:
+                formula = compare(self.rng.choice(("<", "<=", "!=")), e.TempRead(counter.name, INT, AT), ends)
+            if not any(isinstance(node, e.PortCall) for node in nodes(formula)):
+                found.append(s.LoopInvariant(formula, Span(*[self.rng.randrange(2, 10**6)] * 4)))
+        self.busy, self.place = busy, place
+        return tuple(found)
+
+    def quantified(self) -> e.Expr:
+        """`forall i in range(0, n): ...`"""
+        temp = self.mint(INT, writable=False)
+        self.temps.append(temp)
+        body = self.expr(BOOL, 2)
+        self.temps.remove(temp)
+        domain = e.Range(whole(0), whole(self.rng.randrange(4)), 1, list_of(INT), AT)
+        return e.Quantified(self.rng.choice(("forall", "exists")), temp.name, domain, body, BOOL, AT)
 
     def meddling(self, values: e.Expr) -> list[s.Stmt]:
         """Changes to what a loop runs over, which the loop must not see."""
@@ -166,10 +196,11 @@ class Statements(Expressions):
         condition: e.Expr = compare("<", read, whole(self.rng.randrange(1, 5)))
         if self.rng.random() < 0.4:
             condition = e.Logic("and", condition, self.expr(BOOL, 2), BOOL, AT)
+        invariants = self.invariants(counter, whole(self.rng.randrange(1, 5)))
         count = s.Assign(s.TempPlace(counter.name), binary("+", read, whole(1), INT), AT)
         block = (count, *self.body(depth))
         self.temps = kept if self.rng.random() < 0.5 else [*kept, counter]
-        return [s.Let(counter.name, INT, whole(0), AT), s.While(condition, block, AT)]
+        return [s.Let(counter.name, INT, whole(0), AT), s.While(condition, block, AT, invariants)]
 
     def emits(self, depth: int) -> list[s.Stmt]:
         if self.place == "function":

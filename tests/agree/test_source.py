@@ -40,8 +40,10 @@ def checked_again(program: d.Program, seen: Counter[str]) -> d.Program | None:
 
 
 def parts(found: tuple[Any, ...]) -> tuple[Any, ...]:
-    """A lock is known by another number."""
+    """A lock is known by another number, a loop invariant by another line."""
     event, lock, outcome = found
+    if isinstance(outcome, dict):
+        outcome = {**outcome, "violated": len(outcome["violated"])}
     return event, lock is None, outcome
 
 

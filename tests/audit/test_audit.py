@@ -103,6 +103,38 @@ def test_what_is_false_without_a_robot_is_violated(tmp_path: Path) -> None:
     assert status == 3 and by_name(document)["Sum"]["verdict"] == "violated"
 
 
+LOOPS = """\
+Turn:
+  pre: turns[pid] == 0 and mine > 0 and pid == 2
+  eff:
+    for i in range(mine):
+      invariant i < 1
+      invariant mine >= old(mine)
+      turns[pid] += 1
+"""
+
+
+def test_loop_invariants_are_told_by_what_robots_say_of_their_events(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = LINE + LOOPS
+    line = text[: text.index("invariant i < 1")].count("\n") + 1
+    home = home_of(tmp_path, text, 6.0)
+    status, told = text_of(capsys, home)
+    assert status == 3 and "in Turn: i < 1" in told
+    assert f"loop invariant line {line} is violated (a.koord:{line})" in told
+    found = by_name(audited(home)[1])
+    broken, kept = found[f"line {line}"], found[f"line {line + 1}"]
+    assert (broken["of"], broken["violated"], broken["first"]["robots"]) == ("loop invariant", 1, ["cleo"])
+    assert kept["verdict"] == "held" and kept["rounds"] == broken["rounds"] > 1
+    assert main(["replay", str(home / "cleo.jsonl"), "--program", str(home / "source/a.koord")]) == 0
+    assert "a loop invariant was false in 1 event" in capsys.readouterr().err
+    edit(home / "cleo.jsonl", lambda record: {**record, "violated": [line + 1]} if "violated" in record else record)
+    assert main(["replay", str(home / "cleo.jsonl"), "--program", str(home / "source/a.koord")]) == 3
+    said = capsys.readouterr().err
+    assert f"what loop invariants were false is [{line + 1}] in the trace, [{line}] by the program" in said
+
+
 def jumped(folder: Path, text: str) -> Path:
     """Robot cleo is carried away, which nobody assumes."""
     fleet = watched(folder, text).run(3.0)

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from koordgen.emit.program import program_text
 from koordgen.runtime.gridmap import GridMap
 from koordgen.runtime.program import Effects, Fault
 from koordgen.runtime.values import Grid, Opaque, Point
@@ -237,3 +238,42 @@ def test_quantifiers_in_contracts_are_checked_at_run_time(z: float, spot: float,
     world = World({"far": lambda places, spots: returned}, nobody)
     outcome = execute(meant, meant.events[0].effect, state, 0, world)
     assert isinstance(outcome, Discarded) == bool(told), outcome
+
+
+LOOPS = """
+local:
+  List<int> xs = [3, 1]
+  int n
+fun up(int m) -> int:
+  int k = 0
+  while True:
+    invariant k < 2
+    if k == m: return k
+    k += 1
+  return k
+"""
+
+
+def test_loop_invariants_that_are_false_are_told_by_their_lines() -> None:
+    effect = (
+        "for i in range(len(xs)):\n  invariant i < 2\n  n += 1\n"
+        "while n < 3 or n < 4:\n  invariant n <= 4\n  invariant 1 // (n - 3) > 0\n  n += 1\n"
+        "for x in xs:\n  invariant old(n) == n\nn = up(n)"
+    )
+    first = (LOOPS + event("")).count("\n")
+    done = step(load(LOOPS + event(effect)))
+    assert isinstance(done, Effects)
+    assert done.locals["n"] == 4
+    assert done.violated == (first + 1, first + 5, 8)
+
+
+def test_an_event_tells_nothing_of_an_earlier_one() -> None:
+    loop = "while n < 2:\n  invariant n < {}\n  n += 1"
+    for bound, count in (("1", 1), ("3", 0)):
+        done = step(load(LOOPS + event(loop.format(bound))))
+        assert isinstance(done, Effects) and len(done.violated) == count
+
+
+def test_a_program_without_loop_invariants_has_no_code_for_them() -> None:
+    text = program_text(checked(LOOPS.replace("    invariant k < 2\n", "") + event("for x in xs: n += x")))
+    assert "claim" not in text and "behind" not in text and "turns_" not in text

@@ -234,3 +234,54 @@ def test_a_bound_holds_within_a_round_of_many_ends() -> None:
     around = Environment({"Dev.level": Domain(values)}, {})
     result = explored(program, 2, around, bounds=Bounds(states=450), symmetry=False)[1]
     assert result.stopped == "the bound of 450 states" and result.progress.states <= 450 + 20 * 20
+
+
+FOLD = """
+allwrite: int total
+local:
+  List<int> xs max 4
+  int turn
+{init}Grow:
+  pre: turn < 2
+  eff:
+    for i in range(turn):
+      invariant turn < 2
+      xs.append(i)
+    turn += 1
+Sum:
+  pre: turn == 2
+  eff: atomic:
+    for i in range(len(xs)):
+      invariant i < {most}
+      total += xs[i] + 1
+    turn = 3
+Stop:
+  pre: turn == 3
+  eff: stop
+"""
+
+
+def test_a_false_loop_invariant_is_a_violation_with_the_step_in_which_it_was_false() -> None:
+    program = compiled(FOLD.format(init="", most="len(xs)"))
+    for symmetry, independence in ((True, True), (False, True), (True, False)):
+        _, result = explored(program, 2, symmetry=symmetry, independence=independence)
+        found = result.violation
+        assert found is not None and (found.name, found.line, found.failed) == ("line 17", 17, None)
+        events = [(0, ""), (0, "init"), (1, "Grow"), (2, "Grow"), (3, "Sum")]
+        assert [(m.round, m.event) for m in found.moments] == events
+        assert found.moments[-1].state.store.cells["total"] == 1, "the event has its effects all the same"
+        assert "line 17 is false or has no value in Sum of robot" in found.reason
+    shown = report(result, program, "t.koord", 2)
+    assert "the loop invariant on line 17 is violated after 3 rounds" in shown and "(t.koord:17)" in shown
+    assert document(result, program, 2)["violation"]["what"] == "line 17"
+
+
+def test_loop_invariants_that_hold_are_no_violation() -> None:
+    result = explored(compiled(FOLD.format(init="", most="5")), 2)[1]
+    assert result.violation is None and not result.stopped
+
+
+def test_a_loop_invariant_of_init() -> None:
+    init = "init:\n  for i in ID:\n    invariant i < 1\n    turn = 0\n"
+    found = explored(compiled(FOLD.format(init=init, most="5")), 2)[1].violation
+    assert found is not None and found.name == "line 8" and [m.event for m in found.moments] == ["", "init"]

@@ -222,6 +222,37 @@ def test_a_broken_contract_is_told_until_its_event_runs_through() -> None:
     assert [c.outcome for c in robot.changes if c.of == "requires"] == ["violated", "held"]
 
 
+def ran(*violated: int) -> Mapping[str, Any]:
+    return {"event": "E", "effects": Effects({}, {}, {}, False, (), violated)}
+
+
+def test_a_false_loop_invariant_is_told_until_its_event_runs_through() -> None:
+    robot = Robot(loop_invariants="hold")
+    robot.monitors.hear(record(1, Point(), **ran(14, 15)))
+    found = [change for change in robot.changes if change.of == "loop invariant"]
+    assert [(c.name, c.line, c.outcome, c.round, c.action) for c in found] == [
+        ("line 14", "a.koord:14", "violated", 0, "hold"), ("line 15", "a.koord:15", "violated", 0, "hold")
+    ]  # fmt: skip
+    assert found[0].why == "in the event E it was false or had no value" and robot.demands() == "hold"
+    robot.monitors.hear(record(2, Point(), skipped="no event enabled"))
+    robot.monitors.hear(record(3, Point(), event="F", effects=Effects({}, {}, {}, False)))
+    assert robot.demands() == "hold", "another event says nothing of it"
+    robot.monitors.hear(record(4, Point(), **ran(15)))
+    robot.monitors.hear(record(5, Point(), **ran()))
+    told = [(c.name, c.outcome) for c in robot.changes if c.of == "loop invariant"]
+    assert told[2:] == [("line 14", "held"), ("line 15", "held")] and robot.demands() == "go"
+    assert "loop invariant line 14 (a.koord:14)" in robot.monitors.summary()[1]
+
+
+def test_loop_invariants_of_init_and_those_that_are_off() -> None:
+    robot = Robot()
+    robot.monitors.ran(Effects({}, {}, {}, False, (), (9,)), None, 0, 0.0)
+    assert [(c.name, c.why) for c in robot.changes] == [("line 9", "in init it was false or had no value")]
+    silent = Robot(loop_invariants="off")
+    silent.monitors.ran(Effects({}, {}, {}, False, (), (9,)), None, 0, 0.0)
+    assert not silent.changes and not silent.monitors.summary()[0]
+
+
 def test_what_takes_too_long_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     slow = FOUND.properties[0].holds
 

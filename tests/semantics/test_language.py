@@ -398,3 +398,62 @@ def test_an_extern_default_is_empty() -> None:
     program = compiled(EXTERN + event("pass"))
     assert isinstance(program.externs[0], decl.ExternFunction)
     assert repr(initial(program, 1).robots[0].locals["t"]) == "Opaque(data=b'')"
+
+
+def violated(effect: str, head: str = HEAD) -> list[int]:
+    """The lines of an effect in which loop invariants are false, from 1; it must not be discarded."""
+    first = (head + event("")).count("\n")
+    outcome = after(head + event(effect), 1)[1][0].outcome
+    assert isinstance(outcome, Writes), outcome
+    return [span.line - first + 1 for span in outcome.violated]
+
+
+@pytest.mark.parametrize(
+    ("loop", "lines"),
+    [
+        # before the first turn, before each further turn, and where the condition is false
+        ("while n < 3:\n  invariant n <= 3\n  invariant n != 0\n  invariant n != 2\n  n += 1", [3, 4]),
+        ("while n < 3:\n  invariant n != 3\n  n += 1", [2]),
+        ("while n < 0:\n  invariant n > 0\n  n += 1", [2]),
+        # not where it is left in another way
+        ("while n < 3:\n  invariant n < 2\n  n += 1\n  if n == 2: break", []),
+        ("while n < 3:\n  invariant n < 2\n  n += 1\n  if n == 2: stop", []),
+        ("while n < 3:\n  invariant n != 2\n  n += 1\n  continue", [2]),
+        # the variable of a loop that counts is the next value
+        ("for i in range(2, 5):\n  invariant i != 2\n  invariant i != 4\n  n += 1", [2, 3]),
+        ("for i in range(2, 5):\n  invariant i != 5\n  invariant i <= 5\n  n += 1", [2]),
+        ("for i in range(5, 0, -2):\n  invariant i != -1\n  invariant i >= -1\n  n += 1", [2]),
+        ("for i in range(7, 3):\n  invariant i != 7\n  invariant i == 7\n  n += 1", [2]),
+        ("for i in ID:\n  invariant i != 1\n  invariant i <= N_SYS\n  n += 1", [2]),
+        ("for i in range(3):\n  invariant i <= 3\n  i = 9\n  n += 1", []),
+        ("for x in xs:\n  invariant n < 3\n  invariant n <= 3\n  n += 1", [2]),
+        ("for x in xs:\n  invariant n < 3\n  n += 1\n  if n == 3: break", []),
+        # once each, whatever it is that it lacks
+        ("for x in xs:\n  invariant xs[n] > 0\n  n += 1", [2]),
+        ("for x in xs:\n  invariant 1 // (n - 1) < 9\n  n += 1", [2]),
+        # old values are those where the very loop begins
+        ("n = 4\nwhile n < 6:\n  invariant n >= old(n)\n  invariant n == old(n)\n  n += 1", [4]),
+        ("for i in range(2):\n  for j in range(2):\n    invariant n <= old(n) + 2\n    invariant n <= 2\n    n += 1",
+         [4]),
+        ("for x in xs:\n  invariant forall i in range(0, len(xs)): xs[i] <= 3\n  n += x", []),
+        ("for x in xs:\n  invariant exists y in xs: y == 4\n  n += x", [2]),
+    ],
+)  # fmt: skip
+def test_loop_invariants_are_evaluated_at_the_head_of_each_turn_and_at_the_end(loop: str, lines: list[int]) -> None:
+    assert violated(loop) == lines
+
+
+def test_loop_invariants_of_functions_count_for_the_event_that_calls_them() -> None:
+    head = HEAD + "fun up(int m) -> int:\n  int k = 0\n  while k < m:\n    invariant k < 2\n    k += 1\n  return k\n"
+    program = compiled(head + event("n = up(1)\nn = up(3)\nn = up(4)", "up(5) == 5"))
+    _, steps = round_(program, initial(program, 1))
+    outcome = steps[0].outcome
+    assert isinstance(outcome, Writes)
+    assert [span.line for span in outcome.violated] == [head.count("\n") - 2], "once, and none of the guard's"
+
+
+def test_a_false_loop_invariant_changes_nothing_and_is_not_told_of_what_is_discarded() -> None:
+    loop = "while n < 3:\n  invariant n < 0\n  n += 1"
+    assert value(loop) == 3
+    outcome = after(HEAD + event(f"{loop}\nn = xs[n + 7]"), 1)[1][0].outcome
+    assert isinstance(outcome, Discarded)

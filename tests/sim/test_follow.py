@@ -91,6 +91,39 @@ def test_init_without_a_result(tmp_path: Path) -> None:
     assert (ending["pid"], ending["event"]) == (1, "init") and "init of r1 has no result" in done.said
 
 
+LOOP = """\
+allwrite: int n
+local: int mine
+{init}Up:
+  pre: mine < 2
+  eff: atomic:
+    int k = 0
+    while k <= n:
+      invariant k < 3
+      k += 1
+    n += 1
+    mine += 1
+Stop:
+  pre: mine == 2
+  eff: stop
+"""
+
+
+@pytest.mark.parametrize("init", ["", "init:\n  for i in ID:\n    invariant i < 2\n    mine = 0\n"])
+def test_a_false_loop_invariant(init: str, tmp_path: Path) -> None:
+    done = same(tmp_path, found(tmp_path, LOOP.format(init=init), 2), 2)
+    ending = records(tmp_path / "cx.jsonl", "violation")[0]
+    violation = records(done.folder / "trace.jsonl", "violation")[0]
+    assert (
+        (violation["name"], violation["what"])
+        == (ending["name"], "property")
+        == ("line 8" if not init else "line 5", "property")
+    )
+    with redirect_stdout(StringIO()) as told:
+        assert main(["audit", *map(str, done.folder.glob("robots/*/trace.jsonl"))]) == 3
+    assert f"loop invariant {ending['name']} is violated" in told.getvalue()
+
+
 def test_the_command_itself(tmp_path: Path) -> None:
     trace = found(tmp_path, LOST, 2)
     command = [sys.executable, "-m", "koordgen", "sim", str(tmp_path / "app.koord"), "--fleet", str(fleet(tmp_path, 2))]

@@ -153,3 +153,27 @@ def test_what_has_no_value_and_what_cannot_be_asked(tmp_path: Path) -> None:
 def test_a_mission_that_never_began_has_shown_nothing(tmp_path: Path) -> None:
     verdicts = lined(tmp_path).run(0.05).end()
     assert {v.outcome for v in verdicts.values()} == {"unchecked"}
+
+
+LOOPS = """\
+Turn:
+  pre: turns[pid] == 0 and mine > 0
+  eff:
+    for i in range(mine):
+      invariant i < 1
+      invariant mine >= old(mine)
+      turns[pid] += 1
+"""
+
+
+def test_a_false_loop_invariant_is_a_violated_property(tmp_path: Path) -> None:
+    text = LINE.replace("mine < 6", "mine < 3 and turns[pid] > 0 or mine == 0") + LOOPS
+    line = text[: text.index("invariant i < 1")].count("\n") + 1
+    watched = Watched(tmp_path, text).run(3.0)
+    verdicts = watched.end()
+    (found,) = watched.violations()
+    assert (found.what, found.name, found.line) == ("property", f"line {line}", f"a.koord:{line}")
+    assert found.detail.startswith(f"loop invariant line {line} does not hold: in the event Turn of {found.robots[0]}")
+    verdict = verdicts[f"line {line}"]
+    assert (verdict.of, verdict.outcome) == ("loop invariant", "violated") and f"line {line + 1}" not in verdicts
+    assert verdict.since == pytest.approx(watched.t(found), abs=1e-6)

@@ -216,7 +216,8 @@ class Guide:
             return "no event is enabled any more, as the trace says"
         found = self._violation(outcome)
         due = (self.plan.found - (not self.plan.environment)) * self.delta
-        if found is None or not -2 * STEP - BEFORE <= found.t - max(0.0, due) <= STEP:
+        early = -math.inf if not self.plan.found else -2 * STEP - BEFORE  # robots run `init` before round 1
+        if found is None or not early <= found.t - max(0.0, due) <= STEP:
             return ""
         return f"{ending.name} is violated after the same round, as the trace says"
 

@@ -260,7 +260,7 @@ LINES: dict[int, int] = {69: 36, 70: 37, 71: 38, 72: 39, 73: 40, 132: 19, 133: 2
 PROGRAM = Program(
     name="kitchen",
     source="kitchen.koord",
-    program_hash="c2c1c41ac71aa66c",
+    program_hash="49b8e7c03d90b0a3",
     interface_hash="b1f61fc5e4735cea",
     locals=(
         Variable("count", "local", int, Fixed(9), lambda: 0),  # kitchen.koord:66
