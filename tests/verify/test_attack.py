@@ -285,3 +285,32 @@ def test_what_the_semantics_does_not_repeat_is_an_error_of_the_attack(monkeypatc
     monkeypatch.setattr(Judge, "follow", lambda judge, trial: Followed((trial.state,), None))
     with pytest.raises(InternalError, match="it is none the second time"):
         attacked(FAULTS["a value written before a loop"])
+
+
+LOOP = """
+fun up(int n) -> int:
+  int k = 0
+  while k < n:
+    invariant 0 <= k and k <= {most}
+    k += 1
+  return k
+local: int a
+Go:
+  pre: a == 0
+  eff:
+    a = up(3)
+    int j = 0
+    while j < 3:
+      invariant j >= 0
+      j += 1
+invariant Q: forall i in ID: a[i] <= 3
+"""
+
+
+def test_an_invariant_at_a_loop_is_judged_when_an_event_comes_to_it() -> None:
+    names = ["line 4", "line 14", "Q"]
+    found = attacked(LOOP.format(most=3), names)
+    assert found.contradiction is None
+    assert found.of("up", "line 4")[0] > 0 and found.of("Go", "line 14")[0] > 0
+    assert broken(attacked(LOOP.format(most=2), names)) == "line 4"
+    assert broken(attacked(LOOP.format(most=2), ["Q"])) == "", "it is not PROVED"

@@ -41,7 +41,7 @@ from koordgen.semantics.exact import Root, root
 from koordgen.semantics.property import Asked
 from koordgen.semantics.state import Robot, State, Store
 from koordgen.semantics.values import RecordValue, Value, conforms, encodable
-from koordgen.verify.attack.judge import ENVIRONMENT, INIT, WELL_DEFINED, Act, Contradiction, Trial
+from koordgen.verify.attack.judge import ENVIRONMENT, INIT, Act, Contradiction, Trial, names_of
 from koordgen.verify.attack.ports import Answer
 
 FORMAT = "koord-unsound/1"
@@ -208,8 +208,8 @@ class _Reader:
         return data
 
     def names(self, data: Any, what: str) -> tuple[str, ...]:
-        """Names of the program's invariants."""
-        known = [WELL_DEFINED, *[p.name for p in self.program.properties if p.kind == "invariant"]]
+        """Names of invariants, and of those at loops."""
+        known = names_of(self.program)
         return tuple([self.name(one, what, known) for one in self.items(data, what, 1, len(known))])
 
     def name(self, data: Any, what: str, known: Iterable[str]) -> str:

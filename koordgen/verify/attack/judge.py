@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 from koordgen.diagnostics import InternalError
-from koordgen.ir import decl
+from koordgen.ir import decl, stmt
 from koordgen.ir import expr as ir
 from koordgen.ir.types import BOOL
 from koordgen.node import nodes, replace
@@ -113,6 +113,9 @@ class Judge:
         self.initially = [p for p in program.properties if p.kind == "initially"]
         self.rigid = [p for property_ in self.initially for p in _conjuncts(property_.formula) if not _of_fleet(p)]
         self.events = {event.name: event for event in program.events}
+        self.at_heads: dict[str, list[tuple[str, str]]] = {}  # of each step: loop invariants, after whose they are
+        for step, block in ((INIT, program.init), *((e.name, e.effect) for e in program.events)):
+            self.at_heads[step] = [found for found in _at_heads(program, step, block) if found[1] in proved]
         self.guards = replace(program, events=tuple([replace(event, effect=()) for event in program.events]))
         functions: set[str] = set()
         for function in program.functions:
@@ -198,12 +201,14 @@ class Judge:
         if self.ports.lacking:
             raise self._unusable(INIT, self.ports.lacking)
         faults = [step.outcome for step in steps if isinstance(step.outcome, Discarded)]
+        ended = [step.outcome for step in steps if isinstance(step.outcome, Writes)]
         if any(fault.reason == UNFINISHED for fault in faults):
             raise self._unusable(INIT, UNFINISHED)
         breach = next(filter(None, [self._fault(INIT, str(f), f.reason) for f in faults]), None)
         if breach is None and self.defined and self._new(WELL_DEFINED, INIT, key_of(state)):
             self.counts[INIT, WELL_DEFINED] += 1
-        return after, self._act(INIT), breach or self.judged(after, INIT)
+        broken = next(filter(None, [self._at_head(INIT, None, state, writes) for writes in ended]), None)
+        return after, self._act(INIT), breach or broken or self.judged(after, INIT)
 
     def ready(self, start: State, now: State, pid: int, given: Iterable[Answer] | None = None) -> Ready:
         """What robot `pid` may do in a round that began with `start`. Raises Unusable."""
@@ -255,8 +260,19 @@ class Judge:
             return (now, self._act(name, pid), breach) if breach else None
         if self.defined and self._new(WELL_DEFINED, name, pid, key_of(_seen(event, start, now))):
             self.counts[name, WELL_DEFINED] += 1
+        broken = self._at_head(name, pid, _seen(event, start, now), outcome)
         after = applied(now, Step(pid, name, outcome))
-        return after, self._act(name, pid), self.judged(after, name)
+        return after, self._act(name, pid), broken or self.judged(after, name)
+
+    def _at_head(self, step: str, pid: int | None, seen: State, writes: Writes) -> Breach | None:
+        """A PROVED loop invariant that did not hold when a step came to it."""
+        violated = {f"line {span.line}" for span in writes.violated}
+        new = self._new("at heads", step, pid, key_of(seen)) if self.at_heads[step] else False
+        for owner, name in self.at_heads[step]:
+            if name in violated:
+                return Breach(name, f"the loop invariant is false at its loop's head in {step}")
+            self.counts[owner, name] += new
+        return None
 
     def environment(self, now: State, sensors: tuple[Mapping[str, Value], ...]) -> tuple[State, Act, Breach | None]:
         """The environment's step, where the assumptions allow it. Raises Unusable."""
@@ -352,6 +368,24 @@ def _of_fleet(formula: ir.Expr) -> bool:
     """Return whether a formula speaks of anything but params."""
     return any(isinstance(n, (ir.LocalOf, ir.PortOf, ir.SlotRead, ir.SlotsRead, ir.SharedRead, ir.Ids))
                for n in nodes(formula))  # fmt: skip
+
+
+def _at_heads(program: decl.Program, owner: str, block: object) -> Iterator[tuple[str, str]]:
+    """The loop invariants of a block and of the functions that it calls: whose block each is in, its name."""
+    functions = {function.name: function for function in program.functions}
+    called: dict[str, object] = {owner: block}
+    for _ in functions:
+        names = [n.name for part in called.values() for n in nodes(part) if isinstance(n, ir.Call)]
+        called.update({name: functions[name].block for name in names if name in functions})
+    for name, part in called.items():
+        yield from ((name, f"line {n.span.line}") for n in nodes(part) if isinstance(n, stmt.LoopInvariant))
+
+
+def names_of(program: decl.Program) -> list[str]:
+    """All that a verdict may be about."""
+    blocks = (program.init, program.events, program.functions)
+    loops = [f"line {n.span.line}" for n in nodes(blocks) if isinstance(n, stmt.LoopInvariant)]
+    return [WELL_DEFINED, *[p.name for p in program.properties if p.kind == "invariant"], *loops]
 
 
 def _is_fallible(part: object, functions: Collection[str]) -> bool:
