@@ -81,6 +81,10 @@ def _prove(command: argparse.ArgumentParser) -> None:
     command.add_argument("--solver", choices=("z3", "cvc5", "both"), default="z3", help="default: z3")
     command.add_argument("--timeout", metavar="S", type=_seconds, default=10.0, help="of one query (default: 10)")
     command.add_argument("--trace", metavar="FILE", help="write the first counterexample as koord-trace/1")
+    attack = "look for so long for a state that contradicts a PROVED; 0: do not (default: 0.05)"
+    command.add_argument("--attack", metavar="S", type=_attack_seconds, default=0.05, help=attack)
+    again = "run a contradiction again that an earlier command wrote, and prove nothing"
+    command.add_argument("--attack-from", metavar="FILE", help=again)
     command.add_argument("--format", choices=("text", "json"), default="text", help="of what is told (default: text)")
 
 
@@ -109,6 +113,10 @@ def _explore(command: argparse.ArgumentParser) -> None:
 
 def _seconds(text: str) -> float:
     return _number(text, 0.01, 86400.0, "time in seconds")
+
+
+def _attack_seconds(text: str) -> float:
+    return _number(text, 0.0, 86400.0, "time in seconds")
 
 
 def _fmt(command: argparse.ArgumentParser) -> None:

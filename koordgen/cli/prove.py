@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from koordgen.cli import (
     HOLDS,
     INCONCLUSIVE,
+    INTERNAL,
     SURROUNDINGS,
     USAGE,
     VIOLATED,
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from koordgen.check.params import Value
     from koordgen.ir.decl import Program
     from koordgen.ir.expr import Expr
+    from koordgen.prove.show import Attacks
     from koordgen.prove.solve import Both, Solver
     from koordgen.prove.verdict import Verdict
     from koordgen.source import Source
@@ -38,6 +40,10 @@ def run(options: Namespace) -> int:
     """The whole command."""
     from koordgen.prove.solve import Limits, SolverMissing, solver_of
 
+    if options.attack_from is not None:
+        from koordgen.cli.attack import again
+
+        return again(options)
     limits = Limits(query=options.timeout, total=_total(options))
     try:
         with solver_of(options.solver, limits) as solver:
@@ -54,6 +60,7 @@ def _total(options: Namespace) -> float:
 
 def proved(options: Namespace, solver: Solver | Both) -> int:
     """Checks, writes and tells what was asked for. Raises SolverMissing."""
+    from koordgen.cli.attack import attacked
     from koordgen.pipeline import check_file, fleet_params
 
     checked = check_file(options.program)
@@ -62,8 +69,9 @@ def proved(options: Namespace, solver: Solver | Both) -> int:
     given = {**fleet_params(options.fleet, checked, options.program), **_params(options.param)}
     question = fixed(checked.program, given)
     found = asked(checked.program, question, numbers(options.robots), solver, _total(options))
+    attacks = attacked(checked.program, question, found, solver, options)
     solver.stop()  # what it holds is freed while we tell
-    tell(options, found)
+    tell(options, found, attacks)
     if options.emit is not None:
         emit(options.emit, files(checked.source, checked.program, question, numbers(options.robots), found))
     if options.trace is not None:
@@ -132,22 +140,23 @@ def numbers(text: str) -> list[int | None]:
 def status(found: list[list[Verdict]]) -> int:
     """The worst of all verdicts: a violation before what is not known."""
     said = {verdict.verdict for verdicts in found for verdict in verdicts}
+    if "UNSOUND" in said:
+        return INTERNAL
     if said & {"FALSIFIED", "NOT INDUCTIVE"}:
         return VIOLATED
     return INCONCLUSIVE if said & {"UNKNOWN", "VACUOUS"} else HOLDS
 
 
-def tell(options: Namespace, found: list[list[Verdict]]) -> None:
+def tell(options: Namespace, found: list[list[Verdict]], attacks: list[Attacks]) -> None:
     from koordgen.prove.show import document, report
 
     if options.format == "json":
         import json
 
-        verdicts = [verdict for each in found for verdict in each]
-        print(json.dumps(document(verdicts), indent=2), flush=True)
+        print(json.dumps(document(zip(found, attacks, strict=True)), indent=2), flush=True)
         return
-    for verdicts in found:
-        sys.stdout.write(report(verdicts, options.program))
+    for verdicts, made in zip(found, attacks, strict=True):
+        sys.stdout.write(report(verdicts, options.program, made))
 
 
 def files(

@@ -107,7 +107,7 @@ class _Search:
         self.sensors = [
             (f"{m.name}.{p.name}", p.type) for m in program.modules for p in m.ports if p.direction == "sensor"
         ]
-        self.hints = hints
+        self.pools = Pools(hints, literals(program.properties), bounds.values)
         self.as_agents = as_agents
 
     def of(self, n_sys: int) -> Run | None:
@@ -141,7 +141,7 @@ class _Search:
         """Initial states: sensors take all values on one robot, at first, and values apart from the others'."""
         first = made_state(initial(self.program, n_sys))
         rules = [p for p in self.program.properties if p.kind == "initially"]
-        pools = [[(name, v) for v in self.first(name, type_, first)] for name, type_ in self.sensors]
+        pools = [[(name, v) for v in self.pools.first(name, type_, first)] for name, type_ in self.sensors]
         single = [dict(choice) for choice in islice(product(*pools), self.bounds.moves)]
         fleets = islice(product(single, repeat=n_sys), self.bounds.states)
         count = 0
@@ -150,12 +150,6 @@ class _Search:
             if count < self.bounds.moves and all(true(rule, self.program, state) for rule in rules):
                 count += 1
                 yield state
-
-    def first(self, name: str, type_: Type, state: State) -> list[Value]:
-        """What a sensor may say at a mission's start: where nothing was commanded yet, everything is reached."""
-        module, _, port = name.partition(".")
-        commands = {f"{module}.target", f"{module}.path"} & set(state.robots[0].ports)
-        return [True] if port == "reached" and commands else self.pool(type_, state)
 
     def rounds(self, layer: list[tuple[Moment, ...]], seen: list[State]) -> Iterator[tuple[Moment, ...]]:
         """Every run with one round more: one event, of one robot or as agents run them, and the environment's step."""
@@ -209,7 +203,7 @@ class _Search:
         """The environment's step: all robots, each to a value that the assumptions allow."""
         each = []
         for pid, robot in enumerate(state.robots):
-            pools = [self.nearby(name, type_, robot.ports, state) for name, type_ in self.sensors]
+            pools = [self.pools.nearby(name, type_, robot.ports, state) for name, type_ in self.sensors]
             found = []
             for moves in islice(product(*pools), 4 * self.bounds.moves):
                 new = {**robot.ports, **dict(moves)}
@@ -222,25 +216,39 @@ class _Search:
         for fleet in islice(product(*each), self.bounds.moves):
             yield sense(state, fleet)
 
+
+class Pools:
+    """The values that sensors are tried with: of each type those of which the program and some hints speak, at most
+    `count` of them."""
+
+    def __init__(self, hints: Iterable[Value], spoken: Iterable[Value], count: int) -> None:
+        self.hints, self.spoken = tuple(hints), tuple(spoken)
+        self.count = count
+
+    def first(self, name: str, type_: Type, state: State) -> list[Value]:
+        """The values of a sensor at a mission's start. `reached` is true there where its module has a command, because
+        an unset actuator holds."""
+        module, _, port = name.partition(".")
+        commands = {f"{module}.target", f"{module}.path"} & set(state.robots[0].ports)
+        return [True] if port == "reached" and commands else self.pool(type_, state)
+
     def nearby(self, name: str, type_: Type, ports: Mapping[str, Value], state: State) -> list[tuple[str, Value]]:
-        """Where a sensor may come to: where commands of its type are, where it is, and the pool of its type."""
+        """The values of a sensor after a step: commands of its type, its own value, and the pool of its type."""
         commands = [v for other, v in ports.items() if other != name and _is(v, type_)]
         return [(name, v) for v in _distinct([*commands, ports[name], *self.pool(type_, state)])]
 
     def pool(self, type_: Type, state: State) -> list[Value]:
-        """The values of a type that the program and the counterexample speak of."""
+        """The values of a type that the program and the hints speak of."""
         if type_ == BOOL:
             return [True, False]
-        known: list[Value] = [v for v in (*self.hints, *state.params.values()) if _is(v, type_)]
-        if type_ in (INT, FLOAT):
-            known += [v for v in _numbers(self.program.properties) if _is(v, type_)]
+        known: list[Value] = [v for v in (*self.hints, *state.params.values(), *self.spoken) if _is(v, type_)]
         if type_ == POINT:
             known += [_apart(i) for i in range(len(state.robots))]
         if type_ == FLOAT:
             known.append(Fraction(0))  # type: ignore[arg-type]
         if type_ == INT:
             known.append(0)
-        return _distinct(known)[: self.bounds.values]
+        return _distinct(known)[: self.count]
 
 
 def _apart(i: int) -> Point:
@@ -254,20 +262,20 @@ def _is(value: Any, type_: Type) -> bool:
     return type_ in kinds and isinstance(value, kinds[type_])
 
 
-def _numbers(node: object) -> Iterator[Value]:
-    """The literals of formulas."""
+def literals(node: object) -> Iterator[Value]:
+    """The numbers that formulas or statements name."""
     match node:
         case ir.Const(value):
             if not isinstance(value, (bool, str)):
                 yield made_exact(value)
         case tuple():
             for part in node:
-                yield from _numbers(part)
+                yield from literals(part)
         case Span():
             return
         case Node():
             for field in type(node).__match_args__:  # type: ignore[attr-defined]
-                yield from _numbers(getattr(node, field))
+                yield from literals(getattr(node, field))
         case _:
             return
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from koordgen.ir import decl
 from koordgen.prove.reading import Reader, Unshowable
 from koordgen.semantics.eval import Discarded
@@ -44,17 +46,20 @@ class Served:
         """Raises Unshowable where something was asked that the model does not tell, or was answered as it must not."""
         if self.missing:
             raise Unshowable(f"what {self.missing[0]} yields is known only by what is said of it")
-        ports = state.robots[pid].ports
-        count = len(state.robots)
-        for module in self.program.modules:
-            for assumption in module.assumptions:
-                if not any(True for _ in decl.handed(assumption.formula)):
+        answered(self.program, state, pid, self.asked, self.world)
+
+
+def answered(program: decl.Program, state: State, pid: int, asked: Sequence[Asked], world: World) -> None:
+    """Raises Unshowable where an assumption about what callable ports answer does not hold of some calls."""
+    ports = state.robots[pid].ports
+    count = len(state.robots)
+    for module in program.modules:
+        for assumption in module.assumptions:
+            if not any(True for _ in decl.handed(assumption.formula)):
+                continue
+            try:
+                if holds_assumption(assumption, program, ports, ports, pid, count, state.params, world, asked):
                     continue
-                try:
-                    if holds_assumption(
-                        assumption, self.program, ports, ports, pid, count, state.params, self.world, self.asked
-                    ):
-                        continue
-                except Discarded as error:
-                    raise Unshowable(f"an assumption has no value in it: {error.reason}") from None
-                raise Unshowable("an assumption about what a port answers does not hold in it")
+            except Discarded as error:
+                raise Unshowable(f"an assumption has no value in it: {error.reason}") from None
+            raise Unshowable("an assumption about what a port answers does not hold in it")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from koordgen.prove.verdict import WELL_DEFINED, Verdict
 
@@ -13,24 +13,39 @@ if TYPE_CHECKING:  # a proof needs nothing of what shows counterexamples
 WIDTH = 100
 
 
-def report(verdicts: Sequence[Verdict], path: str) -> str:
+class Attacked(NamedTuple):
+    """How many states one obligation was attacked with; why none, where it is 0."""
+
+    states: int
+    reason: str
+
+
+Attacks = Mapping[str, Attacked]  # by the obligation's name
+
+
+def report(verdicts: Sequence[Verdict], path: str, attacks: Attacks) -> str:
     """All verdicts, then what they take for granted."""
     robots = verdicts[0].robots if verdicts else None
     fleet = "every number of robots" if robots is None else f"{robots} robot{'s' * (robots != 1)}"
     lines = [f"{path}, for {fleet}", ""]
     for verdict in verdicts:
-        lines += [*_verdict(verdict), ""]
+        lines += [*_verdict(verdict, attacks), ""]
     if not verdicts:
         lines.append("the program has no invariants: there is nothing to prove")
     lines += _ledger(verdicts)
     return "\n".join(line.rstrip() for line in lines).rstrip() + "\n"
 
 
-def _verdict(verdict: Verdict) -> Iterator[str]:
+def _verdict(verdict: Verdict, attacks: Attacks) -> Iterator[str]:
     count = len(verdict.outcomes)
     seconds = sum(o.answer.seconds for o in verdict.outcomes)
     measured = f"{count} obligation{'s' * (count != 1)}, {1000 * seconds:.0f} ms"
+    if verdict.verdict == "PROVED":
+        states = attacked_states(verdict, attacks)
+        measured += f"; attacked with {states} state{'s' * (states != 1)}"
     yield f"{verdict.verdict:<14} {verdict.invariant}  ({measured})"
+    if verdict.verdict == "PROVED":
+        yield from _unattacked(verdict, attacks)
     if verdict.rests_on:
         yield from wrapped(f"rests on {', '.join(verdict.rests_on)}")
     if verdict.reason:
@@ -52,6 +67,24 @@ def _verdict(verdict: Verdict) -> Iterator[str]:
     guarded = "guard it, or say in an invariant that it does not happen"
     untold = guarded if verdict.invariant == WELL_DEFINED else "no conjunct that was tried closes the proof"
     yield from wrapped(suggestion(verdict) or untold)
+
+
+def attacked_states(verdict: Verdict, attacks: Attacks) -> int:
+    """The states of all steps that an invariant was attacked with; obligations of one step share theirs."""
+    steps = {o.obligation.event: attacks[o.obligation.name].states for o in verdict.outcomes}
+    return sum(steps.values())
+
+
+def _unattacked(verdict: Verdict, attacks: Attacks) -> Iterator[str]:
+    """The obligations that no state was found for, by their reasons."""
+    names: dict[str, list[str]] = {}
+    for outcome in verdict.outcomes:
+        states, reason = attacks[outcome.obligation.name]
+        if not states:
+            names.setdefault(reason, []).append(outcome.obligation.name)
+    for reason, group in names.items():
+        which = "" if len(group) == len(verdict.outcomes) else f" {', '.join(group)}"
+        yield from wrapped(f"not attacked{which}: {reason}")
 
 
 def wrapped(text: str) -> list[str]:
@@ -102,12 +135,12 @@ def _ledger(verdicts: Iterable[Verdict]) -> Iterator[str]:
         yield from filled(f"{entry.kind}: {entry.text}{place}; {checked}", "  - ", "    ")
 
 
-def document(verdicts: Sequence[Verdict]) -> dict[str, Any]:
-    """All verdicts as JSON has them."""
-    return {"invariants": [_json(verdict) for verdict in verdicts]}
+def document(found: Iterable[tuple[Sequence[Verdict], Attacks]]) -> dict[str, Any]:
+    """All verdicts as JSON has them, for each number of robots with its attacks."""
+    return {"invariants": [_json(verdict, attacks) for verdicts, attacks in found for verdict in verdicts]}
 
 
-def _json(verdict: Verdict) -> dict[str, Any]:
+def _json(verdict: Verdict, attacks: Attacks) -> dict[str, Any]:
     told = verdict.explanation
     obligations = [
         {
@@ -116,6 +149,7 @@ def _json(verdict: Verdict) -> dict[str, Any]:
             "line": o.obligation.line,
             "result": o.answer.result,
             "seconds": round(o.answer.seconds, 6),
+            **_attacked(attacks[o.obligation.name]),
         }
         for o in verdict.outcomes
     ]
@@ -132,6 +166,11 @@ def _json(verdict: Verdict) -> dict[str, Any]:
         "suggestion": suggestion(verdict) or verdict.reason or None,
         "assumptions": [*rests, *(entry._asdict() for entry in verdict.assumptions)],
     }
+
+
+def _attacked(attacked: Attacked) -> dict[str, Any]:
+    states, reason = attacked
+    return {"attacked": states} if states else {"attacked": 0, "not_attacked": reason}
 
 
 def _found(told: Explanation) -> dict[str, Any] | None:

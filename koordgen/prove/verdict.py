@@ -22,7 +22,7 @@ from koordgen.prove.solve import Answer, Both, Solver
 if TYPE_CHECKING:  # what explains failures runs programs: a proof needs none of it, and it takes long to import
     from koordgen.prove.explain import Explanation
 
-Name = Literal["PROVED", "VACUOUS", "FALSIFIED", "NOT INDUCTIVE", "UNKNOWN"]
+Name = Literal["PROVED", "VACUOUS", "FALSIFIED", "NOT INDUCTIVE", "UNKNOWN", "UNSOUND"]
 WELL_DEFINED = "(well-defined)"
 MORE: tuple[Told, ...] = ("usual", "most")
 

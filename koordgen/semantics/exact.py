@@ -14,9 +14,9 @@ from itertools import pairwise
 from typing import Any, TypeVar
 
 from koordgen.ir import decl, expr
-from koordgen.ir.types import FLOAT, INT, Type
+from koordgen.ir.types import BOOL, FLOAT, INT, Type
 from koordgen.node import Node
-from koordgen.runtime.values import Point
+from koordgen.runtime.values import Grid, Point, Pose
 from koordgen.source import Span
 
 MAX_BITS = 1 << 16  # of a numerator or denominator
@@ -110,6 +110,8 @@ def _segments(path: tuple[Point, ...]) -> list[tuple[Point, Point]]:
 def _squared(p: Point, q: Point, r: Point, s: Point) -> Fraction:
     """Of the segments pq and rs: the squared distance of p + x (q - p) and r + y (s - r) is convex in x and y; its
     least value on the unit square is at one end of a segment, or where both derivatives are zero."""
+    if p == q or r == s:
+        return _beyond(p, r, s) if p == q else _beyond(r, p, q)
     d, e, w = _minus(q, p), _minus(s, r), _minus(p, r)
     best = min(_beyond(p, r, s), _beyond(q, r, s), _beyond(r, p, q), _beyond(s, p, q))
     dd, ee, de, dw, ew = _dot(d, d), _dot(e, e), _dot(d, e), _dot(d, w), _dot(e, w)
@@ -124,7 +126,10 @@ def _squared(p: Point, q: Point, r: Point, s: Point) -> Fraction:
 
 def _beyond(x: Point, p: Point, q: Point) -> Fraction:
     """The squared distance of a point from the segment pq."""
-    d, w = _minus(q, p), _minus(x, p)
+    w = _minus(x, p)
+    if p == q:
+        return _dot(w, w)
+    d = _minus(q, p)
     along = _dot(d, d)
     t = min(max(_dot(w, d) / along, Fraction(0)), Fraction(1)) if along else Fraction(0)
     gap = [w[i] - t * d[i] for i in range(3)]
@@ -185,6 +190,10 @@ def made_exact(value: Any) -> Any:
         return Fraction(value)
     if isinstance(value, Point):
         return Point(*(made_exact(part) for part in (value.x, value.y, value.z)))
+    if isinstance(value, Pose):
+        return Pose(made_exact(value.position), made_exact(value.yaw))
+    if isinstance(value, Grid):
+        return Grid(value.x, value.y, made_exact(value.size))
     if type(value) is tuple:
         return tuple([made_exact(part) for part in value])
     if isinstance(value, tuple):  # a record
@@ -211,10 +220,18 @@ def _exact(node: Any) -> Any:
             return expr.Const(Fraction(value), type_, span)  # type: ignore[arg-type]
         case expr.Widen(operand, _, span):
             return _widened(operand, span)
+        case expr.Builtin("sum", (values,), type_, span) if type_ == FLOAT:
+            return _summed(values, made, span)
         case expr.Binary("/", left, right, proved, type_, span) if left.type == INT:
             return expr.Binary("/", _widened(left, span), right, proved, type_, span)
         case _:
             return made
+
+
+def _summed(values: expr.Expr, whole: expr.Expr, span: Span) -> expr.Expr:
+    """The sum of no numbers is an exact zero, too."""
+    some = expr.Compare("<", expr.Const(0, INT, span), expr.Builtin("len", (values,), INT, span), BOOL, span)
+    return expr.Conditional(some, whole, expr.Const(Fraction(0), FLOAT, span), FLOAT, span)  # type: ignore[arg-type]
 
 
 def _widened(operand: expr.Expr, span: Span) -> expr.Expr:

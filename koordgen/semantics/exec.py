@@ -17,6 +17,7 @@ from koordgen.semantics.values import Value, as_, conforms, encodable, flaw, ite
 from koordgen.source import Span
 
 MAX_TURNS = 1_000_000  # of one event; a robot's round is over before
+UNFINISHED = "it is not finished by the end of the round"
 
 
 class Writes(NamedTuple):
@@ -34,12 +35,12 @@ class Writes(NamedTuple):
 
 
 class Budget:
-    """One event, its functions included: the turns that are `left` to it (a turn of a loop and a call of a function
-    cost one), and the loop invariants that were false or had no value, by where they stand. Where there is a deadline,
-    the event is given up when it has passed (OutOfTime)."""
+    """One event, its functions included: the turns that are `left` to it, of `turns` or MAX_TURNS (a turn of a loop and
+    a call of a function cost one), and the loop invariants that were false or had no value, by where they stand. Where
+    there is a deadline, the event is given up when it has passed (OutOfTime)."""
 
-    def __init__(self) -> None:
-        self.left = MAX_TURNS
+    def __init__(self, turns: int | None = None) -> None:
+        self.left = MAX_TURNS if turns is None else turns
         self.violated: dict[Span, None] = {}
         self.deadline = present()
 
@@ -47,7 +48,7 @@ class Budget:
         """Take so many turns. Raises Discarded, OutOfTime."""
         self.left -= turns
         if self.left < 0:
-            raise Discarded("it is not finished by the end of the round", span)
+            raise Discarded(UNFINISHED, span)
         if self.deadline is not None:
             self.deadline.look()
 

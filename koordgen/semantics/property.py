@@ -25,7 +25,7 @@ class Asked(NamedTuple):
 def holds_property(property_: decl.Property, program: decl.Program, state: State, world: World = NOTHING) -> bool:
     """Whether a property holds at a round's boundary. Raises Discarded where its formula has no value (an index that
     names no robot), NoMeaning where it asks a `spec fun` of which `world` knows nothing."""
-    view = library(program, len(state.robots), state.params, world, Budget(), no_port)
+    view = library(program, len(state.robots), state.params, world, Budget(world.turns), no_port)
     view = view._replace(slots=state.store.slots, cells=state.store.cells, robots=state.robots)
     return holds(property_.formula, view)
 
@@ -43,7 +43,7 @@ def holds_assumption(
     def ask(port: str, args: tuple[Value, ...]) -> Value:
         return answers[port, args] if (port, args) in answers else world.answer(pid, port, args)
 
-    view = library(program, n_sys, params, world, Budget(), ask)._replace(pid=pid, ports=before, after=after)
+    view = library(program, n_sys, params, world, Budget(world.turns), ask)._replace(pid=pid, ports=before, after=after)
     patterns = list(decl.handed(assumption.formula))
     return all(holds(assumption.formula, view._replace(temps=temps)) for temps in _goals(patterns, asked, {}))
 

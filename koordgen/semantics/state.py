@@ -41,10 +41,12 @@ def nobody(pid: int, port: str, args: tuple[Value, ...]) -> Value:
 class World(NamedTuple):
     """What a program calls. `externs`: its extern functions by name, over values as here, pure; also `spec fun`s, where
     properties that use them are to be executed. `answer`: what a callable port says, by pid, "Module.port" and
-    arguments; an input, the same as often as an event is run again. What they raise discards the event."""
+    arguments; an input, the same as often as an event is run again. What they raise discards the event. `turns`: those
+    of loops that one event has here, where they are fewer than a robot's."""
 
     externs: Mapping[str, Callable[..., Value]]
     answer: Callable[[int, str, tuple[Value, ...]], Value]
+    turns: int | None = None
 
 
 NOTHING = World({}, nobody)

@@ -115,7 +115,7 @@ def select(program: decl.Program, state: State, pid: int, world: World = NOTHING
 
 def enabled(program: decl.Program, event: decl.Event, state: State, pid: int, world: World = NOTHING) -> bool:
     """Whether an event's guard holds for a robot. Raises Discarded."""
-    return holds(event.guard, _view(program, state, pid, world, Budget()))
+    return holds(event.guard, _view(program, state, pid, world, Budget(world.turns)))
 
 
 def has_priority(program: decl.Program, event: decl.Event, begun: State, pid: int, world: World = NOTHING) -> bool:
@@ -132,7 +132,7 @@ def execute(
     program: decl.Program, block: stmt.Block, state: State, pid: int, world: World = NOTHING
 ) -> Writes | Discarded:
     """An effect (or init) of one robot on a state: its writes, or why none of them counts."""
-    budget = Budget()
+    budget = Budget(world.turns)
     return run(program, block, _view(program, state, pid, world, budget), budget)
 
 

@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,9 @@ import pytest
 from koordgen.cli import main
 from koordgen.prove.process import allowed
 from koordgen.prove.solve import Limits, solver_of
+from koordgen.verify.attack.attack import attack
 from tests.prove.programs import CONTRADICTION, COUNTER, CUBES, LINE, SECRET, STRONG
+from tests.verify.faults import ticks
 
 ROOT = Path(__file__).parents[2]
 
@@ -32,10 +35,10 @@ def written(text: str) -> str:
 
 
 def told(capsys: pytest.CaptureFixture[str]) -> str:
-    """The report with its times taken out."""
+    """The report with its times and its numbers of states taken out."""
     import re
 
-    return re.sub(r"\d+ ms\)", "T)", capsys.readouterr().out)
+    return re.sub(r"\d+ ms(; attacked with [1-9]\d* states?)?\)", "T)", capsys.readouterr().out)
 
 
 def test_a_proof(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -83,14 +86,18 @@ def test_a_run(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "false then: n[i] < 3, i = 0  (app.koord:11)" in shown
 
 
-def test_json(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json(folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("koordgen.verify.attack.attack.attack", partial(attack, clock=ticks()))
     assert main(["prove", written(LINE), "--format", "json"]) == 3
     found: dict[str, Any] = json.loads(capsys.readouterr().out)
     geofence, defined = found["invariants"]
     keys = {"name", "verdict", "robots", "obligations", "counterexample", "suggestion", "assumptions"}
     assert set(geofence) == set(defined) == keys
     assert (geofence["name"], geofence["verdict"], geofence["robots"]) == ("Geofence", "NOT INDUCTIVE", "any")
-    assert all(set(o) == {"name", "file", "line", "result", "seconds"} for o in geofence["obligations"])
+    told = {"name", "file", "line", "result", "seconds", "attacked"}
+    assert all(set(o) == told | {"not_attacked"} for o in geofence["obligations"])
+    assert {o["not_attacked"] for o in geofence["obligations"]} == {"the verdict is not PROVED"}
+    assert all(set(o) == told and o["attacked"] > 0 for o in defined["obligations"])
     assert {o["result"] for o in geofence["obligations"]} == {"sat", "unsat"}
     assert geofence["counterexample"]["conjunct"] == "Motion.position[i] in Rect(lo, hi)"
     assert geofence["counterexample"]["run"] is None

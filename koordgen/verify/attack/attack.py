@@ -1,0 +1,440 @@
+"""Attack on a program's PROVED invariants, within a budget: which states are run, in which order, and what was found.
+
+Cheap and telling states come first: initial states, `init`, the first events of each robot. Then three sources take
+turns by the time that they have used: random walks out of `init`; states from the solver's models, from which one round
+is run in every order; and states beside those, which differ in a few variables. The same program and seed give the same
+states; the budget says how many of them.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping
+from itertools import cycle
+from random import Random
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from koordgen.diagnostics import InternalError
+from koordgen.ir import decl
+from koordgen.ir import expr as ir
+from koordgen.node import Node, nodes, replace
+from koordgen.semantics.eval import Discarded
+from koordgen.semantics.exact import NotExact, exact
+from koordgen.semantics.state import State
+from koordgen.semantics.step import initial
+from koordgen.semantics.values import Value
+from koordgen.verify.attack.judge import (
+    ENVIRONMENT,
+    INIT,
+    Act,
+    Breach,
+    Contradiction,
+    Judge,
+    Refused,
+    Trial,
+    Unusable,
+    key_of,
+)
+from koordgen.verify.attack.models import Models
+from koordgen.verify.attack.states import States
+
+if TYPE_CHECKING:
+    from koordgen.prove.solve import Both, Solver
+
+SECONDS = 0.05  # of an attack, where nothing else is asked for
+FLEETS = (1, 2, 3, 4)  # robots
+STARTS = 2  # initial states of each number of robots, at first
+TRIES = 12  # of drawing an initial state
+ROUNDS = 6  # of one random walk
+ORDERS = 150  # steps in one round from one pre-state, at most
+VARIED_ORDERS = 8  # the same, from a state beside a known one
+MODEL_RUNS = 60  # steps that one pre-state is expected to bring to its event, until the solver is asked for another
+SKIPS = 0.15  # of the turns of robots in a random walk
+STALE = 400  # pieces of work without a new state, after which the attack ends
+FIRST = 0.4  # of the budget, until the solver is asked
+
+Clock = Callable[[], float]
+
+
+class Report(NamedTuple):
+    """What an attack came to. `states`: how many each invariant was judged in, by step (an event's name, "init",
+    "(environment)") and invariant. `reasons`: why it was judged in none, likewise."""
+
+    states: Mapping[tuple[str, str], int]
+    reasons: Mapping[tuple[str, str], str]
+    contradiction: Contradiction | None
+    seconds: float
+
+    def of(self, step: str, invariant: str) -> tuple[int, str]:
+        """How many states an obligation was attacked with; why none, where it is 0."""
+        count = self.states.get((step, invariant), 0)
+        if count:
+            return count, ""
+        found = self.reasons.get((step, invariant)) or self.reasons.get((step, "")) or self.reasons.get(("", ""))
+        return 0, found or "no state was found from which the step can be run"
+
+
+class Spent(Exception):
+    """The budget is used up."""
+
+
+class Found(Exception):
+    """A step contradicts a verdict."""
+
+    def __init__(self, contradiction: Contradiction) -> None:
+        super().__init__(contradiction.breach.why)
+        self.contradiction = contradiction
+
+
+class Place(NamedTuple):
+    """Within a round: the state that all began with, the round's start, the state now, the robots that had their turn
+    in this round, all steps until now."""
+
+    first: State
+    start: State
+    now: State
+    turns: frozenset[int]
+    acts: tuple[Act, ...]
+
+    def then(self, act: Act, now: State) -> Place:
+        """After a step of a robot; the beginning of the next round where it is the environment's, or `init`."""
+        acts = (*self.acts, act)
+        if act.pid is None:
+            return Place(self.first, now, now, frozenset(), acts)
+        return Place(self.first, self.start, now, self.turns | {act.pid}, acts)
+
+
+def beginning(state: State) -> Place:
+    """A state before `init`, or at a round's start, from which steps are run."""
+    return Place(state, state, state, frozenset(), ())
+
+
+def attack(
+    program: decl.Program, proved: Collection[str], robots: int | None = None,
+    params: Mapping[str, ir.Expr] | None = None, solver: Solver | Both | None = None, seconds: float = SECONDS,
+    clock: Clock = time.process_time, seed: int = 0,
+) -> Report:  # fmt: skip
+    """Look for a state that contradicts a PROVED invariant (or "(well-defined)"), for `seconds` of `clock`, which are
+    those of computing, the solver's included; with another clock, that counts work, waiting for the solver takes none.
+    `params` are fixed, all others may have any value; `solver` tells pre-states, where there is one."""
+    began = clock()
+    if robots is not None and robots > FLEETS[-1]:
+        return _none(f"only fleets of at most {FLEETS[-1]} robots are attacked")
+    if not proved:
+        return _none("nothing is PROVED")
+    search = _Search(program, proved, robots, dict(params or {}), solver, began + seconds, clock, seed)
+    found = search.run()
+    reasons = {("", ""): f"the budget of {1000 * seconds:g} ms was used up before"} if search.spent else {}
+    reasons.update(search.judge.reasons)
+    return Report(dict(search.judge.counts), reasons, found, search.clock() - began)
+
+
+def _none(why: str) -> Report:
+    return Report({}, {("", ""): why}, None, 0.0)
+
+
+def runnable(program: decl.Program) -> tuple[decl.Program, bool]:
+    """The program made exact; and whether first values of variables, GridMaps, are those of robots, which depend on the
+    params that the program has."""
+    variables: list[decl.Local | decl.Shared] = [*program.locals, *program.shared]
+    rounded = {v.name for v in variables if any(_is_map(n) for n in nodes(v.initial))}
+    made = exact(program)
+    if not rounded:
+        return made, False
+    first = initial(program, 1)
+    values = {**first.robots[0].locals, **first.store.cells, **{n: v[0] for n, v in first.store.slots.items()}}
+
+    def known(variable: decl.Local | decl.Shared) -> ir.Expr:
+        value: Any = values[variable.name]  # the semantics takes a constant's value as it is
+        given = ir.Const(value, variable.type, variable.span)
+        return given if variable.name in rounded else variable.initial
+
+    locals_ = tuple([replace(v, initial=known(v)) for v in made.locals])
+    shared = tuple([replace(v, initial=known(v)) for v in made.shared])
+    return replace(made, locals=locals_, shared=shared), True
+
+
+def _is_map(node: Node) -> bool:
+    return isinstance(node, ir.Builtin) and node.name == "GridMap"
+
+
+class _Search:
+    def __init__(
+        self, program: decl.Program, proved: Collection[str], robots: int | None, params: dict[str, ir.Expr],
+        solver: Solver | Both | None, until: float, clock: Clock, seed: int,
+    ) -> None:  # fmt: skip
+        given = tuple([replace(p, default=params[p.name]) if p.name in params else p for p in program.params])
+        kept = tuple([p for p in program.properties if p.kind != "invariant" or p.name in proved])
+        self.program = replace(program, params=given, properties=kept)
+        self.exact, rounded = runnable(self.program)
+        self.random = Random(seed)
+        free = [] if rounded else [p.name for p in program.params if p.name not in params]
+        self.states = States(self.exact, free, self.random)
+        self.proved = proved
+        self.judge = Judge(self.exact, proved, self.states.answers)
+        self.fleets = FLEETS if robots is None else (robots,)
+        self.params, self.solver, self.until = params, solver, until
+        self.computing, self.timed = clock, clock is time.process_time
+        self.waited = 0.0  # seconds for the solver
+        self.ready: list[Place] = []  # after `init`
+        self.known: list[State] = []  # at a round's start
+        self.seen: set[tuple[object, ...]] = set()
+        self.launched: dict[int, int] = {}
+        self.runs: dict[str, int] = {}  # of each event
+        self.tried: dict[str, int] = {}  # of each step: the runs that models were expected to bring
+        self.spent = False
+        self.units = 0
+        self.news = 0, 0  # the judged states, and at which unit the last new one was
+
+    def clock(self) -> float:
+        return self.computing() + self.waited
+
+    def run(self) -> Contradiction | None:
+        began = self.clock()
+        try:
+            for _ in self.first():
+                if self.clock() > began + FIRST * (self.until - began):
+                    break
+            self.alternate()
+        except Spent:
+            pass
+        except Found as found:
+            return self.confirmed(found.contradiction)
+        return None
+
+    def confirmed(self, found: Contradiction) -> Contradiction:
+        """A contradiction once more, from its beginning, by another judge."""
+        why = "it is none the second time"
+        try:
+            again = Judge(self.exact, self.proved, self.states.answers).follow(found.trial).contradiction
+            if again is not None:
+                return again
+        except (Refused, Unusable) as error:
+            why = str(error)
+        raise InternalError(f"the attack on {found.breach.invariant} found what it cannot repeat: {why}")
+
+    def alternate(self) -> None:
+        """All sources, each with the same time, until the budget is used up."""
+        sources = [self.walks(), self.varied()] + ([self.modelled()] if self.solver is not None else [])
+        used = [0.0] * len(sources)
+        while sources:
+            place = used.index(min(used))
+            before = self.clock()
+            try:
+                next(sources[place])
+            except StopIteration:
+                del sources[place], used[place]
+                continue
+            used[place] += self.clock() - before
+            self.unit()
+
+    def unit(self) -> None:
+        """One piece of work is done. Raises Spent, also where none of the last ones came to a new state."""
+        if len(self.judge.known) > self.news[0]:
+            self.news = len(self.judge.known), self.units
+        self.units += 1
+        self.spent = self.clock() > self.until
+        if self.spent or self.units - self.news[1] > STALE:
+            raise Spent
+
+    # Initial states and first rounds
+
+    def first(self) -> Iterator[None]:
+        """Initial states of each number of robots, `init`, one event of each robot, one step of the environment; then
+        some rounds."""
+        for robots in self.fleets:
+            for _ in range(STARTS):
+                place = self.launch(robots)
+                if place is not None:
+                    yield from self.once(place)
+                    yield from self.walk(place)
+
+    def launch(self, robots: int) -> Place | None:
+        """A place after every robot's init; None where none was found."""
+        why = "no state was found that satisfies what holds `initially`"
+        for _ in range(TRIES):
+            self.unit()
+            attempt = self.launched[robots] = self.launched.get(robots, -1) + 1
+            try:
+                state = self.states.launch(robots, attempt, self.judge.is_start)
+                if state is None or not self.fresh(state):
+                    continue
+                after, act, breach = self.judge.init(state)
+            except (Unusable, NotExact, Discarded) as error:
+                why = f"no initial state can be made: {error}"
+                continue
+            place = self.check(beginning(state), act, after, breach)
+            self.ready.append(place)
+            self.known.append(place.now)
+            return place
+        self.judge.reasons.setdefault((INIT, ""), why)
+        return None
+
+    def once(self, place: Place) -> Iterator[None]:
+        """Every event that one robot alone may run in a state, each followed by the environment's step."""
+        self.settle(place)
+        for step in self.steps(place):
+            yield
+            self.settle(step)
+
+    # Walks
+
+    def walks(self) -> Iterator[None]:
+        """Random walks, out of initial states, new ones among them."""
+        for robots in cycle(self.fleets):
+            place = self.launch(robots) if self.random.random() < 0.5 or not self.ready else None
+            yield
+            if place is None and not self.ready:
+                return
+            yield from self.walk(self.random.choice(self.ready) if place is None else place)
+
+    def walk(self, place: Place) -> Iterator[None]:
+        for _ in range(ROUNDS):
+            robots = len(place.now.robots)
+            for pid in self.random.sample(range(robots), robots):
+                if self.random.random() >= SKIPS:
+                    place = self.turn(place, pid)
+                    yield
+            moved = self.settle(place)
+            if moved is None:
+                return
+            place = moved
+            self.known.append(place.now)
+
+    def turn(self, place: Place, pid: int) -> Place:
+        """One event of a robot, one that was run seldom; the same place where it has none."""
+        drawn = [(self.runs.get(event.name, 0), self.random.random(), event) for event in self.options(place, pid)]
+        for _, _, event in sorted(drawn, key=lambda each: each[:2]):
+            step = self.step(place, pid, event)
+            if step is not None:
+                return step
+        return place
+
+    # States beside known ones
+
+    def varied(self) -> Iterator[None]:
+        """Rounds from states that differ from known ones, and in which the PROVED invariants hold."""
+        while self.known and self.states.variables:
+            state = self.states.varied(self.random.choice(self.known))
+            self.unit()
+            yield
+            yield from self.every_order(state, VARIED_ORDERS)
+
+    # Models
+
+    def modelled(self) -> Iterator[None]:
+        """Rounds from states of the solver's models, of each event in turn."""
+        assert self.solver is not None
+        models = Models(self.program, self.exact, self.params, self.solver, self.random)
+        plain = {event.name: event for event in self.program.events}
+        wanted = [*plain] + ([ENVIRONMENT] if self.states.sensors else [])
+        sizes = cycle(self.fleets)
+        idle = 0
+        while wanted and idle < 2 * len(wanted) * len(self.fleets):
+            name = min(wanted, key=lambda step: self.runs.get(step, 0) + self.tried.get(step, 0))
+            self.tried[name] = self.tried.get(name, 0) + MODEL_RUNS
+            most = self.until - self.clock() if self.timed else math.inf
+            state = models.state(plain.get(name), next(sizes), most)
+            self.waited = models.waited if self.timed else 0.0
+            idle += 1
+            yield
+            if state is None:
+                self.judge.reasons.setdefault((name, ""), models.why)
+                continue
+            for _ in self.every_order(state, ORDERS, name):
+                idle = 0
+                yield
+
+    def every_order(self, state: State, most: int, wanted: str = "") -> Iterator[None]:
+        """One round from a state in which the PROVED invariants hold, in every order, and the environment's step after
+        each: at most so many steps."""
+        try:
+            if self.judge.relied_upon(state) or not self.fresh(state):
+                return
+        except Unusable as error:
+            if wanted:
+                self.judge.reasons.setdefault((wanted, ""), str(error))
+            return
+        yield
+        self.known.append(state)
+        places, count = [beginning(state)], 0
+        while places and count < most:
+            place = places.pop(0)
+            self.settle(place)
+            for step in self.steps(place):
+                count += 1
+                yield
+                places.append(step)
+
+    # Steps
+
+    def steps(self, place: Place) -> Iterator[Place]:
+        """Every event of every robot that had no turn yet."""
+        for pid in range(len(place.now.robots)):
+            if pid not in place.turns:
+                for event in self.options(place, pid):
+                    step = self.step(place, pid, event)
+                    if step is not None:
+                        yield step
+
+    def options(self, place: Place, pid: int) -> list[decl.Event]:
+        """The events that a robot may run."""
+        try:
+            ready = self.judge.ready(place.start, place.now, pid)
+        except Unusable:
+            return []
+        if ready.fault is not None:
+            act, breach = ready.fault
+            self.check(place, act, place.now, breach)
+        return ready.events
+
+    def step(self, place: Place, pid: int, event: decl.Event) -> Place | None:
+        """A place after a robot's event; None where it has no result. Raises Spent, Found."""
+        self.unit()
+        self.runs[event.name] = self.runs.get(event.name, 0) + 1
+        try:
+            found = self.judge.event(place.start, place.now, pid, event)
+        except Unusable:
+            return None
+        if found is None:
+            return None
+        after, act, breach = found
+        return self.check(place, act, after, breach)
+
+    def settle(self, place: Place) -> Place | None:
+        """The beginning of the next round, after the environment's step; None where no move was drawn that the
+        assumptions allow."""
+        self.unit()
+        if not self.states.sensors:
+            sensors: tuple[Mapping[str, Value], ...] = tuple([{} for _ in place.now.robots])
+            return place.then(Act(ENVIRONMENT, sensors=sensors), place.now._replace(round=place.now.round + 1))
+        fleet = []
+        try:
+            for pid, robot in enumerate(place.now.robots):
+                moves = self.states.moves(place.now, pid)
+                allowed = (m for m in moves if self.judge.may_move(place.now, pid, {**robot.ports, **m}))
+                move = next(allowed, None)
+                if move is None:
+                    self.judge.reasons.setdefault((ENVIRONMENT, ""), "no move was drawn that the assumptions allow")
+                    return None
+                fleet.append(move)
+            after, act, breach = self.judge.moved(place.now, tuple(fleet))
+        except (Unusable, NotExact):
+            return None
+        return self.check(place, act, after, breach)
+
+    def check(self, place: Place, act: Act, after: State, breach: Breach | None) -> Place:
+        """The place after a step. Raises Found where the step contradicts a verdict."""
+        step = place.then(act, after)
+        if breach is not None:
+            raise Found(Contradiction(Trial(step.first, step.acts), breach, place.now, after))
+        return step
+
+    def fresh(self, state: State) -> bool:
+        """Whether a state was not attacked before."""
+        key = key_of(state)
+        if key in self.seen:
+            return False
+        self.seen.add(key)
+        return True

@@ -1,0 +1,363 @@
+"""File of a contradiction (`koord-unsound/1`): a trial as JSON, and back, with every byte of it checked.
+
+Exact numbers are texts ("1/3", "sqrt(2)"). A file may come from anywhere: it may be of another program, cut short or
+hostile. So the program's hash must agree, every name must be the program's, every value must have its variable's type,
+and sizes are limited. What the steps do is never read from the file: the semantics runs them again.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from base64 import b64decode, b64encode
+from collections.abc import Iterable, Mapping
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+from koordgen.ir import decl
+from koordgen.ir.expr import PortCall
+from koordgen.ir.types import (
+    FLOAT,
+    GRID,
+    INT,
+    PLANNER,
+    POINT,
+    POSE,
+    ExternType,
+    MapOf,
+    PerRobot,
+    RecordType,
+    Sequence,
+    Sized,
+    TupleOf,
+    Type,
+    list_of,
+)
+from koordgen.node import nodes
+from koordgen.runtime.gridmap import GridMap
+from koordgen.runtime.values import Grid, Opaque, Point, Pose, Scan
+from koordgen.semantics.exact import Root, root
+from koordgen.semantics.property import Asked
+from koordgen.semantics.state import Robot, State, Store
+from koordgen.semantics.values import RecordValue, Value, conforms, encodable
+from koordgen.verify.attack.judge import ENVIRONMENT, INIT, Act, Contradiction, Trial, names_of
+from koordgen.verify.attack.ports import Answer
+
+FORMAT = "koord-unsound/1"
+MOST_BYTES = 4 << 20
+MOST_ROBOTS = 4
+MOST_ACTS = 64
+DIGITS = 1000  # of a number
+_NUMBER = re.compile(rf"-?[0-9]{{1,{DIGITS}}}(/[0-9]{{1,{DIGITS}}})?")
+_ROOT = re.compile(r"sqrt\((.*)\)", re.DOTALL)
+_ANEW = "`koordgen prove` writes such a file when it finds a contradiction; have it write the file anew"
+
+
+class BadFile(Exception):
+    """The file cannot be run: the message says why, `help` what can be done."""
+
+    def __init__(self, message: str, help: str = _ANEW) -> None:
+        super().__init__(message)
+        self.help = help
+
+
+class Given(NamedTuple):
+    """What a file says: the invariants that were PROVED, the trial, the invariant that it contradicts."""
+
+    proved: tuple[str, ...]
+    trial: Trial
+    invariant: str
+
+
+# Writing
+
+
+def written(found: Contradiction, proved: Iterable[str], program_hash: str, path: str) -> str:
+    """A contradiction as the text of a file."""
+    state = found.trial.state
+    document = {
+        "format": FORMAT,
+        "program": program_hash,
+        "path": path,
+        "invariant": found.breach.invariant,
+        "why": found.breach.why,
+        "proved": sorted(proved),
+        "params": _values(state.params),
+        "state": {
+            "round": state.round,
+            "robots": [
+                {"locals": _values(r.locals), "ports": _values(r.ports), "stopped": r.stopped} for r in state.robots
+            ],
+            "slots": {name: [plain(v) for v in values] for name, values in state.store.slots.items()},
+            "cells": _values(state.store.cells),
+        },
+        "steps": [_step(act) for act in found.trial.acts],
+    }
+    return json.dumps(document, indent=1, allow_nan=False) + "\n"
+
+
+def _step(act: Act) -> dict[str, Any]:
+    if act.event == ENVIRONMENT:
+        return {"event": act.event, "sensors": [_values(new) for new in act.sensors]}
+    answers = [
+        {"robot": pid, "port": port, "arguments": [plain(arg) for arg in args], "answer": plain(answer)}
+        for pid, (port, args, answer) in act.answers
+    ]
+    return {"event": act.event, "robot": act.pid, "answers": answers}
+
+
+def _values(values: Mapping[str, Value]) -> dict[str, Any]:
+    return {name: plain(value) for name, value in values.items()}
+
+
+def plain(value: Any) -> Any:
+    """A value as the file has it."""
+    match value:
+        case bool() | int() | str():
+            return value
+        case Fraction():
+            return str(value)
+        case Root(square=square):
+            return f"sqrt({square})"
+        case float():
+            return str(Fraction(value)) if math.isfinite(value) else str(value)
+        case bytes():
+            return b64encode(value).decode()
+        case RecordValue(_, fields):
+            return [plain(part) for part in fields]
+        case tuple():
+            return [plain(part) for part in value]
+        case Point() | Pose() | Grid() | Scan() | GridMap() | Opaque():
+            return [plain(getattr(value, name)) for name in value.__struct_fields__]
+        case _:
+            raise AssertionError(f"{value!r} is no value of the language")
+
+
+# Reading
+
+
+def read(data: bytes, program: decl.Program, program_hash: str) -> Given:
+    """What a file says about a program, made exact. Raises BadFile."""
+    if len(data) > MOST_BYTES:
+        raise BadFile(f"it has {len(data)} bytes, and at most {MOST_BYTES} are read")
+    try:
+        document = json.loads(data.decode("utf-8"), parse_constant=_no_constant, object_pairs_hook=_each_once)
+    except RecursionError:
+        raise BadFile("its JSON is nested too deeply") from None
+    except ValueError as error:  # UnicodeDecodeError and JSONDecodeError are such
+        raise BadFile(f"it is not JSON, or was cut short: {error}") from None
+    file = _Reader(program)
+    top = file.table(document, "the file", _TOP)
+    if top["format"] != FORMAT:
+        raise BadFile(f"its format is not {FORMAT}")
+    if top["program"] != program_hash:
+        raise BadFile(
+            "it was written for another program, or for another state of this one",
+            "name the very program that it was written for: each change of a program changes its hash",
+        )
+    proved = file.names(top["proved"], "proved")
+    invariant = file.name(top["invariant"], "invariant", proved)
+    try:
+        return Given(proved, file.trial(top), invariant)
+    except RecursionError:
+        raise BadFile("a value in it is nested too deeply") from None
+
+
+_TOP = ("format", "program", "path", "invariant", "why", "proved", "params", "state", "steps")
+
+
+def _no_constant(name: str) -> Any:
+    raise ValueError(f"{name} is no number")
+
+
+def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        raise ValueError("a name stands twice in one object")
+    return found
+
+
+class _Reader:
+    """The parts of a file, each checked against the program."""
+
+    def __init__(self, program: decl.Program) -> None:
+        self.program = program
+        ports = [(m, p) for m in program.modules for p in m.ports if p.direction in ("sensor", "actuator")]
+        self.ports = {f"{m.name}.{p.name}": p.type for m, p in ports}
+        self.sensors = {f"{m.name}.{p.name}": p.type for m, p in ports if p.direction == "sensor"}
+        self.called = {
+            f"{n.module}.{n.port}": n for n in nodes((program.init, program.events)) if isinstance(n, PortCall)
+        }
+        for function in program.functions:
+            self.called.update({f"{n.module}.{n.port}": n for n in nodes(function.block) if isinstance(n, PortCall)})
+
+    def table(self, data: Any, what: str, keys: Iterable[str]) -> dict[str, Any]:
+        """An object with exactly these keys."""
+        if not isinstance(data, dict):
+            raise BadFile(f"{what} is no object")
+        wanted = set(keys)
+        wrong = sorted(wanted ^ data.keys())
+        if wrong:
+            raise BadFile(f"{what} {'lacks' if wrong[0] in wanted else 'has an unknown'} {_short(wrong[0])}")
+        return data
+
+    def items(self, data: Any, what: str, least: int, most: int) -> list[Any]:
+        if not isinstance(data, list) or not least <= len(data) <= most:
+            raise BadFile(f"{what} is no list of {least} to {most} elements")
+        return data
+
+    def names(self, data: Any, what: str) -> tuple[str, ...]:
+        """Names of invariants, and of those at loops."""
+        known = names_of(self.program)
+        return tuple([self.name(one, what, known) for one in self.items(data, what, 1, len(known))])
+
+    def name(self, data: Any, what: str, known: Iterable[str]) -> str:
+        if not isinstance(data, str) or data not in known:
+            raise BadFile(f"{what}: {_short(data)} is no name that can stand there")
+        return data
+
+    def whole(self, data: Any, what: str, most: int) -> int:
+        if type(data) is not int or not 0 <= data <= most:
+            raise BadFile(f"{what}: {_short(data)} is no number from 0 to {most}")
+        return data
+
+    def trial(self, top: Mapping[str, Any]) -> Trial:
+        params = self.values(top["params"], "params", {p.name: p.type for p in self.program.params})
+        table = self.table(top["state"], "the state", ("round", "robots", "slots", "cells"))
+        robots = tuple([self.robot(r) for r in self.items(table["robots"], "robots", 1, MOST_ROBOTS)])
+        per_robot = {v.name: v.type for v in self.program.shared if v.kind == "allread"}
+        slots = self.table(table["slots"], "slots", per_robot)
+        store = Store(
+            {
+                name: tuple(
+                    [self.value(v, type_, name) for v in self.items(slots[name], name, len(robots), len(robots))]
+                )
+                for name, type_ in per_robot.items()
+            },
+            self.values(table["cells"], "cells", {v.name: v.type for v in self.program.shared if v.kind == "allwrite"}),
+        )
+        state = State(params, robots, store, self.whole(table["round"], "round", 10**9))
+        steps = self.items(top["steps"], "steps", 1, MOST_ACTS)
+        return Trial(state, tuple([self.act(step, len(robots)) for step in steps]))
+
+    def robot(self, data: Any) -> Robot:
+        table = self.table(data, "a robot", ("locals", "ports", "stopped"))
+        if type(table["stopped"]) is not bool:
+            raise BadFile("`stopped` of a robot is neither true nor false")
+        own = self.values(table["locals"], "locals", {v.name: v.type for v in self.program.locals})
+        return Robot(own, self.values(table["ports"], "ports", self.ports), table["stopped"])
+
+    def act(self, data: Any, robots: int) -> Act:
+        events = [INIT, ENVIRONMENT, *[e.name for e in self.program.events]]
+        event = self.name(data.get("event") if isinstance(data, dict) else None, "a step's event", events)
+        if event == ENVIRONMENT:
+            table = self.table(data, "a step", ("event", "sensors"))
+            moved = self.items(table["sensors"], "sensors", robots, robots)
+            return Act(event, None, tuple([self.values(new, "sensors", self.sensors) for new in moved]))
+        table = self.table(data, "a step", ("event", "robot", "answers"))
+        if event == INIT and table["robot"] is not None:
+            raise BadFile("`init` is every robot's: its `robot` is null")
+        pid = None if event == INIT else self.whole(table["robot"], "a step's robot", robots - 1)
+        answers = self.items(table["answers"], "answers", 0, 1000)
+        return Act(event, pid, (), tuple([self.answer(one, robots) for one in answers]))
+
+    def answer(self, data: Any, robots: int) -> Answer:
+        table = self.table(data, "an answer", ("robot", "port", "arguments", "answer"))
+        port = self.name(table["port"], "an answer's port", self.called)
+        types = [arg.type for arg in self.called[port].args]
+        given = self.items(table["arguments"], "arguments", len(types), len(types))
+        args = tuple([self.value(one, type_, port) for one, type_ in zip(given, types, strict=True)])
+        answer = self.value(table["answer"], self.called[port].type, port)
+        return Answer(self.whole(table["robot"], "an answer's robot", robots - 1), Asked(port, args, answer))
+
+    def values(self, data: Any, what: str, types: Mapping[str, Type]) -> dict[str, Value]:
+        table = self.table(data, what, types)
+        return {name: self.value(table[name], type_, name) for name, type_ in types.items()}
+
+    def value(self, data: Any, type_: Type, name: str) -> Value:
+        try:
+            value = _value(data, type_)
+        except (TypeError, ValueError, LookupError, ArithmeticError):
+            raise BadFile(f"{name}: {_short(data)} is no {type_}") from None
+        if not conforms(value, type_):
+            raise BadFile(f"{name}: {_short(data)} is no {type_}")
+        return value  # type: ignore[no-any-return]
+
+
+def _value(data: Any, type_: Type) -> Any:
+    """The value of a type. Raises TypeError, ValueError, LookupError, ArithmeticError."""
+    match type_:
+        case Sequence(_, element) | PerRobot(element):
+            return tuple([_value(part, element) for part in _list(data)])
+        case MapOf(key, held):
+            return tuple([_value(pair, TupleOf((key, held))) for pair in _list(data)])
+        case TupleOf(parts):
+            return tuple([_value(part, own) for part, own in zip(_list(data), parts, strict=True)])
+        case RecordType(name, fields):
+            parts_ = zip(_list(data), fields, strict=True)
+            return RecordValue(name, tuple([_value(part, own) for part, (_, own) in parts_]))
+        case ExternType():
+            (text,) = _list(data)
+            return Opaque(b64decode(text, validate=True))
+        case _ if type_ == INT:
+            return _whole(data)
+        case _ if type_ == FLOAT:
+            return _number(data)
+        case _ if type_ == POINT:
+            x, y, z = _list(data)
+            return Point(_number(x), _number(y), _number(z))
+        case _ if type_ == POSE:
+            position, yaw = _list(data)
+            return Pose(_value(position, POINT), _number(yaw))
+        case _ if type_ == GRID:
+            column, row, size = _list(data)
+            return Grid(_whole(column), _whole(row), _number(size))
+        case _ if type_ == PLANNER:
+            return _value(data, list_of(POINT))
+        case Sized("Scan"):
+            angles, ranges, most = _list(data)
+            return Scan(tuple(map(_float, _list(angles))), tuple(map(_float, _list(ranges))), _float(most))
+        case Sized("GridMap"):
+            resolution, left, low, width, height, cells = _list(data)
+            west, south, wide, high = (_whole(part) for part in (left, low, width, height))
+            return GridMap(_float(resolution), west, south, wide, high, b64decode(cells, validate=True))
+        case _:
+            if isinstance(data, str) and not encodable(data):
+                raise ValueError
+            return data
+
+
+def _list(data: Any) -> list[Any]:
+    if not isinstance(data, list):
+        raise TypeError
+    return data
+
+
+def _whole(data: Any) -> int:
+    if type(data) is not int or abs(data) >= 10**DIGITS:
+        raise TypeError
+    return data
+
+
+def _number(data: Any) -> Any:
+    """An exact number of its text."""
+    if not isinstance(data, str) or len(data) > 2 * DIGITS + 20:
+        raise TypeError
+    if data in ("inf", "-inf", "nan"):
+        return float(data)
+    inner = _ROOT.fullmatch(data)
+    text = inner.group(1) if inner else data
+    if not _NUMBER.fullmatch(text):
+        raise ValueError
+    return root(Fraction(text)) if inner else Fraction(text)
+
+
+def _float(data: Any) -> float:
+    return float(_number(data))
+
+
+def _short(data: Any) -> str:
+    """What stands in the file, for a message."""
+    text = json.dumps(data)  # control characters and what is no Unicode are escaped
+    return text if len(text) <= 60 else f"{text[:57]}..."

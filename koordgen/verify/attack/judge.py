@@ -1,0 +1,425 @@
+"""Judge of verdicts: runs steps by the executable semantics, and says which PROVED invariant a state contradicts.
+
+What the language allows is asked of `koordgen.semantics` alone: which events may run (`choices`), what they write, how
+sensors may move. A state in which an invariant cannot be evaluated (a root that is no fraction, a `spec fun`) is no
+contradiction; it is not counted as a state that the invariant was attacked with.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from typing import NamedTuple
+
+from koordgen.diagnostics import InternalError
+from koordgen.ir import decl, stmt
+from koordgen.ir import expr as ir
+from koordgen.ir.types import BOOL
+from koordgen.node import nodes, replace
+from koordgen.prove.model import allowed
+from koordgen.prove.reading import Unshowable
+from koordgen.semantics.eval import Discarded
+from koordgen.semantics.exact import NotExact
+from koordgen.semantics.exec import UNFINISHED, NoMeaning, Writes
+from koordgen.semantics.property import holds_property
+from koordgen.semantics.relations import choices
+from koordgen.semantics.state import State
+from koordgen.semantics.step import Step, applied, enabled, execute, run_init, sense
+from koordgen.semantics.values import Value
+from koordgen.source import Span
+from koordgen.verify.attack.ports import Answer, Draw, Ports
+
+WELL_DEFINED = "(well-defined)"
+INIT, ENVIRONMENT = "init", "(environment)"
+PROVED_RIGHT = "proved to have a value, but: "  # the compiler's own claim, in the semantics' words
+# The operations of which `(well-defined)` says that they have a value, in the semantics' words. Capacities, 64 bits,
+# turns of loops, `ensures` and ports discard an event as well, and are not promised.
+COVERED = (
+    "index ", "a slice from", "what is looked for is not there", "the map has no such key",
+    "math domain error", "an int to the power of a negative one",
+)  # fmt: skip
+COVERED_WITHIN = (" by zero", " is no place in a list of ", " requires what does not hold")
+TRUE = ir.Const(True, BOOL, Span(1, 1, 1, 1))
+FALLIBLE = frozenset(
+    ("first", "last", "index", "map_at", "sqrt", "updated", "without", "inserted", "popped", "removed", "set_without",
+     "map_without")
+)  # fmt: skip
+
+
+class Act(NamedTuple):
+    """One step of a trial: an event of robot `pid`; INIT of all robots; ENVIRONMENT with all robots' new sensors."""
+
+    event: str
+    pid: int | None = None
+    sensors: tuple[Mapping[str, Value], ...] = ()
+    answers: tuple[Answer, ...] = ()
+
+
+class Trial(NamedTuple):
+    """A state at a round's start, or before `init`, and the steps that are run on it: in a round each robot runs one
+    event at most, and the environment's step ends the round."""
+
+    state: State
+    acts: tuple[Act, ...]
+
+
+class Breach(NamedTuple):
+    """The invariant that is contradicted, and how."""
+
+    invariant: str
+    why: str
+
+
+class Contradiction(NamedTuple):
+    """A trial whose last step contradicts a PROVED invariant; the states around that step."""
+
+    trial: Trial
+    breach: Breach
+    before: State
+    after: State
+
+
+class Ready(NamedTuple):
+    """The events that a robot may run; the step of one whose guard has no value where one is promised."""
+
+    events: list[decl.Event]
+    fault: tuple[Act, Breach] | None
+
+
+class Followed(NamedTuple):
+    """The states of a trial, before its first step and after each; the contradiction of its last step, if it is one."""
+
+    states: tuple[State, ...]
+    contradiction: Contradiction | None
+
+
+class Unusable(Exception):
+    """A step shows nothing: the message says why."""
+
+
+class Refused(Exception):
+    """A trial is none that the verdicts speak of: the message says why."""
+
+
+class Judge:
+    """Of one program, made exact, and the names of its invariants that are PROVED. `draw` proposes answers of callable
+    ports. `counts` has the states that each invariant was judged in, by step and invariant; `reasons` why it could not
+    be judged."""
+
+    def __init__(self, program: decl.Program, proved: Collection[str], draw: Draw) -> None:
+        self.program = program
+        self.defined = WELL_DEFINED in proved
+        self.invariants = [p for p in program.properties if p.kind == "invariant" and p.name in proved]
+        self.initially = [p for p in program.properties if p.kind == "initially"]
+        self.rigid = [p for property_ in self.initially for p in _conjuncts(property_.formula) if not _of_fleet(p)]
+        self.events = {event.name: event for event in program.events}
+        self.at_heads: dict[str, list[tuple[str, str]]] = {}  # of each step: loop invariants, after whose they are
+        for step, block in ((INIT, program.init), *((e.name, e.effect) for e in program.events)):
+            self.at_heads[step] = [found for found in _at_heads(program, step, block) if found[1] in proved]
+        self.guards = replace(program, events=tuple([replace(event, effect=()) for event in program.events]))
+        functions: set[str] = set()
+        for function in program.functions:
+            functions |= {function.name} if _is_fallible(function.block, functions) else set()
+        self.fallible = {event.name for event in program.events if _is_fallible(event.guard, functions)}
+        self.ports = Ports(program, draw)
+        self.counts: Counter[tuple[str, str]] = Counter()
+        self.reasons: dict[tuple[str, str], str] = {}
+        self.known: set[tuple[object, ...]] = set()  # the states after steps, and before events, that were judged
+
+    # What is promised of a state
+
+    def judged(self, state: State, event: str) -> Breach | None:
+        """The first PROVED invariant that does not hold after `event`. Each state is judged once after each event."""
+        if not self._new(event, key_of(state)):
+            return None
+        for property_ in self.invariants:
+            breach = self._judged(property_, state, event)
+            if breach is not None:
+                return breach
+        return None
+
+    def _judged(self, property_: decl.Property, state: State, event: str) -> Breach | None:
+        key = event, property_.name
+        self.ports.lacking = ""
+        try:
+            if not holds_property(property_, self.program, state, self.ports.world):
+                return Breach(property_.name, "it is false")
+        except Discarded as fault:
+            if self.ports.lacking or not is_covered(fault.reason):
+                self.reasons[key] = self.ports.lacking or fault.reason
+                return None
+            return Breach(property_.name, f"it has no value: {fault}")
+        except (NotExact, NoMeaning, InternalError) as error:
+            self.reasons[key] = str(error)
+            return None
+        self.counts[key] += 1
+        return None
+
+    def _new(self, *what: object) -> bool:
+        before = len(self.known)
+        self.known.add(what)
+        return len(self.known) > before
+
+    def is_start(self, state: State) -> bool:
+        """Return whether a state is one in which a mission may begin. Raises Unusable where that is not known."""
+        return all(self._true(property_, state) for property_ in self.initially)
+
+    def relied_upon(self, state: State) -> str:
+        """What a state needs to be attacked and does not satisfy: the PROVED invariants, and what is said of params in
+        `initially`, which holds for good; empty where all hold. Raises Unusable."""
+        for part in self.rigid:
+            if not self._true(decl.Property("initially", "", part, part.span), state):
+                return f"what `initially` says of params in line {part.span.line}"
+        return next((p.name for p in self.invariants if not self._true(p, state)), "")
+
+    def _true(self, property_: decl.Property, state: State) -> bool:
+        self.ports.begin(state)
+        try:
+            held = holds_property(property_, self.program, state, self.ports.world)
+        except Discarded:
+            held = False
+        except (NotExact, NoMeaning, InternalError) as error:
+            raise Unusable(f"{property_.kind} {property_.name} cannot be evaluated: {error}") from None
+        if self.ports.lacking:
+            raise Unusable(self.ports.lacking)
+        return held
+
+    # Steps
+
+    def init(self, state: State, given: Iterable[Answer] | None = None) -> tuple[State, Act, Breach | None]:
+        """Every robot's init. Raises Unusable."""
+        self.ports.begin(state, given)
+        try:
+            after, steps = run_init(self.program, state, self.ports.world)
+        except (NotExact, NoMeaning) as error:
+            raise self._unusable(INIT, str(error)) from None
+        except InternalError as error:
+            breach = self._fault(INIT, str(error))
+            if breach is None:
+                raise self._unusable(INIT, str(error)) from None
+            return state, self._act(INIT), breach
+        if self.ports.lacking:
+            raise self._unusable(INIT, self.ports.lacking)
+        faults = [step.outcome for step in steps if isinstance(step.outcome, Discarded)]
+        ended = [step.outcome for step in steps if isinstance(step.outcome, Writes)]
+        if any(fault.reason == UNFINISHED for fault in faults):
+            raise self._unusable(INIT, UNFINISHED)
+        breach = next(filter(None, [self._fault(INIT, str(f), f.reason) for f in faults]), None)
+        if breach is None and self.defined and self._new(WELL_DEFINED, INIT, key_of(state)):
+            self.counts[INIT, WELL_DEFINED] += 1
+        broken = next(filter(None, [self._at_head(INIT, None, state, writes) for writes in ended]), None)
+        return after, self._act(INIT), breach or broken or self.judged(after, INIT)
+
+    def ready(self, start: State, now: State, pid: int, given: Iterable[Answer] | None = None) -> Ready:
+        """What robot `pid` may do in a round that began with `start`. Raises Unusable."""
+        self.ports.begin(now, given)
+        try:
+            steps = choices(self.guards, now, pid, start.store, self.ports.world)
+            found = [self.events[step.event] for step in steps if step.event is not None]
+            stopped = now.robots[pid].stopped or not self.defined
+            return Ready(found, None if stopped else self._guard_fault(start, now, pid, found))
+        except (NotExact, NoMeaning, InternalError) as error:
+            raise Unusable(f"the guards cannot be evaluated: {error}") from None
+
+    def _guard_fault(self, start: State, now: State, pid: int, found: list[decl.Event]) -> tuple[Act, Breach] | None:
+        """A guard that has no value, where one is promised."""
+        for event in self.program.events:
+            if event.name not in self.fallible or event in found:
+                continue
+            self.ports.lacking = ""
+            try:
+                enabled(self.program, event, _seen(event, start, now), pid, self.ports.world)
+            except Discarded as fault:
+                breach = None if self.ports.lacking else self._fault(event.name, str(fault), fault.reason)
+                if breach is not None and self._comes_to(event, start, now, pid):
+                    return self._act(event.name, pid), breach
+        return None
+
+    def _comes_to(self, event: decl.Event, start: State, now: State, pid: int) -> bool:
+        """Return whether a robot may run an event if its guard holds: none that goes before it keeps it from that."""
+        events = [replace(e, guard=TRUE) if e.name == event.name else e for e in self.guards.events]
+        steps = choices(replace(self.guards, events=tuple(events)), now, pid, start.store, self.ports.world)
+        return any(step.event == event.name for step in steps)
+
+    def event(self, start: State, now: State, pid: int, event: decl.Event) -> tuple[State, Act, Breach | None] | None:
+        """The event of robot `pid`, which `ready` found; None where it is discarded. Raises Unusable."""
+        self.ports.lacking = ""
+        name = event.name
+        try:
+            outcome = execute(self.program, event.effect, _seen(event, start, now), pid, self.ports.world)
+        except (NotExact, NoMeaning) as error:
+            raise self._unusable(name, str(error)) from None
+        except InternalError as error:
+            return now, self._act(name, pid), self._fault(name, str(error))
+        if self.ports.lacking:
+            raise self._unusable(name, self.ports.lacking)
+        if not isinstance(outcome, Writes):
+            breach = self._fault(name, str(outcome), outcome.reason)
+            if breach is None:
+                self.reasons.setdefault((name, ""), f"each run of it was discarded: {outcome.reason}")
+            return (now, self._act(name, pid), breach) if breach else None
+        if self.defined and self._new(WELL_DEFINED, name, pid, key_of(_seen(event, start, now))):
+            self.counts[name, WELL_DEFINED] += 1
+        broken = self._at_head(name, pid, _seen(event, start, now), outcome)
+        after = applied(now, Step(pid, name, outcome))
+        return after, self._act(name, pid), broken or self.judged(after, name)
+
+    def _at_head(self, step: str, pid: int | None, seen: State, writes: Writes) -> Breach | None:
+        """A PROVED loop invariant that did not hold when a step came to it."""
+        violated = {f"line {span.line}" for span in writes.violated}
+        new = self._new("at heads", step, pid, key_of(seen)) if self.at_heads[step] else False
+        for owner, name in self.at_heads[step]:
+            if name in violated:
+                return Breach(name, f"the loop invariant is false at its loop's head in {step}")
+            self.counts[owner, name] += new
+        return None
+
+    def environment(self, now: State, sensors: tuple[Mapping[str, Value], ...]) -> tuple[State, Act, Breach | None]:
+        """The environment's step, where the assumptions allow it. Raises Unusable."""
+        for pid, (robot, new) in enumerate(zip(now.robots, sensors, strict=True)):
+            if not self.may_move(now, pid, {**robot.ports, **new}):
+                raise Unusable("the assumptions do not allow it")
+        return self.moved(now, sensors)
+
+    def moved(self, now: State, sensors: tuple[Mapping[str, Value], ...]) -> tuple[State, Act, Breach | None]:
+        """The environment's step, which the assumptions allow."""
+        after = sense(now, sensors)._replace(round=now.round + 1)
+        return after, Act(ENVIRONMENT, sensors=sensors), self.judged(after, ENVIRONMENT)
+
+    def may_move(self, now: State, pid: int, ports: Mapping[str, Value]) -> bool:
+        """Return whether the assumptions allow that a robot's ports become these. Raises Unusable."""
+        try:
+            return allowed(self.program, now.robots[pid].ports, ports, pid, now)
+        except (Unshowable, NotExact, NoMeaning, InternalError) as error:
+            raise self._unusable(ENVIRONMENT, str(error)) from None
+
+    def _act(self, event: str, pid: int | None = None) -> Act:
+        return Act(event, pid, (), self.ports.answers())
+
+    def _unusable(self, event: str, why: str) -> Unusable:
+        self.reasons[event, ""] = why
+        return Unusable(why)
+
+    def _fault(self, event: str, told: str, reason: str = "") -> Breach | None:
+        """A fault of an operation that `(well-defined)` promises."""
+        where = "init" if event == INIT else f"event {event}"
+        _, claimed, within = told.partition(PROVED_RIGHT)
+        if not is_covered(within if claimed else reason):
+            if not reason:
+                raise self._unusable(event, told)
+            return None
+        return Breach(WELL_DEFINED, f"{where} has no result: {told}") if self.defined else None
+
+    # A whole trial
+
+    def follow(self, trial: Trial) -> Followed:
+        """Run a trial from its beginning, believing nothing of it. Raises Refused, Unusable."""
+        state, acts = trial.state, trial.acts
+        if state.round == 0:
+            if not self.is_start(state):
+                raise Refused("what the program says in `initially` does not hold in its state")
+        elif broken := self.relied_upon(state):
+            raise Refused(f"{broken} does not hold in its state, before any step")
+        states, start = [state], state
+        turns: set[int] = set()  # the robots that had theirs in this round
+        breach: Breach | None = None
+        for act in acts:
+            if breach is not None:
+                raise Refused("it goes on after a step that contradicts a verdict")
+            if act.pid in turns:
+                raise Refused(f"robot {act.pid} runs two events in one round")
+            now, breach = self._followed(start, states[-1], act)
+            states.append(now)
+            start, turns = (now, set()) if act.pid is None else (start, turns | {act.pid})
+        return Followed(tuple(states), Contradiction(trial, breach, *states[-2:]) if breach else None)
+
+    def _followed(self, start: State, now: State, act: Act) -> tuple[State, Breach | None]:
+        """One step of a trial, in a round that began with `start`."""
+        if (act.event == INIT) != (now.round == 0):
+            raise Refused("`init` comes first, and once")
+        if act.event == INIT:
+            after, _, breach = self.init(now, act.answers)
+            return after, breach
+        if act.event == ENVIRONMENT:
+            after, _, breach = self.environment(now, act.sensors)
+            return after, breach
+        assert act.pid is not None
+        ready = self.ready(start, now, act.pid, act.answers)
+        for event in ready.events:
+            if event.name == act.event:
+                step = self.event(start, now, act.pid, event)
+                if step is None:
+                    raise Refused(f"event {act.event} of robot {act.pid} is discarded")
+                return step[0], step[2]
+        if ready.fault is not None and ready.fault[0].event == act.event:
+            return now, ready.fault[1]
+        raise Refused(f"robot {act.pid} may not run {act.event} there")
+
+
+def _conjuncts(formula: ir.Expr) -> Iterator[ir.Expr]:
+    if isinstance(formula, ir.Logic) and formula.op == "and":
+        yield from _conjuncts(formula.left)
+        yield from _conjuncts(formula.right)
+    else:
+        yield formula
+
+
+def _of_fleet(formula: ir.Expr) -> bool:
+    """Return whether a formula speaks of anything but params."""
+    return any(isinstance(n, (ir.LocalOf, ir.PortOf, ir.SlotRead, ir.SlotsRead, ir.SharedRead, ir.Ids))
+               for n in nodes(formula))  # fmt: skip
+
+
+def _at_heads(program: decl.Program, owner: str, block: object) -> Iterator[tuple[str, str]]:
+    """The loop invariants of a block and of the functions that it calls: whose block each is in, its name."""
+    functions = {function.name: function for function in program.functions}
+    called: dict[str, object] = {owner: block}
+    for _ in functions:
+        names = [n.name for part in called.values() for n in nodes(part) if isinstance(n, ir.Call)]
+        called.update({name: functions[name].block for name in names if name in functions})
+    for name, part in called.items():
+        yield from ((name, f"line {n.span.line}") for n in nodes(part) if isinstance(n, stmt.LoopInvariant))
+
+
+def names_of(program: decl.Program) -> list[str]:
+    """All that a verdict may be about."""
+    blocks = (program.init, program.events, program.functions)
+    loops = [f"line {n.span.line}" for n in nodes(blocks) if isinstance(n, stmt.LoopInvariant)]
+    return [WELL_DEFINED, *[p.name for p in program.properties if p.kind == "invariant"], *loops]
+
+
+def _is_fallible(part: object, functions: Collection[str]) -> bool:
+    """Return whether an operation that `(well-defined)` promises stands in a part of a program, or in one of the
+    functions that it calls."""
+    for node in nodes(part):
+        match node:
+            case ir.SlotRead(_, index):
+                found = not isinstance(index, ir.Pid)
+            case ir.Binary(op):
+                found = op in ("/", "//", "%", "**")
+            case ir.Builtin(name):
+                found = name in FALLIBLE
+            case ir.Call(name):
+                found = name in functions
+            case _:
+                found = isinstance(node, (ir.At, ir.Slice, ir.ExternCall))
+        if found:
+            return True
+    return False
+
+
+def is_covered(reason: str) -> bool:
+    """Return whether an operation without a value is one of those that `(well-defined)` promises."""
+    return reason.startswith(COVERED) or any(part in reason for part in COVERED_WITHIN)
+
+
+def _seen(event: decl.Event, start: State, now: State) -> State:
+    """The state that an event reads: a plain one the store of the round's start."""
+    return now if event.lock is not None else now._replace(store=start.store)
+
+
+def key_of(state: State) -> tuple[object, ...]:
+    """What tells states apart."""
+    robots = [(*r.locals.values(), None, *r.ports.values(), r.stopped) for r in state.robots]
+    store = (*state.store.slots.values(), None, *state.store.cells.values())
+    return (*state.params.values(), None, *robots, *store)

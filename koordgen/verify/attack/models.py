@@ -1,0 +1,158 @@
+"""Pre-states from the solver: states in which the PROVED invariants hold and a guard does, each unlike the last.
+
+Only what is assumed before a step is encoded, nothing of what the step does: a mistake there must not exclude the very
+state that would show it. A model is not believed either: the judge checks each state before it is attacked.
+"""
+
+from __future__ import annotations
+
+from random import Random
+
+from koordgen.ir import decl
+from koordgen.ir import expr as ir
+from koordgen.ir.types import MapOf, RecordType, Sized, TupleOf, Type
+from koordgen.ir.types import Sequence as SequenceType
+from koordgen.node import replace
+from koordgen.prove import term as t
+from koordgen.prove.encode.room import Room
+from koordgen.prove.encode.scope import OfFleet
+from koordgen.prove.encode.state import Free
+from koordgen.prove.encode.values import Val
+from koordgen.prove.model import Reading
+from koordgen.prove.moment import Setting, Stage
+from koordgen.prove.obligation import Fact, Obligation
+from koordgen.prove.reading import Reader, Unshowable
+from koordgen.prove.solve import Both, Solver, SolverMissing
+from koordgen.prove.term import Term
+from koordgen.semantics.eval import Discarded
+from koordgen.semantics.exact import NotExact
+from koordgen.semantics.state import State
+
+QUERY = 2.0  # seconds of one query, at most
+NUDGES = 3  # parts of a state that are asked to be something else, at most
+NUMBERS = (-1, 0, 1, 2, 3, 7)
+
+
+class Models:
+    """Of one program whose invariants are all PROVED, and the same made exact."""
+
+    def __init__(
+        self, program: decl.Program, exact: decl.Program, params: dict[str, ir.Expr], solver: Solver | Both,
+        random: Random,
+    ) -> None:  # fmt: skip
+        self.program, self.exact, self.params, self.solver, self.random = program, exact, params, solver, random
+        self.asked: dict[tuple[str, int], _Asked] = {}
+        self.why = ""
+        self.waited = 0.0  # seconds for the solver
+        t.forget()
+
+    def state(self, event: decl.Event | None, robots: int, most: float) -> State | None:
+        """A state of so many robots in which the guard of `event` holds for one of them, found within `most` seconds;
+        None where there is none that can be read, and `why` says the reason."""
+        key = event.name if event is not None else "", robots
+        if key not in self.asked:
+            self.asked[key] = _Asked(self._hypotheses(event, robots))
+        asked = self.asked[key]
+        for more in (self._nudges(asked), ()):
+            found = self._answered(asked, more, robots, min(QUERY, most))
+            if found is not None:
+                return found
+        asked.useless = True
+        return None
+
+    def _answered(self, asked: _Asked, more: tuple[Term, ...], robots: int, most: float) -> State | None:
+        if asked.useless:
+            return None
+        facts = tuple([Fact("a state unlike the last", term, "", 0) for term in (*asked.reader.short(), *more)])
+        query = replace(asked.obligation, facts=(*asked.obligation.facts, *facts))
+        try:
+            answer = self.solver.ask(query, asked.reader.wanted(), most=most)
+            self.waited += answer.seconds
+            if answer.result != "sat":
+                said = "no state satisfies" if answer.result == "unsat" else "the solver found no state that satisfies"
+                self.why = f"{said} the invariants and its guard, in a fleet of {robots}"
+                return None
+            asked.reader.answered(answer.values)
+            return Reading(self.exact, asked.obligation, asked.reader, robots).state("before")
+        except (Unshowable, SolverMissing, NotExact, Discarded) as error:
+            self.why = f"the solver's states cannot be run: {error}"
+            return None
+
+    def _nudges(self, asked: _Asked) -> tuple[Term, ...]:
+        """Some parts of the state are a drawn number, or not what they were last."""
+        parts = [p for p in asked.parts if p.sort in (t.INT, t.REAL, t.BOOL)]
+        if not parts:
+            return ()
+        chosen = [self.random.choice(parts) for _ in range(self.random.randint(1, NUDGES))]
+        return tuple([self._nudge(part, asked) for part in dict.fromkeys(chosen)])
+
+    def _nudge(self, part: Term, asked: _Asked) -> Term:
+        if part.sort == t.BOOL:
+            return part if self.random.random() < 0.5 else t.not_(part)
+        number = self.random.choice(NUMBERS)
+        wanted = t.equals(part, t.integer(number) if part.sort == t.INT else t.real(number))
+        return wanted if self.random.random() < 0.7 else t.not_(wanted)
+
+    def _hypotheses(self, event: decl.Event | None, robots: int) -> Obligation:
+        """What is assumed of a state before a step: the invariants, and the guard of the robot that acts."""
+        stage = Stage(Setting(self.program, robots, self.params, "usual"))
+        room, setting = stage.room, stage.setting
+        now = Free(room, setting.types)
+        if event is not None:
+            scope = _Acting(now, room, room.acting("pid"))
+            with room.about(f"guard of {event.name}", event.guard.span.line):
+                room.fact(stage.encoder.term(event.guard, scope))
+        stage.holds(setting.invariants, now)
+        cells = tuple([cell for cell in stage.cells([("before", now)]) if _is_readable(cell.type)])
+        facts = stage.close()
+        traits = 0
+        for fact in facts:
+            traits |= fact.term.traits
+        logic = f"QF_UF{'N' if traits & t.NONLINEAR else 'L'}{'IRA' if traits & t.REALS else 'IA'}"
+        name = event.name if event is not None else "environment"
+        return Obligation(
+            f"attack-{name}", "consistency", "", name, self.program.path, 1, logic, facts, None, "sat", (), cells, True,
+            robots, (),
+        )  # fmt: skip
+
+
+class _Acting(OfFleet):
+    """A guard: what one robot reads at a round's start. Callable ports answer anything."""
+
+    def __init__(self, state: Free, room: Room, robot: Term) -> None:
+        super().__init__(state)
+        self.room, self.pid = room, robot
+
+    def local(self, name: str) -> Val:
+        return self.state.of(("local", name), self.pid)
+
+    def port(self, name: str, primed: bool) -> Val:
+        return self.state.of(("port", name), self.pid)
+
+    def ask(self, node: ir.PortCall, args: tuple[Val, ...]) -> Val:
+        return self.room.any(f"{node.module}.{node.port}", node.type)
+
+
+def _is_readable(type_: Type) -> bool:
+    """Return whether a model tells which value of a type it is; other variables keep their first values."""
+    match type_:
+        case RecordType(_, fields):
+            return all(_is_readable(field) for _, field in fields)
+        case TupleOf(items):
+            return all(map(_is_readable, items))
+        case SequenceType(name, element):
+            return name in ("List", "Queue") and _is_readable(element)
+        case Sized(name):
+            return name == "string"
+        case _:
+            return not isinstance(type_, MapOf)
+
+
+class _Asked:
+    """Hypotheses, and how their models are read."""
+
+    def __init__(self, obligation: Obligation) -> None:
+        self.obligation = obligation
+        self.reader = Reader(obligation)
+        self.parts = list(dict.fromkeys([term for cell in obligation.cells for term in cell.terms]))
+        self.useless = False

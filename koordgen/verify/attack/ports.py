@@ -1,0 +1,83 @@
+"""Answers of callable ports and extern functions while a state is attacked.
+
+A callable port may answer anything that its module's assumptions allow, so answers are drawn and those that are not
+allowed are refused. What an extern function yields is not known here: a step that calls one shows nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import NamedTuple
+
+from koordgen.ir import decl
+from koordgen.prove.reading import Unshowable
+from koordgen.prove.served import answered
+from koordgen.semantics.exact import NotExact
+from koordgen.semantics.exec import NoMeaning
+from koordgen.semantics.property import Asked
+from koordgen.semantics.state import NOTHING, State, World
+from koordgen.semantics.values import Value
+
+TURNS = 2_000  # of loops of one event: an event that turns more often is given up, and shows nothing
+
+Draw = Callable[[State, int, str, tuple[Value, ...]], Iterable[Value]]
+Question = tuple[int, str, tuple[Value, ...]]
+
+
+class Answer(NamedTuple):
+    """The answer of a callable port to robot `pid`."""
+
+    pid: int
+    asked: Asked
+
+
+class Ports:
+    """The callable ports of one step after the other. `world` is what the semantics calls; `lacking` says why the
+    present step shows nothing, where something was asked that has no known answer."""
+
+    def __init__(self, program: decl.Program, draw: Draw) -> None:
+        self.program, self.draw = program, draw
+        self.world = World({e.name: self._unknown(e.name) for e in program.externs}, self.answer, TURNS)
+        self.lacking = ""
+        self.state: State | None = None
+        self.asked: dict[Question, Value] = {}
+        self.given: Mapping[Question, Value] | None = None
+
+    def begin(self, state: State, given: Iterable[Answer] | None = None) -> None:
+        """Prepare for a step from `state`. With `given` only those questions are answered."""
+        self.state, self.lacking, self.asked = state, "", {}
+        self.given = None if given is None else {(pid, a.port, a.args): a.answer for pid, a in given}
+
+    def answers(self) -> tuple[Answer, ...]:
+        """All answers since the step began."""
+        return tuple([Answer(pid, Asked(port, args, found)) for (pid, port, args), found in self.asked.items()])
+
+    def answer(self, pid: int, port: str, args: tuple[Value, ...]) -> Value:
+        question = (pid, port, args)
+        if question not in self.asked:
+            self.asked[question] = self._new(pid, port, args)
+        return self.asked[question]
+
+    def _new(self, pid: int, port: str, args: tuple[Value, ...]) -> Value:
+        assert self.state is not None
+        candidates = self.draw(self.state, pid, port, args) if self.given is None else self._known(pid, port, args)
+        before = [Asked(p, a, found) for (own, p, a), found in self.asked.items() if own == pid]
+        for candidate in candidates:
+            try:
+                answered(self.program, self.state, pid, [*before, Asked(port, args, candidate)], NOTHING)
+            except (Unshowable, NotExact, NoMeaning):
+                continue
+            return candidate
+        self.lacking = f"no answer of {port} is known that the assumptions allow"
+        raise LookupError(self.lacking)
+
+    def _known(self, pid: int, port: str, args: tuple[Value, ...]) -> Iterable[Value]:
+        assert self.given is not None
+        return [self.given[pid, port, args]] if (pid, port, args) in self.given else []
+
+    def _unknown(self, name: str) -> Callable[..., Value]:
+        def call(*args: Value) -> Value:
+            self.lacking = f"what the extern function {name} yields is not known"
+            raise LookupError(self.lacking)
+
+        return call

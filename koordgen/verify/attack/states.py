@@ -1,0 +1,273 @@
+"""Concrete states to attack with: initial ones, moves of sensors, answers of planners. All are drawn, none is judged.
+
+Values come from where they are most telling: what the program's formulas and events compare with, the params, commands
+that were given, and a few beside them. The same seed draws the same states.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from fractions import Fraction
+from random import Random
+from typing import Any
+
+from koordgen.ir import decl
+from koordgen.ir import expr as ir
+from koordgen.ir.types import BOOL, FLOAT, INT, POINT, POSE, STRING, MapOf, RecordType, TupleOf, Type
+from koordgen.ir.types import Sequence as SequenceType
+from koordgen.node import Node
+from koordgen.prove.model import made_state, with_values
+from koordgen.prove.reach import Pools
+from koordgen.runtime.values import Point, Pose
+from koordgen.semantics.builtins import map_of, set_of
+from koordgen.semantics.exact import made_exact
+from koordgen.semantics.state import Robot, State, Store
+from koordgen.semantics.step import initial
+from koordgen.semantics.values import RecordValue, Value, default
+from koordgen.source import Span
+
+VALUES = 16  # of one type that are drawn from
+VARIED = 3  # variables of a state that are changed together, at most
+DRAWS = 6  # of one robot's initial sensors, until they fit the robots before it
+ARRIVING = 0.4  # of the moves, where a robot comes to where it was sent
+MOVES = 5  # of one robot that are drawn in one step of the environment
+BASE = (BOOL, INT, FLOAT, POINT)
+
+
+def _exact_point(x: int, y: int, z: int) -> Point:
+    return Point(Fraction(x), Fraction(y), Fraction(z))  # type: ignore[arg-type]
+
+
+ELSEWHERE = tuple([_exact_point(*place) for place in ((2, -1, 1), (-3, 4, 0), (9, 9, 0), (-9, 6, 2))])
+
+
+class States:
+    """Draws of one program, made exact; `free` are the params that may have any value."""
+
+    def __init__(self, program: decl.Program, free: Iterable[str], random: Random) -> None:
+        self.program, self.random = program, random
+        self.free = [p for p in program.params if p.name in set(free)]
+        ports = [(m, p) for m in program.modules for p in m.ports]
+        self.sensors = [(f"{m.name}.{p.name}", p.type) for m, p in ports if p.direction == "sensor"]
+        # An unset target is where the robot is; in a module without `position` nothing tells where that is.
+        self.targets = {
+            f"{m.name}.target": f"{m.name}.position"
+            for m, p in ports
+            if (p.name, p.direction, p.type) == ("target", "actuator", POINT)
+            and all(other.type == POINT for other in m.ports if other.name == "position")
+        }
+        self.usual: State | None = None
+        self.variables = [("local", v.name, v.type) for v in program.locals]
+        self.variables += [("slot" if v.kind == "allread" else "cell", v.name, v.type) for v in program.shared]
+        self.variables += [
+            ("port", f"{m.name}.{p.name}", p.type) for m, p in ports if p.direction in ("sensor", "actuator")
+        ]
+        self.sensed = {name for name, _ in self.sensors}
+        spoken, self.texts = _spoken(program)
+        self.pools = Pools((), [*spoken, *ELSEWHERE], VALUES)
+        self.pooled: dict[tuple[Type, int], tuple[Mapping[str, Value], list[Value]]] = {}
+
+    # Before init
+
+    def launch(self, robots: int, attempt: int, plausible: Callable[[State], bool]) -> State | None:
+        """A state before `init` that is `plausible`; None where it is not. Robots are drawn one after the other, so
+        that each fits those before it. The first attempt sets robots apart and has the params of the program."""
+        values = {}
+        if self.free and attempt % 2:
+            bare = self._blank({})
+            values = {p.name: self.value(p.type, bare) for p in self.free if self.random.random() < 0.5}
+        blank = self._blank(values)
+        fleet: list[Robot] = []
+        state = blank
+        for pid in range(robots):
+            for _ in range(DRAWS):
+                robot = self._launched(blank, pid, attempt)
+                state = _fleet(blank, [*fleet, robot])
+                if plausible(state):
+                    break
+                attempt = max(attempt, 1)
+            else:
+                return None
+            fleet.append(robot)
+        return state
+
+    def _blank(self, values: Mapping[str, Value]) -> State:
+        """One robot before any `init`, with these params."""
+        if values or self.usual is None:
+            found = made_state(initial(with_values(self.program, values), 1))
+            if values:
+                return found
+            self.usual = found
+        return self.usual
+
+    def _launched(self, blank: State, pid: int, attempt: int) -> Robot:
+        found: dict[str, Value] = {}
+        for name, type_ in self.sensors:
+            pool = self.pools.first(name, type_, blank) if name.endswith(".reached") else self.pool(type_, blank)
+            if pool and attempt == 0:
+                found[name] = pool[pid % len(pool)]
+            else:
+                found[name] = self.random.choice(pool) if pool else self.value(type_, blank)
+        for name, position in self.targets.items():
+            pool = self.pool(POINT, blank)
+            elsewhere = pool[-1 - pid % len(pool)] if attempt == 0 else self.random.choice(pool)
+            found[name] = found.get(position, elsewhere)
+        robot = blank.robots[0]
+        return robot._replace(ports={**robot.ports, **found})
+
+    # The environment's step
+
+    def moves(self, now: State, pid: int) -> Iterator[dict[str, Value]]:
+        """New sensor values of one robot: often where it was sent, in the end as they are."""
+        ports = now.robots[pid].ports
+        goals = [goal for name, value in ports.items() if name not in self.sensed for goal in _goal(value)]
+        if self.random.random() < ARRIVING:
+            yield {name: self._arrived(name, type_, goals, ports) for name, type_ in self.sensors}
+        for _ in range(MOVES):
+            yield {name: self._moved(name, type_, goals, ports, now) for name, type_ in self.sensors}
+        yield {name: ports[name] for name, _ in self.sensors}
+
+    def _arrived(self, name: str, type_: Type, goals: list[Point], ports: Mapping[str, Value]) -> Value:
+        if type_ == POINT and goals:
+            return goals[0]
+        return True if type_ == BOOL and name.endswith(".reached") else ports[name]
+
+    def _moved(self, name: str, type_: Type, goals: list[Point], ports: Mapping[str, Value], now: State) -> Value:
+        chance = self.random.random()
+        if chance < 0.3:
+            return ports[name]
+        if chance < 0.6 and type_ == POINT and goals:
+            goal, place = self.random.choice(goals), ports[name]
+            return (place + goal) / 2 if chance < 0.4 and isinstance(place, Point) else goal
+        return self.value(type_, now)
+
+    # States beside a state
+
+    def varied(self, state: State) -> State:
+        """A state that differs in a few variables: drawn values, or those of other variables and robots."""
+        for _ in range(self.random.randint(1, VARIED)):
+            kind, name, type_ = self.random.choice(self.variables)
+            pids = range(len(state.robots))
+            chosen = pids if self.random.random() < 0.3 else [self.random.choice(pids)]
+            value = self._other(state, self.random.choice(pids), type_)
+            for pid in chosen if kind != "cell" else [0]:
+                state = _with(state, kind, name, pid, value)
+        return state
+
+    def _other(self, state: State, pid: int, type_: Type) -> Value:
+        alike = [(kind, name) for kind, name, other in self.variables if other == type_]
+        if self.random.random() < 0.4:
+            return _of(state, *self.random.choice(alike), pid)
+        return self.value(type_, state)
+
+    # Callable ports
+
+    def answers(self, state: State, pid: int, port: str, args: tuple[Value, ...]) -> Iterator[Value]:
+        """What a planner may say: no way, the straight way, a detour, the goal alone, in an order that is drawn."""
+        position = state.robots[pid].ports.get(f"{port.partition('.')[0]}.position")
+        goal = next((arg for arg in args if isinstance(arg, Point)), None)
+        ways: list[Value] = [()]
+        if goal is not None:
+            start = (position,) if isinstance(position, Point) else ()
+            ways += [(*start, goal), (*start, self.random.choice(ELSEWHERE), goal), (goal,)]
+        self.random.shuffle(ways)
+        yield from ways
+
+    # Values
+
+    def pool(self, type_: Type, state: State) -> list[Value]:
+        """The values that are most telling of a type; none of one that has parts."""
+        if type_ not in BASE:
+            return []
+        key = type_, len(state.robots)
+        known = self.pooled.get(key)
+        if known is None or known[0] != state.params:
+            known = self.pooled[key] = state.params, self.pools.pool(type_, state)
+        return known[1]
+
+    def value(self, type_: Type, state: State) -> Value:
+        """Some value of a type."""
+        pool = self.pool(type_, state)
+        if pool:
+            return self.random.choice(pool)
+        match type_:
+            case _ if type_ == POSE:
+                return Pose(self.value(POINT, state), self.value(FLOAT, state))  # type: ignore[arg-type]
+            case _ if type_ == STRING:
+                return self.random.choice(["", *self.texts])
+            case TupleOf(parts):
+                return tuple([self.value(part, state) for part in parts])
+            case RecordType(name, fields):
+                return RecordValue(name, tuple([self.value(part, state) for _, part in fields]))
+            case SequenceType(name, element, capacity):
+                count = min(self.random.randrange(3), capacity)
+                found = tuple([self.value(element, state) for _ in range(count)])
+                return set_of(found) if name == "Set" else found
+            case MapOf(key, held):
+                return map_of((self.value(TupleOf((key, held)), state),) * self.random.randrange(2))
+            case _:
+                return made_exact(default(type_, {}))  # type: ignore[no-any-return]
+
+
+def _fleet(blank: State, robots: Sequence[Robot]) -> State:
+    """A state before `init` of these robots."""
+    count = len(robots)
+    slots = {name: values[:1] * count for name, values in blank.store.slots.items()}
+    return blank._replace(robots=tuple(robots), store=Store(slots, blank.store.cells))
+
+
+def _of(state: State, kind: str, name: str, pid: int) -> Value:
+    """A variable's value, of robot `pid` where each has its own."""
+    if kind == "cell":
+        return state.store.cells[name]
+    if kind == "slot":
+        return state.store.slots[name][pid]
+    robot = state.robots[pid]
+    return (robot.locals if kind == "local" else robot.ports)[name]
+
+
+def _with(state: State, kind: str, name: str, pid: int, value: Value) -> State:
+    """The state in which a variable has another value."""
+    store = state.store
+    if kind == "cell":
+        return state._replace(store=Store(store.slots, {**store.cells, name: value}))
+    if kind == "slot":
+        slots = (*store.slots[name][:pid], value, *store.slots[name][pid + 1 :])
+        return state._replace(store=Store({**store.slots, name: slots}, store.cells))
+    robot = state.robots[pid]
+    changed = (
+        robot._replace(locals={**robot.locals, name: value})
+        if kind == "local"
+        else robot._replace(ports={**robot.ports, name: value})
+    )
+    return state._replace(robots=(*state.robots[:pid], changed, *state.robots[pid + 1 :]))
+
+
+def _goal(command: Value) -> list[Point]:
+    """Where a command sends its robot."""
+    last = command[-1] if isinstance(command, tuple) and command else command
+    return [last] if isinstance(last, Point) else []
+
+
+def _spoken(program: decl.Program) -> tuple[list[Value], list[str]]:
+    """The numbers and Points that a program names, numbers beside them, and its texts."""
+    numbers: dict[Any, None] = {}
+    points: list[Value] = []
+    texts: dict[str, None] = {}
+    left: list[object] = [program.params, program.functions, program.modules, program.events, program.properties]
+    while left:
+        node = left.pop()
+        if type(node) is tuple:
+            left.extend(node)
+        elif isinstance(node, ir.Const):
+            if type(node.value) is str:
+                texts[node.value] = None
+            elif type(node.value) is not bool:
+                numbers[node.value] = None
+        elif isinstance(node, Node) and not isinstance(node, (Span, Type)):
+            if isinstance(node, ir.Builtin) and node.name == "Point":
+                parts = [arg.value for arg in node.args if isinstance(arg, ir.Const)]
+                points += [Point(*map(Fraction, parts))] if len(parts) == 3 else []  # type: ignore[arg-type]
+            left.extend([getattr(node, field) for field in type(node).__match_args__])  # type: ignore[attr-defined]
+    beside = [number + 1 for number in numbers] + [number - 1 for number in numbers]
+    return [*numbers, *points, *beside], list(texts)
