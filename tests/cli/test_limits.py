@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from koordgen.cli.alarm import alarm
+from koordgen.semantics.deadline import OutOfTime
 from tests.replay.runs import Run
 
 HANG = 120  # seconds: no criterion but for a hang, on a machine however busy
@@ -140,3 +143,17 @@ def test_replay_and_audit_end_and_agree_with_the_robot(name: str, tmp_path: Path
             [sys.executable, "-m", "koordgen", command, str(folder)], capture_output=True, text=True, timeout=HANG
         )
         assert done.returncode == status, done.stdout + done.stderr
+
+
+def test_the_alarm_interrupts_and_is_gone_afterwards() -> None:
+    before = signal.getsignal(signal.SIGALRM)
+    with pytest.raises(OutOfTime), alarm(0.0):
+        while True:
+            pass
+    assert signal.getsignal(signal.SIGALRM) is before
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+
+
+def test_without_a_limit_there_is_no_alarm() -> None:
+    with alarm(None):
+        assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
