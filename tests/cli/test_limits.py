@@ -130,10 +130,10 @@ def test_prove_says_why_a_program_is_too_large(tmp_path: Path) -> None:
     assert "its formulas take more than 1,000,000 steps to write down" in " ".join(done.stdout.split())
 
 
-@pytest.mark.parametrize("name", ["forever", "squares", "lists in a loop", "a loop in a guard"])
+@pytest.mark.parametrize("name", ["forever", "squares", "lists in a loop"])
 def test_replay_and_audit_end_and_agree_with_the_robot(name: str, tmp_path: Path) -> None:
     text, reason = BAD[name]
-    folder = Run(tmp_path / "run", text, n=1).run(1.8).save()
+    folder = Run(tmp_path / "run", text, n=1).run(1.35).save()
     traces = [json.loads(line) for file in folder.glob("*.jsonl") for line in file.read_text().splitlines()]
     told = [line["fault"]["reason"] for line in traces if line.get("fault")]
     assert told, "the robot must have met the limit"
