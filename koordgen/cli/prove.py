@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from typing import TYPE_CHECKING
 
 from koordgen.cli import (
@@ -37,13 +38,18 @@ def run(options: Namespace) -> int:
     """The whole command."""
     from koordgen.prove.solve import Limits, SolverMissing, solver_of
 
-    limits = Limits(query=options.timeout, total=max(ALL_QUERIES, 10 * options.timeout))
+    limits = Limits(query=options.timeout, total=_total(options))
     try:
         with solver_of(options.solver, limits) as solver:
             solver.start()  # it loads while the compiler does, and the program is checked
             return proved(options, solver)
     except SolverMissing as error:
         raise Failure(SURROUNDINGS, str(error), f"{sys.executable} -m pip install 'koordgen[prove]'") from None
+
+
+def _total(options: Namespace) -> float:
+    """Seconds for the command: all queries, and what is made for them."""
+    return max(ALL_QUERIES, 10 * float(options.timeout))
 
 
 def proved(options: Namespace, solver: Solver | Both) -> int:
@@ -55,7 +61,7 @@ def proved(options: Namespace, solver: Solver | Both) -> int:
         _tell([(checked.source, d) for d in checked.noticed], options)
     given = {**fleet_params(options.fleet, checked, options.program), **_params(options.param)}
     question = fixed(checked.program, given)
-    found = asked(checked.program, question, numbers(options.robots), solver)
+    found = asked(checked.program, question, numbers(options.robots), solver, _total(options))
     solver.stop()  # what it holds is freed while we tell
     tell(options, found)
     if options.emit is not None:
@@ -70,12 +76,34 @@ def proved(options: Namespace, solver: Solver | Both) -> int:
 
 
 def asked(
-    program: Program, params: Mapping[str, Expr], robots: list[int | None], solver: Solver | Both
+    program: Program, params: Mapping[str, Expr], robots: list[int | None], solver: Solver | Both, seconds: float
 ) -> list[list[Verdict]]:
-    """The verdicts for each number of robots. Raises SolverMissing."""
+    """The verdicts for each number of robots, within so many seconds in all. Raises SolverMissing."""
+    from koordgen.cli.alarm import alarm
+    from koordgen.prove.term import TooLarge
     from koordgen.prove.verdict import Question, prove
+    from koordgen.semantics.deadline import OutOfTime
 
-    return [prove(Question(program, n, params), solver) for n in robots]
+    until = time.monotonic() + seconds
+    found = []
+    for n in robots:
+        try:
+            with alarm(max(0.0, until - time.monotonic())):
+                found.append(prove(Question(program, n, params), solver))
+        except TooLarge as error:
+            found.append(undecided(program, n, f"{error}: prove a part of it at a time"))
+        except OutOfTime:
+            reason = f"the command's {seconds:g} s are over: a longer --timeout makes them more"
+            found.append(undecided(program, n, reason))
+    return found
+
+
+def undecided(program: Program, robots: int | None, reason: str) -> list[Verdict]:
+    """UNKNOWN of every invariant: the proof as a whole was given up."""
+    from koordgen.prove.verdict import Verdict
+
+    names = [p.name for p in program.properties if p.kind == "invariant"]
+    return [Verdict(name, "UNKNOWN", robots, (), reason, None, (), ()) for name in names]
 
 
 def fixed(program: Program, given: Mapping[str, Value]) -> dict[str, Expr]:
@@ -134,7 +162,8 @@ def files(
     made = []
     for number, verdicts in zip(robots, found, strict=True):
         asked = {o.obligation.name: o.obligation for verdict in verdicts for o in verdict.outcomes}
-        made += [replace(asked.get(o.name, o), cells=o.cells) for o in obligations(program, number, params)]
+        wanted = [o for o in obligations(program, number, params) if o.at is None or o.name in asked]
+        made += [replace(asked.get(o.name, o), cells=o.cells) for o in wanted]
     return folder(made, lambda _, line: source.line(line))
 
 

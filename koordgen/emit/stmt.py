@@ -9,7 +9,7 @@ from koordgen.emit import expr
 from koordgen.emit.names import Names
 from koordgen.emit.types import annotation
 from koordgen.ir import stmt as ir
-from koordgen.ir.expr import Const, Ids, Range
+from koordgen.ir.expr import Const, Expr, Ids, Range
 from koordgen.ir.types import BOOL
 
 STEP = "    "
@@ -42,7 +42,7 @@ def _for(loop: ir.For, names: Names, path: str, indent: str) -> Iterator[str]:
         turns = names.turns(loop.names[0])
         yield f"{indent}{turns} = {over}{mark}"
         over = turns
-    yield f"{indent}for {taken} in {over}:{mark}"
+    yield f"{indent}for {taken} in turns({over}):{mark}"
     yield from (f"{indent}{STEP}{claim}" for claim in claims)
     if loop.block or not claims:
         yield from lines(loop.block, names, path, indent + STEP)
@@ -59,11 +59,11 @@ def _while(loop: ir.While, names: Names, path: str, indent: str) -> Iterator[str
     claims = _claims(loop, names)
     endless = loop.condition == Const(True, BOOL, loop.span)
     if not claims or endless:
-        yield f"{indent}while {expr.text(loop.condition, names)}:{mark}"
+        yield f"{indent}while {_each_turn(loop.condition, names)}:{mark}"
         yield from (f"{indent}{STEP}{claim}  # {path}:{line}" for claim, line in claims)
     else:
         heads = " and ".join([claim for claim, _ in claims])
-        yield f"{indent}while {heads} and {expr.operand(loop.condition, names)}:{mark}"
+        yield f"{indent}while {heads} and {_each_turn(loop.condition, names)}:{mark}"
     if loop.block or not (claims and endless):
         yield from lines(loop.block, names, path, indent + STEP)
 
@@ -73,6 +73,12 @@ def _claims(loop: ir.For | ir.While, names: Names) -> list[tuple[str, int]]:
     lines = [invariant.span.line for invariant in loop.invariants]
     held = [expr.text(invariant.formula, names) for invariant in loop.invariants]
     return [(f"claim({line}, lambda: {text})", line) for line, text in zip(lines, held, strict=True)]
+
+
+def _each_turn(condition: Expr, names: Names) -> str:
+    """The condition of a `while`, which takes a turn where it holds."""
+    forever = isinstance(condition, Const) and condition.value is True
+    return "turn()" if forever else f"{expr.operand_of_and(condition, names)} and turn()"
 
 
 def _simple(statement: ir.Stmt, names: Names) -> str:

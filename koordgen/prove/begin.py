@@ -1,4 +1,7 @@
-"""The mission's start: first values, actuators at hold, then every robot's init."""
+"""The mission's start: first values, actuators at hold, then every robot's init.
+
+A mission begins when every robot's init has come to its end. So what holds at its start is shown of fleets in which no
+init was discarded; that none is discarded is `(well-defined)`."""
 
 from __future__ import annotations
 
@@ -6,14 +9,14 @@ from koordgen.ir import decl, stmt
 from koordgen.ir import expr as ir
 from koordgen.ir.types import POINT
 from koordgen.prove import term as t
-from koordgen.prove.encode.block import written
 from koordgen.prove.encode.lists import default
+from koordgen.prove.encode.loop import temps_of, written
 from koordgen.prove.encode.scope import OfFleet
 from koordgen.prove.encode.state import Free, Key, State
-from koordgen.prove.encode.stmt import Cut, Env, Frame
+from koordgen.prove.encode.stmt import Env, Frame
 from koordgen.prove.encode.tree import nodes
 from koordgen.prove.encode.values import Val, pick, truth
-from koordgen.prove.moment import Stage, temps_of
+from koordgen.prove.moment import Stage
 from koordgen.prove.term import Term
 
 _GOALS = ("target", "path")
@@ -34,7 +37,8 @@ def ended(program: decl.Program, writes: Env, state: State, robot: Term) -> Env:
 
 
 class Launch:
-    """Before any `init`. Sensors are any; `reached` is true, `target` the position, any other actuator its default."""
+    """Before any `init`. Sensors are any; `reached` is true, `target` the position (any place, where the program does
+    not read the position), any other actuator its default."""
 
     moment = "@launch"
 
@@ -59,34 +63,33 @@ class Launch:
         if port.direction == "sensor":
             commands = port.name == "reached" and any(name in ports for name in _GOALS)
             return t.TRUE if commands else self.sensed.of(key, robot)
-        if port.name == "target" and port.type == POINT and "position" in ports:
-            return self.sensed.of(("port", f"{module.name}.position"), robot)
+        if port.name == "target" and port.type == POINT:
+            held = "position" if "position" in ports else "target"
+            return self.sensed.of(("port", f"{module.name}.{held}"), robot)
         found = default(port.type, self.records)
         return self.sensed.of(key, robot) if found is None else found
 
 
 class Run:
-    """One robot's init: what it writes, whether it counts."""
+    """One robot's init: what it writes; what must be true of it for the mission to begin."""
 
     def __init__(self, stage: Stage, launch: Launch, robot: Term) -> None:
-        room = stage.room
+        room, init = stage.room, stage.setting.program.init
 
         def ask(node: ir.PortCall, args: tuple[Val, ...]) -> Val:
             answer = room.any(f"{node.module}.{node.port}", node.type)
             stage.answered(node, args, answer, robot, launch)
             return answer
 
-        stage.room.temps.update(temps_of(stage.setting.program.init))
-        self.frame = Frame(stage.encoder, robot, launch, launch, ask)
-        with room.aside() as self.demands, room.about("init", 0):
-            live = self.frame.block(stage.setting.program.init)
+        way = stage.setting.loops.way
+        self.frame = Frame(stage.encoder, robot, launch, launch, ask, temps_of(init), stage.know, way)
+        self.frame.brief = stage.brief
+        with room.aside() as self.demands, room.outermost(), room.about("init", 0):
+            live = self.frame.block(init)
             self.env = self.frame.writes()
-        self.counts = t.all_of([demand.term for demand in self.demands])
-        self.ends = t.any_of([live, *[t.all_of(e.path) for e in self.frame.exits]])
+        over = t.any_of([live, *[t.all_of(e.path) for e in self.frame.exits]])
+        self.ended = t.all_of([over, *[demand.term for demand in self.demands]])
         self.writes = ended(stage.setting.program, self.env, launch, robot)
-        self.cuts: list[Cut] = self.frame.cuts
-        for cut in self.cuts:
-            stage.known_at(cut)
 
 
 class Ready:
@@ -98,15 +101,14 @@ class Ready:
         self.stage, self.launch = stage, Launch(stage)
         self.types = stage.setting.types
         self.runs: dict[Term, Run] = {}
-        self.shown: Term | None = None  # whose init is looked into: of that it is not said that it has come to its end
         self.cells: dict[Key, Val] = {}
 
     def run(self, robot: Term) -> Run:
         found = self.runs.get(robot)
         if found is None:
             found = self.runs[robot] = Run(self.stage, self.launch, robot)
-            if robot is not self.shown:
-                self.stage.room.fact(found.ends, "init ends", 0)
+            room = self.stage.room
+            room.fact(t.implies(room.within(robot), found.ended), "every init ends", 0)
         return found
 
     def of(self, key: Key, robot: Term) -> Val:
@@ -117,8 +119,7 @@ class Ready:
             if key not in self.cells:
                 self.cells[key] = self._cell(key, before)
             return self.cells[key]
-        run = self.run(robot)
-        return pick(run.counts, run.writes.get(key, before), before)
+        return self.run(robot).writes.get(key, before)
 
     def _cell(self, key: Key, before: Val) -> Val:
         room, wrote = self.stage.room, ("wrote", key[1])
@@ -128,7 +129,7 @@ class Ready:
 
         def writes(robot: Term) -> Term:
             run = self.run(robot)
-            return t.and_(room.within(robot), run.counts, truth(run.env.get(wrote, t.FALSE)))
+            return t.and_(room.within(robot), truth(run.env.get(wrote, t.FALSE)))
 
         with room.about("the highest pid counts", 0):
             room.robot(last)

@@ -11,13 +11,14 @@ from koordgen.ir.expr import Expr
 from koordgen.node import replace
 from koordgen.prove.generate import obligations
 from koordgen.prove.model import Counterexample, replayed, with_values
-from koordgen.prove.obligation import Fact, Obligation
+from koordgen.prove.obligation import AtHead, Fact, Obligation
 from koordgen.prove.reach import Bounds, Run, run_to
 from koordgen.prove.reading import Reader, Unshowable, flat
 from koordgen.prove.solve import Answer, Both, Solver
 from koordgen.prove.strengthen import closing
 from koordgen.prove.term import REAL, Term, equals, to_int, to_real
 from koordgen.prove.unassumed import supposing, unassumed
+from koordgen.semantics.deadline import Deadline, OutOfTime, ends
 from koordgen.semantics.exact import exact
 from koordgen.semantics.step import initial
 from koordgen.semantics.values import Value as KoordValue
@@ -56,8 +57,10 @@ class Explainer:
         params: Mapping[str, Expr] | None,
         solver: Solver | Both,
         proved: decl.Program,
+        dropped: frozenset[AtHead] = frozenset(),
     ) -> None:
         self.program, self.robots, self.params, self.solver, self.proved = program, robots, params, solver, proved
+        self.dropped = dropped
         self.made: dict[tuple[decl.Program, int], list[Obligation]] = {}
 
     def explain(self, name: str, group: Iterable[Outcome], relied: decl.Program) -> Explanation:
@@ -93,7 +96,7 @@ class Explainer:
         free = {p.name: p.default for p in relied.params if self.free(p.name)}
         if not free:
             return False
-        made = obligations(relied, self.robots, {**(self.params or {}), **free})
+        made = obligations(relied, self.robots, {**(self.params or {}), **free}, dropped=self.dropped)
         own = [o for o in made if o.invariant == name and o.kind != "consistency"]
         return all(self.solver.ask(o, most=MOST).result == o.expected for o in own)
 
@@ -115,9 +118,12 @@ class Explainer:
                 for answer in self.models(same, program, reader):
                     reader.answered(answer.values)
                     try:
-                        return replayed(program, same, reader, robots)
+                        with ends(Deadline(time.monotonic, until)):
+                            return replayed(program, same, reader, robots)
                     except Unshowable as error:
                         reasons.append(str(error))
+                    except OutOfTime:
+                        reasons.append("to run it takes too long")
         raise Unshowable(reasons[0] if reasons else f"there is none for 1 to {FLEETS[-1]} robots")
 
     def models(self, obligation: Obligation, program: decl.Program, reader: Reader) -> Iterator[Answer]:
@@ -136,7 +142,7 @@ class Explainer:
     def of(self, program: decl.Program, robots: int) -> list[Obligation]:
         key = (program, robots)
         if key not in self.made:
-            self.made[key] = obligations(program, robots, self.params, told="most")
+            self.made[key] = obligations(program, robots, self.params, "most", self.dropped)
         return self.made[key]
 
     def lacking(self, proved: decl.Program, invariant: decl.Property) -> tuple[str, ...] | None:
@@ -148,7 +154,8 @@ class Explainer:
         def proves(program: decl.Program, names: frozenset[str]) -> frozenset[str]:
             nonlocal solving
             bad: set[str] = set()
-            for obligation in obligations(program, None, self.params):  # for every number is for this one, and faster
+            # What holds for every number holds for this one, and is decided faster.
+            for obligation in obligations(program, None, self.params, dropped=self.dropped):
                 if obligation.invariant in names - bad and obligation.kind != "consistency":
                     if time.process_time() + solving > until:
                         return frozenset()

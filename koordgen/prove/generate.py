@@ -6,44 +6,71 @@ in the round by then; and so does each moment of the environment's step. docs/pr
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 from koordgen.ir import decl
 from koordgen.ir import expr as ir
 from koordgen.ir.decl import Program
+from koordgen.node import replace
 from koordgen.prove import term as t
-from koordgen.prove.begin import Ready, ended, launched
+from koordgen.prove.begin import Launch, Ready, Run, ended, launched
+from koordgen.prove.encode.loop import conjuncts, temps_of
 from koordgen.prove.encode.state import Begun, Free, Moved, State, Written
-from koordgen.prove.encode.stmt import Cut, Frame
+from koordgen.prove.encode.stmt import Frame, Head
 from koordgen.prove.encode.values import Val
-from koordgen.prove.goal import goal
-from koordgen.prove.moment import Setting, Stage, Told, temps_of
-from koordgen.prove.obligation import Cell, Fact, Kind, Moment, Obligation
+from koordgen.prove.goal import goal, goal_at
+from koordgen.prove.loops import stating
+from koordgen.prove.moment import Setting, Stage, Told
+from koordgen.prove.obligation import AtHead, Cell, Fact, Kind, Moment, Obligation
+from koordgen.prove.priority import assume_priority
+from koordgen.prove.term import Term
 from koordgen.prove.within import changes
 
 WELL_DEFINED = "(well-defined)"
 AFTERWARDS = " afterwards"
-Goal = tuple[decl.Property, str, tuple[Fact, ...]]  # an invariant, at which place within an event, in parts
+CONSISTENT = ("initially", "environment")  # what is asked of the assumptions, whatever the program does
+
+
+class Goal(NamedTuple):
+    """What is to be shown of an invariant: in parts. At a loop's head, `at` says which head and which formula, `place`
+    is "entry" or "turn", and only what is known at that place may be used: facts up to `position`, and `demands`."""
+
+    invariant: str
+    conjuncts: tuple[Fact, ...]
+    at: AtHead | None = None
+    place: str = ""
+    line: int = 0
+    position: int = 1 << 30
+    demands: tuple[Fact, ...] = ()
 
 
 def obligations(
-    program: Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None, told: Told = "usual"
-) -> list[Obligation]:
+    program: Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None, told: Told = "usual",
+    dropped: frozenset[AtHead] = frozenset(),
+) -> list[Obligation]:  # fmt: skip
     """Everything that is to be shown of a checked program: for `robots` robots, or for any number of them; with the
     values of `params`, the others being any. To leave an invariant out, or to add one, hand over a program without or
-    with it. `told`: how much of what is known of distances and of the round; "most" is slower to solve, and what a
-    counterexample must satisfy; with "little" there are no cells."""
-    return [obligation for room in rooms(program, robots, params, told) for obligation in room]
+    with it; `dropped` are formulas that are not assumed at heads of loops. `told`: how much of what is known of
+    distances and of the round; "most" is slower to solve, and what a counterexample must satisfy; with "little" there
+    are no cells."""
+    return [obligation for room in rooms(program, robots, params, told, dropped) for obligation in room]
 
 
 def rooms(
-    program: Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None, told: Told = "usual"
-) -> Iterator[list[Obligation]]:
+    program: Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None, told: Told = "usual",
+    dropped: frozenset[AtHead] = frozenset(),
+) -> Iterator[list[Obligation]]:  # fmt: skip
     """The same, by and by: those that share their facts together."""
     t.forget()
-    setting = Setting(program, robots, params, told)
-    for single in consistent(setting):
-        yield [single]
+    setting = Setting(program, robots, params, told, dropped)
+    for name in CONSISTENT:
+        yield [consistent(setting, name)]
+    for function in stating(program):
+        yield of_function(setting, function)
+    if program.init:
+        yield of_init(setting)
     yield base(setting)
     for event in program.events:
         yield of_event(setting, event)
@@ -55,37 +82,54 @@ def assumptions(
 ) -> list[Obligation]:
     """Those of the obligations that ask whether what is assumed can be true."""
     t.forget()
-    return consistent(Setting(program, robots, params, "little"))
+    setting = Setting(program, robots, params, "little")
+    return [consistent(setting, name) for name in CONSISTENT]
+
+
+def of_function(setting: Setting, function: decl.Function) -> list[Obligation]:
+    """The invariants that stand at a function's loops, for arguments of which nothing is known."""
+    stage = Stage(setting)
+    room = stage.room
+    args = tuple([room.any(parameter.name.split("@")[0], parameter.type) for parameter in function.parameters])
+    frame = stage.functions.frame(function, args, setting.loops.way)
+    with room.aside(), room.about(f"function {function.name}", function.span.line):
+        frame.block(function.block)
+    goals = at_heads(stage, frame.heads)
+    out = _Output(stage, "loop", function.name, function.span.line, stage.close(), ())
+    return out.all(goals, (), ())
+
+
+def of_init(setting: Setting) -> list[Obligation]:
+    """One robot's init: that it has a result, and what holds at the heads of its loops."""
+    stage, program = Stage(setting), setting.program
+    launch = Launch(stage)
+    run = Run(stage, launch, stage.room.acting("pid"))
+    launched(stage, launch)
+    goals = at_heads(stage, run.frame.heads)
+    cells = stage.cells([("before", launch)])
+    out = _Output(stage, "base", "init", program.init[0].span.line, stage.close(), cells)
+    return out.all(goals, run.demands, ())
 
 
 def base(setting: Setting) -> list[Obligation]:
+    """The invariants hold when every robot's init has ended."""
     stage, program = Stage(setting), setting.program
     ready = Ready(stage)
     launched(stage, ready.launch)
-    goals: list[Goal] = []
-    own = stage.room.some_robot("pid")
-    demands: Sequence[Fact] = ()
-    if program.init:
-        ready.shown = own
-        run = ready.run(own)
-        demands = run.demands
-        goals += _at_cuts(stage, run.cuts)
-    if setting.invariants:
-        goals += [(p, "", goal(stage, p, ready)) for p in setting.invariants]
+    stage.room.some_robot("pid")
+    goals = [Goal(p.name, goal(stage, p, ready)) for p in setting.invariants]
     cells = stage.cells([("before", ready.launch), ("after", ready)])
-    facts = stage.close()
     line = program.init[0].span.line if program.init else 1
-    out = _Output(stage, "base", "init", line, facts, cells)
-    return out.all(goals, demands, ())
+    out = _Output(stage, "base", "init", line, stage.close(), cells)
+    return out.all(goals, (), ())
 
 
 def of_event(setting: Setting, event: decl.Event) -> list[Obligation]:
     stage, program = Stage(setting), setting.program
     room = stage.room
-    room.temps = temps_of(event.effect)
     own = room.acting("pid")
     now = Free(room, setting.types)
-    begun = Begun(now, Free(room, setting.types, "@start"), own, setting.sensors)
+    begun = Begun(now, Free(room, setting.types, "@start"), own, setting.sensors - setting.cleared)
     seen: State = begun if event.lock is None else now
 
     def ask(node: ir.PortCall, args: tuple[Val, ...]) -> Val:
@@ -93,22 +137,20 @@ def of_event(setting: Setting, event: decl.Event) -> list[Obligation]:
         stage.answered(node, args, answer, own, now)
         return answer
 
-    frame = Frame(stage.encoder, own, now, seen, ask)
+    assume_priority(stage, event, own, now, begun)
+    frame = Frame(stage.encoder, own, now, seen, ask, temps_of(event.effect), stage.know, setting.loops.way)
+    frame.brief = stage.brief
     with room.aside() as demands:
         with room.about(f"guard of {event.name}", event.guard.span.line):
-            guard = stage.encoder.term(event.guard, frame)
-            room.fact(guard)
-            room.learn(guard)
+            guarded(stage, event.guard, frame)
             now.read.clear()
         with room.about(f"effect of {event.name}", event.span.line):
             live = frame.block(event.effect)
     ends = t.any_of([live, *[t.all_of(e.path) for e in frame.exits]])
     after = Written(room, now, own, ended(program, frame.writes(), now, own), "@after")
     stage.holds(setting.invariants, now)
-    for cut in frame.cuts:
-        stage.known_at(cut)
-    goals = _at_cuts(stage, frame.cuts)
-    goals += [(p, "", goal(stage, p, after)) for p in setting.touched(after.writes)]
+    goals = at_heads(stage, frame.heads)
+    goals += [Goal(p.name, goal(stage, p, after)) for p in setting.touched(after.writes)]
     room.instantiate()
     moments: list[tuple[Moment, State]] = [("before", now), ("after", after)]
     if begun.used:
@@ -118,7 +160,23 @@ def of_event(setting: Setting, event: decl.Event) -> list[Obligation]:
     cells = stage.cells(moments)
     out = _Output(stage, "event", event.name, event.span.line, stage.close(), cells)
     over = Fact(f"{event.name} ends", ends, program.path, event.span.line)
-    return out.all(goals, demands, (*demands, over))
+    found = out.all(goals, demands, (*demands, over))
+    if any(stage.is_assumed_of_calls(fact) for fact in out.facts):
+        found.append(out.satisfiable(f"consistency-{event.name}", (*demands, over)))
+    return found
+
+
+def guarded(stage: Stage, guard: ir.Expr, frame: Frame) -> None:
+    """The guard holds, if all of it has a value: otherwise it would show that its own operations have one. Of the parts
+    before the first such operation it is learned that they hold."""
+    room = stage.room
+    parts: list[Term] = []
+    for part in conjuncts(guard):
+        with room.under(*parts):
+            parts.append(stage.encoder.term(part, frame))
+        if not room.demands:
+            room.learn(parts[-1])
+    room.fact(t.implies(t.all_of([demand.term for demand in room.demands]), t.all_of(parts)))
 
 
 def environment(setting: Setting) -> list[Obligation]:
@@ -128,7 +186,7 @@ def environment(setting: Setting) -> list[Obligation]:
     after = Moved(now, Free(stage.room, setting.types, "@after"), setting.sensors)
     stage.holds(setting.invariants, now)
     stage.ports(now, after)
-    goals = [(p, "", goal(stage, p, after)) for p in setting.touched(setting.sensors)]
+    goals = [Goal(p.name, goal(stage, p, after)) for p in setting.touched(setting.sensors)]
     if not goals:
         return []
     stage.holds(setting.invariants, after, when=AFTERWARDS)
@@ -138,37 +196,45 @@ def environment(setting: Setting) -> list[Obligation]:
     return out.all(goals, (), ())
 
 
-def consistent(setting: Setting) -> list[Obligation]:
-    """What is assumed can be true: the mission's start, and a step of the environment within the invariants."""
+def consistent(setting: Setting, name: str) -> Obligation:
+    """What is assumed can be true: at the mission's start (of params, sensors, spec functions and contracts, too), or
+    of a step of the environment within the invariants, with an answer of each callable port."""
+    stage = Stage(setting, thorough=True)
+    room = stage.room
+    room.robot(t.integer(0), known=True)
+    if name == "initially":
+        launch = Launch(stage)
+        launched(stage, launch)
+        stage.any_axioms()
+        stage.any_contracts()
+        cells = stage.cells([("before", launch)])
+    else:
+        now = Free(room, setting.types)
+        after = Moved(now, Free(room, setting.types, "@after"), setting.sensors)
+        stage.holds(setting.invariants, now)
+        stage.ports(now, after)
+        stage.any_answers(now)
+        cells = stage.cells([("before", now), ("after", after)])
+    out = _Output(stage, "consistency", "", 1, stage.close(), cells)
+    return out.one(f"consistency-{name}", Goal("", ()), None, ())
+
+
+def at_heads(stage: Stage, heads: Sequence[Head]) -> list[Goal]:
+    """What is assumed at the heads of loops holds where each loop begins, and is kept by each of its turns."""
+    loops = stage.setting.loops
     found = []
-    for name in ("initially", "environment"):
-        stage = Stage(setting, thorough=True)
-        room = stage.room
-        room.robot(t.integer(0), known=True)
-        if name == "initially":
-            launch = Ready(stage).launch
-            launched(stage, launch)
-            cells = stage.cells([("before", launch)])
-        else:
-            now = Free(room, setting.types)
-            after = Moved(now, Free(room, setting.types, "@after"), setting.sensors)
-            stage.holds(setting.invariants, now)
-            stage.ports(now, after)
-            cells = stage.cells([("before", now), ("after", after)])
-        facts = stage.close()
-        out = _Output(stage, "consistency", "", 1, facts, cells)
-        found.append(out.one(f"consistency-{name}", "", None, (), ()))
+    for head in heads:
+        places = [("entry", head.entry)] + ([("turn", head.back)] if head.back is not None else [])
+        for name, place in places:
+            line, position, demands = head.loop.span.line, place.position, place.demands
+            for at, formula in loops.stated(head.loop):
+                parts = goal_at(stage, f"loop invariant of {at.owner}", formula, place.frame, place.path)
+                found.append(Goal(at.invariant, parts, at, name, line, position, demands))
+            for at, property_ in loops.tried(head.loop):
+                formula, scope = stage.at_head(at, property_, place.frame.state())
+                parts = goal_at(stage, f"invariant {property_.name}", formula, scope, place.path)
+                found.append(Goal(at.invariant, parts, at, name, line, position, demands))
     return found
-
-
-def _at_cuts(stage: Stage, cuts: Sequence[Cut]) -> list[Goal]:
-    """The invariants where a loop begins, and where a run of it ends."""
-    return [
-        (p, f"loop-{cut.line}-{cut.kind.replace(' ', '-')}", goal(stage, p, cut.state, t.all_of(cut.path)))
-        for cut in cuts
-        if cut.kind != "run"
-        for p in stage.setting.touched(cut.state.writes)
-    ]
 
 
 class _Output:
@@ -184,50 +250,56 @@ class _Output:
         for fact in facts:
             self.traits |= fact.term.traits
         self.complete = stage.setting.complete and not stage.room.partial
+        self.names: Counter[str] = Counter()
 
-    def all(
-        self,
-        goals: list[Goal],
-        demands: Sequence[Fact],
-        ended: tuple[Fact, ...],
-    ) -> list[Obligation]:
-        """One for each invariant, and one that every operation has a value; the others assume it: what has none is
-        discarded, and changes nothing. `ended`: that the effect has come to its end, which it has not in a loop."""
+    def all(self, goals: Sequence[Goal], demands: Sequence[Fact], ended: tuple[Fact, ...]) -> list[Obligation]:
+        """One for each goal, and one that every operation has a value. Goals assume that: an event in which an
+        operation has none is discarded, and changes nothing. `ended`: that the effect has come to its end, which it has
+        not at a loop's head."""
         where = {"base": "init", "environment": "environment"}.get(self.kind, self.event)
         found = []
-        for property_, place, conjuncts in goals:
-            name = "-".join(filter(None, (property_.name, where, place)))
-            assumed = tuple(demands) if place else ended
-            found.append(self.one(name, property_.name, None, assumed, conjuncts))
-        wanted = tuple([d for d in demands if d.term is not t.TRUE])
-        if wanted:
-            found.append(self.one(f"well-defined-{where}", WELL_DEFINED, "well-defined", (), wanted))
+        for wanted in goals:
+            if wanted.at is None:
+                found.append(self.one(f"{wanted.invariant}-{where}", wanted, None, ended))
+            else:
+                name = f"{wanted.invariant.replace(' ', '-')}-{where}-loop-{wanted.line}-{wanted.place}"
+                found.append(self.one(name, wanted, "loop", wanted.demands))
+        parts = tuple([d for d in demands if d.term is not t.TRUE])
+        if parts:
+            found.append(self.one(f"well-defined-{where}", Goal(WELL_DEFINED, parts), "well-defined", ()))
         return found
 
-    def one(
-        self, name: str, invariant: str, kind: Kind | None, assumed: tuple[Fact, ...], conjuncts: tuple[Fact, ...]
-    ) -> Obligation:
-        program = self.stage.setting.program
+    def one(self, name: str, wanted: Goal, kind: Kind | None, assumed: tuple[Fact, ...]) -> Obligation:
+        program, conjuncts = self.stage.setting.program, wanted.conjuncts
+        self.names[name] += 1
+        if self.names[name] > 1:  # a loop within one that is written out
+            name = f"{name}-{self.names[name]}"
         goal = None
         if self.kind != "consistency":
             line = conjuncts[0].line if conjuncts else self.line
-            goal = Fact(invariant, t.all_of([c.term for c in conjuncts]), program.path, line)
-        facts = self.before(invariant) + assumed
+            goal = Fact(wanted.invariant, t.all_of([c.term for c in conjuncts]), program.path, line)
+        facts = self.before(wanted) + assumed
         for fact in (*assumed, *([goal] if goal else [])):
             self.traits |= fact.term.traits
         return Obligation(
-            name, kind or self.kind, invariant, self.event, program.path, self.line, self.logic(), facts,
+            name, kind or self.kind, wanted.invariant, self.event, program.path, self.line, self.logic(), facts,
             goal, "sat" if goal is None else "unsat", conjuncts, self.cells, self.complete,
-            self.stage.setting.robots, self.notes,
+            self.stage.setting.robots, self.notes, wanted.at,
         )  # fmt: skip
 
-    def before(self, invariant: str) -> tuple[Fact, ...]:
-        """The facts, without that this invariant, or one behind it, holds afterwards."""
+    def satisfiable(self, name: str, assumed: tuple[Fact, ...]) -> Obligation:
+        """That the event can get to its end, with what is assumed of the calls on its way."""
+        found = self.one(name, Goal("", ()), "consistency", assumed)
+        return replace(found, goal=None, expected="sat")
+
+    def before(self, wanted: Goal) -> tuple[Fact, ...]:
+        """The facts that a goal may use: none of later places of the event, and none that says that this invariant, or
+        one behind it, holds after a step of the environment."""
         names = [p.name for p in self.stage.setting.invariants]
-        if invariant in names:
-            names = names[names.index(invariant) :]
+        if wanted.invariant in names:
+            names = names[names.index(wanted.invariant) :]
         later = {f"invariant {name}{AFTERWARDS}" for name in names}
-        return tuple([fact for fact in self.facts if fact.label not in later])
+        return tuple([f for f in self.facts if f.position <= wanted.position and f.label not in later])
 
     def logic(self) -> str:
         """The logic of SMT-LIB that all terms of the room are in."""

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from koordgen.ir import decl
 from koordgen.ir import expr as ir
 from koordgen.prove import term as t
+from koordgen.prove.encode.expr import Scope
 from koordgen.prove.encode.quantifier import domain as domain_of
 from koordgen.prove.encode.scope import OfFleet
 from koordgen.prove.encode.state import State, Written
@@ -21,8 +22,24 @@ _NAMES = ("i", "j", "k", "l", "m")
 
 def goal(stage: Stage, property_: decl.Property, state: State, guard: Term = t.TRUE) -> tuple[Fact, ...]:
     """The parts of what a property says of a state, where `guard` holds."""
-    goals = _Goals(stage, property_, state)
-    goals.add(property_.formula, guard, ())
+    said = stage.setting.mentions[property_.name]
+    cells = not isinstance(state, Written) or any(k[0] == "cell" and k in said for k in state.writes)
+    bystanders = cells or not _names_robots(property_.formula, frozenset())
+    return _parts(_Goals(stage, f"invariant {property_.name}", OfFleet(state), bystanders), property_.formula, guard)
+
+
+def goal_at(stage: Stage, name: str, formula: ir.Expr, scope: Scope, guard: Term) -> tuple[Fact, ...]:
+    """The parts of what a formula says at one place of an event or a function, where `guard` holds."""
+    return _parts(_Goals(stage, name, scope, True), formula, guard)
+
+
+def _parts(goals: _Goals, formula: ir.Expr, guard: Term) -> tuple[Fact, ...]:
+    encoder = goals.stage.encoder
+    kept, encoder.strict = encoder.strict, True
+    try:
+        goals.add(formula, guard, ())
+    finally:
+        encoder.strict = kept
     return tuple(goals.found)
 
 
@@ -30,13 +47,10 @@ class _Goals:
     """After an event a robot is the acting one or another. Where none is the acting one, and the formula speaks of
     nothing that all share, it says what it said before the event, which need not be shown."""
 
-    def __init__(self, stage: Stage, property_: decl.Property, state: State) -> None:
-        self.stage, self.room, self.name = stage, stage.room, property_.name
-        self.scope = OfFleet(state)
+    def __init__(self, stage: Stage, name: str, scope: Scope, bystanders: bool) -> None:
+        self.stage, self.room, self.name = stage, stage.room, name
+        self.scope, self.bystanders = scope, bystanders
         self.found: list[Fact] = []
-        said = stage.setting.mentions[property_.name]
-        cells = not isinstance(state, Written) or any(k[0] == "cell" and k in said for k in state.writes)
-        self.bystanders = cells or not _names_robots(property_.formula, frozenset())
 
     def add(self, formula: ir.Expr, guard: Term, robots: tuple[Term, ...]) -> None:
         match formula:
@@ -58,7 +72,7 @@ class _Goals:
                 pass
             case _:
                 term = t.implies(guard, self.stage.encoder.defined(formula, self.scope))
-                label = f"invariant {self.name}{'' if self.stage.brief else f': {shown(formula)}'}"
+                label = f"{self.name}{'' if self.stage.brief else f': {shown(formula)}'}"
                 self.found.append(Fact(label, term, self.stage.setting.program.path, formula.span.line))
 
     def of_others(self, robots: tuple[Term, ...]) -> bool:

@@ -26,7 +26,7 @@ from koordgen.semantics.exact import NotExact, made_exact
 from koordgen.semantics.exec import Budget, NoMeaning, library
 from koordgen.semantics.property import holds_assumption, holds_property
 from koordgen.semantics.state import NOTHING, Robot, State, Store
-from koordgen.semantics.step import Step, applied, enabled, execute, initial, no_port, run_init
+from koordgen.semantics.step import Step, applied, enabled, execute, has_priority, initial, no_port, run_init
 from koordgen.semantics.values import RecordValue, Value
 
 
@@ -131,8 +131,12 @@ def replayed(program: decl.Program, obligation: Obligation, reader: Reader, robo
                 return _base(reading)
             case "environment":
                 return _environment(reading)
+            case "well-defined" if obligation.event == "init":
+                return _init(reading)
             case "event" | "well-defined":
                 return _event(reading)
+            case "loop":
+                raise Unshowable("a turn of a loop is not run by itself")
             case _:
                 raise InternalError(f"{obligation.name} has no counterexample")
     except NotExact as error:
@@ -142,6 +146,21 @@ def replayed(program: decl.Program, obligation: Obligation, reader: Reader, robo
 
 
 def _base(reading: Reading) -> Counterexample:
+    before, after, discarded = _begun(reading)
+    if discarded is not None:
+        raise Unshowable(f"no mission begins: init has no result, {discarded.outcome}")
+    return _told(reading, before.store, before, after, None, "")
+
+
+def _init(reading: Reading) -> Counterexample:
+    before, _, discarded = _begun(reading)
+    if discarded is None:
+        raise Unshowable("init, when it is run, has a result")
+    return _told(reading, before.store, before, before, discarded.pid, str(discarded.outcome))
+
+
+def _begun(reading: Reading) -> tuple[State, State, Step | None]:
+    """A fleet before and after every robot's init; the first init that is discarded, if one is."""
     before = reading.state("before" if reading.has("before") else "round start")
     for property_ in reading.program.properties:
         if property_.kind == "initially" and not true(property_, reading.program, before):
@@ -150,8 +169,7 @@ def _base(reading: Reading) -> Counterexample:
     after, steps = run_init(reading.program, before, served.world)
     if served.missing or served.asked:
         raise Unshowable("what is asked in init is known only by what is said of it")
-    discarded = next((str(s.outcome) for s in steps if isinstance(s.outcome, Discarded)), "")
-    return _told(reading, before.store, before, after, None, discarded)
+    return before, after, next((s for s in steps if isinstance(s.outcome, Discarded)), None)
 
 
 def _environment(reading: Reading) -> Counterexample:
@@ -194,6 +212,9 @@ def _event(reading: Reading) -> Counterexample:
     for pid in range(reading.robots):
         served = Served(program, reading.reader)
         try:
+            if not has_priority(program, event, before._replace(store=begun), pid, served.world):
+                why = "an earlier event of the same priority block goes first"
+                continue
             if not enabled(program, event, seen, pid, served.world):
                 continue
             outcome = execute(program, event.effect, seen, pid, served.world)

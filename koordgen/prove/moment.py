@@ -1,51 +1,60 @@
-"""One room with the moments of one obligation: what is assumed there, and what is to be shown."""
+"""One room with the states of one obligation: what is assumed there, and what is to be shown."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from itertools import islice, product
 from typing import Literal
 
 from koordgen.ir import decl, stmt
 from koordgen.ir import expr as ir
 from koordgen.ir.types import Type
 from koordgen.prove import term as t
+from koordgen.prove.encode.expr import Scope
 from koordgen.prove.encode.function import Functions
+from koordgen.prove.encode.loop import conjuncts
 from koordgen.prove.encode.quantifier import domain as domain_of
 from koordgen.prove.encode.room import Room, symbol
 from koordgen.prove.encode.scope import NotHere, OfFleet, OfRobot
-from koordgen.prove.encode.state import Key, State, declared, sensors
-from koordgen.prove.encode.stmt import Cut
+from koordgen.prove.encode.state import Key, State, Written, cleared, declared, sensors
+from koordgen.prove.encode.stmt import Head
 from koordgen.prove.encode.tree import nodes
 from koordgen.prove.encode.types import build, shape
 from koordgen.prove.encode.values import Val
 from koordgen.prove.fragment import complete
-from koordgen.prove.obligation import Cell, Fact, Moment
+from koordgen.prove.loops import INIT, LoopInvariants
+from koordgen.prove.obligation import AtHead, Cell, Fact, Moment
 from koordgen.prove.term import Term
 
 # How much of what is known is told: "little" is what proofs mostly need, "most" all that is known, which solvers find
 # hard. Counterexamples are of what is told "usual"ly, or most.
 Told = Literal["little", "usual", "most"]
 Trigger = ir.Call | ir.ExternCall | ir.Builtin
+CHOICES = 16  # of values for the names of an axiom, at most, when it is asked whether axioms contradict one another
 UNROLLED, PAIRED = 20, 4  # robots, at most, that are spoken of one by one; where formulas speak of pairs of them
 
 
 class Setting:
-    """A program, how many robots it has (None: any number), the params that have values, how much is told."""
+    """A program, how many robots it has (None: any number), the params that have values, how much is told. `dropped`:
+    what does not hold at the heads of loops."""
 
     def __init__(
-        self, program: decl.Program, robots: int | None, params: Mapping[str, ir.Expr] | None, told: Told
-    ) -> None:
+        self, program: decl.Program, robots: int | None, params: Mapping[str, ir.Expr] | None, told: Told,
+        dropped: frozenset[AtHead] = frozenset(),
+    ) -> None:  # fmt: skip
         self.told = told
         pairs = any(_pairs(p.formula) for p in program.properties)
         self.unrolled = robots is not None and (robots <= (PAIRED if pairs else UNROLLED))
         self.program, self.robots, self.params = program, robots, params or {}
         self.types = declared(program)
-        self.sensors = sensors(program)
+        self.sensors, self.cleared = sensors(program), cleared(program)
         self.invariants = [p for p in program.properties if p.kind == "invariant"]
         self.axioms = [(p, *_triggers(p.formula)) for p in program.properties if p.kind == "axiom"]
         self.initially = [p for p in program.properties if p.kind == "initially"]
         self.complete = self.unrolled or complete(program)
         self.mentions = {p.name: frozenset(mentioned(p.formula)) for p in self.invariants}
+        numbered = robots if self.unrolled else None
+        self.loops = LoopInvariants(program, self.mentions, self.params, numbered, dropped)
 
     def touched(self, keys: Collection[Key]) -> list[decl.Property]:
         """The invariants that speak of one of these variables: the others stay as they are."""
@@ -64,7 +73,8 @@ class Stage:
         self.room = Room(program, setting.robots, setting.unrolled)
         self.params: dict[str, Val] = {}
         self.looked: dict[int, int] = {}  # of an axiom's trigger: of how many calls it was told
-        self.encoder = Functions(self.room, self.params).encoder
+        self.functions = Functions(self.room, self.params, self.know, self.brief and not thorough)
+        self.encoder = self.functions.encoder
         self.encoder.geometry.brief = self.brief and not thorough
         for param in program.params:
             self.params[param.name] = self._param(param)
@@ -95,7 +105,7 @@ class Stage:
             with self.room.about(label, property_.span.line):
                 self.assume(property_.formula, OfFleet(state), guard)
 
-    def assume(self, formula: ir.Expr, scope: OfFleet, guard: Term = t.TRUE) -> None:
+    def assume(self, formula: ir.Expr, scope: Scope, guard: Term = t.TRUE) -> None:
         """A formula is a fact where `guard` holds; what it says of all, it says of each that is looked at."""
         match formula:
             case ir.Logic("and", left, right):
@@ -124,10 +134,29 @@ class Stage:
             case _:
                 self.room.fact(t.implies(guard, self.encoder.defined(formula, scope)))
 
-    def known_at(self, cut: Cut) -> None:
-        """At the start of a run of a loop the invariants hold."""
-        if cut.kind == "run":
-            self.holds(self.setting.touched(cut.state.writes), cut.state, t.all_of(cut.path), " in a loop")
+    def know(self, head: Head) -> None:
+        """What is assumed at a loop's head holds before each turn and behind the last one, from there on."""
+        loops, place = self.setting.loops, head.turn
+        with self.room.known_at(place.position), self.room.outermost():
+            for at, formula in loops.stated(head.loop):
+                with self.room.about(f"loop invariant of {at.owner}", formula.span.line):
+                    self.assume(formula, place.frame, place.reached)
+            for at, property_ in loops.tried(head.loop):
+                label = f"invariant {property_.name} at the loop in line {head.loop.span.line}"
+                with self.room.about(label, property_.span.line):
+                    formula, scope = self.at_head(at, property_, place.frame.state())
+                    self.assume(formula, scope, place.reached)
+
+    def at_head(self, at: AtHead, property_: decl.Property, state: Written) -> tuple[ir.Expr, OfFleet]:
+        """What an invariant says at a loop's head: in an event, of the fleet as if the event ended there; in `init`, of
+        the robot itself, since the others may have run theirs or not."""
+        scope, formula = OfFleet(state), property_.formula
+        while at.owner == INIT and isinstance(formula, ir.Quantified) and formula.kind == "forall":
+            if not isinstance(formula.domain, ir.Ids):
+                break
+            scope.temps[formula.name] = state.own
+            formula = formula.body
+        return formula, scope
 
     def ports(self, before: State, after: State) -> None:
         """Every robot keeps its modules' assumptions in a step of the environment."""
@@ -171,6 +200,45 @@ class Stage:
                 self.room.given(self.encoder.defined(part, scope))
             except (NotHere, KeyError):
                 return  # it speaks of other goals, too
+
+    def any_answers(self, state: State) -> None:
+        """An answer of each callable port of which something is assumed, for goals of which nothing is known."""
+        for module in self.setting.program.modules:
+            for assumption in module.assumptions:
+                for call, _ in decl.handed(assumption.formula):
+                    args = tuple([self.room.any("goal", arg.type) for arg in call.args])
+                    answer = self.room.any(f"{call.module}.{call.port}", call.type)
+                    self.answered(call, args, answer, t.integer(0), state)
+
+    def any_axioms(self) -> None:
+        """Each axiom that speaks of all values, for the same two values of each type, of which nothing is known: so
+        that axioms meet. SOUND: these are some of the instances."""
+        values: dict[Type, tuple[Val, Val]] = {}
+        for axiom, free, _ in self.setting.axioms:
+            for type_ in free.values():
+                if type_ not in values:
+                    values[type_] = self.room.any("some", type_), self.room.any("other", type_)
+            for choice in islice(product(*[values[type_] for type_ in free.values()]), CHOICES) if free else ():
+                scope = OfFleet(_Nowhere())
+                scope.temps = dict(zip(free, choice, strict=True))
+                with self.room.about(f"axiom {axiom.name}", axiom.span.line):
+                    self.room.fact(self.encoder.defined(axiom.formula, scope))
+
+    def any_contracts(self) -> None:
+        """A call of each extern function, for arguments of which nothing is known, with a result."""
+        for function in self.setting.program.externs:
+            args = tuple([self.room.any(p.name.split("@")[0], p.type) for p in function.parameters])
+            result = self.encoder.apply(function.name, symbol(function.name), args, function.result)
+            required, ensured = self.functions.contract(function, args, result)
+            with self.room.about(f"contract of {function.name}", function.span.line):
+                for formula in required:
+                    self.room.fact(formula)
+                for formula, line in ensured:
+                    self.room.fact(formula, line=line)
+
+    def is_assumed_of_calls(self, fact: Fact) -> bool:
+        """Whether a fact says what is assumed of what an event calls."""
+        return fact.label.startswith(("contract of ", "axiom ", "assume of "))
 
     def axioms(self) -> None:
         """What is known of spec functions, for the values that were met."""
@@ -231,11 +299,11 @@ class _Nowhere:
         raise AssertionError(f"{key} where only params are read")
 
 
-def _triggers(axiom: ir.Expr) -> tuple[bool, list[Trigger]]:
-    """Whether an axiom has names that stand for all values; the calls in it that are made of all of them."""
+def _triggers(axiom: ir.Expr) -> tuple[dict[str, Type], list[Trigger]]:
+    """The names in an axiom that stand for all values; the calls in it that are made of all of them."""
     free = decl.free(axiom)
     calls = [n for n in nodes(axiom) if isinstance(n, (ir.Call, ir.ExternCall, ir.Builtin))] if free else []
-    return bool(free), [n for n in calls if free.keys() <= {a.name for a in n.args if isinstance(a, ir.TempRead)}]
+    return free, [n for n in calls if free.keys() <= {a.name for a in n.args if isinstance(a, ir.TempRead)}]
 
 
 def _pairs(formula: ir.Expr, around: bool = False) -> bool:
@@ -244,14 +312,6 @@ def _pairs(formula: ir.Expr, around: bool = False) -> bool:
         if isinstance(node, ir.Quantified) and isinstance(node.domain, ir.Ids):
             return around or _pairs(node.body, True)
     return False
-
-
-def conjuncts(formula: ir.Expr) -> Iterator[ir.Expr]:
-    if isinstance(formula, ir.Logic) and formula.op == "and":
-        yield from conjuncts(formula.left)
-        yield from conjuncts(formula.right)
-    else:
-        yield formula
 
 
 def mentioned(formula: object) -> Iterator[Key]:
@@ -268,17 +328,3 @@ def mentioned(formula: object) -> Iterator[Key]:
                 yield "cell", name
             case _:
                 pass
-
-
-def temps_of(block: stmt.Block) -> dict[str, Type]:
-    """The types of an event's own variables."""
-    found: dict[str, Type] = {}
-    for node in nodes(block):
-        match node:
-            case stmt.Let(name, type_):
-                found[name] = type_
-            case stmt.For(names, types):
-                found.update(zip(names, types, strict=True))
-            case _:
-                pass
-    return found

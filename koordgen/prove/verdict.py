@@ -15,7 +15,7 @@ from koordgen.node import replace
 from koordgen.prove.generate import assumptions, obligations, rooms
 from koordgen.prove.ledger import Entry, Ledger
 from koordgen.prove.moment import Told
-from koordgen.prove.obligation import Obligation
+from koordgen.prove.obligation import AtHead, Obligation
 from koordgen.prove.smtlib import script
 from koordgen.prove.solve import Answer, Both, Solver
 
@@ -33,6 +33,15 @@ class Question(NamedTuple):
     program: decl.Program
     robots: int | None = None
     params: Mapping[str, Expr] | None = None
+
+
+class Asked(NamedTuple):
+    """What the solver said of all obligations, once none of what is assumed at heads of loops fails: `dropped` was
+    tried there and failed, `lost` are the obligations by which that was seen of invariants that stand at loops."""
+
+    outcomes: list[Outcome]
+    dropped: frozenset[AtHead]
+    lost: dict[str, tuple[Outcome, ...]]
 
 
 class Outcome(NamedTuple):
@@ -63,20 +72,22 @@ def prove(question: Question, solver: Solver | Both) -> list[Verdict]:
     """A verdict for each invariant of the program, in its order, well-definedness first. Raises SolverMissing."""
     solver.start()
     program = question.program
-    outcomes = _as_for_any(question, program, solver) or _asked(question, program, solver)
-    names = _names(program, outcomes)
-    groups = _groups(outcomes)
+    asked = _as_for_any(question, program, solver) or _settled(question, program, solver, Asked([], frozenset(), {}))
+    names = _names(program, asked)
+    groups = _groups(asked.outcomes)
     failed: dict[str, tuple[tuple[Outcome, ...], decl.Program]] = {}
     while failing := [name for name, group in groups.items() if not all(o.holds for o in group)]:
         failed.update({name: (groups[name], program) for name in failing})
-        dropped = [p for p in program.properties if p.kind == "invariant" and p.name in failing]
-        if not dropped:
+        without = [p for p in program.properties if p.kind == "invariant" and p.name in failing]
+        if not without:
             break
-        program = replace(program, properties=tuple([p for p in program.properties if p not in dropped]))
-        outcomes = _asked(question, program, solver)
-        groups = {name: group for name, group in _groups(outcomes).items() if name not in failed}
+        program = replace(program, properties=tuple([p for p in program.properties if p not in without]))
+        asked = _settled(question, program, solver, asked)
+        groups = {name: group for name, group in _groups(asked.outcomes).items() if name not in failed}
+    failed.update({name: (group, program) for name, group in asked.lost.items()})
+    outcomes = asked.outcomes
     contradiction, doubt = _consistency(outcomes, solver)
-    explained = {} if contradiction else _explained(question, failed, solver, program)
+    explained = {} if contradiction else _explained(question, failed, solver, program, asked.dropped)
     found, ledger = [], Ledger(question.program)
     for name in names:
         group = failed[name][0] if name in failed else groups[name]
@@ -93,42 +104,61 @@ def _explained(
     failed: Mapping[str, tuple[tuple[Outcome, ...], decl.Program]],
     solver: Solver | Both,
     proved: decl.Program,
+    dropped: frozenset[AtHead],
 ) -> dict[str, Explanation]:
     """Why each fails; `proved` has the invariants that are PROVED."""
     if not failed:
         return {}
     from koordgen.prove.explain import Explainer
 
-    explainer = Explainer(question.program, question.robots, question.params, solver, proved)
+    explainer = Explainer(question.program, question.robots, question.params, solver, proved, dropped)
     return {name: explainer.explain(name, group, relied) for name, (group, relied) in failed.items()}
 
 
+def _settled(
+    question: Question, program: decl.Program, solver: Solver | Both, before: Asked, more: Sequence[Told] = MORE
+) -> Asked:
+    """Ask, and drop what fails at the heads of loops, until nothing fails there."""
+    dropped, lost = before.dropped, dict(before.lost)
+    while True:
+        outcomes = _asked(question, program, solver, dropped, more)
+        failing = [o for o in outcomes if o.obligation.at is not None and not o.holds]
+        if not failing:
+            return Asked(outcomes, dropped, lost)
+        dropped |= {o.obligation.at for o in failing if o.obligation.at is not None}
+        stated = {o.obligation.invariant for o in failing} - {p.name for p in program.properties}
+        groups = _groups(outcomes)
+        lost.update({name: groups[name] for name in stated})
+
+
 def _asked(
-    question: Question, program: decl.Program, solver: Solver | Both, more: Sequence[Told] = MORE
+    question: Question, program: decl.Program, solver: Solver | Both, dropped: frozenset[AtHead], more: Sequence[Told]
 ) -> list[Outcome]:
     """What the solver says of all obligations, of which little is told at first; of those that fail again, with more
     told, where that is something else."""
-    found = [Outcome(*each) for each in solver.ask_all(rooms(program, question.robots, question.params, "little"))]
+    robots, params = question.robots, question.params
+    found = [Outcome(*each) for each in solver.ask_all(rooms(program, robots, params, "little", dropped))]
     for told in more:
         if all(outcome.holds for outcome in found):
             break
-        others = {o.name: o for o in obligations(program, question.robots, question.params, told)}
+        others = {o.name: o for o in obligations(program, robots, params, told, dropped)}
         found = [outcome if outcome.holds else _again(outcome, others, solver) for outcome in found]
     return found
 
 
-def _as_for_any(question: Question, program: decl.Program, solver: Solver | Both) -> list[Outcome]:
+def _as_for_any(question: Question, program: decl.Program, solver: Solver | Both) -> Asked | None:
     """With a number of robots: what holds for every number holds for this one, and is decided faster; but that the
-    assumptions are consistent must be seen for this number. Nothing, where something does not hold for every number."""
+    assumptions are consistent must be seen for this number. None, where something does not hold for every number."""
     if question.robots is None:
-        return []
-    general = _asked(question._replace(robots=None), program, solver, MORE[:1])
-    # SOUND: all of them or none: what holds behind a loop rests on what its runs keep, of which nothing is asked where
+        return None
+    general = _settled(question._replace(robots=None), program, solver, Asked([], frozenset(), {}), MORE[:1])
+    # SOUND: all of them or none: what holds behind a loop rests on what its turns keep, of which nothing is asked where
     # it is written out.
-    if not all(outcome.holds for outcome in general):
-        return []
+    if general.lost or not all(outcome.holds for outcome in general.outcomes):
+        return None
     numbered = solver.ask_all([[o] for o in assumptions(program, question.robots, question.params)])
-    return [*(Outcome(*each) for each in numbered), *(o for o in general if o.obligation.kind != "consistency")]
+    others = [o for o in general.outcomes if o.obligation.kind != "consistency"]
+    return general._replace(outcomes=[*(Outcome(*each) for each in numbered), *others])
 
 
 def _again(outcome: Outcome, others: Mapping[str, Obligation], solver: Solver | Both) -> Outcome:
@@ -150,8 +180,9 @@ def _groups(outcomes: Sequence[Outcome]) -> dict[str, tuple[Outcome, ...]]:
     return {name: tuple(group) for name, group in found.items()}
 
 
-def _names(program: decl.Program, outcomes: Sequence[Outcome]) -> list[str]:
-    found = dict.fromkeys(o.obligation.invariant for o in outcomes if o.obligation.kind != "consistency")
+def _names(program: decl.Program, asked: Asked) -> list[str]:
+    found = dict.fromkeys(o.obligation.invariant for o in asked.outcomes if o.obligation.kind != "consistency")
+    found.update(dict.fromkeys(asked.lost))
     found.update(dict.fromkeys(p.name for p in program.properties if p.kind == "invariant"))
     return list(found)
 
@@ -161,16 +192,25 @@ def _consistency(outcomes: Sequence[Outcome], solver: Solver | Both) -> tuple[st
     doubt = ""
     for outcome in outcomes:
         obligation = outcome.obligation
-        if obligation.kind != "consistency" or outcome.holds:
+        if obligation.kind != "consistency" or outcome.holds or _is_dead(obligation, outcome.answer, solver):
             continue
         if outcome.answer.result == "unknown":
-            doubt = f"whether the assumptions contradict one another is not known: {outcome.answer.reason}"
+            place = f"{obligation.name} ({obligation.file}:{obligation.line})"
+            doubt = f"{place}: whether the assumptions contradict one another was not decided: {outcome.answer.reason}"
             continue
         core = solver.ask(obligation, core=True).core or range(len(obligation.facts))
         facts = [obligation.facts[place] for place in core if obligation.facts[place].line]
         told = dict.fromkeys(f"{fact.label} ({fact.file}:{fact.line})" for fact in facts)
         return f"no state satisfies {' and '.join(told) or 'what is assumed'}: anything follows from that", ""
     return "", doubt
+
+
+def _is_dead(obligation: Obligation, answer: Answer, solver: Solver | Both) -> bool:
+    """Whether an event cannot get to its end for reasons of its own: whatever is assumed of what it calls."""
+    if not obligation.event or answer.result != "unsat":
+        return False
+    own = tuple([f for f in obligation.facts if not f.label.startswith(("contract of ", "axiom ", "assume of "))])
+    return solver.ask(replace(obligation, facts=own)).result == "unsat"
 
 
 def _verdict(

@@ -9,12 +9,12 @@ from __future__ import annotations
 from koordgen.ir import decl, stmt
 from koordgen.ir import expr as ir
 from koordgen.prove import term as t
-from koordgen.prove.encode.block import written
+from koordgen.prove.encode.loop import conjuncts, temps_of, written
 from koordgen.prove.encode.state import Begun, Key, State
 from koordgen.prove.encode.stmt import Env, Frame
 from koordgen.prove.encode.tree import nodes
-from koordgen.prove.encode.values import Val
-from koordgen.prove.moment import Stage, conjuncts, mentioned
+from koordgen.prove.encode.values import Val, truth
+from koordgen.prove.moment import Stage, mentioned
 from koordgen.prove.term import Term
 
 
@@ -31,7 +31,9 @@ def changes(stage: Stage, begun: Begun, now: State) -> None:
             return t.TRUE
         held: dict[str, Term] = {}
         wrote: dict[str, Env] = {}
-        parts = []
+        parts = [
+            t.implies(truth(now.of(key, robot)), truth(begun.of(key, robot))) for key in stage.setting.cleared
+        ]  # a command clears `reached`, and nothing else in a round sets it
         for key in own:
             same = stage.encoder.lists.same(now.of(key, robot), begun.of(key, robot))
             ran = []
@@ -52,13 +54,15 @@ def changes(stage: Stage, begun: Begun, now: State) -> None:
 
 def _guard(stage: Stage, begun: Begun, event: decl.Event, robot: Term) -> Term:
     """What of an event's guard held at the round's start, of a robot that runs the event in the round. A transaction
-    sees what others wrote since: there only what is its own counts."""
-    frame = Frame(stage.encoder, robot, begun, begun, _no_port)
+    sees what others wrote since: there only what is its own counts. Guards that have priority over it were false."""
+    frame = Frame(stage.encoder, robot, begun, begun, _no_port, {}, stage.know)
     parts = []
     with stage.room.aside():
         for part in conjuncts(event.guard):
             if event.lock is None or all(_own(key, part) for key in mentioned(part)):
                 parts.append(stage.encoder.term(part, frame))
+        for earlier in stage.setting.program.earlier(event):
+            parts.append(t.not_(stage.encoder.term(earlier.guard, frame)))
     return t.all_of(parts)
 
 
@@ -72,7 +76,7 @@ def _followed(event: decl.Event, program: decl.Program) -> bool:
 
 
 def _wrote(stage: Stage, begun: Begun, event: decl.Event, robot: Term) -> Env:
-    frame = Frame(stage.encoder, robot, begun, begun, _no_port)
+    frame = Frame(stage.encoder, robot, begun, begun, _no_port, temps_of(event.effect), stage.know)
     with stage.room.aside():
         frame.block(event.effect)
     return frame.writes()

@@ -220,3 +220,20 @@ FAULTY = faulty_declarations() | faulty_events() | faulty_functions() | faulty_p
 def test_a_faulty_program_is_an_internal_error(program: decl.Program) -> None:
     with pytest.raises(InternalError):
         verify(program)
+
+
+@pytest.mark.parametrize("blocks", [(1, 1), (0, 2), (0, None, 0), (0, 1, 0), (-1,)])
+def test_priority_blocks_that_do_not_stand_together_are_found(blocks: tuple[int | None, ...]) -> None:
+    with pytest.raises(InternalError, match="priority block"):
+        verify(in_blocks(*blocks))
+
+
+def test_priority_blocks_in_text_order_are_right() -> None:
+    verify(in_blocks(None, 0, 0, None, 1, 2, 2))
+
+
+def in_blocks(*blocks: int | None) -> decl.Program:
+    """The sound program with one event for each of these, in the block of that number."""
+    first = SOUND.events[0]
+    events = [replace(first, name=f"E{number}", priority=block) for number, block in enumerate(blocks)]
+    return replace(SOUND, events=tuple(events))

@@ -132,6 +132,9 @@ def test_a_type_reads_the_same_wherever_it_stands(text: str, tree: str) -> None:
         ("Go:\n  pre: a\n  eff: stop\n", "Event(Go, [Guard(a), Effect([Stop()])])"),
         ("Go:\n  eff:\n    stop\n  pre:\n    a\n", "Event(Go, [Effect([Stop()]), Guard(a)])"),
         ("Go: pre: a\n  eff: stop", "Event(Go, [Guard(a), Effect([Stop()])])"),
+        ("priority:\n  Go:\n    pre: a\n    eff: stop\n  Wait: pre: priority\n    eff: priority = b\n",
+         "Priority([Event(Go, [Guard(a), Effect([Stop()])]), "
+         "Event(Wait, [Guard(priority), Effect([Assign(priority, '', b)])])])"),
     ],
 )  # fmt: skip
 def test_sections(text: str, tree: str) -> None:

@@ -51,9 +51,12 @@ class Encoder:
         self.geometry = Geometry(room, self.lists)
         # What was called on what: where axioms about all values are looked at.
         self.calls: dict[str, list[tuple[Val, ...]]] = {}
+        # Whether a quantifier is to be shown to have a value; of what is assumed that is known.
+        self.strict = False
         self.called_on: set[tuple[object, ...]] = set()
 
     def value(self, node: ir.Expr, scope: Scope) -> Val:
+        t.step()
         return _READERS[type(node)](self, node, scope)
 
     def term(self, node: ir.Expr, scope: Scope) -> Term:
@@ -325,11 +328,13 @@ class Encoder:
 
     def defined(self, node: ir.Expr, scope: Scope) -> Term:
         """That a formula has a value, and that it is true."""
-        kept, self.room.path = self.room.path, ()
-        with self.room.aside() as demands:
+        return t.and_(*self.parts(node, scope))
+
+    def parts(self, node: ir.Expr, scope: Scope) -> tuple[Term, Term]:
+        """That a formula has a value; whether it is true, if it has."""
+        with self.room.outermost(), self.room.aside() as demands:
             formula = self.term(node, scope)
-        self.room.path = kept
-        return t.and_(*[demand.term for demand in demands], formula)
+        return t.all_of([demand.term for demand in demands]), formula
 
 
 def _between(x: Term, a: Term, b: Term) -> Term:

@@ -10,6 +10,7 @@ from koordgen.ir.types import MapOf, Sequence, Type
 from koordgen.prove import term as t
 from koordgen.prove.encode.geometry import path_of
 from koordgen.prove.encode.room import Room
+from koordgen.prove.encode.tree import nodes
 from koordgen.prove.encode.values import Fleet, Known, Val
 from koordgen.prove.term import Term
 
@@ -22,28 +23,68 @@ _EXPANDED = 8  # a domain of at most so many elements is gone through one by one
 
 class Domain(NamedTuple):
     """`inside`: whether an int is a place in it; `element`: what is there; `few`: all elements, where they are few.
-    `robots`, `places`: what its places are."""
+    `robots`, `places`: what its places are. Its places are `start`, `start + step` and so on, before `stop`."""
 
     inside: Callable[[Term], Term]
     element: Callable[[Term], Val]
     few: list[Val] | None
     robots: bool
     places: bool
+    start: Term
+    stop: Term
+    step: int
+
+    def ahead(self, index: Term) -> Term:
+        """Whether a loop that has come to this place has an element left."""
+        return t.less(index, self.stop) if self.step > 0 else t.less(self.stop, index)
+
+    def not_after(self, a: Term, b: Term) -> Term:
+        """Whether a place comes before another one, or is that one."""
+        return t.at_most(a, b) if self.step > 0 else t.at_most(b, a)
+
+    def passed(self, index: Term, head: Term) -> Term:
+        """Whether a place was gone through by a loop that has come to `head`."""
+        before = t.less(index, head) if self.step > 0 else t.less(head, index)
+        reached = self.not_after(self.start, index)
+        return t.all_of([before, reached, *self.on_grid(index)])
+
+    def on_grid(self, index: Term) -> list[Term]:
+        """That a number is `start` and some steps: nothing to say of a step of 1 or -1."""
+        if abs(self.step) == 1:
+            return []
+        return [t.equals(t.remainder(t.subtract(index, self.start), t.integer(abs(self.step))), _ZERO)]
 
 
 def quantified(e: Encoder, node: ir.Quantified, scope: Scope) -> Val:
-    """As a truth value of its own, which every instance that is looked at agrees with."""
+    """As a truth value of its own, which every instance that is looked at agrees with.
+
+    Where it is to be shown (`e.strict`), that all instances have a value is demanded: `not exists` is no value, and not
+    true, where an instance has none. SOUND: that is more than the semantics asks for, which stops at the first instance
+    that decides."""
     every = node.kind == "forall"
     over = domain(e, node.domain, scope)
-    temps = dict(scope.temps)
+    temps, strict = dict(scope.temps), e.strict
+
+    def evaluated(element: Val) -> tuple[Term, Term]:
+        kept, scope.temps = scope.temps, {**temps, node.name: element}
+        around, e.strict = e.strict, strict
+        try:
+            with e.room.grant(element if isinstance(node.domain, ir.Ids) else None):
+                return e.parts(node.body, scope)
+        finally:
+            scope.temps, e.strict = kept, around
 
     def holds(element: Val) -> Term:
-        kept, scope.temps = scope.temps, {**temps, node.name: element}
-        try:
-            return e.defined(node.body, scope)
-        finally:
-            scope.temps = kept
+        return t.and_(*evaluated(element))
 
+    def has_value(index: Term) -> Term:
+        return t.implies(over.inside(index), evaluated(over.element(index))[0])
+
+    if e.strict and over.few is not None:
+        e.room.demand(t.all_of([evaluated(element)[0] for element in over.few]), "instances", node.span.line)
+    elif e.strict and _may_fail(e, node, scope):
+        has = proxy(e.room, has_value, node.name, over.robots, over.places)
+        e.room.demand(has, "instances", node.span.line)
     if over.few is not None:
         parts = [holds(element) for element in over.few]
         return t.all_of(parts) if every else t.any_of(parts)
@@ -54,6 +95,35 @@ def quantified(e: Encoder, node: ir.Quantified, scope: Scope) -> Val:
 
     found = proxy(e.room, instance, node.name, over.robots, over.places)
     return found if every else t.not_(found)
+
+
+_PARTIAL = ("/", "//", "%", "**")
+_TOTAL = frozenset(("distance", "path_distance", "clear", "abs", "min", "max", "sum", "len", "count", "get", "keys",
+                    "values", "items", "union", "intersection", "difference", "Point", "Pose", "Grid", "Rect", "Ball",
+                    "sorted", "reversed", "floor", "ceil", "round", "str", "merge", "center"))  # fmt: skip
+
+
+def _may_fail(e: Encoder, node: ir.Quantified, scope: Scope) -> bool:
+    """Whether an instance may have no value, as far as its operations tell."""
+    named = {node.name} if isinstance(node.domain, ir.Ids) else set()
+    for part in nodes(node.body):
+        if isinstance(part, ir.Quantified) and isinstance(part.domain, ir.Ids):
+            named.add(part.name)
+    named.update(name for name, value in scope.temps.items() if value in e.room.granted and name != node.name)
+    for part in nodes(node.body):
+        match part:
+            case ir.Binary(op) if op in _PARTIAL:
+                return True
+            case ir.Builtin(name) if name not in _TOTAL:
+                return True
+            case ir.At() | ir.Slice() | ir.Call() | ir.ExternCall() | ir.PortCall():
+                return True
+            case ir.SlotRead(_, robot) | ir.LocalOf(_, robot) | ir.PortOf(_, _, robot):
+                if not (isinstance(robot, ir.TempRead) and robot.name in named):
+                    return True
+            case _:
+                pass
+    return False
 
 
 def proxy(room: Room, instance: Callable[[Term], Term], name: str, robots: bool = True, places: bool = False) -> Term:
@@ -83,8 +153,9 @@ def domain(e: Encoder, node: ir.Expr, scope: Scope) -> Domain:
     if isinstance(node, ir.Range):
         return _range(e, node, scope)
     xs = path_of(e.value(node, scope))
+    few = None
     if isinstance(xs, Known) and len(xs.items) <= _EXPANDED and (len(xs.items) < 2 or not _unordered(node.type)):
-        return Domain(_never, _int, [_key(item, node.type) for item in xs.items], False, False)
+        few = [_key(item, node.type) for item in xs.items]
     room, long, fleet = e.room, e.lists.length(xs), isinstance(xs, Fleet)
 
     def inside(index: Term) -> Term:
@@ -92,7 +163,7 @@ def domain(e: Encoder, node: ir.Expr, scope: Scope) -> Domain:
             return t.TRUE
         return t.and_(t.at_most(_ZERO, index), t.less(index, long))
 
-    return Domain(inside, lambda i: _key(e.lists.element(xs, i), node.type), None, fleet, not fleet)
+    return Domain(inside, lambda i: _key(e.lists.element(xs, i), node.type), few, fleet, not fleet, _ZERO, long, 1)
 
 
 def _range(e: Encoder, node: ir.Range, scope: Scope) -> Domain:
@@ -100,8 +171,9 @@ def _range(e: Encoder, node: ir.Range, scope: Scope) -> Domain:
     low, high = t.number(start), t.number(stop)
     if stop is e.room.size and e.room.robots is None:
         high = None  # robots are not gone through one by one
+    few: list[Val] | None = None
     if low is not None and high is not None and len(range(int(low), int(high), node.step)) <= _EXPANDED:
-        return Domain(_never, _int, [t.integer(i) for i in range(int(low), int(high), node.step)], False, False)
+        few = [t.integer(i) for i in range(int(low), int(high), node.step)]
     first, last = (start, stop) if node.step > 0 else (t.add(stop, _ONE), t.add(start, _ONE))
     step = t.integer(abs(node.step))
 
@@ -111,11 +183,8 @@ def _range(e: Encoder, node: ir.Range, scope: Scope) -> Domain:
             return within
         return t.and_(within, t.equals(t.remainder(t.subtract(index, start), step), _ZERO))
 
-    return Domain(inside, _int, None, True, start is not _ZERO or stop is not e.room.size)
-
-
-def _never(index: Term) -> Term:
-    return t.FALSE
+    whole = start is _ZERO and stop is e.room.size
+    return Domain(inside, _int, few, True, not whole, start, stop, node.step)
 
 
 def _int(index: Term) -> Val:

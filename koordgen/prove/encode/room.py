@@ -60,10 +60,11 @@ class Universal:
     another."""
 
     def __init__(
-        self, instance: Callable[[Term], Term], robots: bool, places: bool, inner: bool, label: str, line: int
-    ) -> None:
+        self, instance: Callable[[Term], Term], robots: bool, places: bool, inner: bool, label: str, line: int,
+        known_from: int,
+    ) -> None:  # fmt: skip
         self.instance, self.robots, self.places, self.inner = instance, robots, places, inner
-        self.label, self.line = label, line
+        self.label, self.line, self.known_from = label, line, known_from
         self.done: set[Term] = set()
 
 
@@ -75,7 +76,7 @@ class Room:
         self.program, self.robots = program, robots if unrolled else None
         self.size = t.constant("N_SYS", t.INT) if robots is None else t.integer(robots)
         self.facts: list[Fact] = []
-        self.seen: set[Term] = set()  # the facts' terms
+        self.seen: dict[Term, int] = {}  # a fact's term -> the least position at which it is known
         self.demands: list[Fact] = []  # what must hold for every operation to have a value
         self.notes: dict[str, None] = {}
         self.path: tuple[Term, ...] = ()
@@ -90,7 +91,8 @@ class Room:
         self.instantiating = False
         self.passes = 0
         self.partial = False  # not every universal was looked at everywhere
-        self.temps: dict[str, Type] = {}  # of the event's own variables
+        self.position = 0  # how many loop heads and loop ends were encoded so far
+        self.known_from = 0  # the position of the facts that are being gathered
         self.nowhere: dict[tuple[object, ...], Term] = {}  # what no robot has
         self.granted: set[Term] = set()  # ints that name robots where they are spoken of just now
         self.folds: set[Term] = set()  # sums over all robots
@@ -106,23 +108,45 @@ class Room:
     # Facts
 
     def fact(self, formula: Term, label: str = "", line: int = 0) -> None:
-        """A formula that holds in every model."""
-        if formula is not t.TRUE and formula not in self.seen:
-            self.seen.add(formula)
-            self.facts.append(Fact(label or self.label, formula, self.program.path, line or self.line))
+        """A formula that holds in every model, from the position `known_from` on."""
+        if formula is not t.TRUE and self.known_from < self.seen.get(formula, 1 << 30):
+            self.seen[formula] = self.known_from
+            found = Fact(label or self.label, formula, self.program.path, line or self.line, self.known_from)
+            self.facts.append(found)
 
     def given(self, formula: Term, label: str = "", line: int = 0) -> None:
-        """A formula that holds where this place is reached."""
-        self.fact(t.implies(self.here(), formula), label, line)
+        """A formula that holds where this place is reached: it is known from this position on."""
+        with self.known_at(self.position):
+            self.fact(t.implies(self.here(), formula), label, line)
 
     def here(self) -> Term:
-        """That this place is reached."""
-        return t.all_of(self.path)
+        """That this place is reached: its path is taken, and every operation before it has a value.
+
+        Without the second part a fact of this place could show that an operation before it has a value."""
+        return t.all_of([*self.path, *[demand.term for demand in self.demands]])
 
     def demand(self, formula: Term, label: str, line: int) -> None:
         """That an operation of this place has a value; without one the event is discarded."""
         if formula is not t.TRUE:
-            self.demands.append(Fact(label, t.implies(self.here(), formula), self.program.path, line))
+            self.demands.append(Fact(label, t.implies(t.all_of(self.path), formula), self.program.path, line))
+
+    @contextmanager
+    def known_at(self, position: int) -> Iterator[None]:
+        """The facts that are gathered now are known from this position of the event on."""
+        kept, self.known_from = self.known_from, position
+        try:
+            yield
+        finally:
+            self.known_from = kept
+
+    @contextmanager
+    def outermost(self) -> Iterator[None]:
+        """What is encoded now does not depend on the place that is being encoded."""
+        kept, self.path = self.path, ()
+        try:
+            yield
+        finally:
+            self.path = kept
 
     @contextmanager
     def under(self, *conditions: Term) -> Iterator[None]:
@@ -260,7 +284,8 @@ class Room:
     ) -> None:
         """A fact of all ints; `instance` holds the domain's bounds."""
         inner = inner or self.instantiating
-        self.universals.append(Universal(instance, robots, places, inner, self.label, self.line))
+        known_from = self.known_from
+        self.universals.append(Universal(instance, robots, places, inner, self.label, self.line, known_from))
 
     def instantiate(self) -> None:
         """Every formula for all robots at every term that names one; likewise for all places in lists. What arose from
@@ -286,7 +311,7 @@ class Room:
             self.partial = self.partial or (universal.inner and len(outer) < len(robots))
         if universal.places:
             terms += places
-        with self.about(universal.label, universal.line):
+        with self.about(universal.label, universal.line), self.known_at(universal.known_from):
             for index in terms:
                 if index not in universal.done:
                     universal.done.add(index)

@@ -28,6 +28,13 @@ def declared(program: Program) -> dict[Key, Type]:
     return found
 
 
+def cleared(program: Program) -> frozenset[Key]:
+    """The sensors that an event changes, too: a command clears `reached`."""
+    modules = [(m, {p.name for p in m.ports if p.direction == "actuator"}) for m in program.modules]
+    commanded = frozenset([("port", f"{m.name}.reached") for m, names in modules if names & {"target", "path"}])
+    return commanded & sensors(program)
+
+
 def sensors(program: Program) -> frozenset[Key]:
     ports = [(m, p) for m in program.modules for p in m.ports if p.direction == "sensor"]
     return frozenset([("port", f"{m.name}.{p.name}") for m, p in ports])
@@ -76,8 +83,8 @@ class Free:
 
 
 class Begun:
-    """The round's start, as the robot `own` sees it in the round: what only it writes, and all sensors, are as they
-    are; `other` is all else."""
+    """The round's start, as the robot `own` sees it in the round: what only it writes, and the sensors in `shared`, are
+    as they are; `other` is all else."""
 
     def __init__(self, now: State, other: Free, own: Term, shared: frozenset[Key]) -> None:
         self.now, self.other, self.own, self.shared = now, other, own, shared

@@ -1,32 +1,31 @@
 """Statements on symbols: every way through a block at once, its ends merged by the conditions of the ways.
 
-A loop over few elements is unrolled. One whose runs leave nothing behind but its exits is a search: the first element
-that leaves it, or none. Any other loop is cut: the invariants must hold where it begins and be kept by each run; behind
-it, and at the start of each run, what it writes may be anything that they allow.
+`loop.py` decides how a loop is encoded. A loop over few elements is unrolled. A loop whose turns leave nothing behind
+but their exits is a search: the first element that leaves it, or none. Any other loop is cut at its head: there, what
+the turns write may be anything that the loop's invariants and the facts about its turns (`turns.py`) allow.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import assert_never
+from collections.abc import Callable, Mapping
+from typing import NamedTuple, assert_never
 
 from koordgen.ir import expr as ir
 from koordgen.ir import stmt
 from koordgen.ir.types import Type
 from koordgen.prove import term as t
-from koordgen.prove.encode.block import kept_by, key_of, tells
 from koordgen.prove.encode.expr import Encoder
+from koordgen.prove.encode.loop import Loop, Way, WayOf, has_loop, is_search, kept_by, key_of, tells
 from koordgen.prove.encode.quantifier import Domain, domain
 from koordgen.prove.encode.state import Key, State, Written, slots
+from koordgen.prove.encode.tree import nodes
+from koordgen.prove.encode.turns import facts_of_turns
 from koordgen.prove.encode.values import Fleet, Val, pick
+from koordgen.prove.obligation import Fact
 from koordgen.prove.term import Term
 
 Env = dict[Key, Val]
 Path = tuple[Term, ...]
-
-
-class Unsummarised(Exception):
-    """A loop of a function that is no search: what the function yields is not known."""
 
 
 class Exit:
@@ -36,29 +35,63 @@ class Exit:
         self.kind, self.path, self.env, self.value = kind, path, env, value
 
 
-class Cut:
-    """A loop's beginning or a run's end ("begins", "goes on"), where the invariants are shown; or a run's beginning
-    ("run"), where they are known."""
+class Place(NamedTuple):
+    """One place of an event while it is encoded: the values there, the path to it, its position, and the operations
+    before it that must have had a value."""
 
-    def __init__(self, kind: str, path: Path, state: Written, line: int) -> None:
-        self.kind, self.path, self.state, self.line = kind, path, state, line
+    frame: Frame
+    path: Term
+    position: int
+    demands: tuple[Fact, ...]
+
+    @property
+    def reached(self) -> Term:
+        """That a run gets to this place."""
+        return t.all_of([self.path, *[demand.term for demand in self.demands]])
+
+
+class Head:
+    """The head of one loop that is cut: `entry` is the place before the first turn, `turn` the head before any turn or
+    behind the last one, `back` the place at which a turn has ended that leads to the head again (None: no turn does).
+    """
+
+    def __init__(self, loop: Loop, kept: tuple[Key, ...], entry: Place) -> None:
+        self.loop, self.kept, self.entry = loop, kept, entry
+        self.turn = entry
+        self.back: Place | None = None
 
 
 class Frame:
     """One run of an effect or a function. `now` is the state that is written, `seen` the one whose shared variables are
-    read; both None in a function."""
+    read; both None in a function. `types` are those of the run's own variables. `know` is told each loop's head, and
+    adds the facts that hold there. `way` decides how loops are encoded; None: by how many elements are seen to be."""
 
     def __init__(
         self, encoder: Encoder, pid: Term, now: State | None, seen: State | None,
-        ask: Callable[[ir.PortCall, tuple[Val, ...]], Val],
+        ask: Callable[[ir.PortCall, tuple[Val, ...]], Val], types: Mapping[str, Type],
+        know: Callable[[Head], None], way: WayOf | None = None,
     ) -> None:  # fmt: skip
         self.e, self.room = encoder, encoder.room
         self.pid, self.now, self.seen = pid, now, seen
-        self.ask = ask
+        self.ask, self.types, self.know, self.way = ask, types, know, way
         self.env: Env = {}
         self.temps: dict[str, Val] = {}
         self.exits: list[Exit] = []
-        self.cuts: list[Cut] = []
+        self.heads: list[Head] = []
+        self.brief = False  # of the turns of loops only little is told
+
+    def place(self) -> Place:
+        """This place, as it is now."""
+        copy = Frame(self.e, self.pid, self.now, self.seen, self.ask, self.types, self.know, self.way)
+        copy.env, copy.temps, copy.brief = dict(self.env), dict(self.temps), self.brief
+        return Place(copy, t.all_of(self.room.path), self.room.position, tuple(self.room.demands))
+
+    def state(self) -> Written:
+        """The fleet's state if the event ended here. Its name is its own: variables as a whole are told apart by it."""
+        assert self.now is not None
+        writes = {key: value for key, value in self.env.items() if key[0] != "wrote"}
+        self.room.fresh += 1
+        return Written(self.room, self.now, self.pid, writes, f"@place{self.room.fresh}")
 
     # What is read
 
@@ -86,8 +119,8 @@ class Frame:
     def slots(self, name: str) -> Fleet:
         assert self.seen is not None
         written = {key: value for key, value in self.env.items() if key == ("slot", name)}
-        versions = [self.room.version(value) for value in written.values()]
-        moment = f"{self.seen.moment}@{versions[0]}" if versions else self.seen.moment
+        versions = [(self.room.version(value), self.room.version(self.pid)) for value in written.values()]
+        moment = f"{self.seen.moment}@{versions[0][0]}@{versions[0][1]}" if versions else self.seen.moment
         return slots(Written(self.room, self.seen, self.pid, written, moment), name)
 
     def local_of(self, name: str, robot: Term) -> Val:
@@ -100,11 +133,11 @@ class Frame:
     def block(self, block: stmt.Block) -> Term:
         """Runs statements; when its end is reached, of those times in which its beginning is."""
         live: Term = t.TRUE
-        for statement in block:
+        for place, statement in enumerate(block):
+            if live is t.FALSE and not has_loop(block[place:]):
+                break
             with self.room.under(live):
                 live = t.and_(live, self.statement(statement))
-            if live is t.FALSE:
-                break
         return live
 
     def statement(self, statement: stmt.Stmt) -> Term:
@@ -134,12 +167,16 @@ class Frame:
 
     def assign(self, place: stmt.Place, value: Val) -> None:
         key = key_of(place)
+        self.put(key, value)
+        if key[0] in ("cell", "port"):
+            self.env["wrote", key[1]] = t.TRUE
+
+    def put(self, key: Key, value: Val) -> None:
+        """Let a variable have a value from here on."""
         if key[0] == "temp":
             self.temps[key[1]] = value
         else:
             self.env[key] = value
-            if key[0] in ("cell", "port"):
-                self.env["wrote", key[1]] = t.TRUE
 
     def leave(self, kind: str, value: Val | None = None) -> Term:
         self.exits.append(Exit(kind, self.room.path, self.snapshot(), value))
@@ -147,7 +184,7 @@ class Frame:
 
     def branch(self, node: stmt.If) -> Term:
         condition = self.e.term(node.condition, self)
-        if isinstance(condition, t.Value):
+        if isinstance(condition, t.Value) and not has_loop(node.orelse if condition.value else node.then):
             return self.block(node.then if condition.value else node.orelse)
         before = self.snapshot()
         with self.room.under(condition):
@@ -164,19 +201,19 @@ class Frame:
 
     # Loops
 
-    def loop(self, loop: stmt.For | stmt.While) -> Term:
+    def loop(self, loop: Loop) -> Term:
         around, self.exits = self.exits, []
         start, depth = self.snapshot(), len(self.room.path)
-        if isinstance(loop, stmt.For):
-            over = domain(self.e, loop.values, self)
-            if over.few is not None:
-                live = self.unrolled(loop, over.few)
-            elif not (kept := kept_by(loop.block, frozenset(self.temps))):
-                live = self.search(loop, over)
-            else:
-                live = self.cut(loop, kept, over)
+        over = domain(self.e, loop.values, self) if isinstance(loop, stmt.For) else None
+        way = self.way_of(loop, over)
+        if way == "unrolled":
+            assert isinstance(loop, stmt.For) and over is not None and over.few is not None
+            live = self.unrolled(loop, over.few)
+        elif way == "search":
+            assert isinstance(loop, stmt.For) and over is not None
+            live = self.search(loop, over)
         else:
-            live = self.cut(loop, kept_by(loop.block, frozenset(self.temps)), None)
+            live = self.cut(loop, over)
         breaks = [e for e in self.exits if e.kind == "break"]
         self.exits = around + [e for e in self.exits if e.kind != "break"]
         for left in breaks:
@@ -187,6 +224,16 @@ class Frame:
         self.restore({k: v for k, v in self.snapshot().items() if k[0] != "temp" or k in start})
         return live
 
+    def way_of(self, loop: Loop, over: Domain | None) -> Way:
+        if self.way is not None:
+            return self.way(loop)
+        if over is None or not isinstance(loop, stmt.For):
+            return "cut"
+        if over.few is not None:
+            return "unrolled"
+        inner = [n for n in nodes(loop.block) if isinstance(n, (stmt.For, stmt.While))]
+        return "search" if all(isinstance(n, stmt.For) and is_search(n) for n in (loop, *inner)) else "cut"
+
     def unrolled(self, loop: stmt.For, elements: list[Val]) -> Term:
         live: Term = t.TRUE
         for element in elements:
@@ -196,8 +243,8 @@ class Frame:
                 break
         return live
 
-    def run(self, loop: stmt.For | stmt.While, element: Val | None) -> Term:
-        """One run of a loop's block; when its end, or a `continue`, is reached."""
+    def run(self, loop: Loop, element: Val | None) -> Term:
+        """One turn of a loop; when its end, or a `continue`, is reached."""
         if isinstance(loop, stmt.For):
             assert element is not None
             self.take(loop, element)
@@ -216,7 +263,7 @@ class Frame:
         self.temps.update(zip(loop.names, parts, strict=True))
 
     def search(self, loop: stmt.For, over: Domain) -> Term:
-        """No run changes anything, so the first element that leaves the loop decides."""
+        """No turn changes anything, so the first element that leaves the loop decides."""
         room, start = self.room, self.snapshot()
         found, first = room.new("found", t.BOOL), room.new(loop.names[0].split("@")[0], t.INT)
         path, depth = room.path, len(room.path)
@@ -230,6 +277,7 @@ class Frame:
                 self.run(loop, over.element(index))
             return t.any_of([t.all_of(e.path[depth:]) for e in self.exits])
 
+        many = len(room.demands)
         left = leaves(first)
         exits = self.exits
         room.fact(t.implies(found, left), "what a loop looks for", loop.span.line)
@@ -243,53 +291,86 @@ class Frame:
             finally:
                 room.path, self.exits = kept, around[0]
                 self.restore(around[1])
-            step = loop.values.step if isinstance(loop.values, ir.Range) else 1
-            order = t.at_most(first, index) if step > 0 else t.at_most(index, first)
-            return t.implies(here, t.and_(found, order))
+            return t.implies(here, t.and_(found, over.not_after(first, index)))
 
         with room.about("what a loop looks for", loop.span.line):
             room.element(first, over.robots, over.places and first not in room.ignored)
             room.for_all(instance, over.robots, over.places)
+        if len(room.demands) > many:
+            del room.demands[many:]
+            self.demanded(loop, over, found, first, start)
         self.restore(start)
         self.exits = [Exit(e.kind, (*e.path[:depth], found, *e.path[depth:]), e.env, e.value) for e in exits]
         return t.not_(found)
 
-    def cut(self, loop: stmt.For | stmt.While, kept: dict[Key, None], over: Domain | None) -> Term:
-        if self.now is None:
-            raise Unsummarised
-        room, line = self.room, loop.span.line
-        room.note(f"line {line}: of what the loop writes nothing is known behind it but the invariants")
-        self.mark("begins", line)
+    def demanded(self, loop: stmt.For, over: Domain, found: Term, first: Term, start: Env) -> None:
+        """Demand that each turn that is taken has a value: those of all elements up to the one that leaves the loop."""
+        any_ = self.room.new(f"{loop.names[0].split('@')[0]}@taken", t.INT)
+        self.looked_at(any_, over, not self.brief)
+        taken = t.and_(over.inside(any_), t.implies(found, over.not_after(any_, first)))
+        around, self.exits = self.exits, []
+        self.restore(start)
+        with self.room.under(taken):
+            self.run(loop, over.element(any_))
+        self.exits = around
+
+    def cut(self, loop: Loop, over: Domain | None) -> Term:
+        """At the head what the turns write may be anything that the facts there allow; one turn from there leads to
+        `back`, and where there is none, the loop has ended."""
+        room, index = self.room, None
+        if over is not None:
+            self.count(loop, over.start)
+        kept = tuple(kept_by(loop))
+        head = Head(loop, kept, self.place())
+        room.position += 1
         for key in kept:
-            self.restore({**self.snapshot(), key: room.any(key[1], self.type_of(key))})
+            self.restore({**self.snapshot(), key: room.any(key[1].split("@")[0], self.type_of(key))})
             if key[0] in ("cell", "port"):
                 self.env["wrote", key[1]] = room.new(f"wrote {key[1]}", t.BOOL)
-        self.mark("run", line)
-        ended = room.new("ended", t.BOOL)
-        start, value = self.snapshot(), None
-        with room.under(t.not_(ended)):
-            if isinstance(loop, stmt.For):
-                assert over is not None
-                index = room.new(loop.names[0].split("@")[0], t.INT)
-                room.element(index, over.robots, over.places)
-                condition, value = over.inside(index), over.element(index)
-            else:
-                condition = self.e.term(loop.condition, self)
-            with room.under(condition):
-                live = self.run(loop, value)
+        if over is not None:
+            assert isinstance(loop, stmt.For)
+            index = room.new(loop.names[0].split("@")[0], t.INT)
+            self.looked_at(index, over, not self.brief or self.now is not None)
+            self.count(loop, index)
+        head.turn = self.place()
+        facts_of_turns(head, over, index, self.brief)
+        if over is None:
+            assert isinstance(loop, stmt.While)
+            condition, element = self.e.term(loop.condition, self), None
+        else:
+            assert index is not None
+            condition, element = over.ahead(index), over.element(index)
+        start = self.snapshot()
+        with room.under(condition):
+            live = self.run(loop, element)
+            if live is not t.FALSE:
+                if over is not None:
+                    assert index is not None
+                    self.count(loop, t.add(index, t.integer(over.step)))
                 with room.under(live):
-                    self.mark("goes on", line)
+                    head.back = self.place()
+        room.position += 1
         self.restore(start)
-        return ended if isinstance(loop, stmt.For) else t.and_(ended, t.not_(condition))
+        self.heads.append(head)
+        self.know(head)
+        return t.not_(condition)
 
-    def mark(self, kind: str, line: int) -> None:
-        assert self.now is not None
-        writes = {key: value for key, value in self.env.items() if key[0] != "wrote"}
-        self.cuts.append(Cut(kind, self.room.path, Written(self.room, self.now, self.pid, writes, f"@{line}"), line))
+    def looked_at(self, index: Term, over: Domain, told: bool) -> None:
+        """What is said of all robots, or of all places in lists, is to be said of this one, if so much is told."""
+        if told:
+            self.room.element(index, over.robots, over.places)
+        else:
+            self.room.ignored.add(index)
+            self.room.partial = True
+
+    def count(self, loop: Loop, index: Term) -> None:
+        """The variable of a loop over numbers, for the loop's invariants: the next value."""
+        if isinstance(loop, stmt.For) and isinstance(loop.values, (ir.Range, ir.Ids)):
+            self.temps[loop.names[0]] = index
 
     def type_of(self, key: Key) -> Type:
         if key[0] == "temp":
-            return self.room.temps[key[1]]
+            return self.types[key[1]]
         assert self.now is not None
         return self.now.types[key]
 
