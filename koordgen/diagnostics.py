@@ -57,6 +57,7 @@ CATALOGUE: dict[str, str] = {
     "K043": "statement can never run",
     "K044": "plain write to a variable of atomic events",
     "K045": "'atomic' has no place here",
+    "K046": "priority over nothing",
     "K050": "a spelling of the 2020 dialect",
     "K051": "the type of an empty value is unknown",
     "K052": "wrong type of a key",

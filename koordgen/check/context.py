@@ -56,8 +56,8 @@ class Site(Node):
 
 
 class Entry:
-    """What a loop invariant may name in `old(...)`: temps that exist where the loop begins, by their names in the IR;
-    `values` has for each variable that was named so a declaration that keeps its value there."""
+    """Variables that `old(...)` may name in a loop's invariants. `begun`: temps that exist where the loop begins, by
+    their names in the IR; `values`: for each variable that was named, a declaration that keeps its value there."""
 
     def __init__(self, begun: frozenset[str]) -> None:
         self.begun = begun
@@ -128,12 +128,12 @@ class Context:
         self.path = None if flow is None else known(flow)
 
     def mark(self) -> Mark:
-        """The present state, to which `back` goes."""
+        """Return the present state, for `back`."""
         kept = {name: _copied(value) for name, value in vars(self).items() if name not in _LASTING}
         return Mark(len(self.found), kept)
 
     def back(self, mark: Mark) -> None:
-        """As if nothing had been checked since the mark."""
+        """Restore the state at the mark, as if nothing had been checked since."""
         del self.found[mark.found :]
         vars(self).update({name: _copied(value) for name, value in mark.kept.items()})
 

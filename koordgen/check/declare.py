@@ -9,6 +9,7 @@ from koordgen.check.base import check_expr, default, fitting
 from koordgen.check.context import Context
 from koordgen.check.facts import Flow, term
 from koordgen.check.names import enter, owns, unique
+from koordgen.check.number import RANGE, too_large
 from koordgen.check.types import bounded, dialect_element, excess, per_robot, resolve
 from koordgen.check.walk import nodes
 from koordgen.diagnostics import Edit
@@ -212,4 +213,14 @@ def _initial(
     too_much = excess(initial, type_)
     if too_much:
         c.error("K053", f"the first value of {node.name} has {too_much}", value.span, "declare more room with 'max'")
+    if not isinstance(value, tree.Literal):
+        _judge_size(initial, c)
     return initial
+
+
+def _judge_size(initial: expr.Expr, c: Context) -> None:
+    """Reports a first value that is infinite."""
+    params = {name: entity.default for name, entity in c.entities.items() if isinstance(entity, decl.Param)}
+    infinite = too_large(initial, params)
+    if infinite is not None:
+        c.error("K057", f"{c.text(infinite.span)} is too large for a float", infinite.span, RANGE)

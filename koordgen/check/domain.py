@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from koordgen.check.call import check_call
 from koordgen.check.context import Context
-from koordgen.check.number import FUNCTIONS, compute, number_of
+from koordgen.check.number import FUNCTIONS, RANGE, compute, number_of
 from koordgen.ir import expr as ir
 from koordgen.ir.types import Type
 from koordgen.syntax import expr as ast
@@ -36,6 +36,6 @@ def _judge(value: ir.Builtin | ir.Binary, help: str, c: Context) -> None:
     try:
         compute(value)
     except OverflowError:
-        c.error("K057", f"{c.text(span)} is too large for a float", span, "a float reaches to about 1.8e308")
+        c.error("K057", f"{c.text(span)} is too large for a float", span, RANGE)
     except ValueError:
         c.error("K057", f"{c.text(span)} has no value", span, help)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from koordgen.check import bounds, linear
@@ -14,41 +15,78 @@ from koordgen.check.stmt import check_block
 from koordgen.check.walk import statements
 from koordgen.diagnostics import Label
 from koordgen.ir import decl
+from koordgen.ir import expr as ir
 from koordgen.ir.types import BOOL
+from koordgen.node import nodes
 from koordgen.source import Span
 from koordgen.syntax import decl as ast
 from koordgen.syntax.expr import Expr, Logic
 from koordgen.syntax.stmt import Atomic, Block
 
 
-class _Earlier(NamedTuple):
-    """An event that stands before others, and what its guard joins by `and`."""
+class _Judged(NamedTuple):
+    """An event that was checked: its `priority:` block, its guard, and what the guard joins by `and`, as written.
+    `always`: the guard holds in every state."""
 
     name: str
     span: Span
+    block: int | None
+    guard: Condition | None
     conditions: frozenset[str]
+    always: bool
 
 
-def events(written: list[ast.Event], c: Context) -> list[tuple[decl.Event, Atomic | None]]:
+class _Written(NamedTuple):
+    """An event in the text: its clauses, its `priority:` block, and whether it contains `atomic`."""
+
+    node: ast.Event
+    pre: ast.Guard
+    eff: ast.Effect
+    block: int | None
+    transaction: bool
+
+
+def in_text_order(sections: Iterable[ast.Section]) -> list[tuple[ast.Event, int | None]]:
+    """Every event of a program, each with the index of its `priority:` block."""
+    found: list[tuple[ast.Event, int | None]] = []
+    blocks = 0
+    for section in sections:
+        if isinstance(section, ast.Event):
+            found.append((section, None))
+        elif isinstance(section, ast.Priority):
+            found += [(event, blocks) for event in section.events]
+            blocks += 1
+    return found
+
+
+def events(written: list[tuple[ast.Event, int | None]], c: Context) -> list[tuple[decl.Event, Atomic | None]]:
     """The events, still without their locks, each with its first `atomic` if it has one."""
     found: list[tuple[decl.Event, Atomic | None]] = []
     names: dict[str, Span] = {}
-    hiding: ast.Event | None = None
-    earlier: dict[str, list[_Earlier]] = {}  # by one condition of their guards
+    earlier: list[_Judged] = []
+    by_condition: dict[str, list[_Judged]] = {}  # those of `earlier`, by one condition of their guards
     transactions = "atomic" in c.source.text  # else no event need be searched for one
-    for node in written:
+    for node, block in written:
         unique(node.name, "events", node.span, names, c)
         clauses = _clauses(node, c)
         if clauses is None:
             continue
         guard, effect = clauses
         atomic = _first_atomic(effect.block) if transactions else None
-        event, always = _event(node, guard, effect, atomic is not None, hiding, c)
+        event, judged = _event(_Written(node, guard, effect, block, atomic is not None), earlier, by_condition, c)
         found.append((event, atomic))
-        if hiding is None:
-            _look_behind(node, _conditions(guard.condition, c), earlier, c)
-            hiding = node if always else None
+        earlier.append(judged)
+        by_condition.setdefault(min(judged.conditions), []).append(judged)
     return found
+
+
+def lone_priorities(sections: Iterable[ast.Section], c: Context) -> None:
+    """Warn of each `priority:` block of one event."""
+    for section in sections:
+        if isinstance(section, ast.Priority) and len(section.events) == 1:
+            only = section.events[0].name
+            help = "indent the events that it shall stand before, or behind, under the same 'priority:'"
+            c.warn("K046", f"{only} is the only event of this block, which so orders nothing", section.span, help)
 
 
 def _conditions(guard: Expr, c: Context) -> frozenset[str]:
@@ -64,17 +102,38 @@ def _conditions(guard: Expr, c: Context) -> frozenset[str]:
     return frozenset(found)
 
 
-def _look_behind(node: ast.Event, own: frozenset[str], earlier: dict[str, list[_Earlier]], c: Context) -> None:
-    """Warns of an event whose guard asks for all that an earlier one's asks for: that one is always chosen."""
-    hiding = [place for text in own for place in earlier.get(text, ()) if place.conditions <= own]
-    if hiding:
-        other = min(hiding, key=lambda place: place.span.line)  # sets have no order: the first in the text is told
-        label = Label(other.span, "stands before, and asks for no more")
-        message = f"the event {node.name} can never run: whenever its guard holds, {other.name}'s does"
+def _hidden(event: _Written, hiding: Sequence[_Judged], first: Sequence[_Judged], c: Context) -> bool:
+    """Warn of an event whose guard holds only where that of an event of `hiding` holds. `first` are the events that
+    have priority over it."""
+    ahead = [other for other in hiding if other in first]
+    if not hiding:
+        return False
+    other = min(ahead or hiding, key=lambda judged: judged.span.line)  # the first in the text is told
+    label = Label(other.span, "stands before, and " + ("is always enabled" if other.always else "asks for no more"))
+    why = f"{other.name}'s guard always holds" if other.always else f"whenever its guard holds, {other.name}'s does"
+    name = event.node.name
+    if ahead:
+        message = f"the event {name} can never run: {why}, and {other.name} has priority"
         help = f"write it before {other.name}, or let {other.name} ask for more"
-        c.warn("K042", message, node.span, help, (label,))
-        return
-    earlier.setdefault(min(own), []).append(_Earlier(node.name, node.span, own))
+    else:
+        message = f"robots never run the event {name}: {why}, and robots run the first event in text order"
+        help = (
+            "the language may run it, so proofs and explorations count with it: write both under 'priority:' if "
+            f"{other.name} is meant to go first, or change a guard"
+        )
+    c.warn("K042", message, event.node.span, help, (label,))
+    return True
+
+
+def _first(event: _Written, earlier: Sequence[_Judged]) -> list[_Judged]:
+    """The events before it in its `priority:` block whose guards are known to be false of all that it sees. A
+    transaction sees shared variables as they are, the guards were judged at the round's start: those are left out."""
+    block = [other for other in earlier if event.block is not None and other.block == event.block]
+    return [o for o in block if not event.transaction or (o.guard and not _reads_shared(o.guard.node))]
+
+
+def _reads_shared(guard: ir.Expr) -> bool:
+    return any(isinstance(node, (ir.SlotRead, ir.SlotsRead, ir.SharedRead)) for node in nodes(guard))
 
 
 def _clauses(node: ast.Event, c: Context) -> tuple[ast.Guard, ast.Effect] | None:
@@ -94,23 +153,26 @@ def _first_atomic(block: Block) -> Atomic | None:
 
 
 def _event(
-    node: ast.Event, pre: ast.Guard, eff: ast.Effect, transaction: bool, hiding: ast.Event | None, c: Context
-) -> tuple[decl.Event, bool]:
-    """The event, and whether its guard always holds."""
+    event: _Written, earlier: Sequence[_Judged], by_condition: Mapping[str, Sequence[_Judged]], c: Context
+) -> tuple[decl.Event, _Judged]:
+    node, pre, eff, block, transaction = event
     c.enter("guard")
     c.transaction = transaction
     assert c.path is not None
+    first = _first(event, earlier)
+    for other in first:
+        if other.guard is not None:
+            c.path = c.path.failing(other.guard)
     guard = condition(pre.condition, c, "a guard")
-    sound, always = not c.refuted, False
+    sound = not c.refuted
     known = Condition(guard, c.path) if guard.type is BOOL else None
-    if hiding is not None:
-        label = Label(hiding.span, "always enabled, and earlier")
-        message = f"the event {node.name} can never run: {hiding.name} is always chosen first"
-        c.warn("K042", message, node.span, labels=(label,))
-    elif known is not None and not is_open(guard, c.mentions, 0) and known.formula != linear.UNKNOWN:
-        if unsat((known.formula,)):
-            c.warn("K041", f"the event {node.name} can never run: its guard never holds", pre.condition.span)
-        always = unsat((linear.negate(known.formula),))
+    own = _conditions(pre.condition, c)
+    always = False
+    if not _hidden(event, [other for other in earlier if other.always], first, c):
+        can = known is None or _can_run(event, known, first, c)
+        asking_less = [other for text in own for other in by_condition.get(text, ()) if other.conditions <= own]
+        if can and not _hidden(event, asking_less, first, c):
+            always = known is not None and _always_holds(known, c)
     c.place = "effect"
     c.poisoned = known is None
     c.sites, c.refuted = [], []
@@ -119,4 +181,28 @@ def _event(
     effect = check_block(eff.block, c)
     if sound:
         bounds.help_by_negation(pre.condition.span, c)
-    return decl.Event(node.name, guard, effect, None, node.span), always
+    judged = _Judged(node.name, node.span, block, known, own, always)
+    return decl.Event(node.name, guard, effect, None, block, node.span), judged
+
+
+def _can_run(event: _Written, guard: Condition, first: Sequence[_Judged], c: Context) -> bool:
+    """Whether a guard may hold where the guards of `first` are false. Warns where it cannot."""
+    if (not first and is_open(guard.node, c.mentions, 0)) or guard.formula == linear.UNKNOWN:
+        return True
+    name, span = event.node.name, event.pre.condition.span
+    if unsat((guard.formula,)):
+        c.warn("K041", f"the event {name} can never run: its guard never holds", span)
+        return False
+    failed = [linear.negate(other.guard.formula) for other in first if other.guard is not None]
+    if failed and unsat((guard.formula, *failed)):
+        labels = tuple([Label(other.span, "has priority") for other in first])
+        message = f"the event {name} can never run: its guard holds only where that of an event with priority does"
+        c.warn("K042", message, event.node.span, "write it before these, or let them ask for more", labels)
+        return False
+    return True
+
+
+def _always_holds(guard: Condition, c: Context) -> bool:
+    if is_open(guard.node, c.mentions, 0) or guard.formula == linear.UNKNOWN:
+        return False
+    return unsat((linear.negate(guard.formula),))

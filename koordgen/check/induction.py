@@ -1,4 +1,4 @@
-"""What every turn of a loop keeps: conditions that are shown where the loop begins and at the end of each turn.
+"""Induction over the turns of a loop: conditions that hold where it begins, and that each turn keeps.
 
 Candidates are the program's loop invariants, and bounds that nobody has to write down: a variable stays above (or
 below) the value that it begins with, and within the bound that the condition of `while` sets. A candidate that is not
@@ -48,14 +48,14 @@ class Turns(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """What is known at the head of each turn, and behind the loop."""
+    """Conditions that hold at the head of each turn, and those of them that also hold behind the loop."""
 
     inside: tuple[Candidate, ...]
     behind: tuple[Candidate, ...]
 
 
 class _Ways:
-    """Where a turn ends, and where a `break` leaves the loop."""
+    """Ends of a turn, and exits by `break`, each with the facts known there."""
 
     def __init__(self) -> None:
         self.turned: list[Flow] = []
@@ -67,7 +67,8 @@ class _TooMany(Exception):
 
 
 def kept(turns: Turns, candidates: list[Candidate]) -> Kept:
-    """Those candidates that hold at the loop's head at all times."""
+    """Return the candidates that hold at the loop's head at all times. Sound: each of them is shown where the loop
+    begins, and at the end of each way through the block, given that all of them hold at its head."""
     begins = turns.first(turns.before)
     found = [candidate for candidate in candidates if _shown(candidate, begins)]
     while found:
@@ -86,19 +87,19 @@ def kept(turns: Turns, candidates: list[Candidate]) -> Kept:
 
 
 def _holds_behind(candidate: Candidate, turns: Turns, broken: list[Flow]) -> bool:
-    """Whether what holds at the loop's head also holds where a `break` leaves it."""
+    """Return whether a condition that holds at the loop's head also holds at each `break`."""
     if turns.counter in names_of(candidate(turns.start)):
         broken = [turns.last(end) for end in broken]
     return all(_shown(candidate, end) for end in broken)
 
 
 def behind(turns: Turns, found: Kept) -> Flow:
-    """What is known behind a loop."""
+    """Return the facts known behind a loop."""
     return turns.leave(knowing(turns.last(turns.start), found.behind))
 
 
 def knowing(flow: Flow, candidates: list[Candidate] | tuple[Candidate, ...]) -> Flow:
-    """A point at which candidates hold, too."""
+    """Return the facts known at a point where the candidates hold, too."""
     known = flow
     for candidate in candidates:
         known = known.knowing(candidate(flow))
@@ -113,7 +114,7 @@ def _shown(candidate: Candidate, flow: Flow) -> bool:
 
 
 def _follow(block: stmt.Block, flows: list[Flow], ways: _Ways) -> list[Flow]:
-    """What is known at the end of a block, on each way to it."""
+    """Return the facts known at the end of a block, on each way to it. Raises _TooMany."""
     for statement in block:
         match statement:
             case stmt.Assign(place, value):
@@ -143,7 +144,7 @@ def _follow(block: stmt.Block, flows: list[Flow], ways: _Ways) -> list[Flow]:
 
 
 def _around(loop: stmt.For | stmt.While, flow: Flow) -> Flow:
-    """Behind a loop within the block: all that it may write is forgotten."""
+    """Return the facts known behind a loop within the block: those about variables that it may write are dropped."""
     changed = {name for name, _ in _writes(loop.block)}
     sized = changed - {name for name, same_length in _writes(loop.block) if not same_length}
     if isinstance(loop, stmt.For):
@@ -155,11 +156,10 @@ def _writes(block: stmt.Block) -> Iterator[tuple[str, bool]]:
     """The variables that a block may write; whether a write leaves the length as it was."""
     for statement in block:
         match statement:
-            case stmt.Assign(place, value):
-                name = variable_of(place)
-                assert name is not None
-                updated = isinstance(value, ir.Builtin) and value.name == "updated"
-                yield name, updated and variable_of(value.args[0]) == name
+            case stmt.Assign(place, ir.Builtin("updated", (changed, *_))) if variable_of(changed) == variable_of(place):
+                yield variable_of(place) or "", True
+            case stmt.Assign(place):
+                yield variable_of(place) or "", False
             case stmt.Let(name):
                 yield f"temp {name}", False
             case stmt.If(_, then, orelse):
@@ -190,13 +190,14 @@ def _holds(node: ir.Expr) -> Candidate:
 
 
 def counters(turns: Turns, condition: ir.Expr | None) -> list[Candidate]:
-    """Bounds of the ints that a loop writes: the values that they begin with, the condition of `while`, the counter."""
+    """Bounds of the ints that a loop writes: what they begin with, the condition of `while`, the loop's variable."""
     reads = dict.fromkeys(_counted(turns.block))
     found: list[Candidate] = []
     for read in list(reads)[:MOST_COUNTERS]:
         begin = turns.before.value(variable_of(read) or "")
         if isinstance(begin, Linear) and independent(begin, turns.changed, turns.sized):
             found += [_at_least(read, begin), _at_most(read, begin)]
+        found += _known(read, turns)
         if turns.stop is not None:  # where an element was found: behind, or at, where the loop has come to
             here = linear.variable(turns.counter)
             found += [_at_most(read, here), _at_most(read, linear.combine(here, linear.constant(-1)))]
@@ -234,6 +235,21 @@ def _counted(block: stmt.Block) -> Iterator[ir.Expr]:
                 pass
 
 
+def _known(read: ir.Expr, turns: Turns) -> Iterator[Candidate]:
+    """The comparisons of a variable that are known where the loop begins."""
+    name = variable_of(read)
+    for fact in turns.before.facts:
+        for part in fact.parts if isinstance(fact, linear.And) else (fact,):
+            if isinstance(part, linear.AtLeastZero) and isinstance(name, str):
+                rest = linear.substitute(part.linear, name, linear.constant(0))
+                if rest != part.linear and independent(rest, turns.changed, turns.sized):
+                    yield _compared(read, name, part.linear)
+
+
+def _compared(read: ir.Expr, name: str, known: Linear) -> Candidate:
+    return lambda flow: linear.AtLeastZero(linear.substitute(known, name, _term(read, flow)))
+
+
 def _at_least(read: ir.Expr, bound: Linear) -> Candidate:
     return lambda flow: linear.at_least(_term(read, flow), _now(bound, flow))
 
@@ -243,7 +259,7 @@ def _at_most(read: ir.Expr, bound: Linear) -> Candidate:
 
 
 def _now(bound: Linear, flow: Flow) -> Linear:
-    """A bound at a point: in place of a loop's variable stands the value that was put into it."""
+    """Return a bound at a point, with the value of each variable whose value is known there."""
     for var, _ in bound.terms:
         known = flow.value(var) if isinstance(var, str) else None
         if isinstance(var, str) and isinstance(known, Linear):

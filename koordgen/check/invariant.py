@@ -93,7 +93,7 @@ def check_old(node: ast.Call, c: Context) -> ir.Expr:
 
 
 def port_called(name: str, node: ast.Call, c: Context) -> ir.Expr:
-    """Report a call of a port in a loop invariant."""
+    """Report the call of a port in a loop invariant."""
     help = f"ask before the loop and keep the answer: ... = {name}(...)"
     return c.error("K058", f"a loop invariant cannot call {name}: its answer is an input of the event", node.span, help)
 

@@ -85,8 +85,9 @@ def _same(flow: Flow) -> Flow:
 def _counting(
     unique: str, values: ir.Expr, before: Flow, changed: frozenset[str], sized: frozenset[str], block: stmt.Block
 ) -> tuple[Step, Step, Step, str, linear.Linear | None]:
-    """What puts the first, the next and the last value into the variable of a loop that counts; the variable, and the
-    first value that it does not take, where it counts up. Where nothing is known of a value, it may be any."""
+    """Return the steps that put the first, the next and the last value into the variable of a loop that counts; the
+    variable; and the first value that it does not take, where it counts up. A value of which nothing is known may be
+    any."""
     name = f"temp {unique}"
     first: linear.Linear | None = linear.constant(0)
     stop: linear.Linear | None = linear.variable(linear.N_SYS)
@@ -110,7 +111,7 @@ def _counting(
 
 
 def _stated(flow: Flow, name: str) -> Flow:
-    """The same, with what is known by a variable's value as a condition: a step of the variable moves conditions."""
+    """Return the facts with each value that depends on a variable as a condition: a step of the variable moves it."""
     for other, (value, about) in flow.values.items():
         if name in about and isinstance(value, linear.Linear) and not other.startswith("len "):
             flow = flow.knowing(linear.equal(linear.variable(other), value))
@@ -121,8 +122,8 @@ def _checked(
     rest: tree.Block, head: Flow | None, enter: Step, turns: Callable[[stmt.Block], Turns],
     invariants: tuple[stmt.LoopInvariant, ...], condition: ir.Expr | None, c: Context,
 ) -> stmt.Block:  # fmt: skip
-    """The block of a loop. Where an index or a divisor in it is doubtful, what each turn keeps is looked for, and the
-    block is checked again with that."""
+    """Check the block of a loop. If an index or a divisor in it is doubtful, look for conditions that each turn keeps,
+    and check the block again with these."""
     if head is not None:
         c.flow = enter(head)
     mark = c.mark()

@@ -44,7 +44,7 @@ from koordgen.node import Node, replace
 from koordgen.source import Span
 from koordgen.syntax import expr as ast
 from koordgen.syntax import stmt as tree
-from koordgen.syntax.decl import Effect, Event, Init, Section
+from koordgen.syntax.decl import Effect, Event, Init, Priority, Section
 from koordgen.syntax.decl import Function as Fun
 
 _MEANT = {"me": "pid"}
@@ -263,6 +263,8 @@ def _inner(node: Section | tree.Stmt) -> tuple[tree.Block, ...]:
     match node:
         case Event(clauses=clauses):
             return tuple([clause.block for clause in clauses if isinstance(clause, Effect)])
+        case Priority(events):
+            return tuple([block for event in events for block in _inner(event)])
         case tree.If(branches, orelse):
             return (*(branch.block for branch in branches), orelse)
         case Init(block) | Fun(block=block) | tree.Atomic(block):

@@ -30,6 +30,9 @@ def claim(program: ast.Program, c: Context) -> None:
                     _take(name, section, "", kinds, c)
             case ast.Event(name):
                 c.owners[f"event {name}"] = section  # it may share its name with a variable
+            case ast.Priority(events):
+                for event in events:
+                    c.owners[f"event {event.name}"] = event
             case ast.Init() | ast.Property() | ast.BrokenSection() | ast.Param(BrokenType()):
                 pass
             case _:

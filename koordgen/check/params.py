@@ -9,8 +9,9 @@ import json
 import math
 from collections.abc import Iterable, Mapping
 
+from koordgen.check.number import too_large
 from koordgen.check.types import excess
-from koordgen.ir.decl import Program, Record
+from koordgen.ir.decl import Local, Program, Record, Shared
 from koordgen.ir.expr import Builtin, Const, Expr, Make, Unary
 from koordgen.ir.types import (
     BOOL,
@@ -53,6 +54,11 @@ def with_params(program: Program, values: Mapping[str, Value]) -> Program:
         replace(p, default=_Reader(records, p.span).top(p.name, p.type, values[p.name])) if p.name in values else p
         for p in program.params
     ]
+    firsts = {p.name: p.default for p in params}
+    variables: tuple[Local | Shared, ...] = (*program.locals, *program.shared)
+    for variable in variables:
+        if too_large(variable.initial, firsts) is not None:
+            raise BadParam(f"with these params the first value of {variable.name} is too large for a float")
     return replace(program, params=tuple(params))
 
 

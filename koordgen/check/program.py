@@ -16,7 +16,7 @@ from koordgen.check.declare import (
     variable_initials,
     variable_types,
 )
-from koordgen.check.events import events
+from koordgen.check.events import events, in_text_order, lone_priorities
 from koordgen.check.modules import assumptions, modules
 from koordgen.check.names import claim
 from koordgen.check.stmt import check_block
@@ -68,9 +68,10 @@ def _program(program: ast.Program, c: Context) -> decl.Program:
         functions = function.bodies(signed, c)
         externs = function.externs(written[1], c)
     init = _init(of(ast.Init), c)
-    if ast.Event not in sections and ast.BrokenSection not in sections:
+    if not sections.keys() & {ast.Event, ast.Priority, ast.BrokenSection}:
         c.error("K019", "the program has no event", Span(1, 1, 1, 1), "write 'Name:' with 'pre:' and 'eff:' under it")
-    acting, locks = _events(of(ast.Event), shared, c)
+    lone_priorities(of(ast.Priority), c)
+    acting, locks = _events(in_text_order(program.sections), shared, c)
     if any(variable.type is BOOL for variable in locals_):
         from koordgen.check.waiting import judge_waiting
 
@@ -95,9 +96,9 @@ def _init(sections: list[ast.Init], c: Context) -> Block:
 
 
 def _events(
-    sections: list[ast.Event], shared: tuple[decl.Shared, ...], c: Context
+    written: list[tuple[ast.Event, int | None]], shared: tuple[decl.Shared, ...], c: Context
 ) -> tuple[tuple[decl.Event, ...], tuple[tuple[str, ...], ...]]:
-    found = events(sections, c)
+    found = events(written, c)
     if all(atomic is None for _, atomic in found):
         return tuple([event for event, _ in found]), ()
     from koordgen.check.locks import locked

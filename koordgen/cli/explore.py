@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-import tempfile
 import time
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Mapping
@@ -14,6 +13,7 @@ from typing import Any
 from koordgen import manifest
 from koordgen.check.params import BadParam, with_params
 from koordgen.cli import HOLDS, INCONCLUSIVE, INTERRUPTED, USAGE, VIOLATED, WRONG, Failure, _params, _tell
+from koordgen.cli.alarm import alarm
 from koordgen.cli.prove import hash_of, save
 from koordgen.cli.terminal import Line
 from koordgen.diagnostics import Diagnostic
@@ -23,13 +23,13 @@ from koordgen.explore.environment import Environment, Lacking, Surroundings, ans
 from koordgen.explore.machine import Machine
 from koordgen.explore.search import DEADLOCK, Bounds, Progress, Result, Search, Violation
 from koordgen.explore.show import document, itf, report, told, trace
-from koordgen.follow.plan import CannotFollow, ModelOnly, planned
-from koordgen.follow.read import read
 from koordgen.ir.decl import Program
 from koordgen.pipeline import Checked, Rejected, check_file, read_fleet, read_source
 from koordgen.prove.trace import About
 from koordgen.replay.functions import CannotCall, externs
-from koordgen.replay.trace import BadTrace
+from koordgen.semantics.deadline import OutOfTime
+from koordgen.semantics.relations import is_order_of_agents
+from koordgen.semantics.state import World, nobody
 from koordgen.source import Source, Span
 
 ROBOTS = 3  # where neither --robots nor a fleet says how many
@@ -82,6 +82,11 @@ def _searched(
 
     functions = options.functions or Path(options.program).with_name(f"{functions_module(program)}.py")
     bounds = Bounds(options.rounds, options.states, options.seconds)
+    started = time.monotonic()
+
+    def left() -> float | None:
+        return None if options.seconds is None else max(0.0, options.seconds - (time.monotonic() - started))
+
     try:
         machine = Machine(program, robots, answering(around, program, robots), Path(functions))
         surroundings = Surroundings(machine, around)
@@ -90,19 +95,24 @@ def _searched(
             symmetry=options.symmetry, independence=options.independence, deadlock=options.deadlock,
             forgetting=options.forgetting,
         )  # fmt: skip
-        result = search.run()
+        with alarm(bounds.seconds):
+            result = search.run()
         found = result.violation
-        if found is None or _of_agents(found, program, about()):
+        if found is None or _of_agents(found, program, about(), left()):
             return result
+        found = found._replace(of_agents=False)
         machine.discards.clear()
-        again = Search(
-            machine, surroundings, _further(bounds, found, result.progress), time.monotonic, show, symmetry=False,
-            independence=options.independence, deadlock=found.name == DEADLOCK, forgetting=options.forgetting,
-            as_agents=True,
-        ).run().violation  # fmt: skip
-        if again is None or again.name != found.name or not _of_agents(again, program, about()):
-            again = found._replace(of_agents=False)
-        return result._replace(violation=again)
+        further = _further(bounds, found, result.progress)
+        second = Search(
+            machine, surroundings, further, time.monotonic, show, deadlock=found.name == DEADLOCK, as_agents=True,
+        )  # fmt: skip
+        with alarm(further.seconds):
+            again = second.run().violation
+        if again is None or again.name != found.name or not _of_agents(again, program, about(), left()):
+            return result._replace(violation=found)
+        rounds = found.moments[-1].round
+        more = rounds < again.moments[-1].round
+        return result._replace(violation=again._replace(shortest=rounds if more else None))
     except CannotCall as error:
         raise Failure(WRONG, str(error), "name it with --functions") from None
     finally:
@@ -110,24 +120,23 @@ def _searched(
 
 
 def _further(bounds: Bounds, found: Violation, progress: Progress) -> Bounds:
-    """How far a run of no more rounds than the one found is looked for among those that agents can do."""
+    """How far a run is looked for among those that agents can do. What is one round of the language may take one of
+    theirs for each robot: they commit one transaction for each lock in a round."""
     states = max(MORE, progress.states)
     seconds = None if bounds.seconds is None else max(0.0, bounds.seconds - progress.seconds)
-    return Bounds(found.moments[-1].round, min(states, bounds.states or states), seconds)
+    rounds = found.moments[-1].round * len(found.moments[0].state.robots)
+    return Bounds(rounds, min(states, bounds.states or states), seconds)
 
 
-def _of_agents(found: Violation, program: Program, about: About) -> bool:
-    """Whether agents can do all orders of a run, as far as `koordgen sim --follow` can tell."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "run.jsonl"
-        path.write_text(trace(found, program, about))
-        try:
-            planned(program, read(path), about.externs)
-        except ModelOnly:
-            return False
-        except (CannotFollow, BadTrace):
-            pass  # `--follow` says why
-    return True
+def _of_agents(found: Violation, program: Program, about: About, seconds: float | None) -> bool:
+    """Whether agents can do each round of a run; an event without a result is a part of it. Where that takes more than
+    `seconds` to find out, the answer is False."""
+    run = found.moments if found.culprit is None else (*found.moments, found.culprit)
+    try:
+        with alarm(seconds):
+            return is_order_of_agents(program, run, World(about.externs, nobody))
+    except OutOfTime:
+        return False
 
 
 def _fleet(options: Namespace, checked: Checked) -> tuple[int, Mapping[str, Any]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from typing import TYPE_CHECKING
 
 from koordgen.cli import (
@@ -43,13 +44,18 @@ def run(options: Namespace) -> int:
         from koordgen.cli.attack import again
 
         return again(options)
-    limits = Limits(query=options.timeout, total=max(ALL_QUERIES, 10 * options.timeout))
+    limits = Limits(query=options.timeout, total=_total(options))
     try:
         with solver_of(options.solver, limits) as solver:
             solver.start()  # it loads while the compiler does, and the program is checked
             return proved(options, solver)
     except SolverMissing as error:
         raise Failure(SURROUNDINGS, str(error), f"{sys.executable} -m pip install 'koordgen[prove]'") from None
+
+
+def _total(options: Namespace) -> float:
+    """Seconds for the command: all queries, and what is made for them."""
+    return max(ALL_QUERIES, 10 * float(options.timeout))
 
 
 def proved(options: Namespace, solver: Solver | Both) -> int:
@@ -62,7 +68,7 @@ def proved(options: Namespace, solver: Solver | Both) -> int:
         _tell([(checked.source, d) for d in checked.noticed], options)
     given = {**fleet_params(options.fleet, checked, options.program), **_params(options.param)}
     question = fixed(checked.program, given)
-    found = asked(checked.program, question, numbers(options.robots), solver)
+    found = asked(checked.program, question, numbers(options.robots), solver, _total(options))
     attacks = attacked(checked.program, question, found, solver, options)
     solver.stop()  # what it holds is freed while we tell
     tell(options, found, attacks)
@@ -78,12 +84,34 @@ def proved(options: Namespace, solver: Solver | Both) -> int:
 
 
 def asked(
-    program: Program, params: Mapping[str, Expr], robots: list[int | None], solver: Solver | Both
+    program: Program, params: Mapping[str, Expr], robots: list[int | None], solver: Solver | Both, seconds: float
 ) -> list[list[Verdict]]:
-    """The verdicts for each number of robots. Raises SolverMissing."""
+    """The verdicts for each number of robots, within so many seconds in all. Raises SolverMissing."""
+    from koordgen.cli.alarm import alarm
+    from koordgen.prove.term import TooLarge
     from koordgen.prove.verdict import Question, prove
+    from koordgen.semantics.deadline import OutOfTime
 
-    return [prove(Question(program, n, params), solver) for n in robots]
+    until = time.monotonic() + seconds
+    found = []
+    for n in robots:
+        try:
+            with alarm(max(0.0, until - time.monotonic())):
+                found.append(prove(Question(program, n, params), solver))
+        except TooLarge as error:
+            found.append(undecided(program, n, f"{error}: prove a part of it at a time"))
+        except OutOfTime:
+            reason = f"the command's {seconds:g} s are over: a longer --timeout makes them more"
+            found.append(undecided(program, n, reason))
+    return found
+
+
+def undecided(program: Program, robots: int | None, reason: str) -> list[Verdict]:
+    """UNKNOWN of every invariant: the proof as a whole was given up."""
+    from koordgen.prove.verdict import Verdict
+
+    names = [p.name for p in program.properties if p.kind == "invariant"]
+    return [Verdict(name, "UNKNOWN", robots, (), reason, None, (), ()) for name in names]
 
 
 def fixed(program: Program, given: Mapping[str, Value]) -> dict[str, Expr]:

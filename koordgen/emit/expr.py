@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from koordgen.diagnostics import InternalError
+from koordgen.emit import size
 from koordgen.emit.alone import tells_of_itself
+from koordgen.emit.floats import ANY, kind
 from koordgen.emit.names import Names
-from koordgen.emit.types import display, with_floats
+from koordgen.emit.types import display
 from koordgen.ir import expr as ir
 from koordgen.ir.types import (
     FLOAT,
@@ -13,7 +15,6 @@ from koordgen.ir.types import (
     STRING,
     ExternType,
     MapOf,
-    PerRobot,
     RecordType,
     Sequence,
     Sized,
@@ -27,6 +28,8 @@ _CONDITIONAL, _OR, _AND, _NOT, _COMPARE, _SUM, _PRODUCT, _SIGN, _ATOM = range(9)
 _STRENGTH = {"or": _OR, "and": _AND, "+": _SUM, "-": _SUM, "*": _PRODUCT, "/": _PRODUCT, "//": _PRODUCT, "%": _PRODUCT}
 # Builtins that Python or the runtime's library calls something else. All others are functions of the same name.
 _CALLED = {"GridMap": "area", "index": "index_of", "get": "map_get"}
+# Builtins that compare their arguments, or parts of them; `clear` and `path_distance` look for NaN themselves.
+_COMPARING = ("min", "max", "sorted", "index", "removed", "Rect", "Ball")
 
 
 def text(node: ir.Expr, names: Names) -> str:
@@ -34,9 +37,9 @@ def text(node: ir.Expr, names: Names) -> str:
     return _text(node, names)[0]
 
 
-def operand(node: ir.Expr, names: Names) -> str:
+def operand_of_and(node: ir.Expr, names: Names) -> str:
     """The Python expression for `node` as an operand of `and`."""
-    return _within(node, names, _NOT)
+    return _within(node, names, _AND)
 
 
 def domain(node: ir.Expr, names: Names) -> str:
@@ -66,28 +69,27 @@ def _text(node: ir.Expr, names: Names) -> tuple[str, int]:
             return f"-{float(value)!r}", _SIGN
         case ir.Widen(operand):
             return f"float({text(operand, names)})", _ATOM
-        case ir.Unary("not", ir.Contains(item, values)) if not _looked_up(values.type):
-            return f"{_within(item, names, _SUM)} not in {_within(values, names, _SUM)}", _COMPARE
+        case ir.Unary("not", ir.Contains(item, values)) if not isinstance(values.type, MapOf):
+            return f"{_compared(item, names)} not in {_compared(values, names)}", _COMPARE
         case ir.Unary(op, operand):
             if op == "not":
                 return f"not {_within(operand, names, _NOT)}", _NOT
             return f"-{_within(operand, names, _SIGN)}", _SIGN
         case ir.Binary("**", left, right):
             return f"power({text(left, names)}, {text(right, names)})", _ATOM
+        case ir.Binary(op, left, right) if looks := size.checked(node):
+            if looks == "made":
+                return f"made({_within(left, names, _SUM)} {op} {_within(right, names, _PRODUCT)})", _ATOM
+            return f"{looks}({text(left, names)}, {text(right, names)})", _ATOM
         case ir.Binary(op, left, right) | ir.Logic(op, left, right):
             own = _STRENGTH[op]
             return f"{_within(left, names, own)} {op} {_within(right, names, own + 1)}", own
-        case ir.Compare("==" | "!=" as op, left, right) if left.type != FLOAT and with_floats(left.type):
-            same = f"equal({text(left, names)}, {text(right, names)})"
-            return (same, _ATOM) if op == "==" else (f"not {same}", _NOT)
         case ir.Compare(op, left, right):
-            return f"{_within(left, names, _SUM)} {op} {_within(right, names, _SUM)}", _COMPARE
+            return f"{_compared(left, names)} {op} {_compared(right, names)}", _COMPARE
         case ir.Contains(item, values):
             if isinstance(values.type, MapOf):
                 return f"has_key({text(values, names)}, {text(item, names)})", _ATOM
-            if _looked_up(values.type):
-                return f"within({text(item, names)}, {text(values, names)})", _ATOM
-            return f"{_within(item, names, _SUM)} in {_within(values, names, _SUM)}", _COMPARE
+            return f"{_compared(item, names)} in {_compared(values, names)}", _COMPARE
         case ir.Conditional(condition, then, orelse):
             shown = f"{_within(then, names, _OR)} if {_within(condition, names, _OR)} else {text(orelse, names)}"
             return shown, _CONDITIONAL
@@ -95,7 +97,7 @@ def _text(node: ir.Expr, names: Names) -> tuple[str, int]:
             if names.formulas:
                 return _quantified(node, names), _ATOM
             every = "all" if kind == "forall" else "any"
-            return f"{every}({text(body, names)} for {names.temp(name)} in {domain(over, names)})", _ATOM
+            return f"{every}({text(body, names)} for {names.temp(name)} in {_counted(over, names)})", _ATOM
         case _:
             return _atom(node, names), _ATOM
 
@@ -107,7 +109,12 @@ def _quantified(node: ir.Quantified, names: Names) -> str:
     body = f"lambda {names.temp(node.name)}: {text(node.body, names)}"
     if tells_of_itself(node):
         return f"s.own({literal(node.name)}, {body})"
-    return f"s.{every}({literal(node.name)}, {domain(node.domain, names)}, {body}{others})"
+    return f"s.{every}({literal(node.name)}, {_counted(node.domain, names)}, {body}{others})"
+
+
+def _counted(over: ir.Expr, names: Names) -> str:
+    """The domain of a quantifier: each of its values costs a turn, unless they are the robots."""
+    return domain(over, names) if isinstance(over, ir.Ids) else f"turns({domain(over, names)})"
 
 
 def _names_a_robot(name: str, body: ir.Expr) -> bool:
@@ -122,9 +129,12 @@ def _names_a_robot(name: str, body: ir.Expr) -> bool:
     return False
 
 
-def _looked_up(container: Type) -> bool:
-    """Whether `in` it is a function's affair; Python's own goes for the rest, regions included."""
-    return isinstance(container, MapOf) or (isinstance(container, (Sequence, PerRobot)) and with_floats(container))
+def _compared(node: ir.Expr, names: Names, least: int = _SUM) -> str:
+    """An operand of a comparison: a value that may have NaN in it goes through a function that raises for one. Of a
+    region, the values that it is made of do."""
+    if kind(node, names.floats) == ANY:
+        return f"{'no_nan' if node.type == FLOAT else 'no_nan_in'}({text(node, names)})"
+    return _within(node, names, least)
 
 
 def literal(value: int | float | bool | str) -> str:
@@ -183,7 +193,7 @@ def _part(node: ir.Expr, names: Names) -> str:
         case ir.Slice(operand, start, stop, proved):
             a, b = (None if bound is None else text(bound, names) for bound in (start, stop))
             if proved:
-                return f"{_within(operand, names, _ATOM)}[{a or ''}:{b or ''}]"
+                return f"made({_within(operand, names, _ATOM)}[{a or ''}:{b or ''}])"
             return f"{'part' if operand.type == STRING else 'slice_'}({text(operand, names)}, {a}, {b})"
         case ir.With(operand, name, value):
             return _with(operand, name, text(value, names), names)
@@ -237,21 +247,28 @@ def _with(operand: ir.Expr, name: str, value: str, names: Names) -> str:
             raise InternalError(f"a {other} with {name}")
 
 
+def _argument(arg: ir.Expr, name: str, names: Names) -> str:
+    return _compared(arg, names, _CONDITIONAL) if name in _COMPARING else text(arg, names)
+
+
 def _builtin(name: str, args: tuple[ir.Expr, ...], names: Names) -> str:
-    given = _args(args, names)
+    given = ", ".join([_argument(arg, name, names) for arg in args])
     match name:
         case "cleared":
             return "()"
         case "items":  # a map is its pairs
             return given
         case "sorted":
-            return f"tuple(sorted({given}))"
+            return f"made(tuple(sorted({given})))"
         case "reversed":
-            return f"tuple(reversed({given}))"
-        case "count" if not with_floats(args[1].type):
-            return f"{_within(args[0], names, _ATOM)}.count({text(args[1], names)})"
+            return f"made(tuple(reversed({given})))"
+        case "count":
+            xs, item = args
+            return f"{_compared(xs, names, _ATOM)}.count({_compared(item, names, _CONDITIONAL)})"
         case "sum" if isinstance(args[0].type, Sequence) and args[0].type.element == FLOAT:
             return f"total({given})"
+        case "sum":
+            return f"checked(sum({given}))"
         case "str" if args[0].type == POINT:
             return f"shown({given})"
         case _:

@@ -12,10 +12,9 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "msgspec.structs": ("replace",),
     "koordgen.runtime.bounds": ("Blob", "Cells", "Distinct", "Fixed", "Many", "Pairs", "Parts", "Rays", "Text"),
     "koordgen.runtime.containers": (
-        "appended", "at", "count", "difference", "equal", "extended", "first", "has_key", "index_of", "inserted",
-        "intersection", "keys", "last", "map_at", "map_get", "map_of", "map_with", "map_without", "popped", "power",
-        "removed", "set_of", "set_with", "set_without", "slice_", "total", "union", "updated", "values", "within",
-        "without",
+        "appended", "at", "difference", "extended", "first", "has_key", "index_of", "inserted", "intersection", "keys",
+        "last", "map_at", "map_get", "map_of", "map_with", "map_without", "popped", "power", "removed", "set_of",
+        "set_with", "set_without", "slice_", "total", "union", "updated", "values", "without",
     ),
     "koordgen.runtime.extern": ("Extern", "Library"),
     "koordgen.runtime.geometry": ("clear", "path_distance"),
@@ -31,7 +30,8 @@ _MODULES: dict[str, tuple[str, ...]] = {
     ),
     "koordgen.runtime.region": ("Ball", "Rect"),
     "koordgen.runtime.text": ("part", "shown"),
-    "koordgen.runtime.values": ("Grid", "Opaque", "Point", "Pose", "Scan", "distance"),
+    "koordgen.runtime.turns": ("checked", "made", "minus", "plus", "product", "turn", "turns"),
+    "koordgen.runtime.values": ("Grid", "Opaque", "Point", "Pose", "Scan", "distance", "no_nan", "no_nan_in"),
 }  # fmt: skip
 HOME = {name: module for module, names in _MODULES.items() for name in names}
 

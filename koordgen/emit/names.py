@@ -8,11 +8,14 @@ sees, keep their own names where these are free.
 from __future__ import annotations
 
 import builtins
+import copy
 import keyword
 import re
+from collections.abc import Mapping
 
 from koordgen.emit import library
 from koordgen.ir.decl import Program
+from koordgen.ir.stmt import Place
 
 _WORD = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 _IN_CLASSES = ("int", "float", "bool", "str", "tuple", "set_of", "map_of", "area")  # in annotations and first values
@@ -32,6 +35,7 @@ class Names:
     """The Python name of each thing in one program. The first thing to claim a name gets it, later ones a number."""
 
     formulas = False  # whether it is for properties, which are asked of a Known
+    floats: Mapping[Place, int] = {}  # of the block at hand: see koordgen/emit/floats.py
     before = after = ""  # what stands before a port's name; in an assumption two moments are told apart
 
     def __init__(self, program: Program) -> None:
@@ -71,8 +75,14 @@ class Names:
         return found
 
     def turns(self, name: str) -> str:
-        """A name for what a loop runs over; `name` is the loop's variable."""
+        """Mint a name for the range that a loop runs over; `name` is the loop's variable."""
         return self._mint(f"turns_{name}")
+
+    def within(self, floats: Mapping[Place, int]) -> Names:
+        """The same names, for a block whose places may hold such floats."""
+        made = copy.copy(self)
+        made.floats = floats
+        return made
 
     @staticmethod
     def temp(name: str) -> str:

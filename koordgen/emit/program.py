@@ -8,7 +8,7 @@ from hashlib import blake2s
 from typing import Any
 
 from koordgen import __version__
-from koordgen.emit import expr, library, stmt
+from koordgen.emit import expr, floats, library, stmt
 from koordgen.emit.names import Names
 from koordgen.emit.render import render
 from koordgen.emit.types import annotation, bound, default, display
@@ -85,8 +85,9 @@ def _mark(program: ir.Program, node: Any) -> str:
     return f"{program.path}:{node.span.line}"
 
 
-def _block(statements: Block, program: ir.Program, names: Names) -> str:
-    return "\n".join(stmt.lines(statements, names, program.path, stmt.STEP))
+def _block(statements: Block, program: ir.Program, names: Names, parameters: tuple[str, ...] = ()) -> str:
+    known = names.within(floats.kinds(statements, parameters))
+    return "\n".join(stmt.lines(statements, known, program.path, stmt.STEP))
 
 
 def _variable(
@@ -153,7 +154,8 @@ def _function(function: ir.Function, program: ir.Program, names: Names) -> dict[
     return {
         "name": names.functions[function.name],
         "mark": f"{function.name}, {_mark(program, function)}",
-        "body": _block(function.block, program, names),
+        "body": f"{stmt.STEP}turn(){_MARK.format(program.path)}{function.span.line}\n"
+        + _block(function.block, program, names, tuple([p.name for p in function.parameters])),
         **_signature(function, names),
     }
 

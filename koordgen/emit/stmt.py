@@ -9,7 +9,7 @@ from koordgen.emit import expr
 from koordgen.emit.names import Names
 from koordgen.emit.types import annotation
 from koordgen.ir import stmt as ir
-from koordgen.ir.expr import Const, Ids, Range
+from koordgen.ir.expr import Const, Expr, Ids, Range
 from koordgen.ir.types import BOOL
 
 STEP = "    "
@@ -33,7 +33,7 @@ def lines(block: ir.Block, names: Names, path: str, indent: str) -> Iterator[str
 
 
 def _for(loop: ir.For, names: Names, path: str, indent: str) -> Iterator[str]:
-    """A loop that counts has its invariants evaluated with the value that comes next: what it runs over gets a name."""
+    """Yield a `for` loop. Invariants of a loop that counts are evaluated with the next value: its range gets a name."""
     mark = f"  # {path}:{loop.span.line}"
     taken, over = ", ".join([names.temp(name) for name in loop.names]), expr.domain(loop.values, names)
     claims = [f"{claim}  # {path}:{line}" for claim, line in _claims(loop, names)]
@@ -42,7 +42,7 @@ def _for(loop: ir.For, names: Names, path: str, indent: str) -> Iterator[str]:
         turns = names.turns(loop.names[0])
         yield f"{indent}{turns} = {over}{mark}"
         over = turns
-    yield f"{indent}for {taken} in {over}:{mark}"
+    yield f"{indent}for {taken} in turns({over}):{mark}"
     yield from (f"{indent}{STEP}{claim}" for claim in claims)
     if loop.block or not claims:
         yield from lines(loop.block, names, path, indent + STEP)
@@ -54,25 +54,31 @@ def _for(loop: ir.For, names: Names, path: str, indent: str) -> Iterator[str]:
 
 
 def _while(loop: ir.While, names: Names, path: str, indent: str) -> Iterator[str]:
-    """Its invariants are evaluated before its condition; where that is True, at the beginning of the block."""
+    """Yield a `while` loop. Its invariants are evaluated before its condition, or, where that is True, in the block."""
     mark = f"  # {path}:{loop.span.line}"
     claims = _claims(loop, names)
     endless = loop.condition == Const(True, BOOL, loop.span)
     if not claims or endless:
-        yield f"{indent}while {expr.text(loop.condition, names)}:{mark}"
+        yield f"{indent}while {_each_turn(loop.condition, names)}:{mark}"
         yield from (f"{indent}{STEP}{claim}  # {path}:{line}" for claim, line in claims)
     else:
         heads = " and ".join([claim for claim, _ in claims])
-        yield f"{indent}while {heads} and {expr.operand(loop.condition, names)}:{mark}"
+        yield f"{indent}while {heads} and {_each_turn(loop.condition, names)}:{mark}"
     if loop.block or not (claims and endless):
         yield from lines(loop.block, names, path, indent + STEP)
 
 
 def _claims(loop: ir.For | ir.While, names: Names) -> list[tuple[str, int]]:
-    """What evaluates a loop's invariants, each with its line; it is always true."""
+    """Return the calls that evaluate a loop's invariants, each with its line; a call is always true."""
     lines = [invariant.span.line for invariant in loop.invariants]
     held = [expr.text(invariant.formula, names) for invariant in loop.invariants]
     return [(f"claim({line}, lambda: {text})", line) for line, text in zip(lines, held, strict=True)]
+
+
+def _each_turn(condition: Expr, names: Names) -> str:
+    """The condition of a `while`, which takes a turn where it holds."""
+    forever = isinstance(condition, Const) and condition.value is True
+    return "turn()" if forever else f"{expr.operand_of_and(condition, names)} and turn()"
 
 
 def _simple(statement: ir.Stmt, names: Names) -> str:

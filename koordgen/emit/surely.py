@@ -2,12 +2,14 @@
 
 Not exact, and need not be: comparisons of floats leave a margin, so what is surely so is so by the exact formula, too,
 whatever the arrays round; where it is not, the exact one is asked. What may have no value has no such form, nor has
-what needs more than numbers, Points and truth values: then there is none for the whole formula.
+what needs more than numbers, Points and truth values: then there is none for the whole formula. A comparison that meets
+NaN is never sure, so it matters only where another one would do instead.
 """
 
 from __future__ import annotations
 
 from koordgen.emit import expr as exact
+from koordgen.emit.floats import may_meet_nan
 from koordgen.emit.names import Names
 from koordgen.ir import expr as ir
 from koordgen.ir.types import BOOL, FLOAT, INT, POINT, Type
@@ -43,9 +45,13 @@ def _sure(node: ir.Expr, wanted: bool, axes: dict[str, int], names: Names) -> st
             return _sure(operand, not wanted, axes, names)
         case ir.Logic(op, left, right):
             both = (op == "and") == wanted
+            if not both and may_meet_nan(left):
+                raise _Beyond
             parts = f"({_sure(left, wanted, axes, names)}, {_sure(right, wanted, axes, names)})"
             return f"b.{'both' if both else 'either'}{parts}"
         case ir.Quantified(kind, name, ir.Ids(), body):
+            if (kind == "exists") == wanted and may_meet_nan(body):
+                raise _Beyond
             inner = _sure(body, wanted, {**axes, name: len(axes)}, names)
             return f"b.{'every' if (kind == 'forall') == wanted else 'some'}({len(axes)}, {inner})"
         case ir.Compare(op, left, right):

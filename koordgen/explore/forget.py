@@ -3,9 +3,10 @@
 1. A local variable that nobody reads. No invariant names it, and no event reads a value in it that another event left;
    its values may differ, all else goes on alike. Whether events read it is not told from their text: it is taken for
    unread until one does (`Unread`, raised while the event runs); then it is kept, and the search begins anew. Events
-   that read and write nothing but that variable (a counter that runs down) are left out of rounds. All values that it
-   can have are tried on them apart, for faults and to see whether they are ever enabled: what is written to it
-   elsewhere depends on no forgotten value, so each such value is met in some robot that the search makes.
+   that read and write nothing but that variable (a counter that runs down) and stand in no `priority:` block, where
+   their guards would be read by others, are left out of rounds. All values that it can have are tried on them apart,
+   for faults and to see whether they are ever enabled: what is written to it elsewhere depends on no forgotten value,
+   so each such value is met in some robot that the search makes.
 2. A robot that has nothing left but to stop. By its locals and its own slots alone, which nobody else writes, each
    of its events has a false guard or does nothing but `stop`, and so for ever. It may stand for one that has stopped:
    what either does, the other matches by skipping. Of both all locals are forgotten that no invariant names.
@@ -86,7 +87,7 @@ class Forgetting:
         named = {node.name for p in program.properties for node in nodes(p.formula) if isinstance(node, expr.LocalOf)}
         self._named = tuple([v.name for v in program.locals if v.name in named])
         guards = {node.name for e in program.events for node in nodes(e.guard) if isinstance(node, expr.LocalRead)}
-        alone = [_turns_on(event) for event in program.events]
+        alone = [_turns_on(event) if event.priority is None else None for event in program.events]
         unread = [v.name for v in program.locals if v.name not in named]
         self._take([name for name in unread if name not in guards or name in alone])
 
@@ -97,7 +98,11 @@ class Forgetting:
     def _take(self, names: list[str]) -> None:
         self.locals = tuple(names)
         events = enumerate(self.machine.program.events)
-        self._turning = {index: name for index, event in events if (name := _turns_on(event)) in names and name}
+        self._turning = {
+            index: name
+            for index, event in events
+            if event.priority is None and (name := _turns_on(event)) in names and name
+        }
         self.idle = frozenset(self._turning)
         self._kept = tuple([v.name for v in self.machine.program.locals if v.name not in names])
         self._standing: dict[tuple[int, int, int], int] = {}
@@ -147,7 +152,8 @@ class Forgetting:
                 for index in [index for index, turning in self._turning.items() if turning == name]:
                     event = code.events[index]
                     try:
-                        done = rt.run(code, event.effect, code.begin(frame)) if event.guard(code.begin(frame)) else None
+                        ready = rt.enabled(event, code.begin(frame))
+                        done = rt.run(code, event.effect, code.begin(frame)) if ready else None
                     except Exception:  # of the guard: as the search tells it
                         raise Unread(name) from None
                     if isinstance(done, rt.Fault) or (done is not None and done.violated):
@@ -165,8 +171,10 @@ class Forgetting:
             if index in self.idle:
                 continue
             try:
-                if not event.guard(self._alone(frame)):
+                if not rt.enabled(event, self._alone(frame)):
                     continue
+                if any(code.events[earlier].guard(self._alone(frame)) for earlier in machine.earlier[index]):
+                    continue  # now and so for ever: the one that has priority does nothing but stop
                 done = rt.run(code, event.effect, self._alone(frame))
             except (Exception, Unread, _Others):
                 return False

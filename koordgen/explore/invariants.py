@@ -12,6 +12,7 @@ from koordgen.ir import decl
 from koordgen.ir import expr as ir
 from koordgen.node import nodes
 from koordgen.runtime.property import Each, One
+from koordgen.runtime.turns import begin
 
 
 class _Fleet:
@@ -123,6 +124,7 @@ class Invariants:
         return True
 
     def _true(self, holds: Callable[[_Fleet], bool]) -> bool:
+        begin()
         try:
             return holds(self._fleet)
         except Exception:  # whatever functions of the user's raise

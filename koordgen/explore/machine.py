@@ -140,11 +140,35 @@ class Machine:
         self.discards: list[Discard] = []
         self.enabled: set[int] = set()
         self.watched: dict[str, type[rt.Cell[Any]]] = {}  # locals whose cells tell when they are read
+        place = {event.name: index for index, event in enumerate(program.events)}
+        self.earlier = [tuple([place[e.name] for e in program.earlier(event)]) for event in program.events]
         self._look: rt.Transaction | None = None
         self._sensors = {f"{module}.{port}": self.names.ports[module, port] for module, port in self.names.sensors}
 
+    def prior(self, events: Sequence[int], pid: int, own: int, begun: Packed) -> tuple[int, ...]:
+        """Those of the events that a robot may run by priority: all guards before them in their `priority:` blocks have
+        a value and are false on the store at the round's start."""
+        robot = self.owns.values[own]
+        held = {earlier: self._may_hold(earlier, pid, robot, begun) for e in events for earlier in self.earlier[e]}
+        return tuple([event for event in events if not any(held[earlier] for earlier in self.earlier[event])])
+
+    def first(self, pid: int, own: int, begun: Packed) -> int | None:
+        """The event that an agent runs: the first in text order whose guard holds, or has no value."""
+        robot = self.owns.values[own]
+        if robot.stopped:
+            return None
+        return next((e for e in range(len(self.code.events)) if self._may_hold(e, pid, robot, begun)), None)
+
+    def _may_hold(self, event: int, pid: int, robot: Own, begun: Packed) -> bool:
+        """Whether a guard holds or has no value."""
+        try:
+            return self.code.events[event].guard(self._looking(pid, robot, begun, rt.no_ports))
+        except Exception:  # a fault of the guard's
+            return True
+
     def choices(self, events: Sequence[int], pid: int, own: int, seen: Packed) -> tuple[Choice, ...]:
-        """What a robot may do of these events where it sees a store: all whose guards hold, but those discarded."""
+        """What a robot may do of these events where it sees a store: all whose guards hold, but those discarded. The
+        events have priority, see `prior`."""
         robot = self.owns.values[own]
         if robot.stopped:
             return ()
@@ -167,7 +191,7 @@ class Machine:
     def _run(self, event: rt.Event, looking: Any, frame: Callable[[], rt.Frame]) -> rt.Effects | rt.Fault | None:
         """What an event does; None where its guard does not hold."""
         try:
-            if not event.guard(looking):
+            if not rt.enabled(event, looking):
                 return None
             return rt.run(self.code, event.effect, self.begin(frame()), event.line)
         except Exception:  # of a guard: the same again, told as of an effect

@@ -14,6 +14,7 @@ from koordgen.emit import expr, library
 from koordgen.explore.machine import Machine, Packed
 from koordgen.ir import expr as ir
 from koordgen.node import nodes
+from koordgen.runtime.turns import begin
 
 
 class Spread(NamedTuple):
@@ -92,6 +93,7 @@ class Pairs:
 
     def _true(self, fleet: Packed, i: int, j: int) -> bool:
         self._take(fleet)
+        begin()
         try:
             return (i != j or all(holds(self._fleet, i) for holds in self._one)) and all(
                 holds(self._fleet, i, j) for holds in self._two

@@ -2,7 +2,8 @@
 
 A plain event reads the store of the round's start, so it does the same wherever in the round it comes. Two events of
 two robots commute unless both write one allwrite variable, or one of them is atomic and reads what the other writes
-(a slot has one writer). Events that commute with all others form the first phase, in which robots step by ascending
+(a slot has one writer). Guards that have priority over an event are read at the round's start, so they conflict with
+nothing. Events that commute with all others form the first phase, in which robots step by ascending
 pid; the others form one phase for each group that is linked by such conflicts, in which every order is tried. Any
 order of a round can be sorted into this one by exchanging neighbours that commute, so nothing is lost.
 """
@@ -10,7 +11,7 @@ order of a round can be sorted into this one by exchanging neighbours that commu
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 from koordgen.explore.machine import Choice, Machine, Packed
 from koordgen.ir import decl, expr, stmt
@@ -18,20 +19,18 @@ from koordgen.node import nodes
 
 Node = tuple[int, Packed]  # who has stepped, as bits; the fleet then
 Came = tuple[Node, int, int]  # from where, by which robot, by which event
-Turn = tuple[bool | None, bool]  # atomic events, plain ones, or all; whether in every order, or by ascending pid
-EVERY_ORDER: Final[tuple[Turn, ...]] = ((None, True),)
-NO_ORDER: Final[tuple[Turn, ...]] = ((None, False),)
-AGENTS_ORDER: Final[tuple[Turn, ...]] = ((True, True), (False, False), (True, True))
 
 
 class Phase(NamedTuple):
     """Events by index: those that read nothing shared but their robot's own slots, other plain ones, other atomic ones;
-    whether the order of robots makes a difference."""
+    whether the order of robots makes a difference. `ranked`: some event has another one before it in its `priority:`
+    block."""
 
     alone: tuple[int, ...]
     plain: tuple[int, ...]
     atomic: tuple[int, ...]
     ordered: bool
+    ranked: bool
 
 
 def phases(program: decl.Program, independence: bool, idle: Collection[int] = ()) -> tuple[Phase, ...]:
@@ -61,13 +60,15 @@ def phases(program: decl.Program, independence: bool, idle: Collection[int] = ()
 
 
 def _phase(program: decl.Program, events: list[int], ordered: bool) -> Phase:
-    alone = tuple([e for e in events if _reads_alone(program.events[e])])
+    alone = tuple([e for e in events if _reads_alone(program, program.events[e])])
     plain = tuple([e for e in events if e not in alone and program.events[e].lock is None])
-    return Phase(alone, plain, tuple([e for e in events if e not in alone and e not in plain]), ordered)
+    atomic = tuple([e for e in events if e not in alone and e not in plain])
+    return Phase(alone, plain, atomic, ordered, any(program.earlier(program.events[e]) for e in events))
 
 
-def _reads_alone(event: decl.Event) -> bool:
-    for node in nodes((event.guard, event.effect)):
+def _reads_alone(program: decl.Program, event: decl.Event) -> bool:
+    earlier = tuple([other.guard for other in program.earlier(event)])
+    for node in nodes((*earlier, event.guard, event.effect)):
         match node:
             case expr.SlotRead(_, expr.Pid()):
                 pass
@@ -95,8 +96,8 @@ def _access(event: decl.Event) -> tuple[set[str], set[str]]:
 class Rounds:
     """The rounds of one machine. What a robot may do is computed once for each own and store; where robots are `alike`,
     once for all orders of the others' slots. `stands` yields the own that stands for the one which a robot has after
-    its step, given its pid and the store: nobody looks at it before the round's end. `as_agents`: plain events come by
-    ascending pid, one after another, atomic ones in every order before and behind them."""
+    its step, given its pid and the store: nobody looks at it before the round's end. `as_agents`: only rounds that
+    agents can do (`is_order_of_agents` of the semantics)."""
 
     def __init__(
         self, machine: Machine, independence: bool = True, idle: Collection[int] = (), alike: bool = False,
@@ -104,7 +105,8 @@ class Rounds:
     ) -> None:  # fmt: skip
         self.machine, self.alike, self.stands, self.as_agents = machine, alike, stands, as_agents
         self.phases = phases(machine.program, independence, idle)
-        self._known: dict[tuple[int, bool, int, int, Packed], tuple[Choice, ...]] = {}
+        self._known: dict[tuple[tuple[int, ...], int, int, Packed], tuple[Choice, ...]] = {}
+        self._prior: dict[tuple[tuple[int, ...], int, int, Packed], tuple[int, ...]] = {}
         self._alone: dict[Packed, tuple[Choice, ...]] = {}
 
     def ends(self, fleet: Packed) -> Collection[Node]:
@@ -164,33 +166,48 @@ class Rounds:
 
     def ways(self, fleet: Packed) -> dict[Node, Came | None]:
         """The same, each with how it came about."""
+        if self.as_agents:
+            return self._ways_of_agents(fleet)
         found: dict[Node, Came | None] = {(0, fleet): None}
         begun = fleet[self.machine.n_sys :]
         for number, phase in enumerate(self.phases):
-            turns = NO_ORDER if not phase.ordered else AGENTS_ORDER if self.as_agents else EVERY_ORDER
-            for atomic, every_order in turns:
-                if every_order:
-                    pending = list(found)
-                    for node in pending:  # grows meanwhile
-                        for pid in range(self.machine.n_sys):
-                            pending += self._stepped(found, number, atomic, pid, node, begun)
-                else:
+            if phase.ordered:
+                pending = list(found)
+                for node in pending:  # grows meanwhile
                     for pid in range(self.machine.n_sys):
-                        for node in list(found):
-                            self._stepped(found, number, atomic, pid, node, begun)
+                        pending += self._stepped(found, pid, node, self._choices(number, pid, node[1], begun))
+            else:
+                for pid in range(self.machine.n_sys):
+                    for node in list(found):
+                        self._stepped(found, pid, node, self._choices(number, pid, node[1], begun))
         return found
 
-    def _stepped(
-        self, found: dict[Node, Came | None], number: int, atomic: bool | None, pid: int, node: Node, begun: Packed
-    ) -> list[Node]:
+    def _ways_of_agents(self, fleet: Packed) -> dict[Node, Came | None]:
+        """Commits, one at most for each lock, then plain events by ascending pid; all on the round's start, since no
+        commit writes what one under another lock reads."""
+        machine, events = self.machine, self.machine.program.events
+        found: dict[Node, Came | None] = {(0, fleet): None}
+        begun = fleet[machine.n_sys :]
+        first = {pid: machine.first(pid, fleet[pid], begun) for pid in range(machine.n_sys)}
+        chosen = {pid: event for pid, event in first.items() if event is not None}
+        rivals = {
+            pid: sum(1 << other for other, e in chosen.items() if events[e].lock == events[event].lock is not None)
+            for pid, event in chosen.items()
+        }
+        for pid in sorted(chosen, key=lambda pid: (events[chosen[pid]].lock is None, pid)):
+            choices = self._of((chosen[pid],), pid, fleet[pid], begun)
+            for node in list(found):
+                if not node[0] & rivals[pid]:
+                    self._stepped(found, pid, node, choices)
+        return found
+
+    def _stepped(self, found: dict[Node, Came | None], pid: int, node: Node, choices: tuple[Choice, ...]) -> list[Node]:
         """What one robot's step adds, if it has taken none."""
         mask, fleet = node
         if mask >> pid & 1:
             return []
         added = []
-        for choice in self._choices(number, pid, fleet, begun):
-            if atomic is not None and atomic != (self.machine.program.events[choice.event].lock is not None):
-                continue
+        for choice in choices:
             following = (mask | 1 << pid, self.machine.applied(fleet, pid, choice))
             if following not in found:
                 found[following] = (node, pid, choice.event)
@@ -203,17 +220,35 @@ class Rounds:
         if phase.alone:
             key = (number, pid, fleet[pid], fleet[slot])
             known = self._alone.get(key)
-            found = self._found(self._alone, key, phase.alone, pid, fleet[pid], begun) if known is None else known
+            if known is None:
+                events = self._having_priority(phase, phase.alone, pid, fleet[pid], begun)
+                known = self._found(self._alone, key, events, pid, fleet[pid], begun)
+            found = known
         if phase.plain:
-            found += self._of(number, False, phase.plain, pid, fleet[pid], begun)
+            events = self._having_priority(phase, phase.plain, pid, fleet[pid], begun)
+            found += self._of(events, pid, fleet[pid], begun)
         if phase.atomic:
-            found += self._of(number, True, phase.atomic, pid, fleet[pid], fleet[self.machine.n_sys :])
+            events = self._having_priority(phase, phase.atomic, pid, fleet[pid], begun)
+            found += self._of(events, pid, fleet[pid], fleet[self.machine.n_sys :])
         return found
 
-    def _of(
-        self, number: int, atomic: bool, events: tuple[int, ...], pid: int, own: int, seen: Packed
-    ) -> tuple[Choice, ...]:
-        key = (number, atomic, pid, own, seen)
+    def _having_priority(
+        self, phase: Phase, events: tuple[int, ...], pid: int, own: int, begun: Packed
+    ) -> tuple[int, ...]:
+        if not phase.ranked:
+            return events
+        key = (events, pid, own, begun)
+        found = self._prior.get(key)
+        if found is None:
+            any_order = self._any_order(*key) if self.alike else key
+            found = self._prior.get(any_order)
+            if found is None:
+                found = self._prior[any_order] = self.machine.prior(events, pid, own, begun)
+            self._prior[key] = found
+        return found
+
+    def _of(self, events: tuple[int, ...], pid: int, own: int, seen: Packed) -> tuple[Choice, ...]:
+        key = (events, pid, own, seen)
         found = self._known.get(key)
         if found is None:
             any_order = self._any_order(*key) if self.alike else key
@@ -235,9 +270,9 @@ class Rounds:
             known[key] = found
         return found
 
-    def _any_order(self, number: int, atomic: bool, pid: int, own: int, seen: Packed) -> Any:
+    def _any_order(self, events: tuple[int, ...], pid: int, own: int, seen: Packed) -> Any:
         others = sorted(seen[:pid] + seen[pid + 1 : -1])
-        return number, atomic, -1, own, (seen[pid], *others, seen[-1])
+        return events, -1, own, (seen[pid], *others, seen[-1])
 
 
 def _with(seen: Packed, pid: int, slots: int) -> Packed:

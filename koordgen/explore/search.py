@@ -16,12 +16,13 @@ from koordgen.explore.symmetry import distinguishes, sorted_robots
 from koordgen.ir import decl
 from koordgen.prove.model import Conjunct, failing
 from koordgen.prove.reach import Moment
+from koordgen.semantics.deadline import OutOfTime
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.property import holds_property
 from koordgen.semantics.step import initial
 
 WELL_DEFINED, DEADLOCK = "(well-defined)", "(deadlock)"
-LOOP = "line "  # what the name of a loop invariant begins with; its line follows
+LOOP = "line "  # prefix of a loop invariant's name; its line follows
 SHOWN = 0.25  # seconds from one view of the progress to the next
 
 
@@ -46,16 +47,18 @@ class Progress(NamedTuple):
 
 class Violation(NamedTuple):
     """`name`: an invariant's, LOOP with a line, WELL_DEFINED or DEADLOCK. `failed` is what is false at the last moment;
-    where nothing is, `reason` says what is wrong, and `culprit` which robot's event (or init) has no result.
-    `of_agents`: no order of its steps is known to be one that agents do not have."""
+    where nothing is, `reason` says what is wrong, and `culprit` is the event (or init) without a result that would come
+    next. `of_agents`: agents can do each round of it (`is_order_of_agents`); `shortest`: where that takes more rounds
+    than the language needs, how many those are."""
 
     name: str
     line: int
     moments: tuple[Moment, ...]
     failed: Conjunct | None
     reason: str
-    culprit: tuple[int, str] | None = None
+    culprit: Moment | None = None
     of_agents: bool = True
+    shortest: int | None = None
 
 
 class Result(NamedTuple):
@@ -82,7 +85,8 @@ class _Over(Exception):
 
 class Search:
     """One exploration. `clock` yields seconds, `show` is told of the progress now and then. `as_agents`: only rounds
-    whose plain events come by ascending pid; who is who counts then. `run` raises Lacking."""
+    that agents can do; then who is who counts, and every event may stand before another one, so nothing is forgotten.
+    `run` raises Lacking."""
 
     def __init__(
         self, machine: Machine, around: Surroundings, bounds: Bounds, clock: Callable[[], float],
@@ -91,9 +95,10 @@ class Search:
     ) -> None:  # fmt: skip
         self.machine, self.around, self.bounds, self.clock, self.show = machine, around, bounds, clock, show
         self.invariants = Invariants(machine)
-        self.apart = (around.apart or distinguishes(machine.program)) if symmetry else "it is switched off"
+        alike = symmetry and not as_agents
+        self.apart = (around.apart or distinguishes(machine.program)) if alike else "it is switched off"
         self.independence, self.deadlock, self.as_agents = independence, deadlock, as_agents
-        self.forgetting = Forgetting(machine) if forgetting else None
+        self.forgetting = Forgetting(machine) if forgetting and not as_agents else None
         self._fresh()
 
     def _fresh(self) -> None:
@@ -119,6 +124,8 @@ class Search:
             violation, stopped = self._settled()
         except _Over as over:
             stopped = str(over)
+        except OutOfTime:  # within one event, or one round
+            stopped = self._bound_of_time()
         except KeyboardInterrupt:
             stopped = "interrupted"
         if not violation and not stopped and self.stuck:
@@ -249,9 +256,12 @@ class Search:
             self.shown = now
             self.show(self.progress())
         if self.bounds.seconds is not None and now - self.started > self.bounds.seconds:
-            raise _Over(f"the bound of {self.bounds.seconds:g} s")
+            raise _Over(self._bound_of_time())
         if self.bounds.states is not None and len(self.known) > self.bounds.states:
             raise _Over(f"the bound of {self.bounds.states} state{'s' * (self.bounds.states != 1)}")
+
+    def _bound_of_time(self) -> str:
+        return f"the bound of {self.bounds.seconds or 0:g} s"
 
     def _dead(self, fleet: Packed) -> bool:
         """Whether nothing will ever be enabled, however the environment goes on, though some robot has not stopped."""
@@ -332,7 +342,7 @@ class Search:
         number = moments[-1].round + 1
         self.machine.discards.clear()
         found = self.exact.ways(at)
-        discard, n_sys = self.machine.discards[0], self.machine.n_sys
+        discard, n_sys, number = self.machine.discards[0], self.machine.n_sys, moments[-1].round + 1
         if self.machine.program.events[discard.event].lock is not None:  # it read what others wrote in this round
             there = [n for n in found if n[1][discard.pid] == discard.own and n[1][n_sys:] == discard.seen]
             node = min(there, key=lambda node: node[0].bit_count())
@@ -341,11 +351,12 @@ class Search:
         return self._discarded(discard, moments, at, number)
 
     def _discarded(self, found: Discard, moments: list[Moment], at: Packed, number: int) -> Violation:
-        """What is to be said of an event that is tried in the fleet `at`, in round `number` behind `moments`."""
+        """Return the violation of an event that is tried in the fleet `at`, in round `number` behind `moments`."""
         event = self.machine.program.events[found.event].name if found.event >= 0 else "init"
         if found.choice is not None:
             moments.append(self._false_in(found, found.choice, event, at, number))
             reason = f"{found.reason} in {event} of robot {found.pid}"
             return Violation(f"{LOOP}{found.line}", found.line, tuple(moments), None, reason)
         reason = f"{event} of robot {found.pid} has no result: {found.reason}"
-        return Violation(WELL_DEFINED, found.line, tuple(moments), None, reason, (found.pid, event))
+        culprit = Moment(moments[-1].state, event, found.pid, number)
+        return Violation(WELL_DEFINED, found.line, tuple(moments), None, reason, culprit)

@@ -10,7 +10,7 @@ from typing import Any
 from koordgen.explore.search import DEADLOCK, LOOP, WELL_DEFINED, Progress, Result, Violation
 from koordgen.ir import decl
 from koordgen.prove.spell import spelled
-from koordgen.prove.table import WIDTH, failed_lines, moment_lines, moments_data, own
+from koordgen.prove.table import WIDTH, failed_lines, moment_lines, moments_data, order_told, own
 from koordgen.prove.trace import About, run_trace
 from koordgen.runtime.values import Point
 from koordgen.semantics.values import RecordValue
@@ -61,18 +61,17 @@ def _violation(found: Violation, program: decl.Program) -> Iterator[str]:
     what = {DEADLOCK: "deadlock", WELL_DEFINED: "an event without a result"}.get(found.name)
     if found.name.startswith(LOOP):
         what = f"the loop invariant on {found.name} is violated"
-    yield from _wrapped(f"{what or f'{found.name} is violated'} {after}; no run of fewer rounds leads to it:")
+    fewer = "no run of fewer rounds leads to it"
+    if found.shortest is not None:
+        fewer = f"the language allows it after {found.shortest}, in an order that agents do not have"
+    yield from _wrapped(f"{what or f'{found.name} is violated'} {after}; {fewer}:")
     yield from moment_lines(found.moments)
     if found.failed is not None:
         yield from failed_lines(found.failed, "", program.path)
     else:
         place = f"  ({program.path}:{found.line})" if found.line else ""
         yield from _wrapped(f"  {found.reason}{place}")
-    if not found.of_agents:
-        yield from _wrapped(
-            "agents apply the plain events of a round by ascending pid: no robots do this order; it is a behaviour of "
-            "the language"
-        )
+    yield from _wrapped(order_told(found.of_agents))
 
 
 def _wrapped(text: str) -> list[str]:
@@ -106,6 +105,7 @@ def _data(found: Violation) -> dict[str, Any]:
         "line": found.failed.formula.span.line if found.failed else found.line,
         "conjunct": spelled(found.failed.formula) if found.failed else found.reason,
         "rounds": found.moments[-1].round,
+        "shortest": found.moments[-1].round if found.shortest is None else found.shortest,
         "order_of_agents": found.of_agents,
         "run": moments_data(found.moments),
     }
@@ -115,7 +115,10 @@ def trace(found: Violation, program: decl.Program, about: About) -> str:
     """The run as koord-trace/1."""
     line = found.failed.formula.span.line if found.failed else found.line
     detail = f"false: {spelled(found.failed.formula)}" if found.failed else found.reason
-    return run_trace(program, found.moments, (found.name, line, detail), about, found.culprit)
+    culprit = None
+    if found.culprit is not None and found.culprit.pid is not None:
+        culprit = found.culprit.pid, found.culprit.event
+    return run_trace(program, found.moments, (found.name, line, detail), about, culprit)
 
 
 def itf(found: Violation, program: decl.Program) -> str:

@@ -19,7 +19,7 @@ from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exec import Writes, declared
 from koordgen.semantics.state import Robot, State, Store, World
 from koordgen.semantics.step import Step as Done
-from koordgen.semantics.step import applied, enabled, execute, initial, run_init, sense
+from koordgen.semantics.step import applied, enabled, execute, has_priority, initial, run_init, sense
 from koordgen.semantics.values import Value
 
 MOST = 5  # events of a round of which every split is tried; of more only the usual ones
@@ -210,7 +210,7 @@ class _Planner:
         at = state
         for step in acts:
             seen = at if self.events[step.event].lock is not None else at._replace(store=state.store)
-            done = self.done([step], seen, world)
+            done = self.done([step], seen, world, begun=state)
             if done is None:
                 return None
             at = applied(at, done[0])
@@ -232,9 +232,9 @@ class _Planner:
         if len(acts) <= MOST:
             yield from sorted(_partitions(acts), key=len)
 
-    def done(self, block: list[Step], state: State, world: World) -> list[Done] | None:
+    def done(self, block: list[Step], state: State, world: World, begun: State | None = None) -> list[Done] | None:
         """What agents do in one round, as it counts, all on the store of its start; None where one of them does not, or
-        two want one lock."""
+        two want one lock. `begun`: where the round began, if not in `state`; that tells which events have priority."""
         locks = [lock for step in block if (lock := self.events[step.event].lock) is not None]
         if len(set(locks)) < len(locks):
             return None
@@ -242,7 +242,10 @@ class _Planner:
         for step in sorted(block, key=lambda step: (self.events[step.event].lock is None, step.pid)):
             event = self.events[step.event]
             try:
-                if state.robots[step.pid].stopped or not enabled(self.program, event, state, step.pid, world):
+                first = has_priority(self.program, event, begun or state, step.pid, world)
+                if state.robots[step.pid].stopped or not first:
+                    return None
+                if not enabled(self.program, event, state, step.pid, world):
                     return None
             except Discarded:
                 return None

@@ -160,12 +160,14 @@ class Local(Node):
 
 class Event(Node):
     """`guard` has no effects; `effect` takes place as a whole or not at all. `lock`: of an event that contains `atomic`
-    the index of its group of shared variables in `Program.locks`; None of a plain event."""
+    the index of its group of shared variables in `Program.locks`; None of a plain event. `priority`: the index of the
+    `priority:` block in which the event stands; None outside of such blocks."""
 
     name: str
     guard: Expr
     effect: Block
     lock: int | None
+    priority: int | None
     span: Span
 
 
@@ -197,3 +199,12 @@ class Program(Node):
     init: Block
     events: tuple[Event, ...]
     properties: tuple[Property, ...]
+
+    def earlier(self, event: Event) -> tuple[Event, ...]:
+        """The events that stand before `event` in its `priority:` block; none where it stands in no block.
+
+        `event` may run only in a round at whose start each of their guards has a value and is false."""
+        if event.priority is None:
+            return ()
+        block = [other for other in self.events if other.priority == event.priority]
+        return tuple(block[: [other.name for other in block].index(event.name)])

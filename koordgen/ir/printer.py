@@ -42,7 +42,8 @@ def show(program: decl.Program) -> str:
         lines += _block(program.init, "  ")
     for event in program.events:
         lock = "" if event.lock is None else f" under lock {event.lock}"
-        lines += [f"event {event.name}{lock}", f"  when {expression(event.guard)}", *_block(event.effect, "  ")]
+        block = "" if event.priority is None else f" in priority block {event.priority}"
+        lines += [f"event {event.name}{lock}{block}", f"  when {expression(event.guard)}", *_block(event.effect, "  ")]
     for property_ in program.properties:
         lines.append(f"{' '.join((property_.kind, property_.name)).strip()}: {expression(property_.formula)}")
     return "\n".join(lines) + "\n"

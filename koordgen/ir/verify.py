@@ -32,7 +32,8 @@ from koordgen.source import Span
 
 def verify(program: decl.Program) -> None:
     """Raises InternalError when types disagree, a name is not resolved, a temp is out of scope, an operator is none of
-    the IR's, something stands where it has no place, or a transaction's variables are not those of its lock."""
+    the IR's, something stands where it has no place, a transaction's variables are not those of its lock, or the events
+    of a `priority:` block do not stand together."""
     walk = _Walk(program)
     walk.declarations()
     walk.functions()
@@ -62,6 +63,7 @@ class _Walk(Expressions):
             named += [(item.name, item.span) for item in group]
         _distinct("declaration", named)
         _distinct("event", [(e.name, e.span) for e in p.events])
+        self.blocks()
         _distinct("property", [(q.name, q.span) for q in p.properties if q.name])
         for record in p.records:
             must(len(record.defaults) == len(record.type.fields), "a record lacks defaults", record.span)
@@ -151,6 +153,15 @@ class _Walk(Expressions):
             type_ = parameter.type
             self.plain(type_.element if isinstance(type_, PerRobot) else type_, span)
             self.declare(parameter.name, type_, span)
+
+    def blocks(self) -> None:
+        """The `priority:` blocks are numbered from 0 in text order, and the events of each stand together."""
+        last, before = -1, None
+        for event in self.program.events:
+            block = event.priority
+            known = block is None or block == last + 1 or (block == last and block == before)
+            must(known, f"{event.name} is in the priority block {block}, which is not the next one", event.span)
+            last, before = last if block is None else block, block
 
     def event(self, event: decl.Event) -> None:
         self.enter("guard")

@@ -18,6 +18,7 @@ from koordgen.prove.solve import Answer, Both, Solver
 from koordgen.prove.strengthen import closing
 from koordgen.prove.term import REAL, Term, equals, to_int, to_real
 from koordgen.prove.unassumed import supposing, unassumed
+from koordgen.semantics.deadline import Deadline, OutOfTime, ends
 from koordgen.semantics.exact import exact
 from koordgen.semantics.step import initial
 from koordgen.semantics.values import Value as KoordValue
@@ -117,9 +118,12 @@ class Explainer:
                 for answer in self.models(same, program, reader):
                     reader.answered(answer.values)
                     try:
-                        return replayed(program, same, reader, robots)
+                        with ends(Deadline(time.monotonic, until)):
+                            return replayed(program, same, reader, robots)
                     except Unshowable as error:
                         reasons.append(str(error))
+                    except OutOfTime:
+                        reasons.append("to run it takes too long")
         raise Unshowable(reasons[0] if reasons else f"there is none for 1 to {FLEETS[-1]} robots")
 
     def models(self, obligation: Obligation, program: decl.Program, reader: Reader) -> Iterator[Answer]:

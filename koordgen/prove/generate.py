@@ -24,6 +24,7 @@ from koordgen.prove.goal import goal, goal_at
 from koordgen.prove.loops import stating
 from koordgen.prove.moment import Setting, Stage, Told
 from koordgen.prove.obligation import AtHead, Cell, Fact, Kind, Moment, Obligation
+from koordgen.prove.priority import assume_priority
 from koordgen.prove.term import Term
 from koordgen.prove.within import changes
 
@@ -136,6 +137,7 @@ def of_event(setting: Setting, event: decl.Event) -> list[Obligation]:
         stage.answered(node, args, answer, own, now)
         return answer
 
+    assume_priority(stage, event, own, now, begun)
     frame = Frame(stage.encoder, own, now, seen, ask, temps_of(event.effect), stage.know, setting.loops.way)
     frame.brief = stage.brief
     with room.aside() as demands:

@@ -16,6 +16,7 @@ from koordgen.source import Span
 AGENTS = (
     "agents and simulator check it at each call; where it does not hold, the event is discarded (runtime/extern.py)"
 )
+DISCARDED = "agents discard an event that would; a property that compares NaN has no value (docs/proofs.md)"
 SIMULATOR = "the simulator watches it in each run (docs/sim.md)"
 UNCHECKED = ""
 HARMLESS = "nothing has to: it can make a proof fail, and never makes one"
@@ -88,8 +89,10 @@ def _general(program: decl.Program) -> Iterator[Entry]:
     types = [v.type for v in program.shared] + [v.type for v in program.locals] + [v.type for v in program.params]
     types += [port.type for module in program.modules for port in module.ports]
     if any(map(_real, types)):
-        text = "numbers are real numbers; robots round each result to 53 bits"
+        text = "numbers are real numbers; robots round each result to 53 bits, and to infinity beyond 1.8e308"
         yield Entry("arithmetic", text, program.path, 0, UNCHECKED)
+        text = "no event compares NaN, nor keeps or sends NaN or infinity"
+        yield Entry("arithmetic", text, program.path, 0, DISCARDED)
 
 
 def _real(type_: Type) -> bool:

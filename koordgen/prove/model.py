@@ -26,7 +26,7 @@ from koordgen.semantics.exact import NotExact, made_exact
 from koordgen.semantics.exec import Budget, NoMeaning, library
 from koordgen.semantics.property import holds_assumption, holds_property
 from koordgen.semantics.state import NOTHING, Robot, State, Store
-from koordgen.semantics.step import Step, applied, enabled, execute, initial, no_port, run_init
+from koordgen.semantics.step import Step, applied, enabled, execute, has_priority, initial, no_port, run_init
 from koordgen.semantics.values import RecordValue, Value
 
 
@@ -212,6 +212,9 @@ def _event(reading: Reading) -> Counterexample:
     for pid in range(reading.robots):
         served = Served(program, reading.reader)
         try:
+            if not has_priority(program, event, before._replace(store=begun), pid, served.world):
+                why = "an earlier event of the same priority block goes first"
+                continue
             if not enabled(program, event, seen, pid, served.world):
                 continue
             outcome = execute(program, event.effect, seen, pid, served.world)

@@ -135,17 +135,20 @@ class Stage:
                 self.room.fact(t.implies(guard, self.encoder.defined(formula, scope)))
 
     def know(self, head: Head) -> None:
-        """What is assumed at a loop's head holds before each turn and behind the last one, from there on."""
-        loops, place = self.setting.loops, head.turn
-        with self.room.known_at(place.position), self.room.outermost():
+        """What is assumed at a loop's head holds before each turn and behind the last one, from there on. SOUND: of
+        robots only: an index that names none has an `init` in the formulas, too, of which nothing may be said."""
+        loops, place, own = self.setting.loops, head.turn, head.turn.frame.pid
+        in_event = place.frame.now is not None
+        reached = t.and_(place.reached, self.room.within(own)) if in_event else place.reached
+        with self.room.known_at(place.position), self.room.outermost(), self.room.grant(own if in_event else None):
             for at, formula in loops.stated(head.loop):
                 with self.room.about(f"loop invariant of {at.owner}", formula.span.line):
-                    self.assume(formula, place.frame, place.reached)
+                    self.assume(formula, place.frame, reached)
             for at, property_ in loops.tried(head.loop):
                 label = f"invariant {property_.name} at the loop in line {head.loop.span.line}"
                 with self.room.about(label, property_.span.line):
                     formula, scope = self.at_head(at, property_, place.frame.state())
-                    self.assume(formula, scope, place.reached)
+                    self.assume(formula, scope, reached)
 
     def at_head(self, at: AtHead, property_: decl.Property, state: Written) -> tuple[ir.Expr, OfFleet]:
         """What an invariant says at a loop's head: in an event, of the fleet as if the event ended there; in `init`, of

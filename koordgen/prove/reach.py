@@ -17,16 +17,17 @@ from typing import Any, NamedTuple
 from koordgen.ir import decl
 from koordgen.ir import expr as ir
 from koordgen.ir.types import BOOL, FLOAT, INT, POINT, Type
-from koordgen.node import Node, replace
+from koordgen.node import Node
 from koordgen.prove.model import Conjunct, allowed, failing, made_state, true
 from koordgen.prove.reading import Unshowable
 from koordgen.runtime.values import Point
+from koordgen.semantics.deadline import Deadline, OutOfTime, ends
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exact import NotExact, made_exact
 from koordgen.semantics.exec import NoMeaning
-from koordgen.semantics.relations import choices
+from koordgen.semantics.relations import choice, is_order_of_agents
 from koordgen.semantics.state import State, World
-from koordgen.semantics.step import Step, applied, initial, round_, run_init, sense
+from koordgen.semantics.step import Step, applied, initial, round_, run_init, select, sense
 from koordgen.semantics.values import Value
 from koordgen.source import Span
 
@@ -53,33 +54,51 @@ class Moment(NamedTuple):
 
 
 class Run(NamedTuple):
-    """From an initial state to one in which an invariant is false."""
+    """From an initial state to one in which an invariant is false. `of_agents`: agents can do each round of it."""
 
     moments: tuple[Moment, ...]
     failed: Conjunct
+    of_agents: bool
 
 
 def run_to(
     program: decl.Program, invariant: decl.Property, hints: Iterable[Value], bounds: Bounds, robots: int | None = None
 ) -> Run | None:
     """A shortest run found, of 1 to `bounds.robots` robots, or of `robots`. `program` is exact; `hints` are values that
-    sensors may take."""
-    until = time.process_time() + bounds.seconds
+    sensors may take. Where agents cannot do the first one that is found, one of no more rounds that they can do is
+    looked for, as long again."""
     fleets = [robots] if robots is not None else list(range(1, bounds.robots + 1))
+    known = tuple(hints)
+    found = _searched(program, invariant, known, bounds, fleets, as_agents=False)
+    if found is None or found.of_agents:
+        return found
+    bounds = bounds._replace(rounds=found.moments[-1].round)
+    return _searched(program, invariant, known, bounds, fleets, as_agents=True) or found
+
+
+def _searched(
+    program: decl.Program, invariant: decl.Property, hints: tuple[Value, ...], bounds: Bounds, fleets: Iterable[int],
+    as_agents: bool,
+) -> Run | None:  # fmt: skip
+    until = time.process_time() + bounds.seconds
     try:
-        for n_sys in fleets:
-            found = _Search(program, invariant, tuple(hints), bounds, until).of(n_sys)
-            if found is not None:
-                return found
-    except (NotExact, NoMeaning):
-        return None  # a run that cannot be made exactly shows nothing
+        with ends(Deadline(time.process_time, until)):
+            for n_sys in fleets:
+                found = _Search(program, invariant, hints, bounds, until, as_agents).of(n_sys)
+                if found is not None:
+                    return found
+    except (NotExact, NoMeaning, OutOfTime):
+        return None  # a run that cannot be made exactly, or takes too long, shows nothing
     return None
 
 
 class _Search:
+    """`as_agents`: of each robot only the event is tried that agents choose."""
+
     def __init__(
-        self, program: decl.Program, invariant: decl.Property, hints: tuple[Value, ...], bounds: Bounds, until: float
-    ) -> None:
+        self, program: decl.Program, invariant: decl.Property, hints: tuple[Value, ...], bounds: Bounds, until: float,
+        as_agents: bool,
+    ) -> None:  # fmt: skip
         self.program = program
         self.invariant = invariant
         self.bounds = bounds
@@ -89,7 +108,7 @@ class _Search:
             (f"{m.name}.{p.name}", p.type) for m in program.modules for p in m.ports if p.direction == "sensor"
         ]
         self.pools = Pools(hints, literals(program.properties), bounds.values)
-        self.single = [replace(program, events=(event,)) for event in program.events]
+        self.as_agents = as_agents
 
     def of(self, n_sys: int) -> Run | None:
         layer: list[tuple[Moment, ...]] = []
@@ -108,8 +127,15 @@ class _Search:
         for run in layer:
             failed = failing(self.invariant, self.program, run[-1].state)
             if failed is not None:
-                return Run(run, failed)
+                return Run(run, failed, self.of_agents(run))
         return None
+
+    def of_agents(self, run: tuple[Moment, ...]) -> bool:
+        """Whether agents can do a run. Where a guard cannot be evaluated exactly, nobody knows that they can."""
+        try:
+            return is_order_of_agents(self.program, run, self.world)
+        except (NotExact, NoMeaning):
+            return False
 
     def starts(self, n_sys: int) -> Iterator[State]:
         """Initial states: sensors take all values on one robot, at first, and values apart from the others'."""
@@ -144,8 +170,7 @@ class _Search:
         number = run[-1].round + 1
         for pid in range(len(state.robots)):
             for step in self.events(state, pid):
-                if step.event is not None:
-                    yield (*run, Moment(applied(state, step), step.event, pid, number))
+                yield (*run, Moment(applied(state, step), str(step.event), pid, number))
         if len(state.robots) > 1:
             steps: list[Step] = []
             with suppress(NotExact, NoMeaning):
@@ -158,9 +183,21 @@ class _Search:
 
     def events(self, state: State, pid: int) -> Iterator[Step]:
         """What a robot may do. An event that cannot be run exactly is left out: a run without it is a run, too."""
-        for program in self.single:
+        if state.robots[pid].stopped:
+            return
+        for event in self.tried(state, pid):
             with suppress(NotExact, NoMeaning):
-                yield from choices(program, state, pid, None, self.world)
+                step = choice(self.program, event, state, pid, None, self.world)
+                if step is not None:
+                    yield step
+
+    def tried(self, state: State, pid: int) -> tuple[decl.Event, ...]:
+        if not self.as_agents:
+            return self.program.events
+        with suppress(NotExact, NoMeaning):
+            chosen = select(self.program, state, pid, self.world)
+            return (chosen,) if isinstance(chosen, decl.Event) else ()
+        return ()
 
     def moved(self, state: State) -> Iterator[State]:
         """The environment's step: all robots, each to a value that the assumptions allow."""
@@ -168,11 +205,11 @@ class _Search:
         for pid, robot in enumerate(state.robots):
             pools = [self.pools.nearby(name, type_, robot.ports, state) for name, type_ in self.sensors]
             found = []
-            for choice in islice(product(*pools), 4 * self.bounds.moves):
-                new = {**robot.ports, **dict(choice)}
+            for moves in islice(product(*pools), 4 * self.bounds.moves):
+                new = {**robot.ports, **dict(moves)}
                 try:
                     if allowed(self.program, robot.ports, new, pid, state):
-                        found.append(dict(choice))
+                        found.append(dict(moves))
                 except Unshowable:
                     continue
             each.append(found[: self.bounds.values])

@@ -111,6 +111,17 @@ def _columns(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
 def run_lines(run: Run, found: Counterexample | None) -> Iterator[str]:
     yield from moment_lines(run.moments)
     yield from failed_lines(run.failed, "", found.file if found else "")
+    yield from wrapped(order_told(run.of_agents))
+
+
+def order_told(of_agents: bool) -> str:
+    """Whether agents can do a run, in words."""
+    if of_agents:
+        return "the agents' order can do this run"
+    return (
+        "the agents' order cannot do this run: in each round an agent runs the first event in text order whose guard "
+        "holds at the round's start, commits come first, one for each lock, then plain events by ascending pid"
+    )
 
 
 def moment_lines(moments: Sequence[Moment]) -> Iterator[str]:
@@ -157,6 +168,7 @@ def data(found: Counterexample, run: Run | None) -> dict[str, Any]:
         "names": _texts(found.failed.names) if found.failed else {},
         "cells": rows,
         "run": moments_data(run.moments) if run else None,
+        "order_of_agents": run.of_agents if run else None,
     }
 
 

@@ -68,6 +68,25 @@ Term = Value | Apply | Op
 REALS, NONLINEAR = 1, 2
 _NONLINEAR = frozenset(("*", "/", "div", "mod"))  # unless a factor, or the divisor, is a literal
 
+# Steps that one program's encoding may take, of terms and of expressions: more would take minutes, and no solver
+# decides what comes of it. A number that is computed while terms are made has at most so many bits.
+MOST_STEPS = 1_000_000
+MOST_BITS = 1 << 16
+_steps = 0
+
+
+class TooLarge(Exception):
+    """The formulas of a program exceed a limit; the message says which."""
+
+
+def step() -> None:
+    """Count one step of the encoding. Raises TooLarge."""
+    global _steps
+    _steps += 1
+    if _steps > MOST_STEPS:
+        raise TooLarge(f"its formulas take more than {MOST_STEPS:,} steps to write down")
+
+
 _TERMS: dict[object, Term] = {}  # an operator or symbol with its arguments -> the one term of it
 _LITERALS: dict[object, Value] = {}
 
@@ -75,11 +94,16 @@ TRUE, FALSE = Value(True, BOOL, 0), Value(False, BOOL, 0)
 
 
 def forget() -> None:
-    """Frees the terms that nobody holds; those built before and after are no longer identical where they are equal."""
+    """Starts the count of steps again, and frees the terms that nobody holds; those built before and after are no
+    longer identical where they are equal."""
+    global _steps
     _TERMS.clear()
+    _steps = 0
 
 
 def integer(value: int) -> Term:
+    if value.bit_length() > MOST_BITS:
+        raise TooLarge(f"a number in its formulas has more than {MOST_BITS:,} bits")
     found = _LITERALS.get(("Int", value))
     return found or _LITERALS.setdefault(("Int", value), Value(value, INT, 0))
 
@@ -111,6 +135,7 @@ def constant(name: str, sort: Sort) -> Term:
 
 
 def _op(name: str, sort: Sort, *args: Term) -> Term:
+    step()
     key = (name, sort.name, args)
     found = _TERMS.get(key)
     if found is None:

@@ -54,13 +54,15 @@ def changes(stage: Stage, begun: Begun, now: State) -> None:
 
 def _guard(stage: Stage, begun: Begun, event: decl.Event, robot: Term) -> Term:
     """What of an event's guard held at the round's start, of a robot that runs the event in the round. A transaction
-    sees what others wrote since: there only what is its own counts."""
+    sees what others wrote since: there only what is its own counts. Guards that have priority over it were false."""
     frame = Frame(stage.encoder, robot, begun, begun, _no_port, {}, stage.know)
     parts = []
     with stage.room.aside():
         for part in conjuncts(event.guard):
             if event.lock is None or all(_own(key, part) for key in mentioned(part)):
                 parts.append(stage.encoder.term(part, frame))
+        for earlier in stage.setting.program.earlier(event):
+            parts.append(t.not_(stage.encoder.term(earlier.guard, frame)))
     return t.all_of(parts)
 
 

@@ -15,7 +15,7 @@ from koordgen.replay.values import BadValue, plain, taken
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exec import Writes, declared
 from koordgen.semantics.state import Robot, State, Store, World
-from koordgen.semantics.step import Step, execute, initial, select
+from koordgen.semantics.step import Step, execute, has_priority, initial, select
 from koordgen.semantics.values import Value
 
 OVERRAN = "not finished by the round's publish deadline"  # what only the robot's clock knows
@@ -158,7 +158,8 @@ class Replay:
             return select(self.program, state, self.pid, world)
         if name is None and record.get("fault") is None:
             return None
-        tried = [event for event in self.program.events if name is None or event.name == name]
+        named = [event for event in self.program.events if name is None or event.name == name]
+        tried = (event for event in named if has_priority(self.program, event, state, self.pid, world))
         found = (select(replace(self.program, events=(event,)), state, self.pid, world) for event in tried)
         return next((each for each in found if isinstance(each, Step) is (name is None) and each is not None), None)
 
@@ -179,7 +180,7 @@ class Replay:
                 self._own[name] = value
 
     def _loops(self, line: Line, record: dict[str, Any], done: Writes) -> Iterator[Difference]:
-        """The lines of the loop invariants that were false."""
+        """Compare the lines of the loop invariants that were false."""
         told, meant = record.get("violated", []), [span.line for span in done.violated]
         self.counts.violated += bool(meant)
         if told != meant:

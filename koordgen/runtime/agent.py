@@ -33,7 +33,7 @@ from koordgen.runtime.layout import Layout, TooLarge
 from koordgen.runtime.machine import INTERNAL, OK, SURROUNDINGS, WRONG_PROGRAM, Agent
 from koordgen.runtime.opening import open_key, open_settings, open_transport
 from koordgen.runtime.platform import Platform, Unready
-from koordgen.runtime.program import Program
+from koordgen.runtime.program import Program, wrong_first_value
 from koordgen.runtime.property import Properties
 from koordgen.runtime.runner import EndedAtOnce, Interrupting
 from koordgen.runtime.seal import BadKey
@@ -78,6 +78,9 @@ def main(
         if arguments.status:
             return _status(settings, key, arguments.format)
         Layout(program.shared, len(settings.peers))
+        wrong = wrong_first_value(program)
+        if wrong is not None:
+            return _fail(wrong, "change the first value in the program", WRONG_PROGRAM)
         if program.library is not None:
             program.library.load()  # importing may take longer than a round
         reasons = courier.COMPILED.why(), gate.COMPILED.why()  # and so may compiling

@@ -4,6 +4,10 @@ A list or queue is a tuple (a queue's front first); a set is the tuple of its el
 a map is the tuple of its (key, value) pairs, keys ascending, without repetition. So equal sets are equal tuples. The
 elements of one set, and the keys of one map, are of one type, which is ordered: int, bool, string, tuples of those.
 
+Python's own `==`, `in` and `count` look at parts by identity first, which differs from Koord's equality for NaN alone.
+So generated code looks for NaN first where there may be some (no_nan in values.py), also before it calls index_of and
+removed.
+
 OutOfRange, Missing, ValueError and ArithmeticError discard the event in which they are raised.
 """
 
@@ -17,7 +21,7 @@ from itertools import pairwise
 from operator import itemgetter
 from typing import Any, Protocol, TypeVar, overload
 
-import msgspec
+from koordgen.runtime.turns import MOST_BITS, TOO_LONG, TooMuch, checked, made
 
 
 class Key(Protocol):
@@ -57,28 +61,28 @@ def slice_(xs: tuple[T, ...], a: int | None, b: int | None) -> tuple[T, ...]:
     for bound in (a, b):
         if bound is not None and bound < 0:
             raise OutOfRange(f"{_shown(bound)} bounds no slice: indices never count from the end")
-    return xs[a:b]
+    return made(xs[a:b])
 
 
 def updated(xs: tuple[T, ...], i: int, v: T) -> tuple[T, ...]:
     """xs with v as the i-th element. OutOfRange unless 0 <= i < len."""
     _index(xs, i)
-    return (*xs[:i], v, *xs[i + 1 :])
+    return made((*xs[:i], v, *xs[i + 1 :]))
 
 
 def appended(xs: tuple[T, ...], v: T) -> tuple[T, ...]:
-    return (*xs, v)
+    return made((*xs, v))
 
 
 def extended(xs: tuple[T, ...], ys: tuple[T, ...]) -> tuple[T, ...]:
-    return xs + ys
+    return made(xs + ys)
 
 
 def inserted(xs: tuple[T, ...], i: int, v: T) -> tuple[T, ...]:
     """xs with v before the i-th element, or at the end. OutOfRange unless 0 <= i <= len."""
     if not 0 <= i <= len(xs):
         raise OutOfRange(f"{_shown(i)} is no place to insert at: places are 0 to {len(xs)}")
-    return (*xs[:i], v, *xs[i:])
+    return made((*xs[:i], v, *xs[i:]))
 
 
 def removed(xs: tuple[T, ...], v: T) -> tuple[T, ...]:
@@ -89,13 +93,13 @@ def removed(xs: tuple[T, ...], v: T) -> tuple[T, ...]:
 def without(xs: tuple[T, ...], i: int) -> tuple[T, ...]:
     """xs without its i-th element; a queue's front is the 0-th. OutOfRange unless 0 <= i < len."""
     _index(xs, i)
-    return xs[:i] + xs[i + 1 :]
+    return made(xs[:i] + xs[i + 1 :])
 
 
 def popped(xs: tuple[T, ...]) -> tuple[T, ...]:
     """xs without its last element. Missing when xs is empty."""
     last(xs)
-    return xs[:-1]
+    return made(xs[:-1])
 
 
 def first(xs: tuple[T, ...]) -> T:
@@ -114,7 +118,7 @@ def last(xs: tuple[T, ...]) -> T:
 
 def index_of(xs: tuple[T, ...], v: T) -> int:
     """Where the first element that equals v stands. Missing when there is none."""
-    if within(v, xs):
+    if v in xs:
         return xs.index(v)
     raise Missing(f"{_shown(v)} is not in the list")
 
@@ -135,31 +139,6 @@ def _index(xs: Sequence[Any], i: int) -> int:
     return i
 
 
-# Equality of what holds floats: as IEEE 754 has it, NaN equals nothing, at no depth. Python looks at parts by identity
-# first. So the two differ only where there is a NaN, and it is enough to look for one on either side.
-
-
-def equal(a: object, b: object) -> bool:
-    """a == b, of one type."""
-    return a == b and not _holds_nan(a)
-
-
-def within(v: object, xs: tuple[Any, ...]) -> bool:
-    """Whether an element of a list or queue equals v."""
-    return v in xs and not _holds_nan(v)
-
-
-def count(xs: tuple[Any, ...], v: object) -> int:
-    """How many elements equal v."""
-    return 0 if _holds_nan(v) else xs.count(v)
-
-
-def _holds_nan(value: object) -> bool:
-    if isinstance(value, msgspec.Struct):
-        value = msgspec.structs.astuple(value)
-    return any(map(_holds_nan, value)) if isinstance(value, tuple) else value != value
-
-
 # Sets
 
 
@@ -174,7 +153,7 @@ def is_set(t: tuple[Any, ...]) -> bool:
 
 def set_with(s: tuple[K, ...], v: K) -> tuple[K, ...]:
     i = _place(s, v)
-    return s if i < len(s) and s[i] == v else (*s[:i], v, *s[i:])
+    return made(s if i < len(s) and s[i] == v else (*s[:i], v, *s[i:]))
 
 
 def set_without(s: tuple[K, ...], v: K) -> tuple[K, ...]:
@@ -182,21 +161,21 @@ def set_without(s: tuple[K, ...], v: K) -> tuple[K, ...]:
     i = _place(s, v)
     if i == len(s) or s[i] != v:
         raise Missing(f"{_shown(v)} is not in the set")
-    return s[:i] + s[i + 1 :]
+    return made(s[:i] + s[i + 1 :])
 
 
 def union(s: tuple[K, ...], t: tuple[K, ...]) -> tuple[K, ...]:
-    return set_of(s + t)
+    return made(set_of(s + t))
 
 
 def intersection(s: tuple[K, ...], t: tuple[K, ...]) -> tuple[K, ...]:
     there = set(t)
-    return tuple(v for v in s if v in there)
+    return made(tuple(v for v in s if v in there))
 
 
 def difference(s: tuple[K, ...], t: tuple[K, ...]) -> tuple[K, ...]:
     there = set(t)
-    return tuple(v for v in s if v not in there)
+    return made(tuple(v for v in s if v not in there))
 
 
 def _place(s: tuple[K, ...], v: K) -> int:
@@ -223,13 +202,13 @@ def map_at(m: tuple[tuple[K, V], ...], k: K) -> V:
 
 def map_with(m: tuple[tuple[K, V], ...], k: K, v: V) -> tuple[tuple[K, V], ...]:
     i = _slot(m, k)
-    return (*m[:i], (k, v), *m[i + has_key(m, k) :])
+    return made((*m[:i], (k, v), *m[i + has_key(m, k) :]))
 
 
 def map_without(m: tuple[tuple[K, V], ...], k: K) -> tuple[tuple[K, V], ...]:
     """m without key k. Missing when it is not in m."""
     i = _found(m, k)
-    return m[:i] + m[i + 1 :]
+    return made(m[:i] + m[i + 1 :])
 
 
 def map_get(m: tuple[tuple[K, V], ...], k: K, default: V) -> V:
@@ -242,11 +221,11 @@ def has_key(m: tuple[tuple[K, V], ...], k: K) -> bool:
 
 
 def keys(m: tuple[tuple[K, V], ...]) -> tuple[K, ...]:
-    return tuple(k for k, _ in m)
+    return made(tuple(k for k, _ in m))
 
 
 def values(m: tuple[tuple[K, V], ...]) -> tuple[V, ...]:
-    return tuple(v for _, v in m)
+    return made(tuple(v for _, v in m))
 
 
 def _slot(m: tuple[tuple[K, V], ...], k: K) -> int:
@@ -276,7 +255,9 @@ def power(a: float, b: float) -> float:
         raise ValueError("an int has no int power with a negative exponent: write the base as a float")
     if b > MAX_EXPONENT and abs(a) > 1:
         raise ValueError(f"the exponent of an int is at most {MAX_EXPONENT}: write the base as a float")
-    return int(a**b)
+    if abs(a) > 1 and (abs(a).bit_length() - 1) * b >= MOST_BITS:  # so long that it is not even made
+        raise TooMuch(TOO_LONG)
+    return checked(int(a**b))
 
 
 def _shown(value: object) -> str:

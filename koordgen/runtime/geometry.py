@@ -19,7 +19,7 @@ from collections.abc import Iterable
 from itertools import pairwise
 from typing import NamedTuple
 
-from koordgen.runtime.values import Point
+from koordgen.runtime.values import Point, no_nan
 
 LIMIT = 1e75  # metres; beyond it fourth powers of lengths overflow
 
@@ -55,7 +55,8 @@ def path_distance(a: tuple[Point, ...], b: tuple[Point, ...]) -> float:
 
 def clear(path: tuple[Point, ...], paths: Iterable[tuple[Point, ...]], eps: float) -> bool:
     """Whether a path stays more than eps metres away from each of the others; a path without points is clear of all.
-    ValueError for a coordinate that is not a number or is beyond LIMIT."""
+    ValueError for a coordinate that is not a number or is beyond LIMIT, NotANumber for such an eps."""
+    no_nan(eps)
     return all(path_distance(path, other) > eps for other in paths)
 
 

@@ -180,7 +180,8 @@ class Monitors:
             self.ran(record.effects, record.event, record.round, record.time)
 
     def ran(self, effects: Effects, event: str | None, round_: int, time: float) -> None:
-        """An event (None: `init`) that counts: its loop invariants that were false; or that none was any more."""
+        """Take note of the loop invariants that were false in an event that counts (None: `init`), and of those that
+        were false in it before and are not any more."""
         where = f"the event {event}" if event is not None else "init"
         for line in effects.violated:
             action = self._action(LOOPS)

@@ -18,7 +18,8 @@ import msgspec
 from koordgen.runtime.bounds import Bound
 from koordgen.runtime.containers import Missing, OutOfRange
 from koordgen.runtime.extern import BadExtern, Contract, Library
-from koordgen.runtime.values import transmissible
+from koordgen.runtime.turns import TooMuch, begin, made
+from koordgen.runtime.values import NotANumber, transmissible
 
 T = TypeVar("T")
 LONGEST_REASON = 300  # characters
@@ -183,7 +184,7 @@ class Transaction:
 
     def emit(self, port: str, *parts: str) -> None:
         """One line to a stream."""
-        self._streams.append((port, "".join(parts)))
+        self._streams.append((port, made("".join(parts))))
 
     def news(self) -> dict[str, Any]:
         """What was written, by name; of an allread variable, the robot's own slot."""
@@ -271,11 +272,17 @@ def choose(program: Program, state: Transaction) -> Event | Fault | None:
     so that all of them and the effect share one Transaction."""
     for event in program.events:
         try:
-            if event.guard(state):
+            if enabled(event, state):
                 return event
         except Exception as error:
             return _fault(program, error)
     return None
+
+
+def enabled(event: Event, state: Transaction) -> bool:
+    """Return whether an event's guard holds. It has turns of its own."""
+    begin()
+    return event.guard(state)
 
 
 def run(program: Program, effect: Callable[[Any], None], state: Transaction, line: int = 0) -> Effects | Fault:
@@ -283,6 +290,7 @@ def run(program: Program, effect: Callable[[Any], None], state: Transaction, lin
     the robot, discards it whole."""
     stopped = False
     _violated.clear()
+    begin()
     try:
         effect(state)
     except Stopped:
@@ -301,16 +309,30 @@ def _refused(
     for name, bound in program.bounds.items():
         if name not in found:
             continue
-        value = found[name]
-        flaw = bound.flaw(value)  # also of locals: an int squared every round would soon hang the robot
-        if not flaw and name not in effects.locals and not transmissible(value):
-            flaw = f"{reprlib.repr(value)}, which no robot may use"
+        flaw = _flaw(bound, found[name])
         if flaw:
             at = program.lines.get(state.written[name].line, line)
             return Fault(program.source, at, f"{name} would become {flaw}")
     for port, text in effects.streams:
         if not transmissible(text):
             return Fault(program.source, line, f"{port} would get a text that is not Unicode")
+    return None
+
+
+def _flaw(bound: Bound, value: Any) -> str:
+    """What is wrong with a value that would be kept or sent; empty when nothing is. Locals are judged as all else is:
+    NaN never outlives its event, and an int that is squared every round would soon hang the robot."""
+    flaw = bound.flaw(value)
+    return flaw or ("" if transmissible(value) else f"{reprlib.repr(value)}, which no robot may use")
+
+
+def wrong_first_value(program: Program) -> str | None:
+    """Return why a variable must not begin with its first value, in words; None when all are right. The compiler
+    refuses numbers that are too large where it sees them; it does not run builtins."""
+    for variable in (*program.locals, *program.shared):
+        flaw = _flaw(variable.bound, variable.initial())
+        if flaw:
+            return f"{variable.name} would begin as {flaw}"
     return None
 
 
@@ -321,7 +343,7 @@ def _fault(program: Program, error: Exception) -> Fault:
         if Path(trace.tb_frame.f_code.co_filename) == Path(program.file):
             line = program.lines.get(trace.tb_lineno, line)
         trace = trace.tb_next
-    told = isinstance(error, (OutOfRange, Missing, BadExtern))
+    told = isinstance(error, (OutOfRange, Missing, NotANumber, BadExtern, TooMuch))
     reason = str(error) if told else f"{type(error).__name__}: {error}"
     reason = reason if len(reason) <= LONGEST_REASON else f"{reason[:LONGEST_REASON]} ..."
     return Fault(program.source, line, reason, error.contract if isinstance(error, BadExtern) else None)

@@ -10,9 +10,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Generic, Literal, NamedTuple, TypeVar
 
-from koordgen.runtime.containers import OutOfRange, equal
+from koordgen.runtime.containers import OutOfRange
 from koordgen.runtime.program import Program
 from koordgen.runtime.trace import Calls
+from koordgen.runtime.turns import begin
 
 T = TypeVar("T")
 Outcome = Literal["held", "violated", "no value", "unknown"]
@@ -137,7 +138,7 @@ class Known:
     def answer(self, port: str, args: tuple[Any, ...]) -> Any:
         """What a callable port has answered. Raises Unknown where it was not asked."""
         for name, given, answer in self.asked:
-            if name == port and equal(given, args):
+            if name == port and given == args:
                 return answer
         raise Unknown(f"{port}: nobody asked it that")
 
@@ -235,7 +236,7 @@ def _asked_for(patterns: tuple[Asking, ...], asked: Calls, known: dict[str, Any]
     for port, args, _ in asked:
         if port == first.port and len(args) == first.arguments:
             given = {name: args[place] for place, name in first.goals.items()}
-            if all(name not in known or equal(known[name], value) for name, value in given.items()):
+            if all(name not in known or known[name] == value for name, value in given.items()):
                 yield from _asked_for(tuple(rest), asked, {**known, **given})
 
 
@@ -266,6 +267,7 @@ class Properties:
 
 def judged(holds: Callable[[Known], bool], known: Known) -> tuple[Outcome, str]:
     """What a formula comes to, and why it has no value or which one is not known."""
+    begin()
     try:
         return ("held" if holds(known) else "violated"), ""
     except Unknown as unknown:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from koordgen.runtime.values import Point, distance
+from koordgen.runtime.values import Point, distance, no_nan
 
 
 class Rect(NamedTuple):
@@ -23,10 +23,10 @@ class Rect(NamedTuple):
 
 
 class Ball(NamedTuple):
-    """The points at most `radius` away from `center`."""
+    """The points at most `radius` away from `center`. NotANumber where the distance is none, of points at infinity."""
 
     center: Point
     radius: float
 
     def __contains__(self, p: object) -> bool:
-        return isinstance(p, Point) and distance(p, self.center) <= self.radius
+        return isinstance(p, Point) and no_nan(distance(p, self.center)) <= self.radius

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from koordgen.runtime.containers import OutOfRange
+from koordgen.runtime.turns import made
 from koordgen.runtime.values import Point
 
 
@@ -11,7 +12,7 @@ def part(text: str, a: int | None, b: int | None) -> str:
     clipped; OutOfRange for a negative one."""
     if (a is not None and a < 0) or (b is not None and b < 0):
         raise OutOfRange("a negative index bounds no part of a text: indices never count from the end")
-    return text[a:b]
+    return made(text[a:b])
 
 
 def shown(p: Point) -> str:

@@ -6,9 +6,11 @@ Every value is immutable: numbers, strings, tuples and the frozen Structs of her
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
+
+T = TypeVar("T")
 
 
 class Point(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
@@ -67,6 +69,34 @@ class Opaque(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields
     data: bytes = b""
 
 
+class NotANumber(ArithmeticError):
+    """A comparison met NaN: one of its operands is NaN, or has NaN in it. Discards the event."""
+
+    def __init__(self) -> None:
+        super().__init__("a comparison met NaN")
+
+
+def no_nan(x: float) -> float:
+    """Return a number that is about to be compared. Raises NotANumber."""
+    if x == x:
+        return x
+    raise NotANumber
+
+
+def no_nan_in(value: T) -> T:
+    """Return a value that is about to be compared as a whole. Raises NotANumber for NaN in it, at any depth."""
+    if has_nan(value):
+        raise NotANumber
+    return value
+
+
+def has_nan(value: object) -> bool:
+    """Return whether a value is NaN, or has NaN in it at any depth."""
+    if isinstance(value, msgspec.Struct):
+        value = msgspec.structs.astuple(value)
+    return any(map(has_nan, value)) if isinstance(value, tuple) else value != value
+
+
 def distance(p: Point, q: Point) -> float:
     """The Euclidean distance of two points, in metres."""
     return math.hypot(p.x - q.x, p.y - q.y, p.z - q.z)
@@ -76,11 +106,11 @@ INT_MIN, INT_MAX = -(2**63), 2**63 - 1
 
 
 def transmissible(value: object) -> bool:
-    """Whether a value may go to a port or to another robot: at no depth NaN, infinity, an int beyond 64 bits, text
-    that is not Unicode, or anything that is no Koord value. A list of its own instead of recursion: no nesting can
-    exhaust the stack (what a typed decoder yields is as deep as its static type, and no deeper)."""
-    if type(value) is str:
-        return value.isascii() or _encodable(value)
+    """Whether a value may be kept, or go to a port or to another robot: at no depth NaN, infinity, an int beyond 64
+    bits, text that is not Unicode, or anything that is no Koord value. A list of its own instead of recursion: no
+    nesting can exhaust the stack (what a typed decoder yields is as deep as its static type, and no deeper)."""
+    if type(value) in _PARTLESS:
+        return _plain(value)
     pending: list[Any] = [value]
     for item in pending:  # grows meanwhile
         kind = type(item)
@@ -98,6 +128,9 @@ def transmissible(value: object) -> bool:
         elif not _plain(item):
             return False
     return True
+
+
+_PARTLESS = frozenset((bool, int, float, str))
 
 
 def _plain(value: object) -> bool:

@@ -11,9 +11,10 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from koordgen.runtime import geometry, gridmap
-from koordgen.runtime.values import Grid, Point, Pose, distance
+from koordgen.runtime.values import Grid, NotANumber, Point, Pose, distance
 from koordgen.semantics import exact
-from koordgen.semantics.values import Ball, Rect, Value, items, same
+from koordgen.semantics.numbers import within_bits
+from koordgen.semantics.values import Ball, Rect, Value, has_nan, items, same
 
 List = tuple[Any, ...]
 
@@ -35,14 +36,23 @@ def part(xs: Any, start: int | None, stop: int | None) -> Any:
     return "".join(found) if isinstance(xs, str) else tuple(found)
 
 
+def comparable(*values: Any) -> None:
+    """Raise NotANumber where a value that is about to be compared has NaN in it."""
+    if any(map(has_nan, values)):
+        raise NotANumber
+
+
 def contains(xs: Any, item: Any) -> bool:
-    """`item in xs` of a list, queue, set or string; whether a Point is in a region."""
+    """`item in xs` of a list, queue, set, a map's keys or string; whether a Point is in a region. Raises NotANumber."""
+    comparable(xs, item)
     if isinstance(xs, Rect):
         pairs = ((item.x, xs.a.x, xs.b.x), (item.y, xs.a.y, xs.b.y), (item.z, xs.a.z, xs.b.z))
         return all(low <= c <= high or high <= c <= low for c, low, high in pairs)
     if isinstance(xs, Ball):
         measured = exact.distance if exact.is_exact(item, xs.center) else distance
-        return bool(measured(item, xs.center) <= xs.radius)
+        apart = measured(item, xs.center)
+        comparable(apart)  # of two points at infinity
+        return bool(apart <= xs.radius)
     if isinstance(xs, str):
         return item in xs
     return any(same(x, item) for x in xs)
@@ -50,10 +60,8 @@ def contains(xs: Any, item: Any) -> bool:
 
 def set_of(values: List) -> List:
     """The set of these values: ascending, each once."""
-    found: List = ()
-    for value in values:
-        found = _set_with(found, value)
-    return found
+    ordered = sorted(values)
+    return tuple([value for i, value in enumerate(ordered) if i == 0 or ordered[i - 1] < value])
 
 
 def map_of(pairs: List) -> List:
@@ -70,6 +78,7 @@ def shown(value: int) -> str:
 
 
 def _where(xs: List, item: Any) -> int:
+    comparable(xs, item)
     for i, x in enumerate(xs):
         if same(x, item):
             return i
@@ -98,6 +107,10 @@ def _without(xs: List, i: int) -> List:
     return tuple([x for j, x in enumerate(xs) if j != i])
 
 
+def _common(s: List, t: frozenset[Any], wanted: bool) -> List:
+    return tuple([x for x in s if (x in t) == wanted])
+
+
 def _set_with(s: List, value: Any) -> List:
     below, above = [x for x in s if x < value], [x for x in s if value < x]
     return (*below, value, *above)
@@ -115,12 +128,32 @@ def _map_at(m: List, key: Any) -> Any:
     raise ValueError("the map has no such key")
 
 
+def _count(xs: List, item: Any) -> int:
+    comparable(xs, item)
+    return len([x for x in xs if same(x, item)])
+
+
+def _ascending(xs: List) -> List:
+    comparable(xs)
+    return tuple(sorted(xs))
+
+
+def _least(a: Any, b: Any) -> Any:
+    comparable(a, b)
+    return b if b < a else a
+
+
+def _greatest(a: Any, b: Any) -> Any:
+    comparable(a, b)
+    return b if b > a else a
+
+
 def _sum(xs: List, zero: Any) -> Any:
     """From left to right, rounded at each step."""
     total = zero
     for x in xs:
         total = total + x
-    return total
+    return within_bits(total)
 
 
 def _text(value: Any) -> str:
@@ -156,8 +189,8 @@ _PLAIN: Mapping[str, Callable[..., Any]] = {
     "mark_free": gridmap.mark_free,
     "mark_occupied": gridmap.mark_occupied,
     "abs": abs,
-    "min": lambda a, b: b if b < a else a,
-    "max": lambda a, b: b if b > a else a,
+    "min": _least,
+    "max": _greatest,
     **{name: getattr(math, name) for name in ("sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "exp", "log")},
     "atan2": math.atan2,
     "floor": math.floor,
@@ -169,10 +202,10 @@ _CONTAINERS: Mapping[str, Callable[..., Any]] = {
     "len": len,
     "first": lambda xs: element(xs, 0),
     "last": lambda xs: element(xs, len(xs) - 1),
-    "sorted": lambda xs: tuple(sorted(xs)),
+    "sorted": _ascending,
     "reversed": lambda xs: tuple([xs[len(xs) - 1 - i] for i in range(len(xs))]),
     "index": _where,
-    "count": lambda xs, value: len([x for x in xs if same(x, value)]),
+    "count": _count,
     "updated": _updated,
     "appended": lambda xs, value: (*xs, value),
     "extended": lambda xs, ys: (*xs, *ys),
@@ -182,8 +215,8 @@ _CONTAINERS: Mapping[str, Callable[..., Any]] = {
     "popped": lambda xs: _without(xs, len(xs) - 1),
     "cleared": lambda xs: (),
     "union": lambda s, t: set_of((*s, *t)),
-    "intersection": lambda s, t: tuple([x for x in s if contains(t, x)]),
-    "difference": lambda s, t: tuple([x for x in s if not contains(t, x)]),
+    "intersection": lambda s, t: _common(s, frozenset(t), True),
+    "difference": lambda s, t: _common(s, frozenset(t), False),
     "set_with": _set_with,
     "set_without": lambda s, value: _without(s, _where(s, value)),
     "keys": lambda m: tuple([key for key, _ in m]),
@@ -195,3 +228,8 @@ _CONTAINERS: Mapping[str, Callable[..., Any]] = {
     "map_without": lambda m, key: _without(m, _where([own for own, _ in m], key)),  # type: ignore[arg-type]
 }
 MEANINGS = {**_PLAIN, **_CONTAINERS}
+# These make a new list, set, map or queue, which costs turns.
+MAKING = frozenset(
+    ("sorted", "reversed", "updated", "appended", "extended", "inserted", "removed", "without", "popped", "union",
+     "intersection", "difference", "set_with", "set_without", "keys", "values", "map_with", "map_without")
+)  # fmt: skip

@@ -2,15 +2,17 @@
 
 Numbers are Python's: ints without bound inside an event, floats of 64 bits, `/` a true quotient (of two ints as well),
 `//` and `%` floored with the divisor's sign. What has no value (a division by zero, an index out of range, a key that
-is not there, an int too large for a float) discards the event; NaN and infinity may arise and only must not leave the
-robot. Where the checker has proved that a node cannot fail and it does, that is a mistake of the compiler.
+is not there, an int too large for a float) discards the event. NaN and infinity may arise, but a comparison that meets
+NaN discards the event, and so does either where it would be kept or sent. Where the checker has proved that a node
+cannot fail and it does, that is a mistake of the compiler.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Sized as HasLength
 from itertools import count
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from koordgen.diagnostics import InternalError
 from koordgen.ir import expr as ir
@@ -23,8 +25,10 @@ from koordgen.semantics import builtins
 from koordgen.semantics.exact import is_exact
 from koordgen.semantics.numbers import arithmetic, as_real, compared
 from koordgen.semantics.state import Robot
-from koordgen.semantics.values import RecordValue, Value, as_, conforms, default, items
+from koordgen.semantics.values import RecordValue, Value, as_, conforms, default, items, number_flaw
 from koordgen.source import Span
+
+T = TypeVar("T", bound=HasLength)
 
 
 class Discarded(Exception):
@@ -37,12 +41,15 @@ class Discarded(Exception):
 
 
 Call = Callable[[str, tuple[Value, ...]], Value]
+Spend = Callable[[int, Span], None]
+MAX_ELEMENTS = 100_000  # of what an event makes: elements of a list, set, map or queue, characters of a text
+ELEMENTS_A_TURN = 100  # that many of them cost a turn
 
 
 class View(NamedTuple):
     """What one robot sees: `slots` by allread name and pid, `cells` by allwrite name, `ports` by "Module.port". `call`
     applies functions, `ask` callable ports. `after` are a robot's primed ports in an assumption; `robots` is the whole
-    fleet in a property."""
+    fleet in a property. `spend` takes turns of the event's budget."""
 
     pid: int
     n_sys: int
@@ -56,11 +63,22 @@ class View(NamedTuple):
     ask: Call
     after: Mapping[str, Value]
     robots: Sequence[Robot]
+    spend: Spend
 
 
-def view_of(n_sys: int, params: Mapping[str, Value], call: Call, ask: Call) -> View:
+def view_of(n_sys: int, params: Mapping[str, Value], call: Call, ask: Call, spend: Spend) -> View:
     """What stands open everywhere: params, the fleet's size, functions."""
-    return View(-1, n_sys, params, {}, {}, {}, {}, {}, call, ask, {}, ())
+    return View(-1, n_sys, params, {}, {}, {}, {}, {}, call, ask, {}, (), spend)
+
+
+def made(value: T, view: View, span: Span) -> T:
+    """Return a new list, set, map, queue or text, for the turns that it costs. Raises Discarded."""
+    size = len(value)
+    if size > MAX_ELEMENTS:
+        raise Discarded(f"{size} elements or characters, where an event makes at most {MAX_ELEMENTS}", span)
+    if size >= ELEMENTS_A_TURN:
+        view.spend(size // ELEMENTS_A_TURN, span)
+    return value
 
 
 def evaluate(node: ir.Expr, view: View) -> Value:
@@ -82,7 +100,7 @@ def elements(node: ir.Expr, view: View) -> Iterator[Value]:
 
 
 def counting(node: ir.Expr, view: View) -> Iterator[int] | None:
-    """What a loop over a range or `ID` counts, without an end; None of a loop over elements."""
+    """Return the numbers that a loop over a range or `ID` counts, without an end; None for a loop over elements."""
     match node:
         case ir.Range(start, _, step):
             return count(_number(start, view), step)
@@ -119,7 +137,8 @@ def _unary(node: ir.Unary, view: View) -> Value:
 def _binary(node: ir.Binary, view: View) -> Value:
     first, second = evaluate(node.left, view), evaluate(node.right, view)
     try:
-        return arithmetic(node.op, first, second)
+        value = arithmetic(node.op, first, second)
+        return made(value, view, node.span) if isinstance(value, (str, tuple)) else value
     except (ArithmeticError, ValueError) as error:
         checked = node.op != "**" and isinstance(error, ZeroDivisionError)
         reason = "division by zero" if checked and is_exact(first, second) else str(error)
@@ -129,7 +148,13 @@ def _binary(node: ir.Binary, view: View) -> Value:
 def _contains(node: ir.Contains, view: View) -> Value:
     member, held = evaluate(node.item, view), evaluate(node.values, view)
     of_map = isinstance(node.values.type, MapOf)
-    return builtins.contains([pair[0] for pair in items(held)] if of_map else held, member)
+    among = tuple([pair[0] for pair in items(held)]) if of_map else held
+    return _guarded(node, lambda: builtins.contains(among, member))
+
+
+def _compare(node: ir.Compare, view: View) -> Value:
+    left, right = evaluate(node.left, view), evaluate(node.right, view)
+    return _guarded(node, lambda: compared(node.op, left, right))
 
 
 def _logic(node: ir.Logic, view: View) -> Value:
@@ -143,6 +168,8 @@ def _quantified(node: ir.Quantified, view: View) -> Value:
 
     def truths() -> Iterator[bool]:
         for value in elements(node.domain, view):
+            if not isinstance(node.domain, ir.Ids):
+                view.spend(1, node.span)
             temps[node.name] = value
             yield holds(node.body, within)
 
@@ -168,7 +195,8 @@ def _at(node: ir.At, view: View) -> Value:
 def _slice(node: ir.Slice, view: View) -> Value:
     xs = evaluate(node.operand, view)
     low, high = (None if bound is None else _number(bound, view) for bound in (node.start, node.stop))
-    return _guarded(node, lambda: builtins.part(xs, low, high), node.proved)
+    part = _guarded(node, lambda: builtins.part(xs, low, high), node.proved)
+    return made(part, view, node.span)  # type: ignore[type-var]
 
 
 def _with(node: ir.With, view: View) -> Value:
@@ -182,7 +210,8 @@ def _with(node: ir.With, view: View) -> Value:
 def _builtin(node: ir.Builtin, view: View) -> Value:
     values = [evaluate(arg, view) for arg in node.args]
     zero = 0.0 if node.type == FLOAT else 0
-    return _guarded(node, lambda: builtins.applied(node.name, values, zero))
+    value = _guarded(node, lambda: builtins.applied(node.name, values, zero))
+    return made(value, view, node.span) if node.name in builtins.MAKING else value  # type: ignore[type-var]
 
 
 def _call(node: ir.Call | ir.ExternCall, view: View) -> Value:
@@ -196,7 +225,7 @@ def _asked(node: ir.PortCall, view: View) -> Value:
         answer = view.ask(port, args)
     except Exception as error:
         raise Discarded(f"{port} failed: {error}", node.span) from None
-    if not conforms(answer, node.type):
+    if not conforms(answer, node.type) or number_flaw(answer):
         raise Discarded(f"{port} answered {answer!r}, which is no {node.type}", node.span)
     return answer
 
@@ -278,7 +307,7 @@ MEANINGS: Mapping[type[Node], Callable[[Any, View], Value]] = {
     ir.Widen: lambda node, view: _guarded(node, lambda: float(_number(node.operand, view))),
     ir.Unary: _unary,
     ir.Binary: _binary,
-    ir.Compare: lambda node, view: compared(node.op, evaluate(node.left, view), evaluate(node.right, view)),
+    ir.Compare: _compare,
     ir.Contains: _contains,
     ir.Logic: _logic,
     ir.Conditional: lambda node, view: evaluate(node.then if holds(node.condition, view) else node.orelse, view),

@@ -9,15 +9,19 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
-from functools import total_ordering
+from functools import reduce, total_ordering
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 from koordgen.ir import decl, expr
 from koordgen.ir.types import BOOL, FLOAT, INT, Type
 from koordgen.node import Node
 from koordgen.runtime.values import Grid, Point, Pose
 from koordgen.source import Span
+
+MAX_BITS = 1 << 16  # of a numerator or denominator
+_TOO_LONG = f"a number of more than {MAX_BITS} bits"
+N = TypeVar("N")
 
 
 class NotExact(Exception):
@@ -75,8 +79,21 @@ def distance(p: Point, q: Point) -> Exact:
 def power(base: Any, exponent: Any) -> Fraction:
     """A power whose exponent is whole. Raises NotExact, ZeroDivisionError."""
     if isinstance(base, Root) or isinstance(exponent, Root) or Fraction(exponent).denominator != 1:
-        raise NotExact(f"{base} to the power of {exponent}")
-    return Fraction(base) ** int(exponent)
+        raise NotExact("a power that is no rational number")
+    if abs(exponent) * (_bits(Fraction(base)) - 1) > MAX_BITS:
+        raise NotExact(_TOO_LONG)
+    return within_exact(Fraction(base) ** int(exponent))
+
+
+def within_exact(number: N) -> N:
+    """Return an exact number. Raises NotExact where it has more bits than anything is computed with."""
+    if isinstance(number, Fraction) and _bits(number) > MAX_BITS:
+        raise NotExact(_TOO_LONG)
+    return number
+
+
+def _bits(number: Fraction) -> int:
+    return max(number.numerator.bit_length(), number.denominator.bit_length())
 
 
 def path_distance(a: tuple[Point, ...], b: tuple[Point, ...]) -> Exact | float:
@@ -147,7 +164,7 @@ def applied(name: str, args: list[Any]) -> Any:
         case "clear", [path, paths, eps]:
             return all(path_distance(path, other) > eps for other in paths)
         case "sum", [xs]:
-            return sum(xs, type(xs[0])())
+            return reduce(lambda total, x: within_exact(total + x), xs, type(xs[0])())
         case _:
             raise NotExact(f"{name} of exact numbers")
 

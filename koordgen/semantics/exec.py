@@ -10,12 +10,13 @@ from koordgen.diagnostics import InternalError
 from koordgen.ir import decl, stmt
 from koordgen.ir import expr as ir
 from koordgen.ir.types import Type
-from koordgen.semantics.eval import Call, Discarded, View, counting, elements, evaluate, holds, view_of
+from koordgen.semantics.deadline import present
+from koordgen.semantics.eval import Call, Discarded, View, counting, elements, evaluate, holds, made, view_of
 from koordgen.semantics.state import World
 from koordgen.semantics.values import Value, as_, conforms, encodable, flaw, items
 from koordgen.source import Span
 
-MAX_TURNS = 1_000_000  # of all loops of one event; a robot's round is over before
+MAX_TURNS = 1_000_000  # of one event; a robot's round is over before
 UNFINISHED = "it is not finished by the end of the round"
 
 
@@ -34,17 +35,22 @@ class Writes(NamedTuple):
 
 
 class Budget:
-    """One event, its functions included: the turns of loops that are `left` to it, of `turns` or MAX_TURNS; the loop
-    invariants that were false or had no value, by where they stand."""
+    """One event, its functions included: the turns that are `left` to it of `turns` or MAX_TURNS (a turn of a loop and
+    a call of a function cost one), and the loop invariants that were false or had no value, by where they stand. Where
+    there is a deadline, the event is given up when it has passed (OutOfTime)."""
 
     def __init__(self, turns: int | None = None) -> None:
         self.left = MAX_TURNS if turns is None else turns
         self.violated: dict[Span, None] = {}
+        self.deadline = present()
 
-    def turn(self, span: Span) -> None:
-        self.left -= 1
+    def spend(self, turns: int, span: Span) -> None:
+        """Take so many turns. Raises Discarded, OutOfTime."""
+        self.left -= turns
         if self.left < 0:
             raise Discarded(UNFINISHED, span)
+        if self.deadline is not None:
+            self.deadline.look()
 
 
 def library(
@@ -58,13 +64,14 @@ def library(
     def call(name: str, args: tuple[Value, ...]) -> Value:
         if name in functions:
             function = functions[name]
+            budget.spend(1, function.span)
             temps = {p.name: arg for p, arg in zip(function.parameters, args, strict=True)}
             return Run(program, view._replace(temps=temps), budget).result(function)
         if name in externs:
             return _extern(externs[name], args, view, world)
         return _spec(name, args, world)
 
-    view = view_of(n_sys, params, call, ask)
+    view = view_of(n_sys, params, call, ask, budget.spend)
     return view
 
 
@@ -144,7 +151,7 @@ class Run:
             case stmt.For() | stmt.While():
                 return self.loop(statement)
             case stmt.Emit(module, port, parts, span):
-                line = "".join([as_(str, evaluate(part, self.view)) for part in parts])
+                line = made("".join([as_(str, evaluate(part, self.view)) for part in parts]), self.view, span)
                 self.streams.append((f"{module}.{port}", line))
                 self.written["stream", f"{module}.{port}"] = span
             case stmt.Return(value):
@@ -175,7 +182,7 @@ class Run:
                 return None
             if isinstance(loop, stmt.For):
                 self.take(loop.names, value)
-            self.budget.turn(loop.span)
+            self.budget.spend(1, loop.span)
             left = self.block(loop.block)
             if left == "break":
                 return None
@@ -226,17 +233,20 @@ class Run:
                 assert_never(place)
 
     def writes(self, stopped: bool) -> Writes | Discarded:
-        """What counts at the event's end; a last value that its variable may not keep discards all of it."""
+        """What counts at the event's end; a last value that its variable may not keep discards all of it. Of several
+        such, the one whose variable is declared first is told, as robots do: locals, shared variables, actuators."""
         types = declared(self.program)
+        order = {name: place for place, name in enumerate(types)}
+        written = sorted(self.written.items(), key=lambda item: (item[0][0] == "stream", order[item[0][1]]))
         values: dict[str, dict[str, Value]] = {"slot": {}, "cell": {}, "port": {}, "local": {}}
         where: dict[str, Mapping[str, Value]] = {"cell": self.cells, "port": self.ports, "local": self.locals}
-        for (kind, name), span in self.written.items():
+        for (kind, name), span in written:
             if kind == "stream":
                 if not all(encodable(line) for _, line in self.streams):
                     return Discarded(f"{name} would get a text that is not Unicode", span)
                 continue
             value = self.slots[name][self.view.pid] if kind == "slot" else where[kind][name]
-            wrong = flaw(value, types[name], leaving=kind != "local")
+            wrong = flaw(value, types[name])
             if wrong:
                 return Discarded(f"{name} would become {wrong}, which no robot may use", span)
             values[kind][name] = value

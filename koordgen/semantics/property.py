@@ -60,5 +60,5 @@ def _goals(
         if made.port == f"{call.module}.{call.port}" and len(made.args) == len(call.args):
             given = {goal.name: made.args[place] for place, goal in goals.items()}
             typed = all(conforms(given[goal.name], goal.type) for goal in goals.values())
-            if typed and all(same(known.get(name, value), value) for name, value in given.items()):
+            if typed and all(name not in known or same(known[name], value) for name, value in given.items()):
                 yield from _goals(rest, asked, {**known, **given})

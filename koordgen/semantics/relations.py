@@ -9,31 +9,38 @@ from koordgen.ir import decl
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exec import Writes
 from koordgen.semantics.state import NOTHING, State, Store, World
-from koordgen.semantics.step import Step, applied, enabled, execute
+from koordgen.semantics.step import Step, applied, enabled, execute, has_priority, select
 
 Environment = Callable[[State], Iterable[State]]
+Happened = tuple[State, str, int | None, int]  # a state, the event that led to it, its robot (None: all), the round
 
 
 def choices(
     program: decl.Program, state: State, pid: int, begun: Store | None = None, world: World = NOTHING
 ) -> list[Step]:
-    """What one robot may do within a round: skip, or run any event whose guard holds and that is not discarded.
-    `begun` is the store at the round's start (the state's own unless given), on which plain events run; atomic ones run
-    on the state's."""
+    """What one robot may do within a round: skip, or run any event whose guard holds, that has priority and that is
+    not discarded. `begun` is the store at the round's start (the state's own unless given), on which plain events run
+    and guards of earlier events of a `priority:` block are evaluated; atomic events run on the state's."""
     found = [Step(pid, None, None)]
-    if state.robots[pid].stopped:
-        return found
-    copy = state if begun is None else state._replace(store=begun)
-    for event in program.events:
-        seen = copy if event.lock is None else state
-        try:
-            ready = enabled(program, event, seen, pid, world)
-        except Discarded:
-            continue
-        outcome = execute(program, event.effect, seen, pid, world) if ready else None
-        if isinstance(outcome, Writes):
-            found.append(Step(pid, event.name, outcome))
+    if not state.robots[pid].stopped:
+        steps = (choice(program, event, state, pid, begun, world) for event in program.events)
+        found += [step for step in steps if step is not None]
     return found
+
+
+def choice(
+    program: decl.Program, event: decl.Event, state: State, pid: int, begun: Store | None = None,
+    world: World = NOTHING,
+) -> Step | None:  # fmt: skip
+    """The step of one event among the `choices` of a robot that has not stopped; None where it is none of them."""
+    copy = state if begun is None else state._replace(store=begun)
+    seen = copy if event.lock is None else state
+    try:
+        ready = has_priority(program, event, copy, pid, world) and enabled(program, event, seen, pid, world)
+    except Discarded:
+        return None
+    outcome = execute(program, event.effect, seen, pid, world) if ready else None
+    return Step(pid, event.name, outcome) if isinstance(outcome, Writes) else None
 
 
 def post(program: decl.Program, state: State, order: Sequence[int], world: World = NOTHING) -> list[State]:
@@ -49,6 +56,37 @@ def rounds(program: decl.Program, state: State, world: World = NOTHING) -> list[
     orders = permutations(range(len(state.robots)))
     found = _distinct(after for order in orders for after in post(program, state, order, world))
     return [after._replace(round=state.round + 1) for after in found]
+
+
+def is_order_of_agents(program: decl.Program, run: Sequence[Happened], world: World = NOTHING) -> bool:
+    """Return whether agents can do every round of a run: each robot skips, or runs the first event in text order whose
+    guard holds at the round's start (behind a guard without a value it runs none); commits come first, at most one for
+    each lock; then plain events by ascending pid. An event that is discarded may stand last."""
+    before = run[0][0]
+    rounds_of: dict[int, tuple[State, list[tuple[int, str]]]] = {}  # by number: how each begins, its steps
+    for after, event, pid, number in run:
+        if pid is not None and event != "init":
+            rounds_of.setdefault(number, (before, []))[1].append((pid, event))
+        before = after
+    return all(_is_round_of_agents(program, begun, steps, world) for begun, steps in rounds_of.values())
+
+
+def _is_round_of_agents(program: decl.Program, begun: State, steps: Sequence[tuple[int, str]], world: World) -> bool:
+    locks: list[int] = []  # of the commits
+    plain: list[int] = []  # pids of the plain events
+    for pid, name in steps:
+        chosen = select(program, begun, pid, world)
+        if isinstance(chosen, Step):  # its guard has no value
+            return chosen.event == name and (pid, name) == steps[-1]
+        if chosen is None or chosen.name != name:
+            return False
+        if chosen.lock is None:
+            plain.append(pid)
+        elif plain:
+            return False
+        else:
+            locks.append(chosen.lock)
+    return plain == sorted(plain) and len(locks) == len(set(locks))
 
 
 def end(states: Iterable[State], environment: Environment) -> list[State]:

@@ -118,6 +118,16 @@ def enabled(program: decl.Program, event: decl.Event, state: State, pid: int, wo
     return holds(event.guard, _view(program, state, pid, world, Budget(world.turns)))
 
 
+def has_priority(program: decl.Program, event: decl.Event, begun: State, pid: int, world: World = NOTHING) -> bool:
+    """Return whether the guard of every earlier event in the event's `priority:` block has a value and is false.
+
+    `begun`: what the robot sees at the round's start. Outside of blocks every event has priority."""
+    try:
+        return not any(enabled(program, earlier, begun, pid, world) for earlier in program.earlier(event))
+    except Discarded:
+        return False
+
+
 def execute(
     program: decl.Program, block: stmt.Block, state: State, pid: int, world: World = NOTHING
 ) -> Writes | Discarded:

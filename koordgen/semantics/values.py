@@ -67,7 +67,7 @@ def items(value: object) -> tuple[Any, ...]:
 
 
 def same(a: Value, b: Value) -> bool:
-    """`a == b` of one type: part by part; floats as IEEE 754 has it, so NaN equals nothing, at no depth."""
+    """`a == b` of one type, part by part, floats as IEEE 754 has it. In a program, neither has NaN in it."""
     if isinstance(a, tuple) and isinstance(b, tuple):
         return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
     if isinstance(a, _STRUCTS):
@@ -135,26 +135,33 @@ def _ascending(keys: Any) -> bool:
     return all(keys[i] < keys[i + 1] for i in range(len(keys) - 1))
 
 
-def flaw(value: Any, type_: Type, leaving: bool) -> str:
-    """Why a variable of a type may not keep a value of that type; empty when it may. What is leaving the robot, for a
-    port or for other robots, is finite, too. No int that is kept is beyond 64 bits: one that is squared every round
-    would soon hang the robot."""
+def has_nan(value: object) -> bool:
+    """Return whether a value is NaN, or has NaN in it at any depth: then it cannot be compared."""
+    if isinstance(value, _STRUCTS):
+        return any(has_nan(getattr(value, field)) for field in value.__struct_fields__)
+    return any(map(has_nan, value)) if isinstance(value, tuple) else isinstance(value, float) and math.isnan(value)
+
+
+def flaw(value: Any, type_: Type) -> str:
+    """Return why a variable, slot or actuator of a type may not keep a value of that type; empty when it may. Every
+    float that is kept is finite, at any depth: so no NaN outlives its event. No int that is kept is beyond 64 bits:
+    one that is squared every round would soon hang the robot."""
     match type_:
         case Scalar() | Sized("string"):
-            return _number_flaw(value, leaving) or (_text_flaw(value, type_) if isinstance(type_, Sized) else "")
+            return number_flaw(value) or (_text_flaw(value, type_) if isinstance(type_, Sized) else "")
         case Sized("GridMap", capacity):
             return _excess(value.width * value.height, capacity, "cells")
         case Sized(_, capacity):
-            return _excess(max(len(value.angles), len(value.ranges)), capacity, "rays") or _number_flaw(value, leaving)
+            return _excess(max(len(value.angles), len(value.ranges)), capacity, "rays") or number_flaw(value)
         case Sequence(_, element, capacity):
-            return _excess(len(value), capacity, "elements") or _first(flaw(v, element, leaving) for v in value)
+            return _excess(len(value), capacity, "elements") or _first(flaw(v, element) for v in value)
         case MapOf(key, held, capacity):
             parts = TupleOf((key, held))
-            return _excess(len(value), capacity, "keys") or _first(flaw(v, parts, leaving) for v in value)
+            return _excess(len(value), capacity, "keys") or _first(flaw(v, parts) for v in value)
         case TupleOf(types):
-            return _first(flaw(v, t, leaving) for v, t in zip(value, types, strict=True))
+            return _first(flaw(v, t) for v, t in zip(value, types, strict=True))
         case RecordType(_, fields):
-            return _first(flaw(v, t, leaving) for v, (_, t) in zip(value.fields, fields, strict=True))
+            return _first(flaw(v, t) for v, (_, t) in zip(value.fields, fields, strict=True))
         case ExternType():
             return _excess(len(value.data), EXTERN_BYTES, "bytes")
         case PerRobot():
@@ -163,13 +170,14 @@ def flaw(value: Any, type_: Type, leaving: bool) -> str:
             assert_never(type_)
 
 
-def _number_flaw(value: Any, leaving: bool) -> str:
+def number_flaw(value: Any) -> str:
+    """Return why a value's numbers are none that may be kept or sent, or come in; empty when they are."""
     if isinstance(value, (*_STRUCTS, tuple)):
         parts = value if isinstance(value, tuple) else [getattr(value, field) for field in value.__struct_fields__]
-        return _first(_number_flaw(part, leaving) for part in parts)
+        return _first(number_flaw(part) for part in parts)
     if isinstance(value, int) and not INT_MIN <= value <= INT_MAX:
         return "an int beyond 64 bits"
-    return repr(value) if leaving and isinstance(value, float) and not math.isfinite(value) else ""
+    return repr(value) if isinstance(value, float) and not math.isfinite(value) else ""
 
 
 def _text_flaw(value: str, type_: Sized) -> str:

@@ -115,6 +115,10 @@ def event(c: Children) -> decl.Event:
     return decl.Event(c[0][1], nodes(c[2:]), token_span(c[0]))
 
 
+def priority_(c: Children) -> decl.Priority:
+    return decl.Priority(nodes(c), token_span(c[0]))
+
+
 def guard(c: Children) -> decl.Guard:
     return decl.Guard(nodes(c)[0], token_span(c[0]))
 

@@ -174,6 +174,13 @@ class Event(Node):
     span: Span
 
 
+class Priority(Node):
+    """`priority:` with events indented under it, whose text order is their priority; its span is the word's."""
+
+    events: tuple[Event, ...]
+    span: Span
+
+
 class BrokenSection(Node):
     """A section of which nothing could be read; it has been reported. `names` are the names that stand in it."""
 
@@ -183,7 +190,7 @@ class BrokenSection(Node):
 
 Section = (
     Using | Param | Variables | RecordDef | Function | ExternFunction | ExternType | SpecFunction | Property | Init
-    | Event | BrokenSection
+    | Event | Priority | BrokenSection
 )  # fmt: skip
 
 

@@ -82,6 +82,7 @@ _SECTIONS = frozenset(
         "initially", "init",
     )
 )  # fmt: skip
+_EVENT = "what stands indented under 'priority:' are events: 'Name:', and under it 'pre:' and 'eff:'"
 
 
 def _braces(spot: Spot) -> Diagnostic | None:
@@ -247,9 +248,9 @@ def headers(spot: Spot) -> Diagnostic | None:
     """Headers with a name too many or too few; statements and variables where none stand."""
     if spot.position == 0:
         return _section(spot)
-    annotated = _annotation(spot)
-    if annotated is not None:
-        return annotated
+    told = _annotation(spot) or (_priority(spot) if spot.tokens[0][0] == "priority" else None)
+    if told is not None:
+        return told
     if spot.kind == ":" and spot.start > 0 and spot.first[0] == "invariant":
         return spot.error("a loop invariant has neither name nor ':'", "write 'invariant condition'")
     if spot.kind == ":" and spot.before_is("invariant", "axiom") and spot.before is not None:
@@ -277,6 +278,9 @@ def headers(spot: Spot) -> Diagnostic | None:
         return spot.error("a spec function has no body", "an axiom says what it means: axiom Name: ...")
     if {"pre", "eff"} & spot.expected and spot.level() <= 1 and spot.kind == "atomic":
         return spot.error("expected 'pre' or 'eff', found 'atomic'", "'atomic:' stands under 'eff:'")
+    if {"pre", "eff"} & spot.expected and spot.level() == 1 and spot.kind == "NAME" and spot.next == ":":
+        help = "events stand at the left margin, those of which the first has priority under 'priority:'"
+        return spot.error(f"expected 'pre' or 'eff', found '{shown(spot.text)}'", help)
     if {"pre", "eff"} & spot.expected and spot.level() <= 1 and spot.kind in ("NAME", "GENERIC") and spot.next in (
         "NAME", "=", "<", ".", "[", "+=", "-=", "(",
     ):  # fmt: skip
@@ -285,8 +289,31 @@ def headers(spot: Spot) -> Diagnostic | None:
     return None
 
 
+def _priority(spot: Spot) -> Diagnostic | None:
+    """What is none of the events of a `priority:` block."""
+    found = f"'{shown(spot.text)}'" if spot.text else "the end of the line"
+    if spot.level() == 0:
+        if spot.kind == "NAME" and ":" in spot.expected:
+            return spot.error(f"expected ':' after 'priority', found {found}", "'priority' has no name")
+        if spot.expected == {"NEWLINE"}:
+            return spot.error(f"expected the end of the line after 'priority:', found {found}", _EVENT)
+        return None
+    if spot.level() == 1 and spot.position == spot.start and "NAME" in spot.expected:
+        help = f"'{spot.kind}' begins a section: it stands at the left margin" if spot.kind in _SECTIONS else _EVENT
+        return spot.error(f"expected the name of an event, found {found}", help)
+    if spot.level() == 1 and spot.expected == {":"} and spot.kind != "NEWLINE":
+        return spot.error(f"expected ':' after '{shown(spot.first[1])}', found {found}", _EVENT)
+    if {"pre", "eff"} & spot.expected and spot.first[0] == "NAME" and spot.next == ":":
+        inside = [token[1] for token in spot.tokens[: spot.start] if token[0] not in ("NEWLINE", "INDENT", ":")][-1:]
+        help = "'priority:' stands in no other block: it begins at the left margin" if inside == ["priority"] else ""
+        return spot.error(f"expected 'pre' or 'eff', found {found}", help)
+    return None
+
+
 def _section(spot: Spot) -> Diagnostic:
-    help = "sections: using, param, local, allread, allwrite, def, fun, init, invariant, ..., and events, Name:"
+    help = (
+        "sections: using, param, local, allread, allwrite, def, fun, init, invariant, ..., priority, and events, Name:"
+    )
     if spot.kind in ("pre", "eff"):
         help = f"'{spot.kind}' stands indented under the name of its event"
     elif spot.kind in ("sensors", "actuators", "assume"):

@@ -27,7 +27,8 @@ KEYWORDS = frozenset(
     )
 )  # fmt: skip
 GENERICS = frozenset(("List", "Map", "Set", "Queue"))
-_SOFT = frozenset(("max", "type", "requires", "ensures"))  # words of the language in one place each, names elsewhere
+# Words of the language in one place each, names elsewhere.
+_SOFT = frozenset(("max", "type", "requires", "ensures", "priority"))
 _MARKS = frozenset(
     (
         "//=", "**=", "**", "+=", "-=", "*=", "/=", "%=", "//", "<<", "==", "!=", "<=", ">=", "&&", "||", "->",
@@ -280,6 +281,8 @@ class _Layout:
             meant = before != "[" if last == "]" else last == "NAME" and before in ("NAME", ">", "]", ")")
         elif text == "type":
             meant = last == "extern"
+        elif text == "priority":  # at the left margin
+            meant = not tokens
         else:  # the contracts of an extern function
             meant = last in ("INDENT", "NEWLINE", "DEDENT", ":") and tokens[0][0] == "extern"
         return text if meant else "NAME"

@@ -113,6 +113,8 @@ class _Repair:
             first = self._tell(explain(self.tokens, position, states), position)
         if kind == "INDENT":
             self._deeper(position, states)
+        elif kind in ("pre", "eff") and self.tokens[0][0] == "priority" and _awaits_event(states):
+            self._nameless(position)
         elif blockless:
             self._no_block(position, states)
         elif kind in ("DEDENT", "$END"):
@@ -149,6 +151,13 @@ class _Repair:
         self.tokens[position:end] = (
             self.tokens[position + 1 : end - 1] if _fits(states, [], self.tokens[position + 1]) else []
         )
+
+    def _nameless(self, position: int) -> None:
+        """Clauses without the name of their event: they are left out together."""
+        end = position
+        while self.tokens[end][0] in ("pre", "eff"):
+            end = _next_line(self.tokens, end)
+        del self.tokens[position:end]
 
     def _no_block(self, position: int, states: States) -> None:
         """A header without a block: the lines that follow are taken for it as far as they can stand nowhere else."""
@@ -253,6 +262,11 @@ def _follows(states: States, token: Any) -> bool:
     if token[0] in ("INDENT", "DEDENT", "$END"):
         return _fits(states, [], token)
     return not _wants_block(states)
+
+
+def _awaits_event(states: States) -> bool:
+    """Whether the name of an event may follow, and no statement."""
+    return _fits(states, [], ("NAME",)) and not _fits(states, [], ("pass",))
 
 
 def _wants_block(states: States) -> bool:

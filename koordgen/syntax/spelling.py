@@ -10,7 +10,7 @@ from koordgen.syntax.spot import Spot, place, shown
 
 _SECTIONS = (
     "using", "param", "allread", "allwrite", "local", "def", "fun", "extern", "spec", "axiom", "invariant", "initially",
-    "init",
+    "init", "priority",
 )  # fmt: skip
 _STATEMENTS = (
     "if", "elif", "else", "for", "while", "atomic", "return", "break", "continue", "pass", "stop",
@@ -44,9 +44,10 @@ def _beginning(spot: Spot) -> tuple[str, ...]:
         return _SECTIONS
     if section == "using":
         return ("sensors", "actuators", "assume") if level == 1 else ()
-    if section == "NAME" and level == 1:
-        return ("pre", "eff")
-    return _STATEMENTS if section in ("NAME", "init", "fun", "def") else ()
+    events = {"NAME": 0, "priority": 1}.get(section)  # the level at which events stand
+    if events is not None and level <= events + 1:
+        return ("pre", "eff") if level == events + 1 else ()
+    return _STATEMENTS if section in ("NAME", "priority", "init", "fun", "def") else ()
 
 
 def _near(word: str, choices: Iterable[str]) -> str:

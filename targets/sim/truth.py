@@ -159,7 +159,7 @@ class Truth:
         return self._one(name, values[name]) if name in values else UNKNOWN
 
     def _one(self, name: str, raw: msgspec.Raw) -> Any:
-        """NaN and infinity, which only locals may hold, are null in a trace: nobody knows which it was."""
+        """A sensor's NaN and infinity are null in a trace, and not known here."""
         try:
             return self._decoders[name].decode(raw)
         except msgspec.ValidationError:

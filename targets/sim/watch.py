@@ -124,7 +124,7 @@ class Watcher:
         self.seconds += time.perf_counter() - began
 
     def _note_loops(self, robot: str, record: Init | Round) -> None:
-        """The loop invariants that were false in a robot's event, the first time of each."""
+        """Mark the loop invariants that were false in a robot's event, each the first time."""
         where = f"the event {record.event}" if isinstance(record, Round) else "init"
         for line in record.violated:
             if line not in self._loops and record.time <= self._until:

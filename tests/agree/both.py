@@ -23,7 +23,7 @@ from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exec import Writes, declared
 from koordgen.semantics.state import State, World
 from koordgen.semantics.values import RecordValue, Value, conforms
-from tests.agree.kinds import Ticket, random_value
+from tests.agree.kinds import Ticket, not_finite, random_value
 from tests.agree.programs import N_SYS, random_program, random_state
 
 Outcome = dict[str, Any] | str
@@ -31,11 +31,13 @@ Pass = Callable[[d.Program], d.Program]
 
 
 def outside(name: str, args: tuple[Any, ...], result: Type) -> Value:
-    """What an extern function yields: some value that depends on all of its arguments; now and then it fails."""
+    """What an extern function yields: some value that depends on all of its arguments, which need not be finite; now
+    and then it fails."""
     rng = Random(f"{name} {args!r}")
     if rng.random() < 0.02:
         raise RuntimeError("no answer")
-    return random_value(rng, result, wild=False)
+    value = random_value(rng, result, wild=False)
+    return not_finite(rng, value) if rng.random() < 0.2 else value
 
 
 def answer(pid: int, port: str, args: tuple[Any, ...]) -> tuple[Point, ...]:

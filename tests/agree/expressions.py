@@ -145,8 +145,17 @@ class Expressions(General):
             paths = self.argument(PATH, n) or self.leaf(PATH), self.expr(PATH, n)
             return call("min", FLOAT, call("path_distance", FLOAT, *paths), real(99.0))
 
+        def beyond(n: int) -> e.Expr | None:
+            """An infinity, by overflow, or what it comes to with another number: perhaps NaN."""
+            if not self.wild(0.3):
+                return None
+            infinity = binary("*", real(1e308), real(10.0), FLOAT)
+            other = self.rng.choice((real(0.0), infinity, infinity, self.expr(FLOAT, n)))
+            made = binary(self.rng.choice("+-*/%"), infinity, other, FLOAT)
+            return binary("*", real(1e308), self.expr(FLOAT, n), FLOAT) if self.rng.random() < 0.3 else made
+
         return [
-            quotient, quotient, power, angle, angle, apart,
+            quotient, quotient, power, angle, angle, apart, beyond,
             lambda n: binary(self.rng.choice("+-*"), self.expr(FLOAT, n), self.expr(FLOAT, n), FLOAT),
             lambda n: binary(self.rng.choice("+-*"), self.expr(FLOAT, n), self.expr(FLOAT, n), FLOAT),
             lambda n: e.Unary("-", self.expr(FLOAT, n), FLOAT, AT),

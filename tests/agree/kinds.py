@@ -111,17 +111,22 @@ def random_value(rng: Random, type_: Type, wild: bool = True) -> Value:
             raise AssertionError(type_)
 
 
-def with_nans(rng: Random, value: Value) -> Value:
-    """What a robot keeps to itself may have NaN in it, now and then the same one twice."""
+BEYOND = (math.nan, math.nan, math.inf, -math.inf)
+
+
+def not_finite(rng: Random, value: Value, share: float = 0.1) -> Value:
+    """A value of which this share of floats are NaN or infinite."""
     match value:
         case float():
-            return math.nan if rng.random() < 0.03 else value
+            return rng.choice(BEYOND) if rng.random() < share else value
         case Point(_, y, z):
-            return Point(math.nan, y, z) if rng.random() < 0.03 else value
+            return Point(rng.choice(BEYOND), y, z) if rng.random() < share else value
+        case Pose(position, yaw):
+            return Pose(not_finite(rng, position, share), not_finite(rng, yaw, share))  # type: ignore[arg-type]
         case RecordValue(name, fields):
-            return RecordValue(name, tuple([with_nans(rng, part) for part in fields]))
+            return RecordValue(name, tuple([not_finite(rng, part, share) for part in fields]))
         case tuple():
-            return tuple([with_nans(rng, part) for part in value])
+            return tuple([not_finite(rng, part, share) for part in value])
         case _:
             return value
 
@@ -136,7 +141,7 @@ def _plain(rng: Random, type_: Scalar | Sized, wild: bool) -> Value:
         case "int":
             return rng.choice((2**62, -(2**63))) if odd else rng.choice((-3, -1, 0, 0, 1, 1, 2, 2, 3, 4, 5, 7, 8))
         case "float":
-            return rng.choice((1e300, -0.0)) if odd else real()
+            return rng.choice((1e300, 1.7e308, -0.0)) if odd else real()
         case "bool":
             return rng.random() < 0.5
         case "string":

@@ -31,7 +31,7 @@ from koordgen.semantics.state import Robot, State, Store
 from koordgen.semantics.values import Value
 from tests.agree.expressions import Expressions
 from tests.agree.general import PATH, Temp, compare
-from tests.agree.kinds import AT, KEYS, TICKET, constant, random_type, random_value, sized, whole, with_nans
+from tests.agree.kinds import AT, KEYS, TICKET, constant, random_type, random_value, sized, whole
 from tests.agree.statements import Statements
 
 N_SYS = 3
@@ -168,7 +168,7 @@ def _events(rng: Random, program: d.Program) -> tuple[d.Event, ...]:
         if i < count - 1:
             guard = Expressions(rng, program, "guard").expr(BOOL, 3)
         effect = Statements(rng, program, "effect", "t").block(2, rng.randrange(3, 7))
-        found.append(d.Event(f"Event{i}", guard, effect, None, AT))
+        found.append(d.Event(f"Event{i}", guard, effect, None, None, AT))
     return tuple(found)
 
 
@@ -207,7 +207,7 @@ def random_state(rng: Random, program: d.Program) -> State:
     ports = [(f"{m.name}.{p.name}", p) for m in program.modules for p in m.ports]
     robots = tuple(
         Robot(
-            {v.name: with_nans(rng, random_value(rng, v.type)) for v in program.locals},
+            {v.name: random_value(rng, v.type) for v in program.locals},
             {name: random_value(rng, p.type) for name, p in ports if p.direction in ("sensor", "actuator")},
             False,
         )

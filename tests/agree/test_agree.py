@@ -14,8 +14,8 @@ from koordgen.emit.program import program_text
 from koordgen.ir import expr, stmt
 from koordgen.ir.builtins import FUNCTIONS, METHODS, UPDATE_SIGNATURES
 from koordgen.ir.verify import verify
-from koordgen.semantics.step import initial
-from tests.agree.both import Difference, Generated, Meant, agree
+from koordgen.semantics.step import initial, round_
+from tests.agree.both import Difference, Generated, Meant, Outcome, agree
 from tests.agree.faults import COMMON, RARE, Fault
 from tests.agree.programs import N_SYS, nodes, random_program
 from tests.semantics.programs import compiled
@@ -93,20 +93,33 @@ def test_a_rare_seeded_fault_is_found(fault: Fault, monkeypatch: pytest.MonkeyPa
     assert programs_until_found(fault, 2000, monkeypatch)
 
 
-NANS = """
+HEAD = """
 def Halt:
   Point place
   int id
 
+using Motion:
+  actuators: Point target
+allread: float x[N_SYS]
+allwrite: Map<int, float> known
 local:
-  List<bool> equal
-  List<bool> within
-  List<int> counts
-  List<bool> others
+  float f = 1
+  Point place
+  List<float> kept
+  bool on
+  int i
+fun inverse(float a) -> float:
+  return 1 / a
+fun grown(float a) -> float:
+  return a * 10
+fun above(float a, float b) -> bool:
+  return a > b
 E:
   pre: True
   eff:
-    float nan = 1e308 * 10 - 1e308 * 10
+    float big = 1e308
+    float inf = big * 10
+    float nan = inf - inf
     List<float> nans = [1, nan]
     Point p = Point(nan, 0, 0)
     Halt halt = Halt(p, 1)
@@ -115,41 +128,99 @@ E:
     (int, float) pair = (1, nan)
     Queue<Point> points
     points.push(p)
-    equal = [nan == nan, nans == nans, p == p, halt == halt, halts == halts, found == found, pair == pair, \\
-             Pose(p, 0) == Pose(p, 0), points == points]
-    within = [nan in nans, p in points, halt in halts, nan not in nans, not (p != p)]
-    counts = [nans.count(nan), halts.count(halt), nans.index(1), nans.count(1)]
-    others = [nans[:1] == nans[:1], Point(-0.0, 0, 0) == Point(0, 0, 0), 1.0 in nans, halt != halt]
 """
 
 
-def test_nan_equals_nothing_at_any_depth() -> None:
-    program = compiled(NANS)
+def outcomes(effect: str) -> tuple[Outcome, Outcome]:
+    """What an effect comes to by the semantics, and as generated code."""
+    program = compiled(HEAD + "".join(f"    {line}\n" for line in effect.split("\n")))
     state = initial(program, N_SYS)
-    event, _, outcome = Generated(program, program_text(program)).event(state, 0)
-    assert (event, None, outcome) == Meant(program).event(state, 0)
-    assert isinstance(outcome, dict)
-    values = {name: [part[1] for part in parts[1:]] for name, parts in outcome["locals"].items()}
-    assert values["equal"] == ["False"] * 9
-    assert values["within"] == ["False", "False", "False", "True", "False"]
-    assert values["counts"] == ["0", "0", "0", "1"]
-    assert values["others"] == ["True"] * 4
+    return Meant(program).event(state, 0)[2], Generated(program, program_text(program)).event(state, 0)[2]
 
 
-@pytest.mark.parametrize("change", ["i = nans.index(nan)", "nans.remove(nan)", "places.remove(place)"])
-def test_nan_is_not_found(change: str) -> None:
-    text = f"""
-local: int i
-E:
-  pre: True
-  eff:
-    float nan = 1e308 * 10 - 1e308 * 10
-    List<float> nans = [1, nan]
-    Point place = Point(nan, 0, 0)
-    List<Point> places = [place]
-    {change}
+@pytest.mark.parametrize(
+    "met",
+    [
+        "nan == nan", "nan != 1.0", "nan < 1.0", "1.0 <= nan", "nan > nan", "nan >= inf", "0 * inf < 1", "1 < inf % 2",
+        "nans == nans", "nans != [1.0]", "p == p", "halt == halt", "halts == halts", "found == found", "pair == pair",
+        "points == points", "Pose(p, 0) == Pose(p, 0)", "Pose(Point(0, 0, 0), nan) != Pose(p, 0)",
+        "Grid(0, 0, nan) == Grid(0, 0, 1)", "1.0 in nans", "nan in [1.0]", "nan not in [1.0]", "p in points",
+        "halt in halts", "p in Rect(Point(0, 0, 0), Point(1, 1, 1))", "Point(0, 0, 0) in Rect(p, Point(1, 1, 1))",
+        "Point(0, 0, 0) in Rect(Point(1, 1, 1), p)", "p in Ball(Point(0, 0, 0), 1)",
+        "Point(0, 0, 0) in Ball(p, 1)", "Point(0, 0, 0) in Ball(Point(0, 0, 0), nan)",
+        "Point(inf, 0, 0) in Ball(Point(inf, 0, 0), 1)", "min(nan, 1.0) == 1.0", "max(1.0, nan) > 0.0",
+        "sorted(nans) == nans", "len(sorted([nan])) == 1", "nans.count(1) == 1", "nans.index(1) == 0",
+        "clear([], [], nan)", "clear([p], [[p]], 1)", "path_distance([p], [p]) > 0", "distance(p, p) < 1",
+        "above(nan, 1)", "above(1, inverse(inf) * inf)", "abs(nan) > 1", "sqrt(nan) > 1", "sum(nans) > 1",
+        "first(nans[1:]) > 1", "(nan if on else nan) > 1", "not (nan > 1)", "halt.place.x > 1", "pair[1] > 1",
+        "on or found[1] > 1", "floor(nan) > 1", "is_free(GridMap(p, Point(1, 1, 0), 1), Grid(0, 0, 1))",
+    ],
+)  # fmt: skip
+def test_a_comparison_that_meets_nan_discards(met: str) -> None:
+    assert outcomes(f"on = {met}") == ("discarded", "discarded")
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        "if nan < 1: pass", "while nan > 1: pass", "nans.remove(1)", "points.clear()\nhalts.remove(halt)",
+        "for a in nans: on = a > 0", "for k, a in [(1, nan)]: on = a > 0",
+        "f = f * 1e308\nf = f * 10\nif f - f == 0: on = True\nf = 1",
+        "x[pid] = nan\nif x[pid] == 0: on = True\nx[pid] = 1",
+        "known[1] = nan\nif known[1] == 0: on = True\nknown[1] = 1",
+        "Motion.target = p\nif Motion.target == p: on = True\nMotion.target = Point(0, 0, 0)",
+        "float a = 1\nfor k in range(400):\n  a = grown(a)\n  if a - a != 0: on = True",
+    ],
+)  # fmt: skip
+def test_so_does_one_in_any_statement(effect: str) -> None:
+    assert outcomes(effect) == ("discarded", "discarded")
+
+
+@pytest.mark.parametrize("value", ["inf", "-inf", "nan"])
+@pytest.mark.parametrize(
+    "effect",
+    [
+        "f = {}", "place = Point(0, {}, 0)", "kept = [1, {}]", "x[pid] = {}", "known[1] = {}",
+        "Motion.target = Point({}, 0, 0)",
+    ],
+)  # fmt: skip
+def test_what_is_kept_or_sent_is_finite(effect: str, value: str) -> None:
+    assert outcomes(effect.format(value)) == ("discarded", "discarded")
+
+
+@pytest.mark.parametrize(
+    ("effect", "value"),
+    [
+        ("on = inf > 1", True), ("on = inf == inf", True), ("on = inf in [1, inf]", True), ("on = -inf < big", True),
+        ("on = path_distance([], []) > 1e300", True), ("on = Point(inf, 0, 0) == Point(0, 0, 0)", False),
+        ("on = Point(inf, 0, 0) in Ball(Point(0, 0, 0), 1)", False), ("on = min(inf, 1.0) == 1.0", True),
+        ("on = sorted([inf, 1.0])[0] == 1.0", True), ("on = Point(-0.0, 0, 0) == Point(0, 0, 0)", True),
+        ("on = True or nan > 1", True), ("on = nans[:1] == nans[:1]", None), ("on = [nans[0]] == [1.0]", None),
+        ("f = nan\nf = inf\nf = 2\non = True", True), ("on = 1 / inf == 0", True),
+    ],
+)  # fmt: skip
+def test_infinity_may_be_compared_and_what_is_not_compared_may_be_nan(effect: str, value: bool | None) -> None:
+    meant, found = outcomes(effect)
+    assert meant == found
+    assert isinstance(meant, dict)
+    assert meant["locals"]["on"] == ("bool", repr(True if value is None else value))
+
+
+GROWING = """
+local: float f = 1
+Grow:
+  pre: f - f == 0
+  eff: f = f * 10
 """
-    program = compiled(text)
+
+
+def test_a_number_that_is_multiplied_every_round_never_becomes_infinite() -> None:
+    program = compiled(GROWING)
+    generated, meant = Generated(program, program_text(program)), Meant(program)
     state = initial(program, N_SYS)
-    assert Meant(program).event(state, 0) == ("E", None, "discarded")
-    assert Generated(program, program_text(program)).event(state, 0) == ("E", None, "discarded")
+    for _ in range(308):
+        found = generated.event(state, 0)
+        assert found == meant.event(state, 0) and isinstance(found[2], dict)
+        state = round_(program, state)[0]
+    assert generated.event(state, 0) == meant.event(state, 0) == ("Grow", None, "discarded")
+    assert state.robots[0].locals["f"] == pytest.approx(1e308)

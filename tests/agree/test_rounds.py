@@ -25,7 +25,7 @@ def run(seeds: Iterable[int]) -> tuple[int, Counter[str]]:
 def test_rounds_of_agents_are_rounds_of_the_semantics() -> None:
     programs, seen = run(range(25))
     assert programs >= 16
-    assert seen["init failed"] <= programs / 10
+    assert seen["init failed"] <= programs / 5
     assert seen["ran"] + seen["skipped"] + seen["discarded"] <= programs * ROUNDS * N_SYS
     assert seen["ran"] > 200
     assert seen["committed"] > 20

@@ -27,6 +27,7 @@ fun twice(int n) -> int:
   return once(n) * 2
 fun once(int n) -> int:
   while True:
+    invariant n >= old(n) and exists i in range(5): i <= n
     if n > 3:
       return n
     n += 1

@@ -1,4 +1,4 @@
-"""What the checker shows of loops: what it proves holds in random states, and seeded faults in its reasoning show."""
+"""Induction over loops in the checker: its marks hold in random states, and seeded faults in it are found."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from koordgen.semantics import exec
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.state import State
 from koordgen.semantics.step import enabled, execute, initial
+from koordgen.semantics.values import Value
 from koordgen.source import Source
 from koordgen.syntax.parse import parse
 from tests.check.random_loops import random_text
@@ -43,8 +44,10 @@ def proved(program: decl.Program) -> tuple[int, int]:
 def random_state(rng: Random, program: decl.Program) -> State:
     state = initial(program, ROBOTS)
 
-    def values() -> dict[str, object]:
-        lists = {name: tuple([rng.randrange(-2, 4) for _ in range(rng.randrange(4))]) for name in ("xs", "ys")}
+    def values() -> dict[str, Value]:
+        lists: dict[str, Value] = {}
+        for name in ("xs", "ys"):
+            lists[name] = tuple([rng.randrange(-2, 4) for _ in range(rng.randrange(4))])
         return {**lists, "n": rng.randrange(-2, 5)}
 
     return state._replace(robots=tuple([robot._replace(locals=values()) for robot in state.robots]))
@@ -128,6 +131,9 @@ SHOWN = {
         "int k = 0\nwhile k < len(xs):\n  if xs[k] == 3: break\n  k += 1\nif k < len(xs): n = xs[k]",
     "an invariant that a guard begins":
         "if n >= 0:\n  while n < len(xs):\n    invariant 0 <= n\n    int m = xs[n]\n    n += 1",
+    "what is known before the loop":
+        "if 0 <= n and n <= len(xs):\n  int m = n\n  while m < len(xs):\n    n = xs[m]\n    m += 1\n"
+        "  while m > 0:\n    m -= 1\n    n = xs[m]",
     "the place of the greatest":
         "if len(xs) > 0:\n  int at = 0\n  for i in range(len(xs)):\n    if xs[i] > xs[at]: at = i\n  n = xs[at]",
     "the place of the first":

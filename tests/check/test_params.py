@@ -73,6 +73,15 @@ def test_a_build_sets_params_of_every_type() -> None:
     ]
 
 
+def test_no_first_value_becomes_infinite() -> None:
+    source = Source("app.koord", "param float p = 1\nlocal: float f = p * 1e308\nE:\n  pre: True\n  eff: pass\n")
+    program = check(parse(source)[0], source)[0]
+    assert program is not None
+    assert params.with_params(program, {"p": 1.5}) != program
+    with pytest.raises(params.BadParam, match="the first value of f is too large for a float"):
+        params.with_params(program, {"p": 2})
+
+
 @pytest.mark.parametrize(
     ("name", "value", "told"),
     [

@@ -13,7 +13,9 @@ record Task
   id: int = 3
 param k: int = 2
 fun once(n: int) -> int
+  let old_n: int = n
   while True
+    invariant ((n >= old_n) and (exists i in range(0, 5, 1): (i <= n)))
     if (n > 3)
       return n
     n := (n + 1: int)

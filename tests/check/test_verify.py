@@ -41,6 +41,9 @@ OTHER = RecordType("Other", (("id", INT),))
 MINE = expr.LocalRead("mine", TASK, AT)
 PAIR = expr.Make((ONE, HALF), TupleOf((INT, FLOAT)), AT)
 KEYED = Sequence("Set", FLOAT, 8)
+IN_LIST = expr.Contains(expr.TempRead("a", INT, AT), LIST, BOOL, AT)
+PLANNED = expr.Contains(HERE, expr.PortCall("Motion", "planner", (HERE,), list_of(POINT), AT), BOOL, AT)
+EVERY = expr.Quantified("forall", "i", LIST, YES, BOOL, AT)
 
 
 def let(value: expr.Expr) -> stmt.Stmt:
@@ -75,6 +78,15 @@ WRONG: dict[str, stmt.Stmt] = {
     "output to an actuator": stmt.Emit("Motion", "target", (WORD,), AT),
     "condition": stmt.If(ONE, (), (), AT),
     "condition of a loop": stmt.While(ONE, (), AT),
+    "loop invariant's type": stmt.While(YES, (), AT, (stmt.LoopInvariant(ONE, AT),)),
+    "element in a loop invariant": stmt.For(("a",), (INT,), LIST, (), AT, (stmt.LoopInvariant(IN_LIST, AT),)),
+    "planner in a loop invariant": stmt.While(YES, (), AT, (stmt.LoopInvariant(PLANNED, AT),)),
+    "quantifier in a loop's block": stmt.While(
+        YES,
+        (stmt.If(EVERY, (), (), AT),),
+        AT,
+        (stmt.LoopInvariant(YES, AT),),
+    ),
     "index": let(expr.SlotRead("x", YES, True, POINT, AT)),
     "slot of an allwrite variable": stmt.Assign(stmt.OwnSlot("level"), HALF, AT),
     "literal": let(expr.Const(float("nan"), FLOAT, AT)),
@@ -208,3 +220,20 @@ FAULTY = faulty_declarations() | faulty_events() | faulty_functions() | faulty_p
 def test_a_faulty_program_is_an_internal_error(program: decl.Program) -> None:
     with pytest.raises(InternalError):
         verify(program)
+
+
+@pytest.mark.parametrize("blocks", [(1, 1), (0, 2), (0, None, 0), (0, 1, 0), (-1,)])
+def test_priority_blocks_that_do_not_stand_together_are_found(blocks: tuple[int | None, ...]) -> None:
+    with pytest.raises(InternalError, match="priority block"):
+        verify(in_blocks(*blocks))
+
+
+def test_priority_blocks_in_text_order_are_right() -> None:
+    verify(in_blocks(None, 0, 0, None, 1, 2, 2))
+
+
+def in_blocks(*blocks: int | None) -> decl.Program:
+    """The sound program with one event for each of these, in the block of that number."""
+    first = SOUND.events[0]
+    events = [replace(first, name=f"E{number}", priority=block) for number, block in enumerate(blocks)]
+    return replace(SOUND, events=tuple(events))

@@ -24,6 +24,7 @@ from tests.explore.reference import (
     unjudged,
 )
 from tests.prove.random_programs import program as random_text
+from tests.semantics.priorities import in_one_block, ranked
 from tests.semantics.programs import compiled
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -89,7 +90,11 @@ def compare_forgetting(program: Program, n_sys: int, number: int, plain: Search)
 
 
 def compare_random(seed: int, n_sys: int, number: int, states: int) -> None:
-    program = unjudged(compiled(random_text(seed)))
+    compare_states(compiled(random_text(seed)), n_sys, number, states)
+
+
+def compare_states(program: Program, n_sys: int, number: int, states: int) -> None:
+    program = unjudged(program)
     made, _ = explored(program, n_sys, LEVEL, number, symmetry=False, deadlock=False, forgetting=False)
     plain, _ = explored(program, n_sys, LEVEL, number, deadlock=False, **PLAIN)
     compare_forgetting(program, n_sys, number, plain)
@@ -119,7 +124,10 @@ def test_compiled_invariants_say_what_the_semantics_says(seed: int) -> None:
 
 
 def compare_verdicts(seed: int, n_sys: int, number: int) -> None:
-    program = compiled(random_text(seed))
+    compare_searches(compiled(random_text(seed)), n_sys, number)
+
+
+def compare_searches(program: Program, n_sys: int, number: int) -> None:
     found = [explored(program, n_sys, LEVEL, number, **switches)[1] for switches in ({}, PLAIN)]
     assert len({r.violation and r.violation.moments[-1].round for r in found}) == 1
     reduced, plain = found
@@ -189,3 +197,26 @@ def test_random_programs_of_three_that_treat_all_alike(seed: int) -> None:
 def test_whatever_tells_robots_apart_is_seen(old: str, new: str) -> None:
     assert not distinguishes(compiled(ALIKE))
     assert distinguishes(compiled(ALIKE.replace(old, new)))
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_random_priorities_do_what_the_semantics_does(seed: int) -> None:
+    compare_states(compiled(ranked(seed)), 2, 2, 8)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_with_priorities_verdicts_are_those_of_the_plain_search(seed: int) -> None:
+    compare_searches(compiled(ranked(seed)), 2, 2)
+
+
+def test_alike_robots_with_priorities_are_those_of_the_plain_search() -> None:
+    ordered = compiled(in_one_block(ALIKE))
+    assert compare_alike(ordered, 3, NOTHING, None) < compare_alike(compiled(ALIKE), 3, NOTHING, None)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(300))
+def test_many_random_priorities_do_what_the_semantics_does(seed: int) -> None:
+    compare_states(compiled(ranked(seed)), 2, 3, 10)
+    compare_states(compiled(ranked(seed)), 3, 1, 10)
+    compare_searches(compiled(ranked(seed)), 2, 4)

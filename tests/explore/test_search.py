@@ -11,7 +11,9 @@ from koordgen.explore.environment import STRAIGHT, Domain, Environment, Lacking
 from koordgen.explore.search import DEADLOCK, WELL_DEFINED, Bounds
 from koordgen.explore.show import document, itf, report, trace
 from koordgen.ir.decl import Program
+from koordgen.prove.solve import Solver
 from koordgen.prove.trace import About
+from koordgen.prove.verdict import Question, prove
 from koordgen.runtime.values import Point
 from koordgen.source import Source, Span
 from tests.explore.reference import explored, search
@@ -101,6 +103,45 @@ def test_an_event_without_a_result_is_found_with_what_it_read_within_the_round()
         assert found is not None and found.name == WELL_DEFINED and "Bad of robot" in found.reason
         assert [m.event for m in found.moments] == ["", "init", "Up", "Up"] and found.moments[-1].round == 1
         assert found.line == 11
+
+
+GROWING = """
+local:
+  float f = 1e305
+  bool on
+Grow:
+  pre: f == f
+  eff:
+    float g = f
+    on = {met}
+    f = {kept}
+invariant Itself: forall i in ID: f[i] == f[i]
+"""
+
+
+@pytest.mark.parametrize(
+    ("met", "kept", "rounds", "reason", "line"),
+    [
+        ("f - f == 0", "f * 10", 3, "f would become inf, which no robot may use", 10),
+        ("True", "f * 1e9 - f * 1e9", 0, "f would become nan, which no robot may use", 10),
+        ("g * 1e9 - f * 1e9 < 1", "1", 0, "a comparison met NaN", 9),
+    ],
+)
+def test_nan_and_infinity_are_never_kept(met: str, kept: str, rounds: int, reason: str, line: int) -> None:
+    """`f == f` is proved: on robots it was false from 1e308 on, when they kept what came of that."""
+    program = compiled(GROWING.format(met=met, kept=kept))
+    found = explored(program, 2)[1].violation
+    assert found is not None and found.name == WELL_DEFINED and reason in found.reason
+    assert (found.moments[-1].round, found.line) == (rounds, line)
+    with Solver("z3") as solver:
+        verdicts = {v.invariant: v.verdict for v in prove(Question(program), solver)}
+    assert verdicts["Itself"] == "PROVED"
+
+
+def test_an_invariant_in_which_a_comparison_meets_nan_does_not_hold() -> None:
+    program = compiled("local: float f = 1e308\nE:\n  pre: False\n  eff: pass\ninvariant P: f[0] * 9 - f[0] * 9 == 0\n")
+    found = explored(program, 1)[1].violation
+    assert found is not None and found.name == "P"
 
 
 def test_the_environment_may_end_a_wait() -> None:

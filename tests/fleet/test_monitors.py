@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import get_args
 
 import pytest
 
 from koordgen import fleet, manifest
 from koordgen.offered import Known
+from koordgen.pipeline import Rejected, check_file, read_fleet
+from koordgen.runtime.monitor import LOOPS
 from koordgen.runtime.settings import Action
 from koordgen.source import Source, Span
 
@@ -65,3 +68,27 @@ def test_each_mistake_at_its_place(monitors: str, more: str, code: str, column: 
     assert made is None
     assert [(c, line, col) for c, line, col, _ in found] == [(code, 1, column)], found
     assert words in found[0][3]
+
+
+LOOP = """\
+local: int n
+Go:
+  pre: n == 0
+  eff:
+    while n < 3:
+      invariant n <= 3
+      n += 1
+"""
+
+
+def test_loop_invariants_have_one_name_where_the_program_has_some(tmp_path: Path) -> None:
+    file = tmp_path / "fleet.yaml"
+    file.write_text(TEXT.replace("MONITORS", f"{LOOPS}: hold"))
+    for text, right in ((LOOP, True), (LOOP.replace("      invariant n <= 3\n", ""), False)):
+        (tmp_path / "app.koord").write_text(text)
+        program = check_file(str(tmp_path / "app.koord")).program
+        if right:
+            assert read_fleet(str(file), TARGETS, program, "app.koord")[0].monitors == {LOOPS: "hold"}
+        else:
+            with pytest.raises(Rejected):
+                read_fleet(str(file), TARGETS, program, "app.koord")

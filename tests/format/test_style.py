@@ -78,6 +78,10 @@ LINES = {
         "\n\nlocal:\n\n  int a\n\n\n  int b\ninit:\n  pass\nGo:\n  pre: a\n\n\n\nStay:\n  pre: b\n\n\n",
         "local:\n  int a\n\n  int b\n\ninit:\n  pass\n\nGo:\n  pre: a\n\nStay:\n  pre: b\n",
     ),
+    "a blank line between events of a priority block is kept, and one stands before and behind the block": (
+        "A:\n  pre: a\npriority :\n\n    B:\n        pre: b\n        # c\n\n\n    C:\n        pre: c\nD:\n  pre: d\n",
+        "A:\n  pre: a\n\npriority:\n  B:\n    pre: b\n    # c\n\n  C:\n    pre: c\n\nD:\n  pre: d\n",
+    ),
     "sections of one line and one kind stand as they were": (
         "param int a = 1\nparam int b = 2\n\n\nparam int c = 3\n# d\nparam int d = 4\nlocal: int e\n",
         "param int a = 1\nparam int b = 2\n\nparam int c = 3\n# d\nparam int d = 4\n\nlocal: int e\n",

@@ -57,7 +57,10 @@ assumed:
     checked: the simulator watches it in each run (docs/sim.md)
   - initially: forall i in ID: Motion.position[i] in Rect(lo, hi) (app.koord:20); checked: the
     simulator watches it in each run (docs/sim.md)
-  - arithmetic: numbers are real numbers; robots round each result to 53 bits; unchecked
+  - arithmetic: numbers are real numbers; robots round each result to 53 bits, and to infinity
+    beyond 1.8e308; unchecked
+  - arithmetic: no event compares NaN, nor keeps or sends NaN or infinity; checked: agents discard
+    an event that would; a property that compares NaN has no value (docs/proofs.md)
 """
     )
 

@@ -166,9 +166,8 @@ def test_what_a_run_breaks_is_not_proved(fault: str, tmp_path: Path, solver: Sol
 def test_an_init_that_may_have_no_result_is_told_with_its_line(failing: str, tmp_path: Path, solver: Solver) -> None:
     statement = "xs.remove(3)" if failing == "take" else f"b = {failing}"
     path = tmp_path / "app.koord"
-    path.write_text(
-        f"local:\n  List<int> xs\n  float float_of\n  bool b\ninit:\n  {statement}\nGo:\n  pre: not b\n  eff: b = True\n"
-    )
+    declared = "local:\n  List<int> xs\n  float float_of\n  bool b\n"
+    path.write_text(f"{declared}init:\n  {statement}\nGo:\n  pre: not b\n  eff: b = True\n")
     (found,) = prove(Question(check_file(str(path)).program), solver)
     assert (found.invariant, found.verdict) == ("(well-defined)", "NOT INDUCTIVE")
     assert found.explanation is not None and found.explanation.counterexample is not None

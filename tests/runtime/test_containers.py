@@ -11,7 +11,6 @@ import pytest
 from koordgen.runtime import containers as c
 from koordgen.runtime.containers import Missing, OutOfRange
 from koordgen.runtime.program import Slots
-from koordgen.runtime.values import Point, Pose, Scan
 
 XS = (3, 1, 4, 1)
 
@@ -28,26 +27,6 @@ def test_list_updates_make_new_lists() -> None:
     assert c.popped(XS) == (3, 1, 4)
     assert (c.first(XS), c.last(XS), c.index_of(XS, 1)) == (3, 1, 1)
     assert XS == (3, 1, 4, 1)
-
-
-NAN = float("nan")
-PLACE = Point(NAN, 0, 0)
-
-
-def test_nan_equals_nothing_at_any_depth() -> None:
-    for value in (NAN, (1.0, NAN), PLACE, Pose(PLACE), ((1, (PLACE,)),), Scan((NAN,))):
-        assert not c.equal(value, value)
-        assert not c.within(value, (value,))
-        assert c.count((value, value), value) == 0
-        with pytest.raises(Missing):
-            c.index_of((value,), value)
-        with pytest.raises(Missing):
-            c.removed((value,), value)
-    assert c.equal((1.0, (Point(-0.0),)), (1.0, (Point(0.0),)))
-    assert not c.equal((1.0,), (2.0,))
-    assert c.within(Point(1), (PLACE, Point(1)))
-    assert c.count((PLACE, Point(1), Point(1)), Point(1)) == 2
-    assert c.index_of((NAN, 1.0), 1.0) == 1
 
 
 def test_a_sum_is_rounded_at_each_step() -> None:

@@ -15,9 +15,10 @@ import pytest
 from koordgen.runtime.clock import SystemClock
 from koordgen.runtime.machine import WRONG_PROGRAM
 from koordgen.runtime.platform import Sensed
-from koordgen.runtime.program import Event, Program, Stopped, no_ports
+from koordgen.runtime.program import Event, Program, Stopped, no_ports, wrong_first_value
 from koordgen.runtime.runner import Interrupting, Overrun, Runner
 from koordgen.runtime.values import Point
+from tests.emit.generated import load
 from tests.runtime.fleet import FakePlatform, Fleet
 from tests.runtime.lineform import PROGRAM, State, effect
 from tests.runtime.reference import check_visibility
@@ -291,6 +292,40 @@ def test_a_local_int_that_leaves_64_bits_is_a_fault() -> None:
     cleo = fleet.robots[2]
     assert cleo.agent._runner.locals == {"count": 3**32}
     assert "count would become an int beyond 64 bits" in str(cleo.records[-1].fault)
+
+
+GROWS = """
+local:
+  float f = 1e300
+  bool on
+Grow:
+  pre: {guard}
+  eff:
+    {effect}
+"""
+
+
+@pytest.mark.parametrize(
+    ("guard", "effect", "rounds", "reason", "line"),
+    [
+        ("True", "f = f * 10", 8, "f would become inf, which no robot may use", 8),
+        ("True", "f = f * 1e9 - f * 1e9", 0, "f would become nan, which no robot may use", 8),
+        ("True", "on = f * 1e9 - f * 1e9 == 0", 0, "a comparison met NaN", 8),
+        ("f * 1e9 - f * 1e9 == 0", "on = True", 0, "a comparison met NaN", 6),
+    ],
+)
+def test_a_robot_keeps_no_nan_and_no_infinity(guard: str, effect: str, rounds: int, reason: str, line: int) -> None:
+    fleet = Fleet(n=2, program=load(GROWS.format(guard=guard, effect=effect))).boot_all()
+    fleet.run_rounds(12)
+    for robot in fleet.robots.values():
+        assert robot.agent._runner.locals == {"f": pytest.approx(1e300 * 10**rounds), "on": False}
+        assert str(robot.records[-1].fault) == f"a.koord:{line}: {reason}"
+
+
+def test_a_variable_may_not_begin_with_infinity() -> None:
+    begins = "local: List<float> fs = [sum([1e308, 1e308])]\n" + GROWS.format(guard="True", effect="pass")
+    assert wrong_first_value(load(begins)) == "fs would begin as (inf,), which no robot may use"
+    assert wrong_first_value(PROGRAM) is None
 
 
 def test_an_init_that_writes_more_than_can_be_sent_ends_the_robot_with_a_reason() -> None:

@@ -8,7 +8,21 @@ import msgspec
 import pytest
 
 from koordgen.runtime.gridmap import GridMap, area
-from koordgen.runtime.values import INT_MAX, INT_MIN, Grid, Opaque, Point, Pose, Scan, distance, transmissible
+from koordgen.runtime.values import (
+    INT_MAX,
+    INT_MIN,
+    Grid,
+    NotANumber,
+    Opaque,
+    Point,
+    Pose,
+    Scan,
+    distance,
+    has_nan,
+    no_nan,
+    no_nan_in,
+    transmissible,
+)
 
 
 class Task(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
@@ -102,3 +116,23 @@ def test_points_are_a_vector_space() -> None:
     assert (p + q, p - q, -p) == (Point(1.5, 1, 7), Point(0.5, 3, -1), Point(-1, -2, -3))
     assert p * 2 == 2 * p == p / 0.5 == Point(2, 4, 6)
     assert distance(Point(1, 1, 1), Point(3, 4, 7)) == 7
+
+
+@pytest.mark.parametrize(
+    "value", [NAN, (1.0, NAN), Point(NAN), Pose(Point(0, NAN)), ((1, (Point(NAN),)),), Scan((NAN,)), Grid(0, 0, NAN)]
+)
+def test_a_value_with_nan_in_it_is_not_compared(value: Any) -> None:
+    assert has_nan(value)
+    with pytest.raises(NotANumber, match="a comparison met NaN"):
+        no_nan_in(value)
+
+
+@pytest.mark.parametrize("value", [0.0, -INF, (1.0, "nan"), Point(INF), (), "nan", GridMap(), Opaque(b"\xc1")])
+def test_infinity_may_be_compared(value: Any) -> None:
+    assert no_nan_in(value) is value
+
+
+def test_a_number_that_is_nan_is_not_compared() -> None:
+    assert no_nan(INF) == INF
+    with pytest.raises(NotANumber):
+        no_nan(NAN)

@@ -17,7 +17,7 @@ from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exec import NoMeaning, Writes
 from koordgen.semantics.property import holds_property
 from koordgen.semantics.state import Robot, State, Store, World
-from koordgen.semantics.step import Step, enabled, execute, initial, round_, run_init
+from koordgen.semantics.step import Step, enabled, execute, has_priority, initial, round_, run_init
 from koordgen.semantics.values import Value
 from koordgen.source import Source
 from koordgen.syntax.parse import parse
@@ -101,7 +101,8 @@ def test_no_state_defeats_what_was_proved(name: str, program: decl.Program) -> N
         for pid in range(n_sys):
             for event in program.events:
                 try:
-                    if enabled(program, event, state, pid, outside_):
+                    first = has_priority(program, event, state, pid, outside_)
+                    if first and enabled(program, event, state, pid, outside_):
                         execute(program, event.effect, state, pid, outside_)
                 except Discarded:
                     pass

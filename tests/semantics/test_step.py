@@ -117,7 +117,7 @@ def test_an_int_beyond_64_bits_is_no_last_value(variable: str) -> None:
 
 
 def test_a_very_long_int_is_told_without_its_digits() -> None:
-    squared = "\n".join(["count = count * count"] * 12)
+    squared = "\n".join(["count = count * count"] * 6)
     _, steps = after(event(f"count = 1000000000000\n{squared}\ntotal = count"))
     assert isinstance(steps[0].outcome, Discarded)
     assert "an int beyond 64 bits" in steps[0].outcome.reason
@@ -125,10 +125,10 @@ def test_a_very_long_int_is_told_without_its_digits() -> None:
 
 def test_an_infinite_value_that_is_overwritten_does_no_harm() -> None:
     state, _ = after(
-        event("Motion.target = Point(1e308 * 10, 0, 0)\nlevel = 1e308 * 10\nMotion.target = Point(1, 0, 0)")
+        event("Motion.target = Point(1e308 * 10, 0, 0)\nlevel = 1e308 * 10\nMotion.target = Point(1, 0, 0)\nlevel = 2")
     )
     assert state.robots[0].ports["Motion.target"] == Point(1.0, 0.0, 0.0)
-    assert state.robots[0].locals["level"] == float("inf")
+    assert state.robots[0].locals["level"] == 2.0
 
 
 def test_a_guard_that_fails_discards_and_no_later_event_runs() -> None:

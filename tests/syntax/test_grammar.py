@@ -132,6 +132,9 @@ def test_a_type_reads_the_same_wherever_it_stands(text: str, tree: str) -> None:
         ("Go:\n  pre: a\n  eff: stop\n", "Event(Go, [Guard(a), Effect([Stop()])])"),
         ("Go:\n  eff:\n    stop\n  pre:\n    a\n", "Event(Go, [Effect([Stop()]), Guard(a)])"),
         ("Go: pre: a\n  eff: stop", "Event(Go, [Guard(a), Effect([Stop()])])"),
+        ("priority:\n  Go:\n    pre: a\n    eff: stop\n  Wait: pre: priority\n    eff: priority = b\n",
+         "Priority([Event(Go, [Guard(a), Effect([Stop()])]), "
+         "Event(Wait, [Guard(priority), Effect([Assign(priority, '', b)])])])"),
     ],
 )  # fmt: skip
 def test_sections(text: str, tree: str) -> None:
@@ -153,6 +156,8 @@ def test_sections(text: str, tree: str) -> None:
         ("for a, b in xs if c else ys:\n    continue", "For([a, b], Conditional(c, xs, ys), [Continue()])"),
         ("for i = a, b + 1:\n    break", "CountedFor(i, a, Binary('+', b, 1), [Break()])"),
         ("while a: b = 1", "While(a, [Assign(b, '', 1)])"),
+        ("while a:\n    invariant b\n    c = 1", "While(a, [Invariant(b), Assign(c, '', 1)])"),
+        ("for i in ID: invariant a\n    invariant b", "For([i], ID, [Invariant(a), Invariant(b)])"),
         ("atomic:\n    a = 1\n    stop", "Atomic([Assign(a, '', 1), Stop()])"),
         ("if a: b = 1\n  elif c: atomic: d = 1\n  else: atomic:\n      e = 1\n      f = 1",
          "If([Branch(a, [Assign(b, '', 1)]), Branch(c, [Atomic([Assign(d, '', 1)])])], "

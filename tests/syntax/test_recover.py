@@ -217,6 +217,14 @@ def test_a_clause_that_is_none_is_the_one_that_lacks() -> None:
     assert [type(c) for c in event.clauses] == [decl.Guard, decl.Effect]
 
 
+def test_a_clause_without_the_name_of_its_event_costs_no_other_event() -> None:
+    event = "  {}:\n    pre: a\n    eff: x = 1\n"
+    tree, found = read(f"priority:\n{event.format('A')}  pre: b\n  eff: x = 2\n{event.format('B')}")
+    assert [d.span.line for d in found] == [5]
+    (block,) = tree.sections
+    assert isinstance(block, decl.Priority) and [event.name for event in block.events] == ["A", "B"]
+
+
 def test_a_header_of_which_nothing_can_be_made_breaks_its_section_only() -> None:
     tree, found = read("fun f(int a, -> int:\n  return a b\nfun g(int a) -> int:\n  return a\n")
     assert [d.span.line for d in found] == [1]

@@ -56,6 +56,7 @@ class Encoder:
         self.called_on: set[tuple[object, ...]] = set()
 
     def value(self, node: ir.Expr, scope: Scope) -> Val:
+        t.step()
         return _READERS[type(node)](self, node, scope)
 
     def term(self, node: ir.Expr, scope: Scope) -> Term:

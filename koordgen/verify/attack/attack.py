@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import nullcontext
 from itertools import cycle
 from random import Random
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -19,6 +20,7 @@ from koordgen.diagnostics import InternalError
 from koordgen.ir import decl
 from koordgen.ir import expr as ir
 from koordgen.node import Node, nodes, replace
+from koordgen.semantics.deadline import Deadline, OutOfTime, ends
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exact import NotExact, exact
 from koordgen.semantics.state import State
@@ -193,12 +195,15 @@ class _Search:
     def run(self) -> Contradiction | None:
         began = self.clock()
         try:
-            for _ in self.first():
-                if self.clock() > began + FIRST * (self.until - began):
-                    break
-            self.alternate()
+            with ends(Deadline(self.clock, self.until)) if self.timed else nullcontext():
+                for _ in self.first():
+                    if self.clock() > began + FIRST * (self.until - began):
+                        break
+                self.alternate()
         except Spent:
             pass
+        except OutOfTime:
+            self.spent = True
         except Found as found:
             return self.confirmed(found.contradiction)
         return None

@@ -16,8 +16,6 @@ from koordgen.runtime.bounds import Blob, Cells, Distinct, Fixed, Many, Pairs, P
 from koordgen.runtime.containers import (
     appended,
     at,
-    count,
-    equal,
     extended,
     first,
     has_key,
@@ -45,7 +43,8 @@ from koordgen.runtime.gridmap import GridMap, area, cell, center, is_known, mark
 from koordgen.runtime.program import Cell, Event, Frame, Port, Program, Slots, Stopped, Transaction, Variable
 from koordgen.runtime.region import Ball, Rect
 from koordgen.runtime.text import shown
-from koordgen.runtime.values import Grid, Opaque, Point, Pose, Scan, distance
+from koordgen.runtime.turns import made, minus, plus, turn, turns
+from koordgen.runtime.values import Grid, Opaque, Point, Pose, Scan, distance, no_nan, no_nan_in
 
 Ticket = Annotated[Opaque, "Ticket"]
 
@@ -123,14 +122,15 @@ def extern_weigh(my_goods: tuple[tuple[str, int], ...], my_s: tuple[int, ...]) -
     """extern fun weigh, kitchen.koord:14"""
     EXTERN_WEIGH.require(len(my_goods) > 0, 15)
     my_result: float = EXTERN_WEIGH(my_goods, my_s)
-    EXTERN_WEIGH.ensure(my_result >= 0.0, 16, my_result)
+    EXTERN_WEIGH.ensure(no_nan(my_result) >= 0.0, 16, my_result)
     return my_result
 
 
 def fun_longest(my_words: tuple[str, ...]) -> str:
     """fun longest, kitchen.koord:18"""
+    turn()  # kitchen.koord:18
     my_best: str = ""  # kitchen.koord:19
-    for my_w in my_words:  # kitchen.koord:20
+    for my_w in turns(my_words):  # kitchen.koord:20
         if len(my_w) > len(my_best):  # kitchen.koord:21
             my_best = my_w  # kitchen.koord:22
     return my_best  # kitchen.koord:23
@@ -138,9 +138,10 @@ def fun_longest(my_words: tuple[str, ...]) -> str:
 
 def fun_reduce(my_n: int, my_s: int) -> int:
     """fun reduce, kitchen.koord:25"""
-    while True:  # kitchen.koord:26
+    turn()  # kitchen.koord:25
+    while turn():  # kitchen.koord:26
         if my_n % 2 != 0:  # kitchen.koord:27
-            return power(my_n, 2) - power(2, my_n)  # kitchen.koord:28
+            return minus(power(my_n, 2), power(2, my_n))  # kitchen.koord:28
         my_n = my_n // 2  # kitchen.koord:29
         if my_n < my_s:  # kitchen.koord:30
             break  # kitchen.koord:31
@@ -149,7 +150,8 @@ def fun_reduce(my_n: int, my_s: int) -> int:
 
 def fun_heavy(my_c: Cup) -> bool:
     """fun heavy, kitchen.koord:34"""
-    return my_c.size > 3 and extern_weigh(map_of(((my_c.name, my_c.size),)), set_of((1, 2))) > 2.0  # kitchen.koord:34
+    turn()  # kitchen.koord:34
+    return my_c.size > 3 and no_nan(extern_weigh(map_of(((my_c.name, my_c.size),)), set_of((1, 2)))) > 2.0  # kitchen.koord:34
 
 
 def init(s: State) -> None:
@@ -166,12 +168,12 @@ def guard_advance(s: State) -> bool:
 def effect_advance(s: State) -> None:
     """eff of Advance, kitchen.koord:84"""
     my_goal: Point = (s.shared_x[s.pid] + PARAM_HOME) / 2.0 - 0.25 * Point(0.0, 0.0, 1.0)  # kitchen.koord:87
-    if distance(my_goal, s.motion_position) > PARAM_MARGIN:  # kitchen.koord:88
+    if no_nan(distance(my_goal, s.motion_position)) > PARAM_MARGIN:  # kitchen.koord:88
         s.motion_target.value = my_goal  # kitchen.koord:89
     elif s.pid % 2 == 0 and s.n_sys > 1:  # kitchen.koord:90
         s.motion_target.value = -my_goal + s.shared_x[(s.pid + 1) % s.n_sys]  # kitchen.koord:91
     else:
-        my_goal = Point(abs(my_goal.x), min(my_goal.y, s.local_level.value), max(my_goal.z, sqrt(4.0)))  # kitchen.koord:93
+        my_goal = Point(abs(my_goal.x), min(no_nan(my_goal.y), s.local_level.value), max(no_nan(my_goal.z), sqrt(4.0)))  # kitchen.koord:93
         s.motion_target.value = my_goal  # kitchen.koord:94
     s.local_count.value = s.local_count.value + 1  # kitchen.koord:95
     s.shared_class.own = s.local_count.value // 2 if s.local_on.value else -(s.local_count.value - 1)  # kitchen.koord:96
@@ -186,32 +188,32 @@ def guard_collect(s: State) -> bool:
 
 def effect_collect(s: State) -> None:
     """eff of Collect, kitchen.koord:100"""
-    for my_c in PARAM_CUPS:  # kitchen.koord:103
+    for my_c in turns(PARAM_CUPS):  # kitchen.koord:103
         s.shared_waiting.value = appended(s.shared_waiting.value, my_c)  # kitchen.koord:104
         if my_c.size == 2 or "e" in my_c.name:  # kitchen.koord:105
             continue  # kitchen.koord:106
-    for my_i in range(1, PARAM_LAPS, 2):  # kitchen.koord:107
+    for my_i in turns(range(1, PARAM_LAPS, 2)):  # kitchen.koord:107
         s.local_seen.value = set_with(s.local_seen.value, (my_i, s.local_on.value))  # kitchen.koord:108
-    for my_i_2 in range(s.n_sys):  # kitchen.koord:109
-        if (my_i_2, False) in s.local_seen.value and not equal(s.shared_x[my_i_2], PARAM_HOME):  # kitchen.koord:110
+    for my_i_2 in turns(range(s.n_sys)):  # kitchen.koord:109
+        if (my_i_2, False) in s.local_seen.value and s.shared_x[my_i_2] != PARAM_HOME:  # kitchen.koord:110
             s.local_seen.value = union(s.local_seen.value, set_of(((my_i_2, True),)))  # kitchen.koord:111
-    for my_n, my_b in s.local_seen.value:  # kitchen.koord:112
-        s.local_text.value = s.local_text.value + str(my_n) + str(my_b)  # kitchen.koord:113
-    for my_p, my_s in s.motion_pscan:  # kitchen.koord:114
+    for my_n, my_b in turns(s.local_seen.value):  # kitchen.koord:112
+        s.local_text.value = made(made(s.local_text.value + str(my_n)) + str(my_b))  # kitchen.koord:113
+    for my_p, my_s in turns(s.motion_pscan):  # kitchen.koord:114
         s.local_scan.value = my_s  # kitchen.koord:115
         s.local_level.value = s.local_level.value + (total(my_s.ranges) + atan2(my_p.y, my_p.x))  # kitchen.koord:116
     my_c_2: Cup = first(s.shared_waiting.value)  # kitchen.koord:117
     s.shared_waiting.value = without(s.shared_waiting.value, 0)  # kitchen.koord:117
     s.local_tray.value = replace(s.local_tray.value, class_=appended(s.local_tray.value.class_, my_c_2))  # kitchen.koord:118
-    s.local_tray.value = replace(s.local_tray.value, class_=updated(s.local_tray.value.class_, 0, replace(at(s.local_tray.value.class_, 0), size=at(s.local_tray.value.class_, 0).size + (round(s.local_level.value) + floor(at(s.local_levels.value, s.local_count.value))))))  # kitchen.koord:119
-    s.local_tray.value = replace(s.local_tray.value, None_=(s.local_count.value, fun_longest((s.local_text.value, at(s.local_tray.value.class_, 0).name[1:3]))))  # kitchen.koord:120
+    s.local_tray.value = replace(s.local_tray.value, class_=updated(s.local_tray.value.class_, 0, replace(at(s.local_tray.value.class_, 0), size=plus(at(s.local_tray.value.class_, 0).size, plus(round(s.local_level.value), floor(at(s.local_levels.value, s.local_count.value)))))))  # kitchen.koord:119
+    s.local_tray.value = replace(s.local_tray.value, None_=(s.local_count.value, fun_longest((s.local_text.value, made(at(s.local_tray.value.class_, 0).name[1:3])))))  # kitchen.koord:120
     s.local_text.value = s.local_tray.value.None_[1]  # kitchen.koord:121
     s.local_levels.value = inserted(s.local_levels.value, 0, exp(s.local_level.value))  # kitchen.koord:122
-    s.local_levels.value = removed(s.local_levels.value, 2.5)  # kitchen.koord:123
-    s.local_levels.value = extended(s.local_levels.value, tuple(sorted(s.local_levels.value))[:2] + tuple(reversed(s.local_levels.value)))  # kitchen.koord:124
+    s.local_levels.value = removed(no_nan_in(s.local_levels.value), 2.5)  # kitchen.koord:123
+    s.local_levels.value = extended(s.local_levels.value, made(made(made(tuple(sorted(no_nan_in(s.local_levels.value))))[:2]) + made(tuple(reversed(s.local_levels.value)))))  # kitchen.koord:124
     s.local_level.value = at(s.local_levels.value, len(s.local_levels.value) - 1)  # kitchen.koord:125
     s.local_levels.value = popped(s.local_levels.value)  # kitchen.koord:125
-    my_where: int = index_of(s.local_levels.value, s.local_level.value) + count(s.local_levels.value, s.local_level.value) + fun_reduce(s.local_count.value, len(s.local_levels.value))  # kitchen.koord:126
+    my_where: int = index_of(no_nan_in(s.local_levels.value), no_nan(s.local_level.value)) + no_nan_in(s.local_levels.value).count(no_nan(s.local_level.value)) + fun_reduce(s.local_count.value, len(s.local_levels.value))  # kitchen.koord:126
     s.local_ticket.value = extern_stamp(s.local_ticket.value, my_c_2, s.shared_paths.all)  # kitchen.koord:127
     if fun_heavy(my_c_2):  # kitchen.koord:128
         s.emit("Log.stdout", "heavy ", my_c_2.name, str(my_where), " at ", shown(my_c_2.at))  # kitchen.koord:129
@@ -228,15 +230,15 @@ def effect_plan(s: State) -> None:
     my_way: tuple[Point, ...] = s.motion_planner(my_c.at, (Grid(1, 2, 0.5),))  # kitchen.koord:135
     if len(my_way) > 0 and clear(my_way, s.shared_paths.all, PARAM_MARGIN) and path_distance(my_way, (PARAM_HOME,)) > 1.0:  # kitchen.koord:136
         s.motion_path.value = my_way  # kitchen.koord:137
-        s.shared_paths.own = my_way[:3]  # kitchen.koord:138
+        s.shared_paths.own = made(my_way[:3])  # kitchen.koord:138
     s.local_known.value = merge(s.local_known.value, mark_free(s.local_known.value, cell(my_c.at, 0.5)))  # kitchen.koord:139
     if is_known(s.local_known.value, Grid(1, 1, 0.5)) and map_get(s.shared_names.value, s.pid, "") != my_c.name:  # kitchen.koord:140
         s.shared_names.value = map_with(s.shared_names.value, s.pid, my_c.name)  # kitchen.koord:141
         s.local_pose.value = Pose(center(Grid(1, 1, 0.5)), s.local_pose.value.yaw)  # kitchen.koord:142
-    for my_k in keys(s.shared_names.value):  # kitchen.koord:143
+    for my_k in turns(keys(s.shared_names.value)):  # kitchen.koord:143
         if map_at(s.shared_names.value, my_k) == map_at(PARAM_LABELS, 1) and not has_key(PARAM_LABELS, my_k) and my_k not in keys(s.shared_names.value):  # kitchen.koord:144
             s.shared_names.value = map_without(s.shared_names.value, my_k)  # kitchen.koord:145
-    for my_k_2, my_v in s.shared_names.value:  # kitchen.koord:146
+    for my_k_2, my_v in turns(s.shared_names.value):  # kitchen.koord:146
         s.local_text.value = my_v if my_k_2 > 1 else at(s.local_text.value, 0)  # kitchen.koord:147
     s.shared_waiting.value = without(s.shared_waiting.value, 0)  # kitchen.koord:148
 
@@ -255,12 +257,12 @@ def effect_finish(s: State) -> None:
 
 
 # Line of this file -> line of kitchen.koord.
-LINES: dict[int, int] = {69: 36, 70: 37, 71: 38, 72: 39, 73: 40, 132: 19, 133: 20, 134: 21, 135: 22, 136: 23, 141: 26, 142: 27, 143: 28, 144: 29, 145: 30, 146: 31, 147: 32, 152: 34, 156: 80, 157: 81, 158: 82, 163: 85, 168: 87, 169: 88, 170: 89, 171: 90, 172: 91, 174: 93, 175: 94, 176: 95, 177: 96, 178: 97, 179: 98, 184: 101, 189: 103, 190: 104, 191: 105, 192: 106, 193: 107, 194: 108, 195: 109, 196: 110, 197: 111, 198: 112, 199: 113, 200: 114, 201: 115, 202: 116, 203: 117, 204: 117, 205: 118, 206: 119, 207: 120, 208: 121, 209: 122, 210: 123, 211: 124, 212: 125, 213: 125, 214: 126, 215: 127, 216: 128, 217: 129, 222: 132, 227: 134, 228: 135, 229: 136, 230: 137, 231: 138, 232: 139, 233: 140, 234: 141, 235: 142, 236: 143, 237: 144, 238: 145, 239: 146, 240: 147, 241: 148, 246: 151, 251: 153, 252: 154, 253: 155, 254: 156, 266: 66, 267: 67, 268: 68, 269: 69, 270: 70, 271: 71, 272: 72, 273: 73, 274: 74, 275: 75, 276: 76, 277: 77, 280: 57, 281: 58, 282: 59, 283: 61, 284: 62, 285: 63, 286: 64}
+LINES: dict[int, int] = {68: 36, 69: 37, 70: 38, 71: 39, 72: 40, 131: 18, 132: 19, 133: 20, 134: 21, 135: 22, 136: 23, 141: 25, 142: 26, 143: 27, 144: 28, 145: 29, 146: 30, 147: 31, 148: 32, 153: 34, 154: 34, 158: 80, 159: 81, 160: 82, 165: 85, 170: 87, 171: 88, 172: 89, 173: 90, 174: 91, 176: 93, 177: 94, 178: 95, 179: 96, 180: 97, 181: 98, 186: 101, 191: 103, 192: 104, 193: 105, 194: 106, 195: 107, 196: 108, 197: 109, 198: 110, 199: 111, 200: 112, 201: 113, 202: 114, 203: 115, 204: 116, 205: 117, 206: 117, 207: 118, 208: 119, 209: 120, 210: 121, 211: 122, 212: 123, 213: 124, 214: 125, 215: 125, 216: 126, 217: 127, 218: 128, 219: 129, 224: 132, 229: 134, 230: 135, 231: 136, 232: 137, 233: 138, 234: 139, 235: 140, 236: 141, 237: 142, 238: 143, 239: 144, 240: 145, 241: 146, 242: 147, 243: 148, 248: 151, 253: 153, 254: 154, 255: 155, 256: 156, 268: 66, 269: 67, 270: 68, 271: 69, 272: 70, 273: 71, 274: 72, 275: 73, 276: 74, 277: 75, 278: 76, 279: 77, 282: 57, 283: 58, 284: 59, 285: 61, 286: 62, 287: 63, 288: 64}
 
 PROGRAM = Program(
     name="kitchen",
     source="kitchen.koord",
-    program_hash="49b8e7c03d90b0a3",
+    program_hash="3315572f65966cb3",
     interface_hash="b1f61fc5e4735cea",
     locals=(
         Variable("count", "local", int, Fixed(9), lambda: 0),  # kitchen.koord:66

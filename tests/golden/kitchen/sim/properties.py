@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from koordgen.runtime.containers import equal, last
+from koordgen.runtime.containers import last
 from koordgen.runtime.gridmap import GridMap
 from koordgen.runtime.property import Asking, Assumption, Each, Known, One, Properties, Property, Trail, Unchecked
 from koordgen.runtime.region import Ball, Rect
-from koordgen.runtime.values import Point, Pose, Scan, distance
+from koordgen.runtime.turns import turns
+from koordgen.runtime.values import Point, Pose, Scan, distance, no_nan_in
 
 from program import Cup, PARAM_HOME, PARAM_MARGIN, PROGRAM, Ticket, Tray, fun_heavy
 
@@ -80,17 +81,17 @@ def initially(s: Fleet) -> bool:
 
 def invariant_fenced(s: Fleet) -> bool:
     """invariant Fenced, kitchen.koord:161"""
-    return s.own("i", lambda my_i: s.motion_position[my_i] in Ball(PARAM_HOME, 10.0) and (not s.local_on[my_i] or s.some("j", range(1, s.n_sys), lambda my_j: equal(s.shared_paths[my_j], s.shared_paths[my_i]))))
+    return s.own("i", lambda my_i: s.motion_position[my_i] in Ball(PARAM_HOME, 10.0) and (not s.local_on[my_i] or s.some("j", turns(range(1, s.n_sys)), lambda my_j: s.shared_paths[my_j] == s.shared_paths[my_i])))
 
 
 def invariant_sized(s: Fleet) -> bool:
     """invariant Sized, kitchen.koord:162"""
-    return s.every("c", s.shared_waiting.value, lambda my_c: fun_heavy(my_c) or my_c.size <= 3, robots=False)
+    return s.every("c", turns(s.shared_waiting.value), lambda my_c: fun_heavy(my_c) or my_c.size <= 3, robots=False)
 
 
 def invariant_class(s: Fleet) -> bool:
     """invariant Class, kitchen.koord:163"""
-    return s.shared_done.value or len(s.shared_x.all) == s.n_sys and s.every("i", range(s.n_sys), lambda my_i: s.shared_class[my_i] >= -1 and not equal(s.local_spot[my_i], Point(0.0, 0.0, 9.0)))
+    return s.shared_done.value or len(s.shared_x.all) == s.n_sys and s.every("i", range(s.n_sys), lambda my_i: s.shared_class[my_i] >= -1 and s.local_spot[my_i] != Point(0.0, 0.0, 9.0))
 
 
 def assume_motion(s: Step) -> bool:
@@ -105,7 +106,7 @@ def surely_assume_motion(b: Any) -> Any:
 
 def assume_motion_2(s: Step, my_goal: Point) -> bool:
     """assume of Motion, kitchen.koord:52"""
-    return equal(s.motion_planner(my_goal), ()) or equal(last(s.motion_planner(my_goal)), my_goal)
+    return s.motion_planner(my_goal) == () or last(s.motion_planner(my_goal)) == no_nan_in(my_goal)
 
 
 PROPERTIES = Properties(

@@ -42,7 +42,7 @@ LINES: dict[int, int] = {25: 10, 30: 13, 35: 15, 36: 16, 50: 7}
 PROGRAM = Program(
     name="lineform",
     source="lineform.koord",
-    program_hash="2751bd73a76f9758",
+    program_hash="966de5957a9fc560",
     interface_hash="9d6360299e59b87d",
     locals=(
     ),

@@ -1,0 +1,138 @@
+"""The limits of one event are the same in the semantics and in generated code. With low limits random programs, which
+are small, meet them often."""
+
+from __future__ import annotations
+
+from collections import Counter
+from contextlib import suppress
+
+import pytest
+
+from koordgen.emit import size
+from koordgen.emit.program import program_text
+from koordgen.runtime import containers, turns
+from koordgen.semantics import eval, exec, numbers
+from koordgen.semantics.eval import Discarded
+from koordgen.semantics.step import initial
+from tests.agree.both import Difference, Generated, Meant, agree
+from tests.agree.programs import N_SYS
+from tests.semantics.programs import compiled
+
+TURNS, ELEMENTS, A_TURN, BITS, SMALL = 12, 5, 2, 12, 3
+LIMITS = [
+    (turns, "MOST_TURNS", TURNS), (turns, "MOST_ELEMENTS", ELEMENTS), (turns, "ELEMENTS_A_TURN", A_TURN),
+    (turns, "MOST_BITS", BITS), (turns, "SMALL_BITS", SMALL), (containers, "MOST_BITS", BITS),
+    (size, "ELEMENTS_A_TURN", A_TURN), (size, "MOST_BITS", BITS), (size, "SMALL_BITS", SMALL),
+    (exec, "MAX_TURNS", TURNS), (eval, "MAX_ELEMENTS", ELEMENTS), (eval, "ELEMENTS_A_TURN", A_TURN),
+    (numbers, "MAX_BITS", BITS), (numbers, "SMALL_BITS", SMALL),
+]  # fmt: skip
+
+
+@pytest.fixture
+def low(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module, name, value in LIMITS:
+        monkeypatch.setattr(module, name, value)
+
+
+def test_the_limits_of_the_semantics_are_those_of_robots() -> None:
+    assert exec.MAX_TURNS == turns.MOST_TURNS
+    assert eval.MAX_ELEMENTS == turns.MOST_ELEMENTS
+    assert eval.ELEMENTS_A_TURN == turns.ELEMENTS_A_TURN
+    assert numbers.MAX_BITS == turns.MOST_BITS
+    assert numbers.SMALL_BITS == turns.SMALL_BITS
+    assert size.ELEMENTS_A_TURN == turns.ELEMENTS_A_TURN
+    assert (size.MOST_BITS, size.SMALL_BITS) == (turns.MOST_BITS, turns.SMALL_BITS)
+
+
+def compare(seed: int, seen: Counter[str]) -> None:
+    """One random program both ways, if its initial values are within the limits."""
+    with suppress(Discarded, turns.TooMuch):
+        agree(seed, seen)
+
+
+def test_random_programs_agree_at_the_limits(low: None) -> None:
+    seen: Counter[str] = Counter()
+    for seed in range(80):
+        compare(seed, seen)
+    assert seen["discarded"] >= seen.total() / 4, "the limits must be met"
+    assert seen["ran"] >= seen.total() / 10, "and not by all"
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("MOST_TURNS", TURNS + 1), ("MOST_ELEMENTS", ELEMENTS + 1), ("ELEMENTS_A_TURN", A_TURN + 1),
+        ("MOST_BITS", BITS + 1), ("SMALL_BITS", SMALL + 1),
+    ],
+)  # fmt: skip
+def test_a_limit_that_is_off_by_one_is_found(name: str, value: int, low: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(turns, name, value)
+    with pytest.raises(Difference):
+        for seed in range(400):
+            compare(seed, Counter())
+
+
+def both(effect: str, declared: str = "", functions: str = "") -> object:
+    """What one event comes to, which is the same on both sides; its locals, or "discarded"."""
+    lines = "\n".join(["    " + line for line in effect.split("\n")])
+    program = compiled(f"{functions}local:\n  int k = 3\n{declared}\nE:\n  pre: True\n  eff:\n{lines}\n")
+    state = initial(program, N_SYS)
+    event, _, outcome = Generated(program, program_text(program)).event(state, 0)
+    assert (event, None, outcome) == Meant(program).event(state, 0)
+    return outcome if isinstance(outcome, str) else {name: value[1] for name, value in outcome["locals"].items()}
+
+
+SLOW = "fun f(int a) -> int:\n  return a + 1\n"
+
+
+@pytest.mark.parametrize(
+    ("effect", "outcome"),
+    [
+        ("for i in range(1000): pass", {"k": "3"}),
+        ("for i in range(1001): pass", "discarded"),
+        ("for i in range(1000000000):\n  if i == 3: break", {"k": "3"}),
+        ("while k < 1003: k += 1", {"k": "1003"}),
+        ("while k < 1004: k += 1", "discarded"),
+        ("while True:\n  k += 1\n  if k == 1003: break", {"k": "1003"}),
+        ("while True:\n  k += 1\n  if k == 1004: break", "discarded"),
+        ("for i in range(500): k = f(k)", {"k": "503"}),
+        ("for i in range(500): k = f(k)\nk = f(k)", "discarded"),
+        ("for i in range(40):\n  for j in range(24): k += 1", {"k": "963"}),
+        ("for i in range(41):\n  for j in range(24): k += 1", "discarded"),
+        ("int n = 2 ** 1023\nn = n * n * n * n\nn = n * 8\nk = n % 7", {"k": "1"}),
+        ("int n = 2 ** 1023\nn = n * n * n * n\nn = n * 16\nk = n % 7", "discarded"),
+        ("int n = 2 ** 1023\nn = n * n * n * n * 8\nn = n + (n - 1)\nk = n % 7", {"k": "1"}),
+        ("int n = 2 ** 1023\nn = n * n * n * n * 8\nn = n + n\nk = n % 7", "discarded"),
+        ("int n = -(2 ** 1023)\nn = n * n * n * n * 8\nn = -n - n\nk = n % 7", "discarded"),
+        ("int n = 2 ** 1023\nn = n * n * n * n * 8\nn = n + (n - 1) + 1\nk = n % 7", {"k": "2"}),
+        ("int n = 16 ** 1023\nk = n % 7", {"k": "1"}),
+        ("int n = 16 ** 1024\nk = n % 7", "discarded"),
+    ],
+)
+def test_the_last_that_is_within_a_limit_and_the_first_that_is_not(
+    effect: str, outcome: object, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(turns, "MOST_TURNS", 1000)
+    monkeypatch.setattr(exec, "MAX_TURNS", 1000)
+    assert both(effect, functions=SLOW if "f(" in effect else "") == outcome
+
+
+@pytest.mark.parametrize(
+    ("grow", "start"),
+    [
+        ("s = s + s", 'string s = "ab"'),
+        ("xs.extend(xs)", "List<int> xs = [1, 2]"),
+        ("xs = xs + xs", "List<int> xs = [1, 2]"),
+        ("k = k * k", "int n = 0"),
+        ("k = k + k", "int n = 0"),
+        ("k = sum([k, k])", "int n = 0"),
+    ],
+)
+def test_what_doubles_for_ever_ends(grow: str, start: str) -> None:
+    assert both(f"{start}\nwhile k != 0: {grow}") == "discarded"
+
+
+def test_making_many_elements_takes_turns() -> None:
+    effect = "List<int> xs\nfor i in range(14000): xs.append(i)\nk = len(xs)"
+    assert both(effect) == {"k": "14000"}
+    assert both(effect.replace("14000", "15000")) == "discarded"  # 15,000 ** 2 / 2 elements are more than 100 million
