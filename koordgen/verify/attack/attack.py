@@ -267,7 +267,7 @@ class _Search:
                     continue
                 after, act, breach = self.judge.init(state)
             except (Unusable, NotExact, Discarded) as error:
-                why = f"no initial state can be made: {error}"
+                why = str(error)
                 continue
             place = self.check(beginning(state), act, after, breach)
             self.ready.append(place)

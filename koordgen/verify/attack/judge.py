@@ -20,7 +20,7 @@ from koordgen.prove.model import allowed
 from koordgen.prove.reading import Unshowable
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exact import NotExact
-from koordgen.semantics.exec import UNFINISHED, NoMeaning, Writes
+from koordgen.semantics.exec import NoMeaning, Writes
 from koordgen.semantics.property import holds_property
 from koordgen.semantics.relations import choices
 from koordgen.semantics.state import State
@@ -187,7 +187,8 @@ class Judge:
     # Steps
 
     def init(self, state: State, given: Iterable[Answer] | None = None) -> tuple[State, Act, Breach | None]:
-        """Every robot's init. Raises Unusable."""
+        """Every robot's init. A robot whose `init` is discarded rests, and its mission does not begin: nothing is
+        promised then but that `(well-defined)` excludes it. Raises Unusable."""
         self.ports.begin(state, given)
         try:
             after, steps = run_init(self.program, state, self.ports.world)
@@ -202,13 +203,15 @@ class Judge:
             raise self._unusable(INIT, self.ports.lacking)
         faults = [step.outcome for step in steps if isinstance(step.outcome, Discarded)]
         ended = [step.outcome for step in steps if isinstance(step.outcome, Writes)]
-        if any(fault.reason == UNFINISHED for fault in faults):
-            raise self._unusable(INIT, UNFINISHED)
         breach = next(filter(None, [self._fault(INIT, str(f), f.reason) for f in faults]), None)
-        if breach is None and self.defined and self._new(WELL_DEFINED, INIT, key_of(state)):
+        if breach is not None:
+            return after, self._act(INIT), breach
+        if faults:
+            raise self._unusable(INIT, f"no mission begins, because `init` is discarded: {faults[0].reason}")
+        if self.defined and self._new(WELL_DEFINED, INIT, key_of(state)):
             self.counts[INIT, WELL_DEFINED] += 1
         broken = next(filter(None, [self._at_head(INIT, None, state, writes) for writes in ended]), None)
-        return after, self._act(INIT), breach or broken or self.judged(after, INIT)
+        return after, self._act(INIT), broken or self.judged(after, INIT)
 
     def ready(self, start: State, now: State, pid: int, given: Iterable[Answer] | None = None) -> Ready:
         """What robot `pid` may do in a round that began with `start`. Raises Unusable."""
