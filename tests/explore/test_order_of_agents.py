@@ -175,10 +175,12 @@ def test_a_counter_that_goes_before_other_events_is_not_forgotten() -> None:
     assert [moment.event for moment in result.violation.moments[2:]] == ["Rest", "Rest", "Go"]
 
 
-def test_a_counter_that_other_events_hide_is_never_enabled() -> None:
+@pytest.mark.parametrize("effect", ["wait -= 1", "stop"])
+def test_what_other_events_hide_is_never_enabled(effect: str) -> None:
     text = COUNTING.replace("priority:\n  Rest:\n    pre: wait > 0\n    eff: wait -= 1\n", "priority:\n")
     text = text.replace("pre: done and wait < 9", "pre: done").replace("not done[i]", "done[i] or not done[i]")
-    hidden = "  Rest:\n    pre: wait > 0\n    eff: wait -= 1\ninvariant"
+    text = text.replace("not done\n", "wait < 9 and not done\n")
+    hidden = f"  Rest:\n    pre: wait > 0\n    eff: {effect}\ninvariant"
     _, result = explored(compiled(text.replace("invariant", hidden)), 2)
     assert result.violation is None and [event.name for event in result.unseen] == ["Rest"]
 
