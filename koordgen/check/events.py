@@ -85,8 +85,8 @@ def lone_priorities(sections: Iterable[ast.Section], c: Context) -> None:
     for section in sections:
         if isinstance(section, ast.Priority) and len(section.events) == 1:
             only = section.events[0].name
-            help = "indent the events that it shall stand before, or behind, under the same 'priority:'"
-            c.warn("K046", f"{only} is the only event of this block, which so orders nothing", section.span, help)
+            help = f"indent the events that are ordered with {only} under the same 'priority:'"
+            c.warn("K046", f"this priority block orders nothing: {only} is its only event", section.span, help)
 
 
 def _conditions(guard: Expr, c: Context) -> frozenset[str]:
@@ -118,9 +118,14 @@ def _hidden(event: _Written, hiding: Sequence[_Judged], first: Sequence[_Judged]
     else:
         message = f"robots never run the event {name}: {why}, and robots run the first event in text order"
         help = (
-            "the language may run it, so proofs and explorations count with it: write both under 'priority:' if "
-            f"{other.name} is meant to go first, or change a guard"
+            f"the language allows it, so proofs and explorations include it; if {other.name} is meant to go first, "
+            "write both under 'priority:'; otherwise change a guard"
         )
+        if event.block is not None and other.block == event.block:
+            help = (
+                "the language allows it, because a transaction sees what other robots have committed since the round's "
+                "start; change a guard"
+            )
     c.warn("K042", message, event.node.span, help, (label,))
     return True
 
