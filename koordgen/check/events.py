@@ -24,6 +24,9 @@ from koordgen.syntax.expr import Expr, Logic
 from koordgen.syntax.stmt import Atomic, Block
 
 
+MOST_EARLIER = 10  # guards with priority that are judged together with one; to leave others out is always right
+
+
 class _Judged(NamedTuple):
     """An event that was checked: its `priority:` block, its guard, and what the guard joins by `and`, as written.
     `always`: the guard holds in every state."""
@@ -165,7 +168,7 @@ def _event(
     c.transaction = transaction
     assert c.path is not None
     first = _first(event, earlier)
-    for other in first:
+    for other in first[-MOST_EARLIER:]:
         if other.guard is not None:
             c.path = c.path.failing(other.guard)
     guard = condition(pre.condition, c, "a guard")
@@ -198,9 +201,10 @@ def _can_run(event: _Written, guard: Condition, first: Sequence[_Judged], c: Con
     if unsat((guard.formula,)):
         c.warn("K041", f"the event {name} can never run: its guard never holds", span)
         return False
-    failed = [linear.negate(other.guard.formula) for other in first if other.guard is not None]
+    nearest = first[-MOST_EARLIER:]
+    failed = [linear.negate(other.guard.formula) for other in nearest if other.guard is not None]
     if failed and unsat((guard.formula, *failed)):
-        labels = tuple([Label(other.span, "has priority") for other in first])
+        labels = tuple([Label(other.span, "has priority") for other in nearest])
         message = f"the event {name} can never run: its guard holds only where that of an event with priority does"
         c.warn("K042", message, event.node.span, "write it before these, or let them ask for more", labels)
         return False
