@@ -23,7 +23,6 @@ from koordgen.syntax import decl as ast
 from koordgen.syntax.expr import Expr, Logic
 from koordgen.syntax.stmt import Atomic, Block
 
-
 MOST_EARLIER = 10  # guards with priority that are judged together with one; to leave others out is always right
 
 
