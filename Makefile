@@ -6,7 +6,7 @@ PY := $(VENV)/bin/python
 STAMP := $(VENV)/.ready
 QUIET := PIP_DISABLE_PIP_VERSION_CHECK=1
 
-.PHONY: demo test lint slow bench generated lock clean
+.PHONY: demo test lint slow prover-campaign bench generated lock clean
 
 demo: $(STAMP)
 	$(PY) -m koordgen sim examples/lineform/lineform.koord --fleet examples/lineform/fleet.yaml \
@@ -27,6 +27,10 @@ lint: $(STAMP)
 # An hour or more on two cores. The chaos tests lay cables between network namespaces: they need root, ip and nft.
 slow: $(STAMP)
 	$(PY) -m pytest -m slow
+
+# Random programs against the prover: 20,000 take two hours or more. Run again, it goes on where it ended.
+prover-campaign: $(STAMP)
+	$(PY) -m tests.prove.campaign --from 0 --count 20000 --folder build/prover-campaign
 
 bench: $(STAMP)
 	$(PY) benchmarks/compile.py

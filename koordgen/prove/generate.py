@@ -150,7 +150,7 @@ def of_event(setting: Setting, event: decl.Event) -> list[Obligation]:
     after = Written(room, now, own, ended(program, frame.writes(), now, own), "@after")
     stage.holds(setting.invariants, now)
     goals = at_heads(stage, frame.heads)
-    goals += [Goal(p.name, goal(stage, p, after)) for p in setting.touched(after.writes)]
+    goals += [Goal(p.name, goal(stage, p, after)) for p in setting.touched(setting.changed(event))]
     room.instantiate()
     moments: list[tuple[Moment, State]] = [("before", now), ("after", after)]
     if begun.used:

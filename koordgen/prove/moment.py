@@ -12,7 +12,7 @@ from koordgen.ir.types import Type
 from koordgen.prove import term as t
 from koordgen.prove.encode.expr import Scope
 from koordgen.prove.encode.function import Functions
-from koordgen.prove.encode.loop import conjuncts
+from koordgen.prove.encode.loop import conjuncts, written
 from koordgen.prove.encode.quantifier import domain as domain_of
 from koordgen.prove.encode.room import Room, symbol
 from koordgen.prove.encode.scope import NotHere, OfFleet, OfRobot
@@ -55,6 +55,13 @@ class Setting:
         self.mentions = {p.name: frozenset(mentioned(p.formula)) for p in self.invariants}
         numbered = robots if self.unrolled else None
         self.loops = LoopInvariants(program, self.mentions, self.params, numbered, dropped)
+
+    def changed(self, event: decl.Event) -> set[Key]:
+        """What an event may change: what it writes, and `reached` of the modules that it commands."""
+        keys = {key for key in written(event.effect) if key[0] != "temp"}
+        modules = {name.rpartition(".")[0] for kind, name in keys if kind == "port"}
+        commanded = {key for key in self.cleared if key[1].rpartition(".")[0] in modules}
+        return keys | commanded
 
     def touched(self, keys: Collection[Key]) -> list[decl.Property]:
         """The invariants that speak of one of these variables: the others stay as they are."""

@@ -35,7 +35,7 @@ class Writes(NamedTuple):
 
 
 class Budget:
-    """One event, its functions included: the turns that are `left` to it of `turns` or MAX_TURNS (a turn of a loop and
+    """One event, its functions included: the turns that are `left` to it, of `turns` or MAX_TURNS (a turn of a loop and
     a call of a function cost one), and the loop invariants that were false or had no value, by where they stand. Where
     there is a deadline, the event is given up when it has passed (OutOfTime)."""
 

@@ -17,7 +17,7 @@ from koordgen.semantics.property import holds_assumption
 from koordgen.semantics.state import State, Store
 from koordgen.semantics.step import execute, initial, round_, run_init, select, sense
 from tests.agree.both import Generated
-from tests.prove.random_programs import LEVELS
+from tests.explore.random_programs import LEVELS
 from tests.runtime.fleet import FakePlatform, Fleet, Robot
 
 QUIET = Conditions(delay=0.001, jitter=0.004)

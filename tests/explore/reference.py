@@ -15,7 +15,7 @@ from koordgen.semantics.property import holds_assumption, holds_property
 from koordgen.semantics.relations import rounds
 from koordgen.semantics.state import State
 from koordgen.semantics.step import initial, run_init, sense
-from tests.prove.random_programs import LEVELS
+from tests.explore.random_programs import LEVELS
 
 LEVEL = Environment({"Dev.level": Domain(LEVELS)}, {})
 NOTHING = Environment({}, {})

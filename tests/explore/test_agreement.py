@@ -12,6 +12,7 @@ from koordgen.explore.symmetry import distinguishes, sorted_robots
 from koordgen.ir.decl import Program
 from koordgen.pipeline import check_file
 from koordgen.prove.model import true
+from tests.explore.random_programs import program as random_text
 from tests.explore.reference import (
     LEVEL,
     NOTHING,
@@ -23,7 +24,6 @@ from tests.explore.reference import (
     search,
     unjudged,
 )
-from tests.prove.random_programs import program as random_text
 from tests.semantics.priorities import in_one_block, ranked
 from tests.semantics.programs import compiled
 

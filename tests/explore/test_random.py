@@ -11,8 +11,8 @@ import pytest
 from koordgen.ir import decl
 from koordgen.semantics.state import State
 from tests.explore.agents import QUIET, ROUGH, Agents, stored
+from tests.explore.random_programs import program as random_text
 from tests.explore.reference import LEVEL, explored, key, reached, unjudged
-from tests.prove.random_programs import program as random_text
 from tests.semantics.programs import compiled
 
 N_SYS, ROUNDS = 2, 3

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from random import Random
 
-from tests.prove.random_programs import program
+from tests.explore.random_programs import program
 
 OTHER = 1_000_000  # how far away the seed of the third event's program is
 BLOCKS = ((0, 3), (0, 3), (0, 2), (1, 3))  # the events of a block, from and to

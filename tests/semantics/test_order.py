@@ -10,7 +10,7 @@ from koordgen.semantics.eval import Discarded
 from koordgen.semantics.relations import choices, post, rounds
 from koordgen.semantics.state import State
 from koordgen.semantics.step import initial, round_, run_init
-from tests.prove.random_programs import LEVELS
+from tests.explore.random_programs import LEVELS
 from tests.semantics.priorities import ranked
 from tests.semantics.programs import compiled
 

@@ -21,10 +21,10 @@ from koordgen.pipeline import check_file
 from koordgen.prove.trace import About, run_trace
 from tests.explore.mutants import MUTANTS as ALL
 from tests.explore.mutants import Mutant
+from tests.explore.random_programs import program as random_text
 from tests.explore.reference import LEVEL, explored, unjudged
 from tests.explore.test_mutants import edited
 from tests.explore.test_search import LOST, STALE
-from tests.prove.random_programs import program as random_text
 from tests.sim.following import DRIVER, Followed, fleet, follow, replays
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

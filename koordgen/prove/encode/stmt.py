@@ -239,7 +239,7 @@ class Frame:
         for element in elements:
             with self.room.under(live):
                 live = t.and_(live, self.run(loop, element))
-            if live is t.FALSE:
+            if live is t.FALSE and not has_loop(loop.block):
                 break
         return live
 

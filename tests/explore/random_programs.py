@@ -1,20 +1,11 @@
-"""Small random programs with invariants, and all states that they reach in a few rounds, by the semantics."""
+"""Small random programs of one sensor, with few states, and with invariants."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import permutations, product
 from random import Random
-
-from koordgen.ir import decl
-from koordgen.semantics.property import holds_assumption, holds_property
-from koordgen.semantics.relations import choices
-from koordgen.semantics.state import NOTHING, State
-from koordgen.semantics.step import applied, initial, run_init, sense
 
 LEVELS = (0, 1, 2)  # of the sensor
 ASSUMED = ("0 <= level' and level' <= 2", "level' >= level", "level' == level or level' == 0", "level' <= level + 1")
-STATES = 600  # of one exploration, at most
 
 
 def program(seed: int) -> str:
@@ -107,61 +98,3 @@ class _Writer:
         lines.append("initially: forall i in ID: 0 <= Dev.level[i] and Dev.level[i] <= 2")
         lines += [self.invariant(f"I{number}") for number in range(3)]
         return "\n".join(lines) + "\n"
-
-
-def reached(checked: decl.Program, n_sys: int, rounds: int) -> Iterator[State]:
-    """Every state at the end of `init`, after every event of the rounds, and after every step of the environment, until
-    there are too many."""
-    frontier: dict[str, State] = {}
-    for levels in product(LEVELS, repeat=n_sys):
-        state, _ = run_init(checked, initial(checked, n_sys, [{"Dev.level": level} for level in levels]))
-        frontier[repr(state)] = state
-    yield from frontier.values()
-    seen = set(frontier)
-    for _ in range(rounds):
-        following: dict[str, State] = {}
-        for state in frontier.values():
-            for within in _within(checked, state):
-                yield within
-                for moved in _moved(checked, within):
-                    following[repr(moved)] = moved
-            if len(following) > STATES:
-                break
-        frontier = {key: state for key, state in following.items() if key not in seen}
-        seen.update(frontier)
-        yield from frontier.values()
-
-
-def _within(checked: decl.Program, begun: State) -> Iterator[State]:
-    """All states within a round: some robots have taken their steps, in any order."""
-    found: dict[str, State] = {}
-    for order in permutations(range(len(begun.robots))):
-        states = [begun]
-        for pid in order:
-            states = [applied(s, c) for s in states for c in choices(checked, s, pid, begun.store)]
-            states = list({repr(s): s for s in states}.values())
-            found.update({repr(s): s for s in states})
-    yield from found.values()
-
-
-def _moved(checked: decl.Program, state: State) -> Iterator[State]:
-    assumption = checked.modules[0].assumptions[0]
-    n_sys = len(state.robots)
-    options = []
-    for pid, robot in enumerate(state.robots):
-        ports = [{"Dev.level": level} for level in LEVELS]
-        allowed = [p for p in ports if holds_assumption(
-            assumption, checked, robot.ports, {**robot.ports, **p}, pid, n_sys, state.params, NOTHING)]  # fmt: skip
-        options.append(allowed)
-    for chosen in product(*options):
-        yield sense(state, chosen)._replace(round=1)
-
-
-def violated(checked: decl.Program, names: frozenset[str], n_sys: int, rounds: int) -> str:
-    """Which of the invariants does not hold of a state that is reached; empty when all do."""
-    wanted = [p for p in checked.properties if p.kind == "invariant" and p.name in names]
-    for state in reached(checked, n_sys, rounds):
-        for invariant in wanted:
-            if not holds_property(invariant, checked, state):
-                return f"{invariant.name} of {n_sys} robots: {state}"
-    return ""
