@@ -23,8 +23,8 @@ LEAST = 0.001  # seconds for each number of robots that was asked for, however m
 def attacked(
     program: Program, params: Mapping[str, Expr], found: list[list[Verdict]], solver: Solver | Both, options: Namespace
 ) -> list[Attacks]:
-    """How many states each obligation was attacked with, for each number of robots; all of them have `--attack`
-    seconds. A contradicted verdict becomes UNSOUND in `found`, and the state is written to a file."""
+    """Attack the verdicts for each number of robots, for `--attack` seconds in all; return the numbers of states by
+    obligation. A contradicted verdict becomes UNSOUND in `found`, and its state is written to a file."""
     left, made = options.attack, []
     for place, verdicts in enumerate(found):
         share = max(left / (len(found) - place), LEAST) if options.attack else 0.0
@@ -40,7 +40,7 @@ def attacked(
 def _attacked(
     program: Program, params: Mapping[str, Expr], verdicts: list[Verdict], solver: Solver | Both, seconds: float
 ) -> tuple[Attacks, Contradiction | None, float]:
-    """For one number of robots; also the seconds that the attack took."""
+    """Attack the verdicts for one number of robots; return also the seconds that this took."""
     from koordgen.prove.show import Attacked
 
     proved = [v.invariant for v in verdicts if v.verdict == "PROVED"]
@@ -62,7 +62,7 @@ def _attacked(
 
 
 def _unsound(verdicts: list[Verdict], contradiction: Contradiction) -> list[Verdict]:
-    """The verdicts that remain: what rests on a contradicted one is not known."""
+    """Return the verdicts that remain: those that rest on a contradicted one become UNKNOWN."""
     name, why = contradiction.breach
     reason = f"the prover said PROVED, and the executable semantics contradicts it: {_where(contradiction)}, {why}"
     found = []

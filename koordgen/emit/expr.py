@@ -254,8 +254,10 @@ def _argument(arg: ir.Expr, name: str, names: Names) -> str:
 def _builtin(name: str, args: tuple[ir.Expr, ...], names: Names) -> str:
     given = ", ".join([_argument(arg, name, names) for arg in args])
     match name:
-        case "cleared":
+        case "cleared" if isinstance(args[0], (ir.LocalRead, ir.TempRead, ir.SharedRead, ir.PortRead)):
             return "()"
+        case "cleared":  # `m[k].clear()`: there may be no such key
+            return f"{_within(args[0], names, _ATOM)}[:0]"
         case "items":  # a map is its pairs
             return given
         case "sorted":

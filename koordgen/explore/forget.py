@@ -87,7 +87,7 @@ class Forgetting:
         named = {node.name for p in program.properties for node in nodes(p.formula) if isinstance(node, expr.LocalOf)}
         self._named = tuple([v.name for v in program.locals if v.name in named])
         guards = {node.name for e in program.events for node in nodes(e.guard) if isinstance(node, expr.LocalRead)}
-        alone = [_turns_on(event) if event.priority is None else None for event in program.events]
+        alone = [_turns_on(event) for event in program.events]
         unread = [v.name for v in program.locals if v.name not in named]
         self._take([name for name in unread if name not in guards or name in alone])
 
@@ -98,11 +98,7 @@ class Forgetting:
     def _take(self, names: list[str]) -> None:
         self.locals = tuple(names)
         events = enumerate(self.machine.program.events)
-        self._turning = {
-            index: name
-            for index, event in events
-            if event.priority is None and (name := _turns_on(event)) in names and name
-        }
+        self._turning = {index: name for index, event in events if (name := _turns_on(event)) in names and name}
         self.idle = frozenset(self._turning)
         self._kept = tuple([v.name for v in self.machine.program.locals if v.name not in names])
         self._standing: dict[tuple[int, int, int], int] = {}
@@ -201,7 +197,7 @@ class Forgetting:
 
 
 def _turns_on(event: decl.Event) -> str | None:
-    """The one variable that an event reads and writes, where that is all that it does."""
+    """The one variable that an event reads and writes, where that is all that it does, and it stands in no block."""
     names, parts = set(), (event.guard, event.effect)
     for node in nodes(parts):
         match node:
@@ -220,4 +216,4 @@ def _turns_on(event: decl.Event) -> str | None:
                 return None
             case _:
                 pass
-    return names.pop() if len(names) == 1 and event.lock is None else None
+    return names.pop() if len(names) == 1 and event.lock is None and event.priority is None else None

@@ -224,3 +224,7 @@ def test_a_number_that_is_multiplied_every_round_never_becomes_infinite() -> Non
         state = round_(program, state)[0]
     assert generated.event(state, 0) == meant.event(state, 0) == ("Grow", None, "discarded")
     assert state.robots[0].locals["f"] == pytest.approx(1e308)
+
+
+def test_what_is_not_there_is_not_cleared() -> None:
+    assert outcomes("Map<int, List<int>> lists\nlists[7].clear()") == ("discarded", "discarded")

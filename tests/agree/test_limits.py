@@ -62,7 +62,7 @@ def test_random_programs_agree_at_the_limits(low: None) -> None:
     ("name", "value"),
     [
         ("MOST_TURNS", TURNS + 1), ("MOST_ELEMENTS", ELEMENTS + 1), ("ELEMENTS_A_TURN", A_TURN + 1),
-        ("MOST_BITS", BITS + 1), ("SMALL_BITS", SMALL + 1),
+        ("MOST_BITS", BITS + 1),
     ],
 )  # fmt: skip
 def test_a_limit_that_is_off_by_one_is_found(name: str, value: int, low: None, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -82,6 +82,7 @@ def both(effect: str, declared: str = "", functions: str = "") -> object:
     return outcome if isinstance(outcome, str) else {name: value[1] for name, value in outcome["locals"].items()}
 
 
+LONGEST = "int n = 2 ** 1023\nn = n * n * n * n * 8\nn = n + (n - 1)"  # 4,096 bits
 SLOW = "fun f(int a) -> int:\n  return a + 1\n"
 
 
@@ -105,6 +106,8 @@ SLOW = "fun f(int a) -> int:\n  return a + 1\n"
         ("int n = 2 ** 1023\nn = n * n * n * n * 8\nn = n + n\nk = n % 7", "discarded"),
         ("int n = -(2 ** 1023)\nn = n * n * n * n * 8\nn = -n - n\nk = n % 7", "discarded"),
         ("int n = 2 ** 1023\nn = n * n * n * n * 8\nn = n + (n - 1) + 1\nk = n % 7", {"k": "2"}),
+        (f"{LONGEST}\nint m = 2 ** 63\nk = (n + m) % 7", {"k": "2"}),
+        (f"{LONGEST}\nint m = 2 ** 64\nk = (n + m) % 7", "discarded"),
         ("int n = 16 ** 1023\nk = n % 7", {"k": "1"}),
         ("int n = 16 ** 1024\nk = n % 7", "discarded"),
     ],

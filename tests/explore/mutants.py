@@ -164,18 +164,20 @@ Elect:
     Mutant(
         "follow: stale route",
         "follow/follow",
-        """Lead:
-  pre: pid == 0 and not begun
-  eff:
-    Motion.path = route
+        """priority:
+  Lead:
+    pre: pid == 0 and not begun
+    eff:
+      Motion.path = route
 """,
         """local: List<Point> way
 
-Lead:
-  pre: pid == 0 and not begun
-  eff:
-    Motion.path = way
-    way = route
+priority:
+  Lead:
+    pre: pid == 0 and not begun
+    eff:
+      Motion.path = way
+      way = route
 """,
         "Route",
         1,
@@ -184,8 +186,8 @@ Lead:
     Mutant(
         "hvac: stale temperature",
         "hvac/hvac",
-        "  pre: HVAC.temp <= wanted + band and",
-        "  pre: temps[pid] <= wanted + band and",
+        "  pre: HVAC.temp > wanted + band",
+        "  pre: temps[pid] > wanted + band",
         "Safe",
         2,
     ),

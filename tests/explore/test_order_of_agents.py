@@ -150,3 +150,53 @@ def test_the_search_of_agents_takes_the_rounds_of_agents(seed: int) -> None:
     made, _ = explored(program, 2, LEVEL, 2, deadlock=False, as_agents=True)
     for fleet in islice(made.known, 0, None, max(1, len(made.known) // 12)):
         assert after_explored(made, fleet) == set(rounds_of_agents(program, made.machine.state(fleet)))
+
+
+COUNTING = """
+local: int wait = 2
+  bool done
+priority:
+  Rest:
+    pre: wait > 0
+    eff: wait -= 1
+  Go:
+    pre: not done
+    eff: done = True
+  Finish:
+    pre: done and wait < 9
+    eff: stop
+invariant Never: forall i in ID: not done[i]
+"""
+
+
+def test_a_counter_that_goes_before_other_events_is_not_forgotten() -> None:
+    _, result = explored(compiled(COUNTING), 2)
+    assert result.violation is not None
+    assert [moment.event for moment in result.violation.moments[2:]] == ["Rest", "Rest", "Go"]
+
+
+@pytest.mark.parametrize("effect", ["wait -= 1", "stop"])
+def test_what_other_events_hide_is_never_enabled(effect: str) -> None:
+    text = COUNTING.replace("priority:\n  Rest:\n    pre: wait > 0\n    eff: wait -= 1\n", "priority:\n")
+    text = text.replace("pre: done and wait < 9", "pre: done").replace("not done[i]", "done[i] or not done[i]")
+    text = text.replace("not done\n", "wait < 9 and not done\n")
+    hidden = f"  Rest:\n    pre: wait > 0\n    eff: {effect}\ninvariant"
+    _, result = explored(compiled(text.replace("invariant", hidden)), 2)
+    assert result.violation is None and [event.name for event in result.unseen] == ["Rest"]
+
+
+def test_an_earlier_guard_without_a_value_blocks_in_the_explorer() -> None:
+    program = compiled("""
+local: List<int> xs
+priority:
+  Wait:
+    pre: xs[0] > 1
+    eff: xs = []
+  Go:
+    pre: True
+    eff: xs = [7]
+""")
+    made, _ = explored(program, 1, deadlock=False, forgetting=False)
+    (fleet,) = made.known
+    assert made.machine.prior((0, 1), 0, fleet[0], fleet[1:]) == (0,)
+    assert after_explored(made, fleet) == {key(made.machine.state(fleet))}

@@ -102,10 +102,12 @@ def test_an_invariant_without_a_value_is_contradicted(formula: str, name: str) -
     assert broken(attacked(text, ["Q"])) == name
 
 
-def test_an_init_that_is_discarded_leaves_the_first_values() -> None:
-    """An invariant that needs `init` does not hold then, whatever discarded it."""
+def test_where_init_is_discarded_no_mission_begins() -> None:
+    """The robot rests, so that nothing is said of what follows."""
     text = HEAD + "init:\n  xs = [1, 2, 3, 4, 5]\n  done = True\nGo:\n  pre: done\n  eff: a = 1\n"
-    assert broken(attacked(text + "invariant Q: forall i in ID: done[i]\n", ["Q"])) == "Q"
+    found = attacked(text + "invariant Q: forall i in ID: done[i]\n", ["Q"])
+    assert found.contradiction is None
+    assert found.of(INIT, "Q")[0] == 0 and "`init` is discarded: xs would become" in found.of(INIT, "Q")[1]
 
 
 COUNTER = """

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import nullcontext
 from itertools import cycle
 from random import Random
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -19,6 +20,7 @@ from koordgen.diagnostics import InternalError
 from koordgen.ir import decl
 from koordgen.ir import expr as ir
 from koordgen.node import Node, nodes, replace
+from koordgen.semantics.deadline import Deadline, OutOfTime, ends
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exact import NotExact, exact
 from koordgen.semantics.state import State
@@ -58,8 +60,8 @@ Clock = Callable[[], float]
 
 
 class Report(NamedTuple):
-    """What an attack came to. `states`: how many each invariant was judged in, by step (an event's name, "init",
-    "(environment)") and invariant. `reasons`: why it was judged in none, likewise."""
+    """Result of an attack. `states`: the number of states that each invariant was judged in, by step (an event's name,
+    "init", "(environment)") and invariant. `reasons`: why it was judged in none, by the same."""
 
     states: Mapping[tuple[str, str], int]
     reasons: Mapping[tuple[str, str], str]
@@ -67,7 +69,7 @@ class Report(NamedTuple):
     seconds: float
 
     def of(self, step: str, invariant: str) -> tuple[int, str]:
-        """How many states an obligation was attacked with; why none, where it is 0."""
+        """Return the number of states that an obligation was attacked with, and the reason where it is 0."""
         count = self.states.get((step, invariant), 0)
         if count:
             return count, ""
@@ -88,8 +90,8 @@ class Found(Exception):
 
 
 class Place(NamedTuple):
-    """Within a round: the state that all began with, the round's start, the state now, the robots that had their turn
-    in this round, all steps until now."""
+    """Position within a run: its first state, the state at the round's start, the state now, the robots that had their
+    turn in this round, all steps until now."""
 
     first: State
     start: State
@@ -98,7 +100,7 @@ class Place(NamedTuple):
     acts: tuple[Act, ...]
 
     def then(self, act: Act, now: State) -> Place:
-        """After a step of a robot; the beginning of the next round where it is the environment's, or `init`."""
+        """Return the place after a step. The environment's step and `init` begin the next round."""
         acts = (*self.acts, act)
         if act.pid is None:
             return Place(self.first, now, now, frozenset(), acts)
@@ -106,7 +108,7 @@ class Place(NamedTuple):
 
 
 def beginning(state: State) -> Place:
-    """A state before `init`, or at a round's start, from which steps are run."""
+    """Return the place of a state before `init` or at a round's start."""
     return Place(state, state, state, frozenset(), ())
 
 
@@ -135,8 +137,8 @@ def _none(why: str) -> Report:
 
 
 def runnable(program: decl.Program) -> tuple[decl.Program, bool]:
-    """The program made exact; and whether first values of variables, GridMaps, are those of robots, which depend on the
-    params that the program has."""
+    """Return the program made exact, and whether some first values are GridMaps. Those are computed as robots do, with
+    the params that the program has, because a GridMap has no exact form."""
     variables: list[decl.Local | decl.Shared] = [*program.locals, *program.shared]
     rounded = {v.name for v in variables if any(_is_map(n) for n in nodes(v.initial))}
     made = exact(program)
@@ -193,18 +195,21 @@ class _Search:
     def run(self) -> Contradiction | None:
         began = self.clock()
         try:
-            for _ in self.first():
-                if self.clock() > began + FIRST * (self.until - began):
-                    break
-            self.alternate()
+            with ends(Deadline(self.clock, self.until)) if self.timed else nullcontext():
+                for _ in self.first():
+                    if self.clock() > began + FIRST * (self.until - began):
+                        break
+                self.alternate()
         except Spent:
             pass
+        except OutOfTime:
+            self.spent = True
         except Found as found:
             return self.confirmed(found.contradiction)
         return None
 
     def confirmed(self, found: Contradiction) -> Contradiction:
-        """A contradiction once more, from its beginning, by another judge."""
+        """Run a contradiction again from its beginning, by another judge. Raises InternalError where it is none."""
         why = "it is none the second time"
         try:
             again = Judge(self.exact, self.proved, self.states.answers).follow(found.trial).contradiction
@@ -215,7 +220,7 @@ class _Search:
         raise InternalError(f"the attack on {found.breach.invariant} found what it cannot repeat: {why}")
 
     def alternate(self) -> None:
-        """All sources, each with the same time, until the budget is used up."""
+        """Run all sources, each for the same time, until the budget is used up."""
         sources = [self.walks(), self.varied()] + ([self.modelled()] if self.solver is not None else [])
         used = [0.0] * len(sources)
         while sources:
@@ -230,7 +235,7 @@ class _Search:
             self.unit()
 
     def unit(self) -> None:
-        """One piece of work is done. Raises Spent, also where none of the last ones came to a new state."""
+        """Count one piece of work. Raises Spent when the budget is used up, or the last STALE pieces found no state."""
         if len(self.judge.known) > self.news[0]:
             self.news = len(self.judge.known), self.units
         self.units += 1
@@ -251,7 +256,7 @@ class _Search:
                     yield from self.walk(place)
 
     def launch(self, robots: int) -> Place | None:
-        """A place after every robot's init; None where none was found."""
+        """Return a place after every robot's init; None where no initial state was found."""
         why = "no state was found that satisfies what holds `initially`"
         for _ in range(TRIES):
             self.unit()
@@ -262,7 +267,7 @@ class _Search:
                     continue
                 after, act, breach = self.judge.init(state)
             except (Unusable, NotExact, Discarded) as error:
-                why = f"no initial state can be made: {error}"
+                why = str(error)
                 continue
             place = self.check(beginning(state), act, after, breach)
             self.ready.append(place)
@@ -303,7 +308,7 @@ class _Search:
             self.known.append(place.now)
 
     def turn(self, place: Place, pid: int) -> Place:
-        """One event of a robot, one that was run seldom; the same place where it has none."""
+        """Run one event of a robot, one that was run seldom; return the same place where the robot has none."""
         drawn = [(self.runs.get(event.name, 0), self.random.random(), event) for event in self.options(place, pid)]
         for _, _, event in sorted(drawn, key=lambda each: each[:2]):
             step = self.step(place, pid, event)
@@ -379,7 +384,7 @@ class _Search:
                         yield step
 
     def options(self, place: Place, pid: int) -> list[decl.Event]:
-        """The events that a robot may run."""
+        """Return the events that a robot may run."""
         try:
             ready = self.judge.ready(place.start, place.now, pid)
         except Unusable:
@@ -390,7 +395,7 @@ class _Search:
         return ready.events
 
     def step(self, place: Place, pid: int, event: decl.Event) -> Place | None:
-        """A place after a robot's event; None where it has no result. Raises Spent, Found."""
+        """Return the place after a robot's event; None where the event has no result. Raises Spent, Found."""
         self.unit()
         self.runs[event.name] = self.runs.get(event.name, 0) + 1
         try:
@@ -403,7 +408,7 @@ class _Search:
         return self.check(place, act, after, breach)
 
     def settle(self, place: Place) -> Place | None:
-        """The beginning of the next round, after the environment's step; None where no move was drawn that the
+        """Return the beginning of the next round, after the environment's step; None where no move was drawn that the
         assumptions allow."""
         self.unit()
         if not self.states.sensors:
@@ -425,14 +430,14 @@ class _Search:
         return self.check(place, act, after, breach)
 
     def check(self, place: Place, act: Act, after: State, breach: Breach | None) -> Place:
-        """The place after a step. Raises Found where the step contradicts a verdict."""
+        """Return the place after a step. Raises Found where the step contradicts a verdict."""
         step = place.then(act, after)
         if breach is not None:
             raise Found(Contradiction(Trial(step.first, step.acts), breach, place.now, after))
         return step
 
     def fresh(self, state: State) -> bool:
-        """Whether a state was not attacked before."""
+        """Return whether a state was not attacked before."""
         key = key_of(state)
         if key in self.seen:
             return False

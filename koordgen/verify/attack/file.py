@@ -63,7 +63,7 @@ class BadFile(Exception):
 
 
 class Given(NamedTuple):
-    """What a file says: the invariants that were PROVED, the trial, the invariant that it contradicts."""
+    """Content of a file: the invariants that were PROVED, the trial, the invariant that it contradicts."""
 
     proved: tuple[str, ...]
     trial: Trial
@@ -138,7 +138,7 @@ def plain(value: Any) -> Any:
 
 
 def read(data: bytes, program: decl.Program, program_hash: str) -> Given:
-    """What a file says about a program, made exact. Raises BadFile."""
+    """Return the content of a file about a program, made exact. Raises BadFile."""
     if len(data) > MOST_BYTES:
         raise BadFile(f"it has {len(data)} bytes, and at most {MOST_BYTES} are read")
     try:
@@ -358,6 +358,6 @@ def _float(data: Any) -> float:
 
 
 def _short(data: Any) -> str:
-    """What stands in the file, for a message."""
+    """Return data of the file for a message, cut short."""
     text = json.dumps(data)  # control characters and what is no Unicode are escaped
     return text if len(text) <= 60 else f"{text[:57]}..."

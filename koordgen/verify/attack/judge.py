@@ -20,7 +20,7 @@ from koordgen.prove.model import allowed
 from koordgen.prove.reading import Unshowable
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exact import NotExact
-from koordgen.semantics.exec import UNFINISHED, NoMeaning, Writes
+from koordgen.semantics.exec import NoMeaning, Writes
 from koordgen.semantics.property import holds_property
 from koordgen.semantics.relations import choices
 from koordgen.semantics.state import State
@@ -102,9 +102,9 @@ class Refused(Exception):
 
 
 class Judge:
-    """Of one program, made exact, and the names of its invariants that are PROVED. `draw` proposes answers of callable
-    ports. `counts` has the states that each invariant was judged in, by step and invariant; `reasons` why it could not
-    be judged."""
+    """Judge of one program, made exact. `proved`: the names of the invariants that are PROVED. `draw` proposes answers
+    of callable ports. `counts` has the number of states that each invariant was judged in, by step and invariant;
+    `reasons` says why it could not be judged."""
 
     def __init__(self, program: decl.Program, proved: Collection[str], draw: Draw) -> None:
         self.program = program
@@ -129,7 +129,8 @@ class Judge:
     # What is promised of a state
 
     def judged(self, state: State, event: str) -> Breach | None:
-        """The first PROVED invariant that does not hold after `event`. Each state is judged once after each event."""
+        """Return the first PROVED invariant that is contradicted after `event`. Each state is judged once after each
+        event."""
         if not self._new(event, key_of(state)):
             return None
         for property_ in self.invariants:
@@ -165,8 +166,8 @@ class Judge:
         return all(self._true(property_, state) for property_ in self.initially)
 
     def relied_upon(self, state: State) -> str:
-        """What a state needs to be attacked and does not satisfy: the PROVED invariants, and what is said of params in
-        `initially`, which holds for good; empty where all hold. Raises Unusable."""
+        """Return the name of a hypothesis that a state does not satisfy; empty where it satisfies all. Hypotheses are
+        the PROVED invariants, and what `initially` says of params, which holds for good. Raises Unusable."""
         for part in self.rigid:
             if not self._true(decl.Property("initially", "", part, part.span), state):
                 return f"what `initially` says of params in line {part.span.line}"
@@ -187,7 +188,8 @@ class Judge:
     # Steps
 
     def init(self, state: State, given: Iterable[Answer] | None = None) -> tuple[State, Act, Breach | None]:
-        """Every robot's init. Raises Unusable."""
+        """Run every robot's init. A robot whose `init` is discarded rests, and its mission does not begin: nothing is
+        promised then but that `(well-defined)` excludes it. Raises Unusable."""
         self.ports.begin(state, given)
         try:
             after, steps = run_init(self.program, state, self.ports.world)
@@ -202,16 +204,18 @@ class Judge:
             raise self._unusable(INIT, self.ports.lacking)
         faults = [step.outcome for step in steps if isinstance(step.outcome, Discarded)]
         ended = [step.outcome for step in steps if isinstance(step.outcome, Writes)]
-        if any(fault.reason == UNFINISHED for fault in faults):
-            raise self._unusable(INIT, UNFINISHED)
         breach = next(filter(None, [self._fault(INIT, str(f), f.reason) for f in faults]), None)
-        if breach is None and self.defined and self._new(WELL_DEFINED, INIT, key_of(state)):
+        if breach is not None:
+            return after, self._act(INIT), breach
+        if faults:
+            raise self._unusable(INIT, f"no mission begins, because `init` is discarded: {faults[0].reason}")
+        if self.defined and self._new(WELL_DEFINED, INIT, key_of(state)):
             self.counts[INIT, WELL_DEFINED] += 1
         broken = next(filter(None, [self._at_head(INIT, None, state, writes) for writes in ended]), None)
-        return after, self._act(INIT), breach or broken or self.judged(after, INIT)
+        return after, self._act(INIT), broken or self.judged(after, INIT)
 
     def ready(self, start: State, now: State, pid: int, given: Iterable[Answer] | None = None) -> Ready:
-        """What robot `pid` may do in a round that began with `start`. Raises Unusable."""
+        """Return what robot `pid` may do in a round that began with `start`. Raises Unusable."""
         self.ports.begin(now, given)
         try:
             steps = choices(self.guards, now, pid, start.store, self.ports.world)
@@ -222,7 +226,7 @@ class Judge:
             raise Unusable(f"the guards cannot be evaluated: {error}") from None
 
     def _guard_fault(self, start: State, now: State, pid: int, found: list[decl.Event]) -> tuple[Act, Breach] | None:
-        """A guard that has no value, where one is promised."""
+        """Return the step of an event whose guard has no value, where one is promised."""
         for event in self.program.events:
             if event.name not in self.fallible or event in found:
                 continue
@@ -242,7 +246,7 @@ class Judge:
         return any(step.event == event.name for step in steps)
 
     def event(self, start: State, now: State, pid: int, event: decl.Event) -> tuple[State, Act, Breach | None] | None:
-        """The event of robot `pid`, which `ready` found; None where it is discarded. Raises Unusable."""
+        """Run an event of robot `pid` that `ready` found; None where it is discarded. Raises Unusable."""
         self.ports.lacking = ""
         name = event.name
         try:
@@ -265,7 +269,7 @@ class Judge:
         return after, self._act(name, pid), broken or self.judged(after, name)
 
     def _at_head(self, step: str, pid: int | None, seen: State, writes: Writes) -> Breach | None:
-        """A PROVED loop invariant that did not hold when a step came to it."""
+        """Return a PROVED loop invariant that did not hold when a step came to it."""
         violated = {f"line {span.line}" for span in writes.violated}
         new = self._new("at heads", step, pid, key_of(seen)) if self.at_heads[step] else False
         for owner, name in self.at_heads[step]:
@@ -275,14 +279,14 @@ class Judge:
         return None
 
     def environment(self, now: State, sensors: tuple[Mapping[str, Value], ...]) -> tuple[State, Act, Breach | None]:
-        """The environment's step, where the assumptions allow it. Raises Unusable."""
+        """Run the environment's step where the assumptions allow it. Raises Unusable."""
         for pid, (robot, new) in enumerate(zip(now.robots, sensors, strict=True)):
             if not self.may_move(now, pid, {**robot.ports, **new}):
                 raise Unusable("the assumptions do not allow it")
         return self.moved(now, sensors)
 
     def moved(self, now: State, sensors: tuple[Mapping[str, Value], ...]) -> tuple[State, Act, Breach | None]:
-        """The environment's step, which the assumptions allow."""
+        """Run the environment's step, which the assumptions are known to allow."""
         after = sense(now, sensors)._replace(round=now.round + 1)
         return after, Act(ENVIRONMENT, sensors=sensors), self.judged(after, ENVIRONMENT)
 
@@ -301,7 +305,7 @@ class Judge:
         return Unusable(why)
 
     def _fault(self, event: str, told: str, reason: str = "") -> Breach | None:
-        """A fault of an operation that `(well-defined)` promises."""
+        """Return a breach of `(well-defined)` where it promises that the operation has a value."""
         where = "init" if event == INIT else f"event {event}"
         _, claimed, within = told.partition(PROVED_RIGHT)
         if not is_covered(within if claimed else reason):
@@ -334,7 +338,7 @@ class Judge:
         return Followed(tuple(states), Contradiction(trial, breach, *states[-2:]) if breach else None)
 
     def _followed(self, start: State, now: State, act: Act) -> tuple[State, Breach | None]:
-        """One step of a trial, in a round that began with `start`."""
+        """Run one step of a trial, in a round that began with `start`."""
         if (act.event == INIT) != (now.round == 0):
             raise Refused("`init` comes first, and once")
         if act.event == INIT:
@@ -382,7 +386,7 @@ def _at_heads(program: decl.Program, owner: str, block: object) -> Iterator[tupl
 
 
 def names_of(program: decl.Program) -> list[str]:
-    """All that a verdict may be about."""
+    """Return the names that verdicts of a program have."""
     blocks = (program.init, program.events, program.functions)
     loops = [f"line {n.span.line}" for n in nodes(blocks) if isinstance(n, stmt.LoopInvariant)]
     return [WELL_DEFINED, *[p.name for p in program.properties if p.kind == "invariant"], *loops]
@@ -419,7 +423,7 @@ def _seen(event: decl.Event, start: State, now: State) -> State:
 
 
 def key_of(state: State) -> tuple[object, ...]:
-    """What tells states apart."""
+    """Return a key that differs for different states, rounds aside."""
     robots = [(*r.locals.values(), None, *r.ports.values(), r.stopped) for r in state.robots]
     store = (*state.store.slots.values(), None, *state.store.cells.values())
     return (*state.params.values(), None, *robots, *store)

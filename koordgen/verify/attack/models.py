@@ -34,7 +34,7 @@ NUMBERS = (-1, 0, 1, 2, 3, 7)
 
 
 class Models:
-    """Of one program whose invariants are all PROVED, and the same made exact."""
+    """Source of pre-states of one program whose invariants are all PROVED; `exact` is the same program made exact."""
 
     def __init__(
         self, program: decl.Program, exact: decl.Program, params: dict[str, ir.Expr], solver: Solver | Both,
@@ -79,7 +79,7 @@ class Models:
             return None
 
     def _nudges(self, asked: _Asked) -> tuple[Term, ...]:
-        """Some parts of the state are a drawn number, or not what they were last."""
+        """Return conditions on some parts of a state, so that the next model differs from the last."""
         parts = [p for p in asked.parts if p.sort in (t.INT, t.REAL, t.BOOL)]
         if not parts:
             return ()
@@ -94,7 +94,7 @@ class Models:
         return wanted if self.random.random() < 0.7 else t.not_(wanted)
 
     def _hypotheses(self, event: decl.Event | None, robots: int) -> Obligation:
-        """What is assumed of a state before a step: the invariants, and the guard of the robot that acts."""
+        """Encode what is assumed of a state before a step: the invariants, and the guard of the robot that acts."""
         stage = Stage(Setting(self.program, robots, self.params, "usual"))
         room, setting = stage.room, stage.setting
         now = Free(room, setting.types)
@@ -117,7 +117,7 @@ class Models:
 
 
 class _Acting(OfFleet):
-    """A guard: what one robot reads at a round's start. Callable ports answer anything."""
+    """Scope of a guard: the variables of one robot at a round's start. Callable ports answer anything."""
 
     def __init__(self, state: Free, room: Room, robot: Term) -> None:
         super().__init__(state)

@@ -32,8 +32,8 @@ class Answer(NamedTuple):
 
 
 class Ports:
-    """The callable ports of one step after the other. `world` is what the semantics calls; `lacking` says why the
-    present step shows nothing, where something was asked that has no known answer."""
+    """Callable ports and extern functions of one step after the other. The semantics calls `world`. `lacking` says why
+    the present step shows nothing, where a question has no known answer."""
 
     def __init__(self, program: decl.Program, draw: Draw) -> None:
         self.program, self.draw = program, draw

@@ -42,7 +42,7 @@ ELSEWHERE = tuple([_exact_point(*place) for place in ((2, -1, 1), (-3, 4, 0), (9
 
 
 class States:
-    """Draws of one program, made exact; `free` are the params that may have any value."""
+    """Source of states of one program, made exact; `free` are the params that may have any value."""
 
     def __init__(self, program: decl.Program, free: Iterable[str], random: Random) -> None:
         self.program, self.random = program, random
@@ -70,8 +70,8 @@ class States:
     # Before init
 
     def launch(self, robots: int, attempt: int, plausible: Callable[[State], bool]) -> State | None:
-        """A state before `init` that is `plausible`; None where it is not. Robots are drawn one after the other, so
-        that each fits those before it. The first attempt sets robots apart and has the params of the program."""
+        """Draw a state before `init` that is `plausible`; None where none was found. Robots are drawn one after the
+        other, so that each fits those before it. The first attempt sets robots apart and has the program's params."""
         values = {}
         if self.free and attempt % 2:
             bare = self._blank({})
@@ -118,7 +118,7 @@ class States:
     # The environment's step
 
     def moves(self, now: State, pid: int) -> Iterator[dict[str, Value]]:
-        """New sensor values of one robot: often where it was sent, in the end as they are."""
+        """Propose new sensor values of one robot: often those of its goal, at last the present ones."""
         ports = now.robots[pid].ports
         goals = [goal for name, value in ports.items() if name not in self.sensed for goal in _goal(value)]
         if self.random.random() < ARRIVING:
@@ -144,7 +144,7 @@ class States:
     # States beside a state
 
     def varied(self, state: State) -> State:
-        """A state that differs in a few variables: drawn values, or those of other variables and robots."""
+        """Return a state that differs in a few variables, which have drawn values, or those of others."""
         for _ in range(self.random.randint(1, VARIED)):
             kind, name, type_ = self.random.choice(self.variables)
             pids = range(len(state.robots))
@@ -163,7 +163,7 @@ class States:
     # Callable ports
 
     def answers(self, state: State, pid: int, port: str, args: tuple[Value, ...]) -> Iterator[Value]:
-        """What a planner may say: no way, the straight way, a detour, the goal alone, in an order that is drawn."""
+        """Propose answers of a planner in a drawn order: no way, the straight way, a detour, the goal alone."""
         position = state.robots[pid].ports.get(f"{port.partition('.')[0]}.position")
         goal = next((arg for arg in args if isinstance(arg, Point)), None)
         ways: list[Value] = [()]
@@ -244,7 +244,7 @@ def _with(state: State, kind: str, name: str, pid: int, value: Value) -> State:
 
 
 def _goal(command: Value) -> list[Point]:
-    """Where a command sends its robot."""
+    """Return the place to which a command sends its robot, if it is one of these."""
     last = command[-1] if isinstance(command, tuple) and command else command
     return [last] if isinstance(last, Point) else []
 
