@@ -10,7 +10,7 @@ from __future__ import annotations
 import signal
 import time
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from itertools import islice, product
@@ -44,6 +44,7 @@ POOLS: dict[Type, tuple[Any, ...]] = {
     POINT: (Point(0.0, 0.0, 0.0), Point(5.0, 2.0, 0.0), Point(-1.0, 0.0, 7.0)),
 }
 WAYS = ((), (Point(1.0, 0.0, 0.0),), (Point(5.0, 2.0, 0.0), Point(1.0, 0.0, 0.0)))
+TURNS = 2000  # of loops, in one event of a random run: one that takes more is discarded
 MOVES = {1: 6, 2: 3, 3: 2}  # of one robot's sensors in one step, by the number of robots
 
 
@@ -88,6 +89,9 @@ class Judged(NamedTuple):
     seconds: Mapping[str, float]
 
 
+Judge = Callable[[decl.Program, frozenset[str], int, Effort], "Contradiction | None"]
+
+
 def judged(program: decl.Program, solver: Solver | Both, seed: int, effort: Effort) -> Judged:
     """What the prover says of a program, and what the judges say of that."""
     verdicts: dict[str, str] = {}
@@ -99,7 +103,7 @@ def judged(program: decl.Program, solver: Solver | Both, seed: int, effort: Effo
         with _timed(seconds, "prove"), _brief(effort), _within(effort.proving):
             verdicts = {v.invariant: v.verdict for v in prove(Question(program), solver)}
         proved = frozenset(name for name, verdict in verdicts.items() if verdict == "PROVED")
-        judges = {"exploration": explored, "run": ran, "attack": partial(attacked, solver=solver)}
+        judges: dict[str, Judge] = {"exploration": explored, "run": ran, "attack": partial(attacked, solver=solver)}
         for name, judge in judges.items() if proved else ():
             with _timed(seconds, name):
                 try:
@@ -368,7 +372,7 @@ class _Runs:
                 given[key] = self.random.choice(self.answer(pid, state.robots[pid].ports, port, args))
             return given[key]
 
-        return World({}, answer)
+        return World({}, answer, turns=TURNS)
 
     def begun(self) -> State | None:
         """A state of the beginning; None where none of some comes up to `initially`."""
