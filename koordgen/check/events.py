@@ -23,6 +23,8 @@ from koordgen.syntax import decl as ast
 from koordgen.syntax.expr import Expr, Logic
 from koordgen.syntax.stmt import Atomic, Block
 
+MOST_EARLIER = 10  # guards with priority that are judged together with one; to leave others out is always right
+
 
 class _Judged(NamedTuple):
     """An event that was checked: its `priority:` block, its guard, and what the guard joins by `and`, as written.
@@ -85,8 +87,8 @@ def lone_priorities(sections: Iterable[ast.Section], c: Context) -> None:
     for section in sections:
         if isinstance(section, ast.Priority) and len(section.events) == 1:
             only = section.events[0].name
-            help = "indent the events that it shall stand before, or behind, under the same 'priority:'"
-            c.warn("K046", f"{only} is the only event of this block, which so orders nothing", section.span, help)
+            help = f"indent the events that are ordered with {only} under the same 'priority:'"
+            c.warn("K046", f"this priority block orders nothing: {only} is its only event", section.span, help)
 
 
 def _conditions(guard: Expr, c: Context) -> frozenset[str]:
@@ -118,9 +120,14 @@ def _hidden(event: _Written, hiding: Sequence[_Judged], first: Sequence[_Judged]
     else:
         message = f"robots never run the event {name}: {why}, and robots run the first event in text order"
         help = (
-            "the language may run it, so proofs and explorations count with it: write both under 'priority:' if "
-            f"{other.name} is meant to go first, or change a guard"
+            f"the language allows it, so proofs and explorations include it; if {other.name} is meant to go first, "
+            "write both under 'priority:'; otherwise change a guard"
         )
+        if event.block is not None and other.block == event.block:
+            help = (
+                "the language allows it, because a transaction sees what other robots have committed since the round's "
+                "start; change a guard"
+            )
     c.warn("K042", message, event.node.span, help, (label,))
     return True
 
@@ -160,7 +167,7 @@ def _event(
     c.transaction = transaction
     assert c.path is not None
     first = _first(event, earlier)
-    for other in first:
+    for other in first[-MOST_EARLIER:]:
         if other.guard is not None:
             c.path = c.path.failing(other.guard)
     guard = condition(pre.condition, c, "a guard")
@@ -193,9 +200,10 @@ def _can_run(event: _Written, guard: Condition, first: Sequence[_Judged], c: Con
     if unsat((guard.formula,)):
         c.warn("K041", f"the event {name} can never run: its guard never holds", span)
         return False
-    failed = [linear.negate(other.guard.formula) for other in first if other.guard is not None]
+    nearest = first[-MOST_EARLIER:]
+    failed = [linear.negate(other.guard.formula) for other in nearest if other.guard is not None]
     if failed and unsat((guard.formula, *failed)):
-        labels = tuple([Label(other.span, "has priority") for other in first])
+        labels = tuple([Label(other.span, "has priority") for other in nearest])
         message = f"the event {name} can never run: its guard holds only where that of an event with priority does"
         c.warn("K042", message, event.node.span, "write it before these, or let them ask for more", labels)
         return False

@@ -30,7 +30,9 @@ def doubt(program: decl.Program, obligation: Obligation, answer: Answer, unshown
         return f"{where}: {answer.reason}. What is hard in it: {terms}{helps}"
     less = [note for note in obligation.notes if note not in LEMMAS][:MOST]
     known = f". The prover knows less than the program says: {'; '.join(less)}" if less else ""
-    return f"{where}: {unshown}{known}. Say more of it in an invariant, a contract or an axiom"
+    loops = any("of what the loop writes" in note for note in obligation.notes)
+    say = "an invariant of the loop, an invariant" if loops else "an invariant"
+    return f"{where}: {unshown}{known}. Say more of it in {say}, a contract or an axiom"
 
 
 def exhausted(answer: Answer) -> bool:

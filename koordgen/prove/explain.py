@@ -16,7 +16,7 @@ from koordgen.prove.reach import Bounds, Run, run_to
 from koordgen.prove.reading import Reader, Unshowable, flat
 from koordgen.prove.solve import Answer, Both, Solver
 from koordgen.prove.strengthen import closing
-from koordgen.prove.term import REAL, Term, equals, to_int, to_real
+from koordgen.prove.term import REAL, Term, TooLarge, equals, to_int, to_real
 from koordgen.prove.unassumed import supposing, unassumed
 from koordgen.semantics.deadline import Deadline, OutOfTime, ends
 from koordgen.semantics.exact import exact
@@ -61,10 +61,16 @@ class Explainer:
     ) -> None:
         self.program, self.robots, self.params, self.solver, self.proved = program, robots, params, solver, proved
         self.dropped = dropped
-        self.made: dict[tuple[decl.Program, int], list[Obligation]] = {}
+        self.made: dict[tuple[decl.Program, int, AtHead | None], list[Obligation]] = {}
 
     def explain(self, name: str, group: Iterable[Outcome], relied: decl.Program) -> Explanation:
         """Of the invariant `name`, some of whose obligations fail; `relied` has the invariants they relied upon."""
+        try:
+            return self._explained(name, group, relied)
+        except TooLarge as error:
+            return Explanation(None, None, f"no counterexample was looked for to the end: {error}", ())
+
+    def _explained(self, name: str, group: Iterable[Outcome], relied: decl.Program) -> Explanation:
         failing = [o.obligation for o in group if not o.holds and o.answer.result == "sat"]
         why, shown = "", None
         for obligation in sorted(failing, key=lambda o: o.kind != "base"):
@@ -109,7 +115,7 @@ class Explainer:
         reasons: list[str] = []
         until = time.monotonic() + PATIENCE
         for robots in (self.robots,) if self.robots is not None else FLEETS:
-            for same in self.of(relied, robots):
+            for same in self.of(relied, robots, obligation.at):
                 if (same.name, same.kind) != (obligation.name, obligation.kind):
                     continue
                 reader = Reader(same)
@@ -139,10 +145,11 @@ class Explainer:
             if answer.result == "sat":
                 yield answer
 
-    def of(self, program: decl.Program, robots: int) -> list[Obligation]:
-        key = (program, robots)
+    def of(self, program: decl.Program, robots: int, at: AtHead | None) -> list[Obligation]:
+        """All obligations, with what fails at a loop's head where that is to be explained."""
+        key = (program, robots, at)
         if key not in self.made:
-            self.made[key] = obligations(program, robots, self.params, "most", self.dropped)
+            self.made[key] = obligations(program, robots, self.params, "most", self.dropped - {at})
         return self.made[key]
 
     def lacking(self, proved: decl.Program, invariant: decl.Property) -> tuple[str, ...] | None:

@@ -64,7 +64,7 @@ class _Goals:
                         self.add(body, t.and_(guard, inside), (*robots, robot))
                     del self.scope.temps[variable]
             case ir.Quantified("forall", variable, domain, body):
-                for value, inside in self.elements(domain):
+                for value, inside in self.elements(domain, body, variable):
                     self.scope.temps[variable] = value
                     self.add(body, t.and_(guard, inside), robots)
                     del self.scope.temps[variable]
@@ -97,8 +97,8 @@ class _Goals:
             other = room.another(name)
         yield other, room.within(other)
 
-    def elements(self, domain: ir.Expr) -> Iterator[tuple[Val, Term]]:
-        over = domain_of(self.stage.encoder, domain, self.scope)
+    def elements(self, domain: ir.Expr, body: ir.Expr, name: str) -> Iterator[tuple[Val, Term]]:
+        over = domain_of(self.stage.encoder, domain, self.scope, body, name)
         if over.few is not None:
             yield from [(value, t.TRUE) for value in over.few]
             return

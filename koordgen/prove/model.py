@@ -13,9 +13,9 @@ from fractions import Fraction
 from typing import Any, NamedTuple
 
 from koordgen.diagnostics import InternalError
-from koordgen.ir import decl
+from koordgen.ir import decl, stmt
 from koordgen.ir import expr as ir
-from koordgen.node import replace
+from koordgen.node import nodes, replace
 from koordgen.prove.obligation import Cell, Moment, Obligation
 from koordgen.prove.reading import Reader, Unshowable
 from koordgen.prove.served import Served
@@ -133,10 +133,10 @@ def replayed(program: decl.Program, obligation: Obligation, reader: Reader, robo
                 return _environment(reading)
             case "well-defined" if obligation.event == "init":
                 return _init(reading)
-            case "event" | "well-defined":
+            case "loop" if obligation.event not in {event.name for event in program.events}:
+                raise Unshowable("only turns of loops in events are run")
+            case "event" | "well-defined" | "loop":
                 return _event(reading)
-            case "loop":
-                raise Unshowable("a turn of a loop is not run by itself")
             case _:
                 raise InternalError(f"{obligation.name} has no counterexample")
     except NotExact as error:
@@ -227,6 +227,10 @@ def _event(reading: Reading) -> Counterexample:
                 return _told(reading, begun, before, before, pid, str(outcome))
             continue
         after = applied(before, Step(pid, event.name, outcome))
+        stated = [claim for claim in nodes(event.effect) if isinstance(claim, stmt.LoopInvariant)]
+        for claim in stated if obligation.kind == "loop" else ():
+            if claim.span in outcome.violated and obligation.invariant == f"line {claim.span.line}":
+                return _seen(reading, begun, before, after, pid, Conjunct(claim.formula, {}), "")
         if obligation.kind == "event" and not _all_true(obligation.invariant, program, after):
             return _told(reading, begun, before, after, pid, "")
         why = "the step, when it is run, keeps the invariant"
@@ -261,6 +265,14 @@ def _told(
             failed = failing(property_, reading.program, after)
     if failed is None and not discarded:
         raise Unshowable("the step, when it is run, keeps the invariant")
+    return _seen(reading, begun, before, after, pid, failed, discarded)
+
+
+def _seen(
+    reading: Reading, begun: Store, before: State, after: State, pid: int | None, failed: Conjunct | None,
+    discarded: str,
+) -> Counterexample:  # fmt: skip
+    obligation = reading.obligation
     seen = frozenset(cell.name for cell in obligation.cells)
     line = failed.formula.span.line if failed is not None else obligation.line
     kind, event, file = obligation.kind, obligation.event, obligation.file

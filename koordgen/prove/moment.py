@@ -119,7 +119,7 @@ class Stage:
                 self.assume(left, scope, guard)
                 self.assume(right, scope, guard)
             case ir.Quantified("forall", name, domain, body):
-                over = domain_of(self.encoder, domain, scope)
+                over = domain_of(self.encoder, domain, scope, body, name)
                 temps = dict(scope.temps)
 
                 def instance(value: Val, within: Term) -> None:

@@ -82,7 +82,7 @@ _SECTIONS = frozenset(
         "initially", "init",
     )
 )  # fmt: skip
-_EVENT = "what stands indented under 'priority:' are events: 'Name:', and under it 'pre:' and 'eff:'"
+_EVENT = "only events stand indented under 'priority:': 'Name:', and under it 'pre:' and 'eff:'"
 
 
 def _braces(spot: Spot) -> Diagnostic | None:
@@ -279,7 +279,7 @@ def headers(spot: Spot) -> Diagnostic | None:
     if {"pre", "eff"} & spot.expected and spot.level() <= 1 and spot.kind == "atomic":
         return spot.error("expected 'pre' or 'eff', found 'atomic'", "'atomic:' stands under 'eff:'")
     if {"pre", "eff"} & spot.expected and spot.level() == 1 and spot.kind == "NAME" and spot.next == ":":
-        help = "events stand at the left margin, those of which the first has priority under 'priority:'"
+        help = "an event begins at the left margin, or indented under 'priority:'"
         return spot.error(f"expected 'pre' or 'eff', found '{shown(spot.text)}'", help)
     if {"pre", "eff"} & spot.expected and spot.level() <= 1 and spot.kind in ("NAME", "GENERIC") and spot.next in (
         "NAME", "=", "<", ".", "[", "+=", "-=", "(",
@@ -290,7 +290,7 @@ def headers(spot: Spot) -> Diagnostic | None:
 
 
 def _priority(spot: Spot) -> Diagnostic | None:
-    """What is none of the events of a `priority:` block."""
+    """Mistakes in a `priority:` block: anything but events in it, a name in its header, a block within a block."""
     found = f"'{shown(spot.text)}'" if spot.text else "the end of the line"
     if spot.level() == 0:
         if spot.kind == "NAME" and ":" in spot.expected:

@@ -81,7 +81,11 @@ def _end(e: Encoder, xs: Collection, first: bool) -> Val:
 
 def _opaque(e: Encoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
     """# SOUND: a function of which nothing is told but that equal arguments give equal results."""
-    if node.name in ("asin", "acos", "log", "tan", "exp", "cell"):
+    if node.name in ("asin", "acos", "log"):
+        x, one = truth(args[0]), t.real(1)
+        inside = t.less(t.real(0), x) if node.name == "log" else t.and_(t.at_most(t.negate(one), x), t.at_most(x, one))
+        e.room.demand(inside, f"{node.name} within its domain", node.span.line)
+    elif node.name in ("tan", "exp", "cell"):
         e.room.note(f"{node.name}: any value; that it has one is not shown")
     return e.apply(node.name, f"{node.name}@", args, node.type)
 

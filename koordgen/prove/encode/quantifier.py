@@ -6,7 +6,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 from koordgen.ir import expr as ir
-from koordgen.ir.types import MapOf, Sequence, Type
+from koordgen.ir import stmt
+from koordgen.ir.types import MapOf, PerRobot, Sequence, Type
 from koordgen.prove import term as t
 from koordgen.prove.encode.geometry import path_of
 from koordgen.prove.encode.room import Room
@@ -62,7 +63,7 @@ def quantified(e: Encoder, node: ir.Quantified, scope: Scope) -> Val:
     true, where an instance has none. SOUND: that is more than the semantics asks for, which stops at the first instance
     that decides."""
     every = node.kind == "forall"
-    over = domain(e, node.domain, scope)
+    over = domain(e, node.domain, scope, node.body, node.name)
     temps, strict = dict(scope.temps), e.strict
 
     def evaluated(element: Val) -> tuple[Term, Term]:
@@ -148,10 +149,10 @@ def in_fleet(e: Encoder, xs: Fleet, item: Val) -> Term:
     return t.not_(room.nowhere[key])
 
 
-def domain(e: Encoder, node: ir.Expr, scope: Scope) -> Domain:
-    """What a quantifier or a loop runs over."""
+def domain(e: Encoder, node: ir.Expr, scope: Scope, body: object, name: str) -> Domain:
+    """What a quantifier or a loop runs over; `body` uses its elements by `name`."""
     if isinstance(node, ir.Range):
-        return _range(e, node, scope)
+        return _range(e, node, scope, body, name)
     xs = path_of(e.value(node, scope))
     few = None
     if isinstance(xs, Known) and len(xs.items) <= _EXPANDED and (len(xs.items) < 2 or not _unordered(node.type)):
@@ -166,7 +167,7 @@ def domain(e: Encoder, node: ir.Expr, scope: Scope) -> Domain:
     return Domain(inside, lambda i: _key(e.lists.element(xs, i), node.type), few, fleet, not fleet, _ZERO, long, 1)
 
 
-def _range(e: Encoder, node: ir.Range, scope: Scope) -> Domain:
+def _range(e: Encoder, node: ir.Range, scope: Scope, body: object, name: str) -> Domain:
     start, stop = e.term(node.start, scope), e.term(node.stop, scope)
     low, high = t.number(start), t.number(stop)
     if stop is e.room.size and e.room.robots is None:
@@ -184,7 +185,26 @@ def _range(e: Encoder, node: ir.Range, scope: Scope) -> Domain:
         return t.and_(within, t.equals(t.remainder(t.subtract(index, start), step), _ZERO))
 
     whole = start is _ZERO and stop is e.room.size
-    return Domain(inside, _int, few, True, not whole, start, stop, node.step)
+    return Domain(inside, _int, few, names_robots(body, name), not whole, start, stop, node.step)
+
+
+def names_robots(body: object, name: str) -> bool:
+    """Whether a number is used as the index of a robot, or may be: so it is where it is handed on."""
+    for part in nodes(body):
+        match part:
+            case ir.SlotRead(_, index) | ir.LocalOf(_, index) | ir.PortOf(_, _, index):
+                used: object = index
+            case ir.At(operand, index) if isinstance(operand.type, PerRobot):
+                used = index
+            case ir.Compare(_, left, right) if any(isinstance(n, (ir.Pid, ir.NSys)) for n in nodes((left, right))):
+                used = (left, right)
+            case ir.Call() | ir.ExternCall() | stmt.Assign() | stmt.Let() | stmt.Return():
+                used = part
+            case _:
+                continue
+        if any(isinstance(n, ir.TempRead) and n.name == name for n in nodes(used)):
+            return True
+    return False
 
 
 def _int(index: Term) -> Val:

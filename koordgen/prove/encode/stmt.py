@@ -204,7 +204,9 @@ class Frame:
     def loop(self, loop: Loop) -> Term:
         around, self.exits = self.exits, []
         start, depth = self.snapshot(), len(self.room.path)
-        over = domain(self.e, loop.values, self) if isinstance(loop, stmt.For) else None
+        over = None
+        if isinstance(loop, stmt.For):
+            over = domain(self.e, loop.values, self, (loop.block, loop.invariants), loop.names[0])
         way = self.way_of(loop, over)
         if way == "unrolled":
             assert isinstance(loop, stmt.For) and over is not None and over.few is not None
@@ -318,6 +320,9 @@ class Frame:
         """At the head what the turns write may be anything that the facts there allow; one turn from there leads to
         `back`, and where there is none, the loop has ended."""
         room, index = self.room, None
+        if self.now is not None:
+            line = loop.span.line
+            room.note(f"line {line}: of what the loop writes only its invariants and facts about turns are known")
         if over is not None:
             self.count(loop, over.start)
         kept = tuple(kept_by(loop))

@@ -13,8 +13,9 @@ from koordgen.ir import expr as ir
 from koordgen.ir import stmt
 from koordgen.prove import term as t
 from koordgen.prove.encode.loop import Bound, Write, Writes, bound_of, conjuncts, step_of
-from koordgen.prove.encode.quantifier import Domain
+from koordgen.prove.encode.quantifier import Domain, names_robots
 from koordgen.prove.encode.state import Key
+from koordgen.prove.encode.tree import nodes
 from koordgen.prove.encode.values import Val, truth
 from koordgen.prove.term import Term
 
@@ -179,7 +180,8 @@ class _Turns:
             )
             return t.implies(between, held(value))
 
-        self.room.for_all(instance, True, True)
+        robots = any(isinstance(n, ir.NSys) for n in nodes(tuple(parts))) or names_robots(tuple(parts), key[1])
+        self.room.for_all(instance, robots, True)
 
     def reads_only_fixed(self, part: ir.Expr, others: set[Key]) -> bool:
         changed, self.writes.changed = self.writes.changed, dict.fromkeys(others)
