@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import subprocess
 import sys
 from argparse import ArgumentParser, Namespace
 from collections import Counter
@@ -42,8 +43,9 @@ class Runner:
 
     def __init__(self, solver: str, seconds: float) -> None:
         self.seconds = seconds
-        self.effort = Effort(seconds=seconds / 15, explaining=seconds / 25, proving=4 * seconds)
+        self.effort = Effort(seconds=seconds / 15, explaining=seconds / 25, attacking=seconds / 16, proving=4 * seconds)
         self.solver = solver_of(solver, Limits(query=2 * seconds))
+        self.commit = commit()
 
     def judged(self, made: Made, seed: int) -> Judged:
         """What the prover and its judges say; the solvers have their time for this program anew."""
@@ -63,6 +65,12 @@ class Runner:
             return again is not None and kind_of(self.judged(Made(text, again, 0), seed)) == kind
 
         return shrunk(made.text, still, TRIES, PATIENCE)
+
+
+def commit() -> str:
+    """The commit of koordgen that is judged; empty outside of a repository."""
+    asked = ["git", "-C", str(Path(__file__).parent), "rev-parse", "--short=10", "HEAD"]
+    return subprocess.run(asked, capture_output=True, text=True).stdout.strip()
 
 
 def kind_of(found: Judged) -> str:
@@ -90,7 +98,7 @@ def record(runner: Runner, seed: int, folder: Path) -> dict[str, Any]:
     return {
         "seed": seed, "refused": made.refused, "verdicts": found.verdicts, "kind": kind, "skipped": found.skipped,
         "constructs": constructs(made.text), "left": constructs(small) if kind else [],
-        "seconds": {name: round(value, 4) for name, value in found.seconds.items()},
+        "seconds": {name: round(value, 4) for name, value in found.seconds.items()}, "commit": runner.commit,
     }  # fmt: skip
 
 
@@ -183,6 +191,7 @@ def summary(lines: Sequence[dict[str, Any]]) -> str:
     many = max(len(lines), 1)
     refused = sum(line["refused"] for line in lines)
     rows = [f"programs                {len(lines)}"]
+    rows += [f"  of commit {name:12}{number}" for name, number in Counter(line["commit"] for line in lines).items()]
     rows += [f"  {verdict:22}{number}" for verdict, number in verdicts.most_common()]
     rows += [f"contradictions          {kinds['contradiction']}"]
     rows += [f"internal errors         {sum(kinds.values()) - kinds['contradiction']}"]

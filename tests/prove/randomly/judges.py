@@ -1,8 +1,8 @@
-"""Judges of the prover: what it says PROVED of is held against an exploration and against random runs.
+"""Judges of the prover: what it says PROVED of is held against an exploration, random runs and the attack.
 
 The exploration is `koordgen explore`'s, on the code that robots run, for 1, 2 and 3 robots. The random runs are made by
 the executable semantics, in random orders. Both take sensor values from small pools, as far as the program's
-assumptions allow them. Neither judge says anything of states that it did not reach.
+assumptions allow them. The attack is that of `koordgen prove`. No judge says anything of states that it did not reach.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from itertools import islice, product
 from random import Random
 from typing import Any, NamedTuple
@@ -31,7 +32,8 @@ from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exec import Writes
 from koordgen.semantics.property import holds_assumption, holds_property
 from koordgen.semantics.state import State, World
-from koordgen.semantics.step import Step, applied, enabled, execute, initial, run_init, sense
+from koordgen.semantics.step import Step, applied, enabled, execute, has_priority, initial, run_init, sense
+from koordgen.verify.attack.attack import attack
 
 FLEETS = (1, 2, 3)
 LIMITS = ("would become", "would get", "not finished", " failed: ")  # of these `(well-defined)` says nothing
@@ -42,13 +44,15 @@ POOLS: dict[Type, tuple[Any, ...]] = {
     POINT: (Point(0.0, 0.0, 0.0), Point(5.0, 2.0, 0.0), Point(-1.0, 0.0, 7.0)),
 }
 WAYS = ((), (Point(1.0, 0.0, 0.0),), (Point(5.0, 2.0, 0.0), Point(1.0, 0.0, 0.0)))
+TURNS = 2000  # of loops, in one event of a random run: one that takes more is discarded
 MOVES = {1: 6, 2: 3, 3: 2}  # of one robot's sensors in one step, by the number of robots
 
 
 class Effort(NamedTuple):
     """How much is spent on one program: states and rounds of each exploration, its seconds; random runs of each number
     of robots, and their rounds. `explaining`: seconds for the run to what is not proved, on which every failed proof
-    spends some. `proving`: seconds that a proof may compute, solvers aside, before it is given up."""
+    spends some. `attacking`: seconds of the attack, the solver's included. `proving`: seconds that a proof may compute,
+    solvers aside, before it is given up."""
 
     states: int = 150
     rounds: int = 4
@@ -56,6 +60,7 @@ class Effort(NamedTuple):
     runs: int = 3
     length: int = 5
     explaining: float = 0.02
+    attacking: float = 0.03
     proving: float = 2.0
 
 
@@ -64,7 +69,8 @@ class Overtime(BaseException):
 
 
 class Contradiction(NamedTuple):
-    """An invariant that is PROVED and is false in a state that a run comes to. `judge`: "exploration" or "run"."""
+    """An invariant that is PROVED and is false in a state that a run comes to. `judge`: "exploration", "run" or
+    "attack"; the last one's runs may begin with any state in which all that is PROVED holds."""
 
     invariant: str
     judge: str
@@ -97,7 +103,8 @@ def judged(program: decl.Program, solver: Solver | Both, seed: int, effort: Effo
         with _timed(seconds, "prove"), _brief(effort), _within(effort.proving):
             verdicts = {v.invariant: v.verdict for v in prove(Question(program), solver)}
         proved = frozenset(name for name, verdict in verdicts.items() if verdict == "PROVED")
-        for name, judge in JUDGES.items() if proved else ():
+        judges: dict[str, Judge] = {"exploration": explored, "run": ran, "attack": partial(attacked, solver=solver)}
+        for name, judge in judges.items() if proved else ():
             with _timed(seconds, name):
                 try:
                     found += filter(None, [judge(program, proved, seed, effort)])
@@ -300,25 +307,36 @@ class _Runs:
             self.judge(state, "the environment")
 
     def round(self, state: State) -> State:
-        begun = state.store
+        begun = state
         for pid in self.random.sample(range(self.n_sys), self.n_sys):
             if state.robots[pid].stopped or self.random.random() < 0.15:
                 continue
-            event = self.random.choice(self.program.events)
-            seen = state if event.lock is not None else state._replace(store=begun)
-            world = self.world(state)
-            try:
-                ready = enabled(self.program, event, seen, pid, world)
-            except Discarded as fault:
-                self.result(fault, pid, event.name)
-                continue
-            if ready:
-                outcome = execute(self.program, event.effect, seen, pid, world)
-                self.result(outcome, pid, event.name)
-                self.kept(outcome)
-                state = applied(state, Step(pid, event.name, outcome))
-                self.judge(state, f"{event.name} of {pid}")
+            for event in self.random.sample(self.program.events, len(self.program.events)):
+                step = self.step(event, begun, state, pid)
+                if step is not None:
+                    state = applied(state, step)
+                    self.judge(state, f"{event.name} of {pid}")
+                    break
         return state
+
+    def step(self, event: decl.Event, begun: State, state: State, pid: int) -> Step | None:
+        """The event of a robot, in a round that began with `begun`, as `choice` of the semantics has it; None where
+        the robot may not run it. An event without a result is judged, which `choice` leaves out."""
+        copy = state._replace(store=begun.store)
+        seen = copy if event.lock is None else state
+        world = self.world(state)
+        if not has_priority(self.program, event, copy, pid, world):
+            return None
+        try:
+            if not enabled(self.program, event, seen, pid, world):
+                return None
+        except Discarded as fault:
+            self.result(fault, pid, event.name)
+            return None
+        outcome = execute(self.program, event.effect, seen, pid, world)
+        self.result(outcome, pid, event.name)
+        self.kept(outcome)
+        return Step(pid, event.name, outcome)
 
     def judge(self, state: State, moment: str) -> None:
         self.look(state, moment)
@@ -354,7 +372,7 @@ class _Runs:
                 given[key] = self.random.choice(self.answer(pid, state.robots[pid].ports, port, args))
             return given[key]
 
-        return World({}, answer)
+        return World({}, answer, turns=TURNS)
 
     def begun(self) -> State | None:
         """A state of the beginning; None where none of some comes up to `initially`."""
@@ -424,5 +442,16 @@ def ran(program: decl.Program, proved: frozenset[str], seed: int, effort: Effort
     return None
 
 
-# What the attack adds, once it is there, is one more judge.
-JUDGES: dict[str, Judge] = {"exploration": explored, "run": ran}
+# The attack
+
+
+def attacked(
+    program: decl.Program, proved: frozenset[str], seed: int, effort: Effort, solver: Solver | Both | None = None
+) -> Contradiction | None:
+    """The contradiction that the attack of `koordgen prove` finds, with states from a solver where there is one."""
+    found = attack(program, proved, solver=solver, seconds=effort.attacking, seed=seed).contradiction
+    if found is None:
+        return None
+    acts = [f"{act.event} of {act.pid}" if act.pid is not None else act.event for act in found.trial.acts]
+    story = [f"{found.breach.why}, after {', '.join(acts)}", *map(str, (found.trial.state, found.before, found.after))]
+    return Contradiction(found.breach.invariant, "attack", len(found.before.robots), "\n".join(story))

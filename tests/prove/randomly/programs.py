@@ -12,9 +12,8 @@ from koordgen.ir.verify import verify
 from koordgen.source import Source
 from koordgen.syntax.parse import parse
 from tests.prove.randomly.names import WORDS, Home, Variable, int_variable
-from tests.prove.randomly.statements import Features, Statements, indented
+from tests.prove.randomly.statements import Statements, indented
 
-NOW = Features(loop_invariants=True)  # what the language has today; the campaign and the everyday test write this
 TRIES = 40  # texts of one seed, until the checker takes one
 BIG = (
     "List<int>", "List<int>", "List<int>", "List<Task>", "List<List<int>>", "Map<int, int>", "Map<string, int>",
@@ -58,11 +57,11 @@ def checked(text: str) -> Program | None:
     return program
 
 
-def program(seed: int, features: Features = NOW) -> Made:
+def program(seed: int) -> Made:
     """The program of a seed. Raises ValueError where none of its texts is right."""
-    random = Random(f"{seed} {features}" if features != NOW else seed)
+    random = Random(seed)
     for refused in range(TRIES):
-        text = _Writer(random, features).text()
+        text = _Writer(random).text()
         if (made := checked(text)) is not None:
             return Made(text, made, refused)
     raise ValueError(f"seed {seed}: no text of {TRIES} is right")
@@ -71,8 +70,8 @@ def program(seed: int, features: Features = NOW) -> Made:
 class _Writer:
     """One program. What is random is drawn while it is written, from top to bottom."""
 
-    def __init__(self, random: Random, features: Features) -> None:
-        self.random, self.features = random, features
+    def __init__(self, random: Random) -> None:
+        self.random = random
         self.variables: list[Variable] = []
         self.functions: dict[str, list[tuple[str, list[str]]]] = {}
         self.words = {type_: random.sample(words, len(words)) for type_, words in WORDS.items()}
@@ -89,10 +88,21 @@ class _Writer:
         task = ["def Task:", "  int id", "  int cost", ""] if any("Task" in v.type for v in self.variables) else []
         functions = [line for number in range(self.random.choice((0, 0, 1, 1, 2))) for line in self.function(number)]
         lines = [*task, *declared, "", *functions, *self.init()]
-        events = [line for name in self.names() for line in self.event(name)]
-        if self.features.priority and self.chance(0.4):
-            events = ["priority:", *indented(events)]
-        return "\n".join([*lines, *events, *self.properties()]) + "\n"
+        events = [self.event(name) for name in self.names()]
+        return "\n".join([*lines, *self.ordered(events), *self.properties()]) + "\n"
+
+    def ordered(self, events: list[list[str]]) -> Iterator[str]:
+        """The events, some of them in a `priority:` block now and then, with others before or behind it."""
+        first, end = 0, 0
+        if self.chance(0.4):
+            first = self.random.choice((0, 0, 0, len(events) // 2))
+            end = self.random.choice((len(events), len(events), len(events) - first // 2))
+        for place, lines in enumerate(events):
+            if first <= place < end:
+                yield from ["priority:"] if place == first else []
+                yield from indented(lines)
+            else:
+                yield from lines
 
     def names(self) -> list[str]:
         return self.random.sample(["Go", "Count", "Work", "Look", "Reset"], self.random.choice((1, 1, 2, 2, 2, 3)))
@@ -187,7 +197,7 @@ class _Writer:
     # Blocks
 
     def writer(self, scope: list[Variable], place: str) -> Statements:
-        made = Statements(self.random, scope, self.functions, place, self.features)
+        made = Statements(self.random, scope, self.functions, place)
         made.log = self.log and place == "event"
         return made
 

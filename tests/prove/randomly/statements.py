@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from random import Random
-from typing import NamedTuple
 
 from tests.prove.randomly.expressions import Expressions
 from tests.prove.randomly.names import KEYS, Variable
@@ -13,26 +12,15 @@ DEEPEST = 3  # blocks within one another
 SLIPS = 0.15  # of the writes to a variable that keeps to something, how many do not
 
 
-class Features(NamedTuple):
-    """What the language has, or will have. A feature that is off is never written.
-
-    `loop_invariants`: `invariant CONDITION` as first lines of a loop's block, with `old(x)`.
-    `priority`: events under `priority:`."""
-
-    loop_invariants: bool = False
-    priority: bool = False
-
-
 class Statements(Expressions):
     """The statements of one block of a program: `place` says of which kind it is. Names of `locked` are read only: a
     loop's end depends on them."""
 
     def __init__(
-        self, random: Random, scope: Sequence[Variable], functions: dict[str, list[tuple[str, list[str]]]], place: str,
-        features: Features,
-    ) -> None:  # fmt: skip
+        self, random: Random, scope: Sequence[Variable], functions: dict[str, list[tuple[str, list[str]]]], place: str
+    ) -> None:
         super().__init__(random, list(scope), functions)
-        self.place, self.features = place, features
+        self.place = place
         self.robots = place != "function"
         self.locked: set[str] = set()
         self.minted: set[str] = {v.name for v in scope}
@@ -236,8 +224,8 @@ class Statements(Expressions):
         return [header, *indented([*self.promises(counter), *first, *body, *last])]
 
     def promises(self, counter: str = "") -> list[str]:
-        """Loop invariants, where the language has them; many of them are true."""
-        if not self.features.loop_invariants or self.chance(0.5):
+        """Loop invariants; many of them are true."""
+        if self.chance(0.5):
             return []
         if counter and self.chance(0.6):
             return [f"invariant {counter} >= {self.pick('0', '0', f'old({counter})', '1')}"]
