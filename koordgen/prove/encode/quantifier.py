@@ -185,7 +185,12 @@ def _range(e: Encoder, node: ir.Range, scope: Scope, body: object, name: str) ->
         return t.and_(within, t.equals(t.remainder(t.subtract(index, start), step), _ZERO))
 
     whole = start is _ZERO and stop is e.room.size
-    return Domain(inside, _int, few, names_robots(body, name), not whole, start, stop, node.step)
+    robots = names_robots(body, name) or _speaks_of(start, e.room.size) or _speaks_of(stop, e.room.size)
+    return Domain(inside, _int, few, robots, not whole, start, stop, node.step)
+
+
+def _speaks_of(term: Term, part: Term) -> bool:
+    return term is part or (isinstance(term, t.Op) and any(_speaks_of(arg, part) for arg in term.args))
 
 
 def names_robots(body: object, name: str) -> bool:
