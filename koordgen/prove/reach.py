@@ -131,7 +131,7 @@ class _Search:
         return None
 
     def of_agents(self, run: tuple[Moment, ...]) -> bool:
-        """Whether agents can do a run. Where a guard cannot be evaluated exactly, nobody knows that they can."""
+        """Return whether agents can do a run; False where a guard cannot be evaluated exactly."""
         try:
             return is_order_of_agents(self.program, run, self.world)
         except (NotExact, NoMeaning):

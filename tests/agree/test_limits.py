@@ -74,7 +74,7 @@ def test_a_limit_that_is_off_by_one_is_found(name: str, value: int, low: None, m
 
 
 def both(effect: str, declared: str = "", functions: str = "") -> object:
-    """What one event comes to, which is the same on both sides; its locals, or "discarded"."""
+    """Return the result of one event, which is the same on both sides: its locals, or "discarded"."""
     lines = "\n".join(["    " + line for line in effect.split("\n")])
     program = compiled(f"{functions}local:\n  int k = 3\n{declared}\nE:\n  pre: True\n  eff:\n{lines}\n")
     state = initial(program, N_SYS)
