@@ -95,6 +95,15 @@ def test_explore_ends_by_the_limits_of_one_event(name: str, tmp_path: Path) -> N
         assert reason in done.stdout
 
 
+@pytest.mark.parametrize("first", ["2 ** 1024 ** 1024", "2 ** 1000", "2 ** 1000 * 2 ** 1000", "7 // 0 ** 5"])
+@pytest.mark.parametrize("command", ["check", "prove", "explore"])
+def test_a_first_value_that_robots_cannot_keep_is_an_error(first: str, command: str, tmp_path: Path) -> None:
+    done = ran(tmp_path, event("k = 4").replace("k = 3", f"k = {first}"), command)
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert "error[K057]" in done.stderr
+    assert ":2:" in done.stderr
+
+
 LONG = event("for i in range(15): xs.extend(xs)\nfor i in range(900000): k = sum(xs)")  # within all limits: minutes
 MANY = LONG.split("Go:")[0] + "Go:\n  pre: not done\n  eff: done = True\n"
 MANY += "invariant Kept: forall a, b, c, d, e in ID: k[a] + k[b] + k[c] + k[d] + k[e] > 0\n"
