@@ -1,4 +1,4 @@
-"""First values of params, variables and fields: they are known in advance, and one that robots may not keep is an error.
+"""First values of params, variables and fields: known in advance, so one that robots may not keep is an error.
 
 The semantics evaluates them. It is imported where something is to be evaluated: most first values are literals.
 """
