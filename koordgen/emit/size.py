@@ -126,7 +126,7 @@ def _weight(node: ir.Expr, written: Container[stmt.Place]) -> float:
 
 
 def _most(type_: Type, kept: bool) -> float:
-    """Return the most elements of a value of a type; infinite where capacities do not count because nobody `kept` it."""
+    """Return the most elements of a value of a type; infinite where nobody `kept` it: then no capacity counts."""
     match type_:
         case Sized("GridMap", capacity) if kept:
             return capacity // CELLS_AN_ELEMENT

@@ -86,7 +86,7 @@ def made(value: S) -> S:
 
 
 def looked(values: S) -> S:
-    """Return a text, or a list, queue or set of numbers and the like, that is gone through, for the turns that it costs.
+    """Return a text, or a list, queue or set of numbers or Points, that is gone through, for the turns that it costs.
     Raises TooMuch."""
     size = len(values)
     if size >= ELEMENTS_A_TURN:

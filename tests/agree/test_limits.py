@@ -165,7 +165,8 @@ k = 0
 @pytest.mark.parametrize(
     ("operation", "cost"),
     [
-        ("n = sum(xs)", 20), ("n = xs.count(3)", 20), ("n = xs.index(3)", 20), ("b = 3 in xs", 20), ("b = 3 in many", 20),
+        ("n = sum(xs)", 20), ("n = xs.count(3)", 20), ("n = xs.index(3)", 20), ("b = 3 in xs", 20),
+        ("b = 3 in many", 20),
         ("b = xs == xs", 40), ("b = xs != [1]", 20), ("b = many == few", 20), ("ys = sorted(xs)", 40),
         ("us = many.intersection(few)", 20), ("us = many.difference(many)", 40), ("us = few.union(many)", 40),
         ("b = xs in nested", 40), ("b = nested == nested", 40), ("b = (3, True) in pairs", 60), ("b = m == m", 120),
