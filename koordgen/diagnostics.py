@@ -65,7 +65,7 @@ CATALOGUE: dict[str, str] = {
     "K054": "a name or a mark has no place in a property",
     "K055": "a type contains itself",
     "K056": "wrong use of a stream",
-    "K057": "a number outside a function's domain",
+    "K057": "a value known in advance does not exist, or cannot be kept",
     "K058": "a loop invariant or 'old' has no place here",
     "F001": "not YAML",
     "F002": "unknown key",

@@ -29,7 +29,7 @@ FLOORS = {
     "sarif": BASE | {"explain"},
     "syntax": BASE,
     "ir": BASE,
-    "check": BASE | {"syntax", "ir"},
+    "check": BASE | {"syntax", "ir", "semantics"},  # which evaluates first values
     "format": BASE | {"syntax"},
     "semantics": BASE | {"ir", "runtime"},  # the robots' own values and geometry
     "emit": BASE | {"ir"},

@@ -20,7 +20,8 @@ PROVED = "PROVED"
 
 @dataclass(frozen=True, slots=True)
 class Audit:
-    """`proved`: what `koordgen prove` says of each invariant, by its name; None where it was not asked."""
+    """`proved`: what `koordgen prove` says of each invariant, by its name; None where it was not asked.
+    `ended`: before the end of the mission, by a limit of time."""
 
     program: str  # the program's file
     mission: Mission
@@ -28,6 +29,7 @@ class Audit:
     blames: Sequence[Blame]
     notes: Sequence[str]
     proved: Mapping[str, str] | None = None
+    ended: bool = False
 
     @property
     def violated(self) -> bool:
@@ -36,7 +38,11 @@ class Audit:
     @property
     def doubtful(self) -> bool:
         """Nothing of it may be said of the whole mission: something was never known, or traces are not whole."""
-        return self.mission.cut or any(f.verdict in ("unknown", "unchecked") for f in self.findings if f.of != "axiom")
+        return (
+            self.ended
+            or self.mission.cut
+            or any(f.verdict in ("unknown", "unchecked") for f in self.findings if f.of != "axiom")
+        )
 
 
 def report(audit: Audit) -> str:

@@ -8,8 +8,8 @@ from typing import Literal
 from koordgen.check.base import check_expr, default, fitting
 from koordgen.check.context import Context
 from koordgen.check.facts import Flow, term
+from koordgen.check.first import flaw_of
 from koordgen.check.names import enter, owns, unique
-from koordgen.check.number import RANGE, too_large
 from koordgen.check.types import bounded, dialect_element, excess, per_robot, resolve
 from koordgen.check.walk import nodes
 from koordgen.diagnostics import Edit
@@ -205,6 +205,7 @@ def _initial(
     if value is None:
         return c.poison(node.span) if type_ is POISON else default(type_, node.span, c)
     c.enter("constant")
+    before = len(c.found)
     if no_params and not isinstance(value, tree.Literal):
         for part in nodes(value):
             if isinstance(part, tree.Name) and isinstance(c.entities.get(part.name), decl.Param):
@@ -213,14 +214,16 @@ def _initial(
     too_much = excess(initial, type_)
     if too_much:
         c.error("K053", f"the first value of {node.name} has {too_much}", value.span, "declare more room with 'max'")
-    if not isinstance(value, tree.Literal):
-        _judge_size(initial, c)
-    return initial
+    if any(diagnostic.severity == "error" for diagnostic in c.found[before:]):
+        return initial
+    return _judged(node.name, initial, type_, c)
 
 
-def _judge_size(initial: expr.Expr, c: Context) -> None:
-    """Reports a first value that is infinite."""
+def _judged(name: str, initial: expr.Expr, type_: Type, c: Context) -> expr.Expr:
+    """Return a first value, unless it has none, or none that robots may keep, which is reported."""
     params = {name: entity.default for name, entity in c.entities.items() if isinstance(entity, decl.Param)}
-    infinite = too_large(initial, params)
-    if infinite is not None:
-        c.error("K057", f"{c.text(infinite.span)} is too large for a float", infinite.span, RANGE)
+    wrong = flaw_of(initial, type_, params)
+    if wrong is None:
+        return initial
+    what = f"the first value of {name}" if wrong.span is None else c.text(wrong.span)
+    return c.error("K057", f"{what} {wrong.reason}", wrong.span or initial.span, wrong.help)

@@ -9,7 +9,7 @@ import json
 import math
 from collections.abc import Iterable, Mapping
 
-from koordgen.check.number import too_large
+from koordgen.check.first import flaw_of
 from koordgen.check.types import excess
 from koordgen.ir.decl import Local, Program, Record, Shared
 from koordgen.ir.expr import Builtin, Const, Expr, Make, Unary
@@ -57,8 +57,9 @@ def with_params(program: Program, values: Mapping[str, Value]) -> Program:
     firsts = {p.name: p.default for p in params}
     variables: tuple[Local | Shared, ...] = (*program.locals, *program.shared)
     for variable in variables:
-        if too_large(variable.initial, firsts) is not None:
-            raise BadParam(f"with these params the first value of {variable.name} is too large for a float")
+        wrong = flaw_of(variable.initial, variable.type, firsts)
+        if wrong is not None:
+            raise BadParam(f"with these params the first value of {variable.name} {wrong.reason}")
     return replace(program, params=tuple(params))
 
 

@@ -16,11 +16,13 @@ from koordgen.audit.reading import found, opened
 from koordgen.audit.show import Audit, document, report
 from koordgen.audit.story import Mission, mission
 from koordgen.cli import HOLDS, INCONCLUSIVE, SURROUNDINGS, USAGE, VIOLATED, WRONG, Failure
+from koordgen.cli.alarm import alarm
 from koordgen.cli.terminal import Line
 from koordgen.cli.traced import program_of
 from koordgen.ir.decl import Program
 from koordgen.replay.functions import CannotCall
 from koordgen.replay.trace import BadTrace
+from koordgen.semantics.deadline import OutOfTime
 
 PICTURES = (".png", ".svg", ".pdf")
 QUERY, ALL_QUERIES = 10.0, 60.0  # seconds that a solver has
@@ -35,7 +37,7 @@ def audit(options: Namespace) -> int:
         logs = [opened(path) for path in paths]
         whole = mission(logs)
         program, functions = program_of(options, logs[0].path, logs[0].program_hash)
-        judged = _judged(program, functions, whole)
+        judged, ended = _judged(program, functions, whole, options.seconds)
     except BadTrace as error:
         raise Failure(WRONG, str(error), "traces of one mission of one fleet are expected") from None
     except CannotCall as error:
@@ -44,9 +46,10 @@ def audit(options: Namespace) -> int:
         raise Failure(
             WRONG, "values in these traces are nested too deeply", "no robot of koordgen's writes such"
         ) from None
-    blames = blame.blames(program, judged)
+    blames = [] if ended else blame.blames(program, judged)
     proved = _proved(program, [each.invariant for each in blames]) if options.prove and blames else None
-    made = Audit(program.path, whole, judged, blames, _notes(judged, whole), proved)
+    notes = [*([ended] if ended else []), *_notes(judged, whole)]
+    made = Audit(program.path, whole, judged, blames, notes, proved, bool(ended))
     status = VIOLATED if made.violated else INCONCLUSIVE if made.doubtful else HOLDS
     if options.format == "json":
         print(json.dumps(document(made, status), indent=2), flush=True)
@@ -58,14 +61,30 @@ def audit(options: Namespace) -> int:
     return status
 
 
-def _judged(program: Program, functions: Path | None, whole: Mission) -> list[Finding]:
-    line = Line(sys.stderr)
+def _judged(
+    program: Program, functions: Path | None, whole: Mission, seconds: float | None
+) -> tuple[list[Finding], str]:
+    """The findings, and why they are not of the whole mission; empty where they are. Of the last round that was begun
+    nothing is counted, but a violation is."""
+    line, judge, reached, ended = Line(sys.stderr), Judge(Meaning(program, functions), whole), 0, ""
+
+    def progress(round_: int, last: int) -> None:
+        nonlocal reached
+        reached = round_
+        if round_ % 50 == 0:
+            line.show(f"round {round_} of {last}")
+
     try:
-        judge = Judge(Meaning(program, functions), whole)
-        judged = judge.run(lambda round_, last: None if round_ % 50 else line.show(f"round {round_} of {last}"))
+        with alarm(seconds):
+            judge.run(progress)
+    except OutOfTime:
+        ended = (
+            f"ended by --seconds {seconds:g} after {reached} of {whole.last} rounds: the properties in later rounds "
+        )
+        ended += "are not decided"
     finally:
         line.end()
-    return [*judged, *faults.loops(program, whole), *faults.contracts(program, whole)]
+    return [*judge.findings, *faults.loops(program, whole), *faults.contracts(program, whole)], ended
 
 
 def _notes(judged: Sequence[Finding], whole: Mission) -> list[str]:

@@ -273,6 +273,7 @@ def _natural(text: str) -> int:
 def _replay(command: argparse.ArgumentParser) -> None:
     command.add_argument("trace", metavar="TRACE", help="a run's folder, its trace.jsonl, or a robot's own trace")
     command.add_argument("--program", metavar="APP.koord", help="the program (default: that in the run's folder)")
+    command.add_argument("--seconds", metavar="S", type=_seconds, help="end after so long (default: never)")
     _of_a_build(command)
 
 
@@ -282,6 +283,7 @@ def _audit(command: argparse.ArgumentParser) -> None:
     command.add_argument("--program", metavar="APP.koord", help="the program (default: that in the run's folder)")
     proof = "ask the prover about each invariant that was violated"
     command.add_argument("--prove", action="store_true", help=proof)
+    command.add_argument("--seconds", metavar="S", type=_seconds, help="end the judging after so long (default: never)")
     command.add_argument("--plot", metavar="FILE", help="draw the properties over time (png, svg or pdf)")
     command.add_argument("--fleet", metavar="FILE", help="a fleet file (YAML) for the values of params")
     command.add_argument("--param", metavar="NAME=VALUE", action="append", default=[], help="a param's value")

@@ -7,12 +7,14 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from koordgen.cli import HOLDS, VIOLATED, WRONG, Failure, _say
+from koordgen.cli import HOLDS, INCONCLUSIVE, VIOLATED, WRONG, Failure, _say
+from koordgen.cli.alarm import alarm
 from koordgen.cli.traced import program_of
 from koordgen.replay.fleet import replayed
 from koordgen.replay.functions import CannotCall, externs
 from koordgen.replay.robot import Counts, Difference, Unreplayable
 from koordgen.replay.trace import BadTrace, Trace, opened
+from koordgen.semantics.deadline import OutOfTime
 
 MOST_TOLD = 20
 LONGEST = 200  # characters of a value
@@ -22,11 +24,17 @@ def replay(options: Namespace) -> int:
     """The whole command."""
     path = Path(options.trace)
     path = path / "trace.jsonl" if path.is_dir() else path
-    counts = Counts()
+    counts, found, ended = Counts(), list[Difference](), False
     try:
         trace = opened(path)
         program, functions = program_of(options, trace.path, trace.program_hash)
-        found = list(replayed(program, externs(program, functions), trace, counts))
+        again = replayed(program, externs(program, functions), trace, counts)
+        try:
+            with alarm(options.seconds):
+                for difference in again:
+                    found.append(difference)
+        except OutOfTime:
+            ended = True
     except BadTrace as error:
         raise Failure(WRONG, str(error), "a trace of robots is expected: trace.jsonl") from None
     except Unreplayable as error:
@@ -45,9 +53,14 @@ def replay(options: Namespace) -> int:
     what = f"{_count(robots, 'robot')}, {_count(counts.rounds, 'round')}, {_count(counts.events, 'event')}{late}"
     if trace.cut:
         _say(f"note: {path}:{trace.cut}: the trace is cut off here; what stands before was replayed")
+    if ended:
+        _say(f"note: ended by --seconds {options.seconds:g}: what follows in the trace was not replayed")
     if found:
         print(f"{path}: {what}: {_count(len(found), 'difference')}")
         return VIOLATED
+    if ended:
+        print(f"{path}: {what}: not decided: ended by --seconds {options.seconds:g}, no difference until then")
+        return INCONCLUSIVE
     print(f"{path}: {what}: as the program means")
     return HOLDS
 

@@ -30,6 +30,8 @@ _STRENGTH = {"or": _OR, "and": _AND, "+": _SUM, "-": _SUM, "*": _PRODUCT, "/": _
 _CALLED = {"GridMap": "area", "index": "index_of", "get": "map_get"}
 # Builtins that compare their arguments, or parts of them; `clear` and `path_distance` look for NaN themselves.
 _COMPARING = ("min", "max", "sorted", "index", "removed", "Rect", "Ball")
+# Builtins that go through their arguments; so do those that compare them.
+_SEARCHING = ("sum", "union", "intersection", "difference")
 
 
 def text(node: ir.Expr, names: Names) -> str:
@@ -84,6 +86,8 @@ def _text(node: ir.Expr, names: Names) -> tuple[str, int]:
         case ir.Binary(op, left, right) | ir.Logic(op, left, right):
             own = _STRENGTH[op]
             return f"{_within(left, names, own)} {op} {_within(right, names, own + 1)}", own
+        case ir.Compare(op, left, right) if left.type == STRING:  # as fast as a turn, however long they are
+            return f"{_within(left, names, _SUM)} {op} {_within(right, names, _SUM)}", _COMPARE
         case ir.Compare(op, left, right):
             return f"{_compared(left, names)} {op} {_compared(right, names)}", _COMPARE
         case ir.Contains(item, values):
@@ -131,10 +135,16 @@ def _names_a_robot(name: str, body: ir.Expr) -> bool:
 
 def _compared(node: ir.Expr, names: Names, least: int = _SUM) -> str:
     """An operand of a comparison: a value that may have NaN in it goes through a function that raises for one. Of a
-    region, the values that it is made of do."""
+    region, the values that it is made of do. A large one takes turns."""
     if kind(node, names.floats) == ANY:
-        return f"{'no_nan' if node.type == FLOAT else 'no_nan_in'}({text(node, names)})"
-    return _within(node, names, least)
+        return f"{'no_nan' if node.type == FLOAT else 'no_nan_in'}({_searched(node, names, _CONDITIONAL)})"
+    return _searched(node, names, least)
+
+
+def _searched(node: ir.Expr, names: Names, least: int) -> str:
+    """A value that is gone through: one that may have many elements takes turns."""
+    looks = size.looks(node, names.floats)
+    return f"{looks}({text(node, names)})" if looks else _within(node, names, least)
 
 
 def literal(value: int | float | bool | str) -> str:
@@ -248,7 +258,9 @@ def _with(operand: ir.Expr, name: str, value: str, names: Names) -> str:
 
 
 def _argument(arg: ir.Expr, name: str, names: Names) -> str:
-    return _compared(arg, names, _CONDITIONAL) if name in _COMPARING else text(arg, names)
+    if name in _COMPARING:
+        return _compared(arg, names, _CONDITIONAL)
+    return _searched(arg, names, _CONDITIONAL) if name in _SEARCHING else text(arg, names)
 
 
 def _builtin(name: str, args: tuple[ir.Expr, ...], names: Names) -> str:

@@ -17,11 +17,8 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "set_with", "set_without", "slice_", "total", "union", "updated", "values", "without",
     ),
     "koordgen.runtime.extern": ("Extern", "Library"),
-    "koordgen.runtime.geometry": ("clear", "path_distance"),
-    "koordgen.runtime.gridmap": (
-        "GridMap", "area", "cell", "center", "is_free", "is_known", "is_occupied", "mark_free", "mark_occupied",
-        "merge",
-    ),
+    "koordgen.runtime.gridmap": ("GridMap", "cell", "center", "is_free", "is_known", "is_occupied"),
+    "koordgen.runtime.metered": ("area", "clear", "mark_free", "mark_occupied", "merge", "path_distance"),
     "koordgen.runtime.program": (
         "Cell", "Event", "Frame", "Port", "Program", "Slots", "Stopped", "Transaction", "Variable", "behind", "claim",
     ),
@@ -30,7 +27,9 @@ _MODULES: dict[str, tuple[str, ...]] = {
     ),
     "koordgen.runtime.region": ("Ball", "Rect"),
     "koordgen.runtime.text": ("part", "shown"),
-    "koordgen.runtime.turns": ("checked", "made", "minus", "plus", "product", "turn", "turns"),
+    "koordgen.runtime.turns": (
+        "checked", "looked", "looked_in", "made", "minus", "plus", "product", "turn", "turns",
+    ),
     "koordgen.runtime.values": ("Grid", "Opaque", "Point", "Pose", "Scan", "distance", "no_nan", "no_nan_in"),
 }  # fmt: skip
 HOME = {name: module for module, names in _MODULES.items() for name in names}

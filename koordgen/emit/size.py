@@ -2,15 +2,33 @@
 
 before: 2 * pid + 1, k += 1      after: the same
 before: k * k, s + s             after: product(k, k), made(s + s)
+before: 3 in few, sum(many)      after: the same, sum(looked(many)); `few` has a capacity below ELEMENTS_A_TURN
 """
 
 from __future__ import annotations
 
+from collections.abc import Container
+from math import inf
+
 from koordgen.ir import expr as ir
-from koordgen.ir.types import INT, STRING, Sequence
+from koordgen.ir import stmt
+from koordgen.ir.types import (
+    INT,
+    STRING,
+    ExternType,
+    MapOf,
+    PerRobot,
+    RecordType,
+    Scalar,
+    Sequence,
+    Sized,
+    TupleOf,
+    Type,
+)
 
 # Those of koordgen/runtime/turns.py (a test compares them).
 ELEMENTS_A_TURN = 100
+CELLS_AN_ELEMENT = 100
 MOST_BITS = 4096
 SMALL_BITS = 64
 
@@ -72,3 +90,64 @@ def _length(node: ir.Expr) -> int:
             return _length(left) + _length(right)
         case _:
             return ELEMENTS_A_TURN
+
+
+def looks(node: ir.Expr, written: Container[stmt.Place]) -> str:
+    """Return the function of the runtime that takes the turns for going through a value; empty where these are surely
+    0. What no variable that the block has `written` may hold is within its declared capacity."""
+    if _weight(node, written) < ELEMENTS_A_TURN:
+        return ""
+    is_flat = node.type == STRING or (isinstance(node.type, Sequence) and _is_plain(node.type.element))
+    return "looked" if is_flat else "looked_in"
+
+
+def _weight(node: ir.Expr, written: Container[stmt.Place]) -> float:
+    """Return a bound of the elements of a value, as `elements` of the runtime counts them."""
+    match node:
+        case ir.Const(str() as text):
+            return len(text)
+        case ir.Ids():
+            return 0
+        case ir.Make(items, type_):
+            own = 0 if isinstance(type_, RecordType) else len(items)
+            return own + sum(_weight(item, written) for item in items)
+        case ir.Conditional(_, left, right):
+            return max(_weight(left, written), _weight(right, written))
+        case ir.LocalRead(name) if stmt.LocalPlace(name) not in written:
+            return _most(node.type, True)
+        case ir.SlotRead(name) if stmt.OwnSlot(name) not in written:
+            return _most(node.type, True)
+        case ir.SharedRead(name) if stmt.SharedPlace(name) not in written:
+            return _most(node.type, True)
+        case ir.ParamRead() | ir.LocalOf():
+            return _most(node.type, True)
+        case _:
+            return _most(node.type, False)
+
+
+def _most(type_: Type, kept: bool) -> float:
+    """Return the most elements of a value of a type; infinite where nobody `kept` it: then no capacity counts."""
+    match type_:
+        case Sized("GridMap", capacity) if kept:
+            return capacity // CELLS_AN_ELEMENT
+        case Sized(name, capacity) if kept:
+            return capacity if name == "string" else 2 * capacity
+        case Sequence(_, element, capacity) if kept:
+            return capacity * (1 + _most(element, kept))
+        case MapOf(key, value, capacity) if kept:
+            return capacity * (3 + _most(key, kept) + _most(value, kept))
+        case Sized() | Sequence() | MapOf():
+            return inf
+        case TupleOf(items):
+            return len(items) + sum(_most(item, kept) for item in items)
+        case RecordType(_, fields):
+            return sum(_most(field, kept) for _, field in fields)
+        case PerRobot(element):
+            return 0 if _is_plain(element) else inf
+        case _:
+            return 0
+
+
+def _is_plain(type_: Type) -> bool:
+    """Return whether values of a type count no elements."""
+    return isinstance(type_, (Scalar, ExternType))

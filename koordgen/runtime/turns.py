@@ -1,8 +1,9 @@
 """Limits of one event: the turns of its loops, and the sizes of the numbers, texts and collections that it makes.
 
 An event, a guard and a formula each have MOST_TURNS turns. A turn of a loop and a call of a function cost one turn; so
-does every full ELEMENTS_A_TURN elements of a new list, set, map, queue or text. What needs more raises TooMuch, which
-discards the event. koordgen/semantics counts the same; tests/agree compares both at the limits.
+does every full ELEMENTS_A_TURN elements of a new list, set, map, queue or text, and of one that is gone through. What
+needs more raises TooMuch, which discards the event. koordgen/semantics counts the same; tests/agree compares both at
+the limits. Generated code has no call where a static bound shows that the cost is 0 (koordgen/emit/size.py).
 
 The count is an iterator that one process has, for one event at a time: counting stays in C.
 """
@@ -13,12 +14,18 @@ from collections.abc import Iterable, Iterator, Sized
 from itertools import chain, compress, islice, repeat
 from typing import Literal, TypeVar
 
+import msgspec
+
+from koordgen.runtime.gridmap import GridMap
+from koordgen.runtime.values import Opaque
+
 T = TypeVar("T")
 S = TypeVar("S", bound=Sized)
 
 MOST_TURNS = 1_000_000
 ELEMENTS_A_TURN = 100
 MOST_ELEMENTS = 100_000  # of a list, set, map, queue; characters of a text
+CELLS_AN_ELEMENT = 100  # so many cells of a GridMap count as one element
 MOST_BITS = 4096  # of an int
 SMALL_BITS = 64  # an int of at most so many is added and subtracted without a look at the result
 TOO_LONG = f"an int of more than {MOST_BITS} bits"
@@ -78,8 +85,54 @@ def made(value: S) -> S:
     if size >= ELEMENTS_A_TURN:
         if size > MOST_ELEMENTS:
             raise TooMuch(f"{size} elements or characters, where an event makes at most {MOST_ELEMENTS}")
-        next(islice(_count.left or _count.full(), size // ELEMENTS_A_TURN - 1, None))
+        spend(size // ELEMENTS_A_TURN)
     return value
+
+
+def looked(values: S) -> S:
+    """Return a text, or a list, queue or set of numbers or Points, that is gone through, for the turns that it costs.
+    Raises TooMuch."""
+    size = len(values)
+    if size >= ELEMENTS_A_TURN:
+        spend(size // ELEMENTS_A_TURN)
+    return values
+
+
+def looked_in(value: T) -> T:
+    """Return a value of any type that is gone through with all that is in it, for the turns that it costs. Raises
+    TooMuch."""
+    spend(elements(value) // ELEMENTS_A_TURN)
+    return value
+
+
+def elements(value: object) -> int:
+    """Count the elements of a value and of all that is in it: elements of a list, queue or set and items of a tuple;
+    of a map its pairs, keys and values; characters; rays; of a GridMap one for CELLS_AN_ELEMENT cells. Counting ends
+    beyond what any event can pay for."""
+    match value:
+        case str():
+            return len(value)
+        case GridMap():
+            return value.width * value.height // CELLS_AN_ELEMENT
+        case Opaque():
+            return 0
+        case msgspec.Struct():
+            return sum(map(elements, msgspec.structs.astuple(value)))
+        case tuple():
+            found = len(value)
+            for part in value:
+                if found > MOST_TURNS * ELEMENTS_A_TURN:
+                    break
+                found += elements(part)
+            return found
+        case _:
+            return 0
+
+
+def spend(turns: int) -> None:
+    """Take so many turns. Raises TooMuch."""
+    if turns:
+        next(islice(_count.left or _count.full(), turns - 1, None))
 
 
 def plus(a: int, b: int) -> int:

@@ -7,7 +7,9 @@ All raise ValueError or ArithmeticError where there is no value; the event is th
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Callable, Mapping
+from operator import itemgetter
 from typing import Any
 
 from koordgen.runtime import geometry, gridmap
@@ -17,6 +19,7 @@ from koordgen.semantics.numbers import within_bits
 from koordgen.semantics.values import Ball, Rect, Value, has_nan, items, same
 
 List = tuple[Any, ...]
+_key = itemgetter(0)
 
 
 def element(xs: Any, i: int) -> Any:
@@ -121,10 +124,15 @@ def _map_with(m: List, key: Any, value: Any) -> List:
     return (*below, (key, value), *above)
 
 
+def has_key(m: Any, key: Any) -> bool:
+    """`key in m` of a map, whose keys have one exact order."""
+    place = bisect_left(m, key, key=_key)
+    return place < len(m) and bool(m[place][0] == key)
+
+
 def _map_at(m: List, key: Any) -> Any:
-    for own, value in m:
-        if same(own, key):
-            return value
+    if has_key(m, key):
+        return m[bisect_left(m, key, key=_key)][1]
     raise ValueError("the map has no such key")
 
 
@@ -222,7 +230,7 @@ _CONTAINERS: Mapping[str, Callable[..., Any]] = {
     "keys": lambda m: tuple([key for key, _ in m]),
     "values": lambda m: tuple([value for _, value in m]),
     "items": lambda m: m,
-    "get": lambda m, key, otherwise: next((value for own, value in m if same(own, key)), otherwise),
+    "get": lambda m, key, otherwise: _map_at(m, key) if has_key(m, key) else otherwise,
     "map_at": _map_at,
     "map_with": _map_with,
     "map_without": lambda m, key: _without(m, _where([own for own, _ in m], key)),  # type: ignore[arg-type]
@@ -233,3 +241,9 @@ MAKING = frozenset(
     ("sorted", "reversed", "updated", "appended", "extended", "inserted", "removed", "without", "popped", "union",
      "intersection", "difference", "set_with", "set_without", "keys", "values", "map_with", "map_without")
 )  # fmt: skip
+# These compare their arguments or parts of them, one after the other: NaN in one discards the event.
+COMPARING = frozenset(("min", "max", "sorted", "index", "count", "removed", "Rect", "Ball"))
+# These go through their arguments, which costs turns; so do those that compare them.
+SEARCHING = frozenset(("sum", "union", "intersection", "difference"))
+# These make a new GridMap, which costs turns.
+MAPPING = frozenset(("GridMap", "mark_free", "mark_occupied"))

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from koordgen.diagnostics import InternalError
 from koordgen.ir import expr as ir
-from koordgen.ir.types import FLOAT, MapOf, RecordType, Sized, TupleOf
+from koordgen.ir.types import FLOAT, STRING, MapOf, PerRobot, RecordType, Scalar, Sized, TupleOf
 from koordgen.ir.types import ExternType as Extern
 from koordgen.ir.types import Sequence as SequenceType
 from koordgen.node import Node
@@ -25,7 +25,7 @@ from koordgen.semantics import builtins
 from koordgen.semantics.exact import is_exact
 from koordgen.semantics.numbers import arithmetic, as_real, compared
 from koordgen.semantics.state import Robot
-from koordgen.semantics.values import RecordValue, Value, as_, conforms, default, items, number_flaw
+from koordgen.semantics.values import RecordValue, Value, as_, conforms, default, elements_in, items, number_flaw
 from koordgen.source import Span
 
 T = TypeVar("T", bound=HasLength)
@@ -44,6 +44,8 @@ Call = Callable[[str, tuple[Value, ...]], Value]
 Spend = Callable[[int, Span], None]
 MAX_ELEMENTS = 100_000  # of what an event makes: elements of a list, set, map or queue, characters of a text
 ELEMENTS_A_TURN = 100  # that many of them cost a turn
+PAIRS_A_TURN = 10  # of points of two paths
+MOST_COUNTED = 100_000_000  # elements, for which no event has the turns
 
 
 class View(NamedTuple):
@@ -81,6 +83,25 @@ def made(value: T, view: View, span: Span) -> T:
     return value
 
 
+def looked(node: ir.Expr, value: Value, view: View) -> Value:
+    """Return the value of a node, which is gone through, for the turns that it costs. Raises Discarded."""
+    one = node.type.element if isinstance(node.type, PerRobot) else node.type
+    if isinstance(one, (Scalar, Extern)) or isinstance(node, ir.Ids):
+        return value  # a number, or one for each robot
+    turns = elements_in(value, MOST_COUNTED) // ELEMENTS_A_TURN
+    if turns:
+        view.spend(turns, node.span)
+    return value
+
+
+def operand(node: ir.Expr, view: View) -> Value:
+    """Return the value of an operand of a comparison or a search, for the turns that it costs. Raises Discarded, also
+    where there is NaN in it."""
+    value = looked(node, evaluate(node, view), view)
+    _guarded(node, lambda: builtins.comparable(value))
+    return value
+
+
 def evaluate(node: ir.Expr, view: View) -> Value:
     """The value of a checked expression. Raises Discarded; InternalError where what was proved does not hold."""
     return MEANINGS[type(node)](node, view)
@@ -96,7 +117,9 @@ def elements(node: ir.Expr, view: View) -> Iterator[Value]:
     if isinstance(node, ir.Range):
         return _steps(_number(node.start, view), _number(node.stop, view), node.step)
     values = items(evaluate(node, view))
-    return iter([pair[0] for pair in values] if isinstance(node.type, MapOf) else values)
+    if isinstance(node.type, MapOf):
+        values = made(tuple([pair[0] for pair in values]), view, node.span)
+    return iter(values)
 
 
 def counting(node: ir.Expr, view: View) -> tuple[Iterator[Value], Iterator[int]] | None:
@@ -147,14 +170,16 @@ def _binary(node: ir.Binary, view: View) -> Value:
 
 
 def _contains(node: ir.Contains, view: View) -> Value:
-    member, held = evaluate(node.item, view), evaluate(node.values, view)
-    of_map = isinstance(node.values.type, MapOf)
-    among = tuple([pair[0] for pair in items(held)]) if of_map else held
-    return _guarded(node, lambda: builtins.contains(among, member))
+    if isinstance(node.values.type, MapOf):
+        held = evaluate(node.values, view)
+        return builtins.has_key(held, evaluate(node.item, view))
+    member, held = operand(node.item, view), operand(node.values, view)
+    return _guarded(node, lambda: builtins.contains(held, member))
 
 
 def _compare(node: ir.Compare, view: View) -> Value:
-    left, right = evaluate(node.left, view), evaluate(node.right, view)
+    value = evaluate if node.left.type == STRING else operand  # texts are compared as fast as a turn goes
+    left, right = value(node.left, view), value(node.right, view)
     return _guarded(node, lambda: compared(node.op, left, right))
 
 
@@ -209,10 +234,29 @@ def _with(node: ir.With, view: View) -> Value:
 
 
 def _builtin(node: ir.Builtin, view: View) -> Value:
-    values = [evaluate(arg, view) for arg in node.args]
+    values = [_argument(node.name, arg, view) for arg in node.args]
     zero = 0.0 if node.type == FLOAT else 0
+    if node.name in ("path_distance", "clear"):
+        view.spend(_pairs(node.name, values) // PAIRS_A_TURN, node.span)
     value = _guarded(node, lambda: builtins.applied(node.name, values, zero))
+    if node.name == "merge":
+        view.spend(elements_in(value, MOST_COUNTED), node.span)
+    if node.name in builtins.MAPPING:
+        looked(node, value, view)
     return made(value, view, node.span) if node.name in builtins.MAKING else value  # type: ignore[type-var]
+
+
+def _argument(name: str, arg: ir.Expr, view: View) -> Value:
+    if name in builtins.COMPARING:
+        return operand(arg, view)
+    value = evaluate(arg, view)
+    return looked(arg, value, view) if name in builtins.SEARCHING else value
+
+
+def _pairs(name: str, values: Sequence[Value]) -> int:
+    """Count the pairs of points of paths; each path has one more, so that an empty one counts too."""
+    others = [values[1]] if name == "path_distance" else items(values[1])
+    return (len(items(values[0])) + 1) * sum([len(items(other)) + 1 for other in others])
 
 
 def _call(node: ir.Call | ir.ExternCall, view: View) -> Value:

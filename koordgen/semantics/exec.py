@@ -177,12 +177,15 @@ class Run:
     def turns(self, loop: stmt.For | stmt.While, values: Iterator[Value]) -> Exit:
         while True:
             value = next(values, None)
+            if value is not None and isinstance(loop, stmt.For):  # as on robots, before its invariants are evaluated
+                self.budget.spend(1, loop.span)
             self.judge(loop.invariants)
             if value is None or (isinstance(loop, stmt.While) and not holds(loop.condition, self.view)):
                 return None
             if isinstance(loop, stmt.For):
                 self.take(loop.names, value)
-            self.budget.spend(1, loop.span)
+            else:
+                self.budget.spend(1, loop.span)
             left = self.block(loop.block)
             if left == "break":
                 return None

@@ -49,6 +49,7 @@ _PYTHON: dict[str, type] = {
     "GridMap": GridMap,
 }  # fmt: skip
 EXTERN_BYTES = 256
+CELLS_AN_ELEMENT = 100  # so many cells of a GridMap count as one element
 INT_MIN, INT_MAX = -(2**63), 2**63 - 1
 
 P = TypeVar("P")
@@ -73,6 +74,27 @@ def same(a: Value, b: Value) -> bool:
     if isinstance(a, _STRUCTS):
         return all(same(getattr(a, field), getattr(b, field)) for field in a.__struct_fields__)
     return bool(a == b)
+
+
+def elements_in(value: object, most: int) -> int:
+    """Count the elements of a value and of all that is in it, items of tuples, characters and rays too; of a map its
+    pairs, keys and values; of a GridMap one for CELLS_AN_ELEMENT cells. Counting ends beyond `most`."""
+    if isinstance(value, str):
+        return len(value)
+    if isinstance(value, GridMap):
+        return value.width * value.height // CELLS_AN_ELEMENT
+    if isinstance(value, Scan):
+        return len(value.angles) + len(value.ranges)
+    if isinstance(value, RecordValue):
+        return sum([elements_in(field, most) for field in value.fields])
+    if not isinstance(value, tuple):
+        return 0
+    count = len(value)
+    for part in value:
+        if count > most:
+            break
+        count += elements_in(part, most)
+    return count
 
 
 def default(type_: Type, records: Mapping[str, RecordValue]) -> Value:

@@ -10,21 +10,23 @@ import pytest
 
 from koordgen.emit import size
 from koordgen.emit.program import program_text
-from koordgen.runtime import containers, turns
-from koordgen.semantics import eval, exec, numbers
+from koordgen.runtime import containers, metered, turns
+from koordgen.semantics import eval, exec, numbers, values
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.step import initial
 from tests.agree.both import Generated, Meant, agree
 from tests.agree.programs import N_SYS
 from tests.semantics.programs import compiled
 
-TURNS, ELEMENTS, A_TURN, BITS, SMALL = 12, 5, 2, 12, 3
+TURNS, ELEMENTS, A_TURN, BITS, SMALL, CELLS, PAIRS = 12, 5, 2, 12, 3, 2, 2
 LIMITS = [
     (turns, "MOST_TURNS", TURNS), (turns, "MOST_ELEMENTS", ELEMENTS), (turns, "ELEMENTS_A_TURN", A_TURN),
     (turns, "MOST_BITS", BITS), (turns, "SMALL_BITS", SMALL), (containers, "MOST_BITS", BITS),
     (size, "ELEMENTS_A_TURN", A_TURN), (size, "MOST_BITS", BITS), (size, "SMALL_BITS", SMALL),
     (exec, "MAX_TURNS", TURNS), (eval, "MAX_ELEMENTS", ELEMENTS), (eval, "ELEMENTS_A_TURN", A_TURN),
     (numbers, "MAX_BITS", BITS), (numbers, "SMALL_BITS", SMALL),
+    (turns, "CELLS_AN_ELEMENT", CELLS), (size, "CELLS_AN_ELEMENT", CELLS), (values, "CELLS_AN_ELEMENT", CELLS),
+    (metered, "PAIRS_A_TURN", PAIRS), (eval, "PAIRS_A_TURN", PAIRS),
 ]  # fmt: skip
 
 
@@ -42,6 +44,9 @@ def test_the_limits_of_the_semantics_are_those_of_robots() -> None:
     assert numbers.SMALL_BITS == turns.SMALL_BITS
     assert size.ELEMENTS_A_TURN == turns.ELEMENTS_A_TURN
     assert (size.MOST_BITS, size.SMALL_BITS) == (turns.MOST_BITS, turns.SMALL_BITS)
+    assert size.CELLS_AN_ELEMENT == values.CELLS_AN_ELEMENT == turns.CELLS_AN_ELEMENT
+    assert eval.PAIRS_A_TURN == metered.PAIRS_A_TURN
+    assert eval.MOST_COUNTED == turns.MOST_TURNS * turns.ELEMENTS_A_TURN
 
 
 def compare(seed: int, seen: Counter[str]) -> None:
@@ -134,6 +139,84 @@ def test_the_last_that_is_within_a_limit_and_the_first_that_is_not(
 )
 def test_what_doubles_for_ever_ends(grow: str, start: str) -> None:
     assert both(f"{start}\nwhile k != 0: {grow}") == "discarded"
+
+
+# By operation: what each turn of a loop takes beside its own turn, of a list, set, text or path of 2,000 elements.
+MANY = """List<int> xs
+for i in range(2000): xs.append(i)
+Set<int> few = {1, 2}
+Set<int> many
+List<Point> path
+List<List<int>> nested = [[1, 2], xs]
+List<(int, bool)> pairs
+string s = "abcdefghij"
+Map<int, int> m
+bool b
+for i in range(2000):
+  many.add(i)
+  path.append(Point(i, 0, 0))
+  pairs.append((i, True))
+  m[i] = i
+for i in range(11): s = s + s
+GridMap g = GridMap(Point(0, 0, 0), Point(200, 100, 0), 1)
+k = 0
+"""
+
+
+@pytest.mark.parametrize(
+    ("operation", "cost"),
+    [
+        ("n = sum(xs)", 20), ("n = xs.count(3)", 20), ("n = xs.index(3)", 20), ("b = 3 in xs", 20),
+        ("b = 3 in many", 20),
+        ("b = xs == xs", 40), ("b = xs != [1]", 20), ("b = many == few", 20), ("ys = sorted(xs)", 40),
+        ("us = many.intersection(few)", 20), ("us = many.difference(many)", 40), ("us = few.union(many)", 40),
+        ("b = xs in nested", 40), ("b = nested == nested", 40), ("b = (3, True) in pairs", 60), ("b = m == m", 120),
+        ('b = "x" in s', 204), ("b = s == s", 0), ("b = s < s", 0), ("b = 3 in m", 0), ("n = m[3]", 0),
+        ("n = m.get(-3, 4)", 0), ("b = is_free(g, Grid(1, 1, 1))", 0), ("n = first(xs) + len(xs)", 0),
+        ("h = mark_free(g, Grid(1, 1, 1))", 2), ("h = mark_occupied(g, Grid(1, 1, 1))", 2), ("h = merge(g, g)", 200),
+        ("h = GridMap(Point(0, 0, 0), Point(200, 100, 0), 1)", 2), ("b = g == g", 4),
+        ("f = path_distance(path, [])", 200), ("f = path_distance([Point(0, 0, 0)], path)", 400),
+        ("b = clear([Point(0, 1, 0)], [path, [Point(0, 0, 0)]], 0.5)", 400), ("for j, _ in m.items(): break", 1),
+        ("for j in m: break", 21),
+    ],
+)  # fmt: skip
+def test_going_through_many_elements_takes_turns(operation: str, cost: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    declared = "int n = 0\nfloat f = 0.0\nList<int> ys\nSet<int> us\nGridMap h\n"
+    made = 2000 + 2011 + sum(n // 100 for n in range(2001)) * 5 + sum((10 << n) // 100 for n in range(1, 12)) + 2
+    effect = MANY + declared + f"for i in range(50):\n  k += 1\n  {operation}\nxs = []"
+    for limit, outcome in ((made + 50 * (1 + cost), {"k": "50"}), (made + 50 * (1 + cost) - 1, "discarded")):
+        monkeypatch.setattr(turns, "MOST_TURNS", limit)
+        monkeypatch.setattr(exec, "MAX_TURNS", limit)
+        assert both(effect) == outcome
+
+
+def test_what_is_surely_small_is_not_looked_at() -> None:
+    text = """allread: int x[N_SYS]
+local: List<int> few max 99
+  List<int> many max 100
+  List<int> grown max 3
+  Map<int, bool> m max 33
+  Map<int, bool> n max 34
+  string mode
+  bool b
+  int k
+E:
+  pre: few == [1, 2] and 3 in few and mode == "idle" and pid in ID
+  eff:
+    grown.extend(grown)
+    k = sum(few) + sum(x)
+    b = m == {1: True}
+    b = n == {1: True}
+    k = k + sum(many)
+    k = k + grown.count(3)
+"""
+    shown = program_text(compiled(text))
+    assert "few.value == (1, 2) and 3 in s.local_few.value" in shown
+    assert "sum(s.local_few.value)" in shown
+    assert "sum(s.shared_x.all)" in shown
+    assert "sum(looked(s.local_many.value))" in shown
+    assert "looked(s.local_grown.value).count(3)" in shown
+    assert shown.count("looked_in(") == 1
 
 
 def test_making_many_elements_takes_turns() -> None:

@@ -114,6 +114,26 @@ def test_a_value_that_does_not_fit_its_param(name: str, value: params.Value, tol
 
 
 @pytest.mark.parametrize(
+    ("first", "value", "told"),
+    [
+        ("xs[2]", [1, 2], "the first value of k has no value"),
+        ("7 // xs[0]", [0, 0, 0], "the first value of k has no value"),
+        ("xs[0] * xs[1]", [2**40, 2**40, 0], "the first value of k would be an int beyond 64 bits"),
+    ],
+)
+def test_values_with_which_a_variable_would_begin_with_none_are_refused(
+    first: str, value: params.Value, told: str
+) -> None:
+    text = f"param List<int> xs = [1, 2, 3]\nlocal: int k = {first}\nGo:\n  pre: True\n  eff: pass\n"
+    source = Source("app.koord", text)
+    checked, found = check(parse(source)[0], source)
+    assert checked is not None, found
+    assert params.with_params(checked, {"xs": [3, 2, 1]}).locals == checked.locals
+    with pytest.raises(params.BadParam, match=told):
+        params.with_params(checked, {"xs": value})
+
+
+@pytest.mark.parametrize(
     ("text", "value"),
     [
         ("3", 3),

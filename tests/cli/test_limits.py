@@ -95,7 +95,17 @@ def test_explore_ends_by_the_limits_of_one_event(name: str, tmp_path: Path) -> N
         assert reason in done.stdout
 
 
-LONG = event("for i in range(15): xs.extend(xs)\nfor i in range(900000): k = sum(xs)")  # within all limits: minutes
+@pytest.mark.parametrize("first", ["2 ** 1024 ** 1024", "2 ** 1000", "2 ** 1000 * 2 ** 1000", "7 // 0 ** 5"])
+@pytest.mark.parametrize("command", ["check", "prove", "explore"])
+def test_a_first_value_that_robots_cannot_keep_is_an_error(first: str, command: str, tmp_path: Path) -> None:
+    done = ran(tmp_path, event("k = 4").replace("k = 3", f"k = {first}"), command)
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert "error[K057]" in done.stderr
+    assert ":2:" in done.stderr
+
+
+SUMS = " + ".join(["sum(xs)"] * 20)  # of 96 elements, which take no turns
+LONG = event(f"for i in range(5): xs.extend(xs)\nfor i in range(900000): k = {SUMS}")  # within all limits: minutes
 MANY = LONG.split("Go:")[0] + "Go:\n  pre: not done\n  eff: done = True\n"
 MANY += "invariant Kept: forall a, b, c, d, e in ID: k[a] + k[b] + k[c] + k[d] + k[e] > 0\n"
 
@@ -143,6 +153,24 @@ def test_replay_and_audit_end_and_agree_with_the_robot(name: str, tmp_path: Path
             [sys.executable, "-m", "koordgen", command, str(folder)], capture_output=True, text=True, timeout=HANG
         )
         assert done.returncode == status, done.stdout + done.stderr
+
+
+SLOW_FORMULA = event("k = 4", keeps="k[i] >= 3").replace(
+    "forall i in ID:", "forall n in range(999999): exists i in ID:"
+)
+
+
+@pytest.mark.parametrize(
+    ("command", "text"), [("replay", event("k = 4", SLOW, "slow(k) > 0")), ("audit", SLOW_FORMULA)]
+)
+def test_seconds_end_replay_and_audit(command: str, text: str, tmp_path: Path) -> None:
+    folder = Run(tmp_path / "run", text, n=1).run(1.35).save()
+    done = subprocess.run(
+        [sys.executable, "-m", "koordgen", command, str(folder), "--seconds", "0.01"],
+        capture_output=True, text=True, timeout=HANG,
+    )  # fmt: skip
+    assert done.returncode == 4, done.stdout + done.stderr
+    assert "ended by --seconds 0.01" in done.stdout
 
 
 def test_the_alarm_interrupts_and_is_gone_afterwards() -> None:

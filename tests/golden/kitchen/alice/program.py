@@ -38,12 +38,12 @@ from koordgen.runtime.containers import (
     without,
 )
 from koordgen.runtime.extern import Extern, Library
-from koordgen.runtime.geometry import clear, path_distance
-from koordgen.runtime.gridmap import GridMap, area, cell, center, is_known, mark_free, merge
+from koordgen.runtime.gridmap import GridMap, cell, center, is_known
+from koordgen.runtime.metered import area, clear, mark_free, merge, path_distance
 from koordgen.runtime.program import Cell, Event, Frame, Port, Program, Slots, Stopped, Transaction, Variable
 from koordgen.runtime.region import Ball, Rect
 from koordgen.runtime.text import shown
-from koordgen.runtime.turns import made, minus, plus, turn, turns
+from koordgen.runtime.turns import looked, looked_in, made, minus, plus, turn, turns
 from koordgen.runtime.values import Grid, Opaque, Point, Pose, Scan, distance, no_nan, no_nan_in
 
 Ticket = Annotated[Opaque, "Ticket"]
@@ -190,18 +190,18 @@ def effect_collect(s: State) -> None:
     """eff of Collect, kitchen.koord:100"""
     for my_c in turns(PARAM_CUPS):  # kitchen.koord:103
         s.shared_waiting.value = appended(s.shared_waiting.value, my_c)  # kitchen.koord:104
-        if my_c.size == 2 or "e" in my_c.name:  # kitchen.koord:105
+        if my_c.size == 2 or "e" in looked(my_c.name):  # kitchen.koord:105
             continue  # kitchen.koord:106
     for my_i in turns(range(1, PARAM_LAPS, 2)):  # kitchen.koord:107
         s.local_seen.value = set_with(s.local_seen.value, (my_i, s.local_on.value))  # kitchen.koord:108
     for my_i_2 in turns(range(s.n_sys)):  # kitchen.koord:109
-        if (my_i_2, False) in s.local_seen.value and s.shared_x[my_i_2] != PARAM_HOME:  # kitchen.koord:110
-            s.local_seen.value = union(s.local_seen.value, set_of(((my_i_2, True),)))  # kitchen.koord:111
+        if (my_i_2, False) in looked_in(s.local_seen.value) and s.shared_x[my_i_2] != PARAM_HOME:  # kitchen.koord:110
+            s.local_seen.value = union(looked_in(s.local_seen.value), set_of(((my_i_2, True),)))  # kitchen.koord:111
     for my_n, my_b in turns(s.local_seen.value):  # kitchen.koord:112
         s.local_text.value = made(made(s.local_text.value + str(my_n)) + str(my_b))  # kitchen.koord:113
     for my_p, my_s in turns(s.motion_pscan):  # kitchen.koord:114
         s.local_scan.value = my_s  # kitchen.koord:115
-        s.local_level.value = s.local_level.value + (total(my_s.ranges) + atan2(my_p.y, my_p.x))  # kitchen.koord:116
+        s.local_level.value = s.local_level.value + (total(looked(my_s.ranges)) + atan2(my_p.y, my_p.x))  # kitchen.koord:116
     my_c_2: Cup = first(s.shared_waiting.value)  # kitchen.koord:117
     s.shared_waiting.value = without(s.shared_waiting.value, 0)  # kitchen.koord:117
     s.local_tray.value = replace(s.local_tray.value, class_=appended(s.local_tray.value.class_, my_c_2))  # kitchen.koord:118
@@ -209,11 +209,11 @@ def effect_collect(s: State) -> None:
     s.local_tray.value = replace(s.local_tray.value, None_=(s.local_count.value, fun_longest((s.local_text.value, made(at(s.local_tray.value.class_, 0).name[1:3])))))  # kitchen.koord:120
     s.local_text.value = s.local_tray.value.None_[1]  # kitchen.koord:121
     s.local_levels.value = inserted(s.local_levels.value, 0, exp(s.local_level.value))  # kitchen.koord:122
-    s.local_levels.value = removed(no_nan_in(s.local_levels.value), 2.5)  # kitchen.koord:123
-    s.local_levels.value = extended(s.local_levels.value, made(made(made(tuple(sorted(no_nan_in(s.local_levels.value))))[:2]) + made(tuple(reversed(s.local_levels.value)))))  # kitchen.koord:124
+    s.local_levels.value = removed(no_nan_in(looked(s.local_levels.value)), 2.5)  # kitchen.koord:123
+    s.local_levels.value = extended(s.local_levels.value, made(made(made(tuple(sorted(no_nan_in(looked(s.local_levels.value)))))[:2]) + made(tuple(reversed(s.local_levels.value)))))  # kitchen.koord:124
     s.local_level.value = at(s.local_levels.value, len(s.local_levels.value) - 1)  # kitchen.koord:125
     s.local_levels.value = popped(s.local_levels.value)  # kitchen.koord:125
-    my_where: int = index_of(no_nan_in(s.local_levels.value), no_nan(s.local_level.value)) + no_nan_in(s.local_levels.value).count(no_nan(s.local_level.value)) + fun_reduce(s.local_count.value, len(s.local_levels.value))  # kitchen.koord:126
+    my_where: int = index_of(no_nan_in(looked(s.local_levels.value)), no_nan(s.local_level.value)) + no_nan_in(looked(s.local_levels.value)).count(no_nan(s.local_level.value)) + fun_reduce(s.local_count.value, len(s.local_levels.value))  # kitchen.koord:126
     s.local_ticket.value = extern_stamp(s.local_ticket.value, my_c_2, s.shared_paths.all)  # kitchen.koord:127
     if fun_heavy(my_c_2):  # kitchen.koord:128
         s.emit("Log.stdout", "heavy ", my_c_2.name, str(my_where), " at ", shown(my_c_2.at))  # kitchen.koord:129
@@ -236,7 +236,7 @@ def effect_plan(s: State) -> None:
         s.shared_names.value = map_with(s.shared_names.value, s.pid, my_c.name)  # kitchen.koord:141
         s.local_pose.value = Pose(center(Grid(1, 1, 0.5)), s.local_pose.value.yaw)  # kitchen.koord:142
     for my_k in turns(keys(s.shared_names.value)):  # kitchen.koord:143
-        if map_at(s.shared_names.value, my_k) == map_at(PARAM_LABELS, 1) and not has_key(PARAM_LABELS, my_k) and my_k not in keys(s.shared_names.value):  # kitchen.koord:144
+        if map_at(s.shared_names.value, my_k) == map_at(PARAM_LABELS, 1) and not has_key(PARAM_LABELS, my_k) and my_k not in looked(keys(s.shared_names.value)):  # kitchen.koord:144
             s.shared_names.value = map_without(s.shared_names.value, my_k)  # kitchen.koord:145
     for my_k_2, my_v in turns(s.shared_names.value):  # kitchen.koord:146
         s.local_text.value = my_v if my_k_2 > 1 else at(s.local_text.value, 0)  # kitchen.koord:147

@@ -11,7 +11,7 @@ from koordgen.runtime.containers import last
 from koordgen.runtime.gridmap import GridMap
 from koordgen.runtime.property import Asking, Assumption, Each, Known, One, Properties, Property, Trail, Unchecked
 from koordgen.runtime.region import Ball, Rect
-from koordgen.runtime.turns import turns
+from koordgen.runtime.turns import looked, turns
 from koordgen.runtime.values import Point, Pose, Scan, distance, no_nan_in
 
 from program import Cup, PARAM_HOME, PARAM_MARGIN, PROGRAM, Ticket, Tray, fun_heavy
@@ -106,7 +106,7 @@ def surely_assume_motion(b: Any) -> Any:
 
 def assume_motion_2(s: Step, my_goal: Point) -> bool:
     """assume of Motion, kitchen.koord:52"""
-    return s.motion_planner(my_goal) == () or last(s.motion_planner(my_goal)) == no_nan_in(my_goal)
+    return looked(s.motion_planner(my_goal)) == () or last(s.motion_planner(my_goal)) == no_nan_in(my_goal)
 
 
 PROPERTIES = Properties(
