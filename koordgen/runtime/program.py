@@ -18,7 +18,7 @@ import msgspec
 from koordgen.runtime.bounds import Bound
 from koordgen.runtime.containers import Missing, OutOfRange
 from koordgen.runtime.extern import BadExtern, Contract, Library
-from koordgen.runtime.turns import TooMuch, begin, made
+from koordgen.runtime.turns import NoTurns, TooMuch, begin, made
 from koordgen.runtime.values import NotANumber, transmissible
 
 T = TypeVar("T")
@@ -90,9 +90,11 @@ _violated: dict[int, None] = {}  # Koord lines of the loop invariants that did n
 
 def claim(line: int, holds: Callable[[], bool]) -> bool:
     """Evaluate the loop invariant on a Koord line, for the event that is run. Always true, whatever comes of it: it
-    stands before a loop's condition."""
+    stands before a loop's condition. Raises NoTurns: an event that has used up its turns is discarded."""
     try:
         held = holds()
+    except NoTurns:
+        raise
     except Exception:
         held = False
     if not held:

@@ -28,6 +28,10 @@ class TooMuch(Exception):
     """An event exceeds a limit, and is discarded."""
 
 
+class NoTurns(TooMuch):
+    """An event needs more turns than it has."""
+
+
 class _UsedUp:
     """What comes after the last turn."""
 
@@ -35,7 +39,7 @@ class _UsedUp:
         return self
 
     def __next__(self) -> Literal[True]:
-        raise TooMuch("it is not finished by the end of the round")
+        raise NoTurns("it is not finished by the end of the round")
 
 
 class _Count:

@@ -99,13 +99,14 @@ def elements(node: ir.Expr, view: View) -> Iterator[Value]:
     return iter([pair[0] for pair in values] if isinstance(node.type, MapOf) else values)
 
 
-def counting(node: ir.Expr, view: View) -> Iterator[int] | None:
-    """Return the numbers that a loop over a range or `ID` counts, without an end; None for a loop over elements."""
+def counting(node: ir.Expr, view: View) -> tuple[Iterator[Value], Iterator[int]] | None:
+    """Return the values of a loop over a range or `ID`, and these numbers without an end; None for other loops."""
     match node:
-        case ir.Range(start, _, step):
-            return count(_number(start, view), step)
+        case ir.Range(start, stop, step):
+            first = _number(start, view)
+            return _steps(first, _number(stop, view), step), count(first, step)
         case ir.Ids():
-            return count()
+            return elements(node, view), count()
         case _:
             return None
 

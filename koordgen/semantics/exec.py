@@ -170,9 +170,9 @@ class Run:
     def loop(self, loop: stmt.For | stmt.While) -> Exit:
         if isinstance(loop, stmt.While):
             return self.turns(loop, repeat(()))
-        values = elements(loop.values, self.view)
-        count = counting(loop.values, self.view) if loop.invariants else None
-        return self.turns(loop, values if count is None else self.counted(values, count, loop.names))
+        counts = counting(loop.values, self.view) if loop.invariants else None
+        values = elements(loop.values, self.view) if counts is None else self.counted(*counts, loop.names)
+        return self.turns(loop, values)
 
     def turns(self, loop: stmt.For | stmt.While, values: Iterator[Value]) -> Exit:
         while True:
@@ -199,11 +199,13 @@ class Run:
             yield value
 
     def judge(self, invariants: tuple[stmt.LoopInvariant, ...]) -> None:
-        """Note those that are false or have no value."""
+        """Note those that are false or have no value. Raises Discarded where they use up the turns of the event."""
         for invariant in invariants:
             try:
                 held = holds(invariant.formula, self.view)
             except Discarded:
+                if self.budget.left < 0:
+                    raise
                 held = False
             if not held:
                 self.budget.violated[invariant.span] = None

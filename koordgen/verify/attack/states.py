@@ -71,7 +71,8 @@ class States:
 
     def launch(self, robots: int, attempt: int, plausible: Callable[[State], bool]) -> State | None:
         """Draw a state before `init` that is `plausible`; None where none was found. Robots are drawn one after the
-        other, so that each fits those before it. The first attempt sets robots apart and has the program's params."""
+        other, so that each fits those before it. The first attempt sets robots apart and has the params of the
+        program."""
         values = {}
         if self.free and attempt % 2:
             bare = self._blank({})
