@@ -193,7 +193,7 @@ def _event(
 
 
 def _can_run(event: _Written, guard: Condition, first: Sequence[_Judged], c: Context) -> bool:
-    """Whether a guard may hold where the guards of `first` are false. Warns where it cannot."""
+    """Return whether a guard may hold where the guards of `first` are false. Warn where it cannot."""
     if (not first and is_open(guard.node, c.mentions, 0)) or guard.formula == linear.UNKNOWN:
         return True
     name, span = event.node.name, event.pre.condition.span

@@ -129,7 +129,8 @@ def _further(bounds: Bounds, found: Violation, progress: Progress) -> Bounds:
 
 
 def _of_agents(found: Violation, program: Program, about: About, seconds: float | None) -> bool:
-    """Whether agents can do each round of a run; an event without a result is a part of it. Where that takes more than
+    """Return whether agents can do each round of a run; an event without a result is a part of it. Where that takes
+    more than
     `seconds` to find out, the answer is False."""
     run = found.moments if found.culprit is None else (*found.moments, found.culprit)
     try:

@@ -63,7 +63,7 @@ def _writes(block: stmt.Block) -> Iterator[tuple[stmt.Place, ir.Expr]]:
 
 
 def kind(node: ir.Expr, known: Kinds) -> int:
-    """What the floats in a value may be, given what the places that were written may hold."""
+    """Return what the floats in a value may be, given what the places that were written may hold."""
     if not with_floats(node.type):
         return FINITE
     match node:
@@ -122,7 +122,7 @@ _NUMBER_UNLESS_TWICE = (NUMBER, NUMBER, ANY, ANY, ANY)
 
 
 def _scales(node: ir.Expr) -> bool:
-    """Whether a factor is a literal that is not zero."""
+    """Return whether a factor is a literal that is not zero."""
     node = node.operand if isinstance(node, ir.Widen) else node
     return isinstance(node, ir.Const) and bool(node.value)
 

@@ -160,15 +160,15 @@ class Machine:
         return next((e for e in range(len(self.code.events)) if self._may_hold(e, pid, robot, begun)), None)
 
     def _may_hold(self, event: int, pid: int, robot: Own, begun: Packed) -> bool:
-        """Whether a guard holds or has no value."""
+        """Return whether a guard holds or has no value."""
         try:
             return self.code.events[event].guard(self._looking(pid, robot, begun, rt.no_ports))
         except Exception:  # a fault of the guard's
             return True
 
     def choices(self, events: Sequence[int], pid: int, own: int, seen: Packed) -> tuple[Choice, ...]:
-        """What a robot may do of these events where it sees a store: all whose guards hold, but those discarded. The
-        events have priority, see `prior`."""
+        """Return the steps of these events that a robot may take on a store: all whose guards hold, but those
+        discarded. The events have priority, see `prior`."""
         robot = self.owns.values[own]
         if robot.stopped:
             return ()

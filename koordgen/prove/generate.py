@@ -34,7 +34,7 @@ CONSISTENT = ("initially", "environment")  # what is asked of the assumptions, w
 
 
 class Goal(NamedTuple):
-    """What is to be shown of an invariant: in parts. At a loop's head, `at` says which head and which formula, `place`
+    """One goal of an invariant, in parts. At a loop's head, `at` says which head and which formula, `place`
     is "entry" or "turn", and only what is known at that place may be used: facts up to `position`, and `demands`."""
 
     invariant: str
@@ -197,8 +197,8 @@ def environment(setting: Setting) -> list[Obligation]:
 
 
 def consistent(setting: Setting, name: str) -> Obligation:
-    """What is assumed can be true: at the mission's start (of params, sensors, spec functions and contracts, too), or
-    of a step of the environment within the invariants, with an answer of each callable port."""
+    """Ask whether the assumptions can be true: at the mission's start (of params, sensors, spec functions, contracts),
+    or of a step of the environment within the invariants, with an answer of each callable port."""
     stage = Stage(setting, thorough=True)
     room = stage.room
     room.robot(t.integer(0), known=True)
@@ -220,7 +220,7 @@ def consistent(setting: Setting, name: str) -> Obligation:
 
 
 def at_heads(stage: Stage, heads: Sequence[Head]) -> list[Goal]:
-    """What is assumed at the heads of loops holds where each loop begins, and is kept by each of its turns."""
+    """Goals of the formulas that are assumed at heads: each holds where its loop begins, and each turn keeps it."""
     loops = stage.setting.loops
     found = []
     for head in heads:
@@ -288,7 +288,7 @@ class _Output:
         )  # fmt: skip
 
     def satisfiable(self, name: str, assumed: tuple[Fact, ...]) -> Obligation:
-        """That the event can get to its end, with what is assumed of the calls on its way."""
+        """Ask whether the event can get to its end, with what is assumed of the calls on its way."""
         found = self.one(name, Goal("", ()), "consistency", assumed)
         return replace(found, goal=None, expected="sat")
 

@@ -20,6 +20,8 @@ DISCARDED = "agents discard an event that would; a property that compares NaN ha
 SIMULATOR = "the simulator watches it in each run (docs/sim.md)"
 UNCHECKED = ""
 HARMLESS = "nothing has to: it can make a proof fail, and never makes one"
+STARTED = "every robot's init has a result: otherwise no mission begins"
+AGENTS_START = "agents hold before round 1 until all have it, and a robot whose init is discarded ends (docs/safety.md)"
 COMPARED = "koordgen's own tests compare it with what robots compute (docs/proofs.md)"
 LEMMAS = frozenset((DISTANCES, PATHS))
 
@@ -86,6 +88,8 @@ def _watched(formula: ir.Expr, program: decl.Program) -> str:
 
 
 def _general(program: decl.Program) -> Iterator[Entry]:
+    if program.init:
+        yield Entry("start", STARTED, program.path, program.init[0].span.line, AGENTS_START)
     types = [v.type for v in program.shared] + [v.type for v in program.locals] + [v.type for v in program.params]
     types += [port.type for module in program.modules for port in module.ports]
     if any(map(_real, types)):

@@ -64,7 +64,7 @@ class LoopInvariants:
 
 
 def blocks(program: decl.Program) -> Iterator[tuple[str, stmt.Block]]:
-    """What statements a program has: of its events, of `init`, of its functions."""
+    """Yield the blocks of a program by their owners: events, `init`, functions."""
     yield from ((event.name, event.effect) for event in program.events)
     yield INIT, program.init
     yield from ((function.name, function.block) for function in program.functions)

@@ -57,7 +57,7 @@ class Setting:
         self.loops = LoopInvariants(program, self.mentions, self.params, numbered, dropped)
 
     def changed(self, event: decl.Event) -> set[Key]:
-        """What an event may change: what it writes, and `reached` of the modules that it commands."""
+        """Return what an event may change: what it writes, and `reached` of the modules that it commands."""
         keys = {key for key in written(event.effect) if key[0] != "temp"}
         modules = {name.rpartition(".")[0] for kind, name in keys if kind == "port"}
         commanded = {key for key in self.cleared if key[1].rpartition(".")[0] in modules}
@@ -142,8 +142,9 @@ class Stage:
                 self.room.fact(t.implies(guard, self.encoder.defined(formula, scope)))
 
     def know(self, head: Head) -> None:
-        """What is assumed at a loop's head holds before each turn and behind the last one, from there on. SOUND: of
-        robots only: an index that names none has an `init` in the formulas, too, of which nothing may be said."""
+        """Add what is assumed at a loop's head: it holds before each turn and behind the last one, from there on.
+        SOUND: of robots only: an index that names none has an `init` in the formulas, too, of which nothing may be
+        said."""
         loops, place, own = self.setting.loops, head.turn, head.turn.frame.pid
         in_event = place.frame.now is not None
         reached = t.and_(place.reached, self.room.within(own)) if in_event else place.reached
@@ -158,8 +159,8 @@ class Stage:
                     self.assume(formula, scope, reached)
 
     def at_head(self, at: AtHead, property_: decl.Property, state: Written) -> tuple[ir.Expr, OfFleet]:
-        """What an invariant says at a loop's head: in an event, of the fleet as if the event ended there; in `init`, of
-        the robot itself, since the others may have run theirs or not."""
+        """Return an invariant as it is assumed at a loop's head: in an event, as if the event ended there; in `init`,
+        of the robot itself, since the others may have run theirs or not."""
         scope, formula = OfFleet(state), property_.formula
         while at.owner == INIT and isinstance(formula, ir.Quantified) and formula.kind == "forall":
             if not isinstance(formula.domain, ir.Ids):
@@ -247,7 +248,7 @@ class Stage:
                     self.room.fact(formula, line=line)
 
     def is_assumed_of_calls(self, fact: Fact) -> bool:
-        """Whether a fact says what is assumed of what an event calls."""
+        """Return whether a fact is an assumption about a function or a port that an event calls."""
         return fact.label.startswith(("contract of ", "axiom ", "assume of "))
 
     def axioms(self) -> None:

@@ -113,9 +113,9 @@ class _Search:
     def of(self, n_sys: int) -> Run | None:
         layer: list[tuple[Moment, ...]] = []
         for start in self.starts(n_sys):
-            first = Moment(start, "", None, 0)
-            begun = Moment(run_init(self.program, start, self.world)[0], "init", None, 0)
-            layer.append((first, begun))
+            ready, steps = run_init(self.program, start, self.world)
+            if not any(isinstance(step.outcome, Discarded) for step in steps):  # otherwise no mission begins
+                layer.append((Moment(start, "", None, 0), Moment(ready, "init", None, 0)))
         found = self.broken(layer)
         seen: list[State] = []
         while layer and found is None and layer[0][-1].round < self.bounds.rounds:
@@ -131,7 +131,7 @@ class _Search:
         return None
 
     def of_agents(self, run: tuple[Moment, ...]) -> bool:
-        """Whether agents can do a run. Where a guard cannot be evaluated exactly, nobody knows that they can."""
+        """Return whether agents can do a run; False where a guard cannot be evaluated exactly."""
         try:
             return is_order_of_agents(self.program, run, self.world)
         except (NotExact, NoMeaning):

@@ -115,7 +115,7 @@ def run_lines(run: Run, found: Counterexample | None) -> Iterator[str]:
 
 
 def order_told(of_agents: bool) -> str:
-    """Whether agents can do a run, in words."""
+    """Say in words whether agents can do a run."""
     if of_agents:
         return "the agents' order can do this run"
     return (

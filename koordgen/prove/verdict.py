@@ -36,7 +36,7 @@ class Question(NamedTuple):
 
 
 class Asked(NamedTuple):
-    """What the solver said of all obligations, once none of what is assumed at heads of loops fails: `dropped` was
+    """The solver's answers to all obligations, once none of what is assumed at heads of loops fails: `dropped` was
     tried there and failed, `lost` are the obligations by which that was seen of invariants that stand at loops."""
 
     outcomes: list[Outcome]
@@ -206,7 +206,7 @@ def _consistency(outcomes: Sequence[Outcome], solver: Solver | Both) -> tuple[st
 
 
 def _is_dead(obligation: Obligation, answer: Answer, solver: Solver | Both) -> bool:
-    """Whether an event cannot get to its end for reasons of its own: whatever is assumed of what it calls."""
+    """Return whether an event cannot get to its end for reasons of its own, whatever is assumed of what it calls."""
     if not obligation.event or answer.result != "unsat":
         return False
     own = tuple([f for f in obligation.facts if not f.label.startswith(("contract of ", "axiom ", "assume of "))])

@@ -322,7 +322,7 @@ def _refused(
 
 
 def _flaw(bound: Bound, value: Any) -> str:
-    """What is wrong with a value that would be kept or sent; empty when nothing is. Locals are judged as all else is:
+    """Return the flaw of a value that would be kept or sent; empty when it has none. Locals are judged as all else is:
     NaN never outlives its event, and an int that is squared every round would soon hang the robot."""
     flaw = bound.flaw(value)
     return flaw or ("" if transmissible(value) else f"{reprlib.repr(value)}, which no robot may use")

@@ -33,7 +33,7 @@ class NoTurns(TooMuch):
 
 
 class _UsedUp:
-    """What comes after the last turn."""
+    """Emit what comes after the last turn."""
 
     def __iter__(self) -> _UsedUp:
         return self

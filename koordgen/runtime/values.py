@@ -106,8 +106,8 @@ INT_MIN, INT_MAX = -(2**63), 2**63 - 1
 
 
 def transmissible(value: object) -> bool:
-    """Whether a value may be kept, or go to a port or to another robot: at no depth NaN, infinity, an int beyond 64
-    bits, text that is not Unicode, or anything that is no Koord value. A list of its own instead of recursion: no
+    """Return whether a value may be kept, or go to a port or to another robot: at no depth NaN, infinity, an int beyond
+    64 bits, text that is not Unicode, or anything that is no Koord value. A list of its own instead of recursion: no
     nesting can exhaust the stack (what a typed decoder yields is as deep as its static type, and no deeper)."""
     if type(value) in _PARTLESS:
         return _plain(value)

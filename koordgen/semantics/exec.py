@@ -235,8 +235,9 @@ class Run:
                 assert_never(place)
 
     def writes(self, stopped: bool) -> Writes | Discarded:
-        """What counts at the event's end; a last value that its variable may not keep discards all of it. Of several
-        such, the one whose variable is declared first is told, as robots do: locals, shared variables, actuators."""
+        """Return what counts at the event's end; a last value that its variable may not keep discards all of it. Of
+        several such, the one whose variable is declared first is told, as robots do: locals, shared variables,
+        actuators."""
         types = declared(self.program)
         order = {name: place for place, name in enumerate(types)}
         written = sorted(self.written.items(), key=lambda item: (item[0][0] == "stream", order[item[0][1]]))

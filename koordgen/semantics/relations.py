@@ -18,7 +18,7 @@ Happened = tuple[State, str, int | None, int]  # a state, the event that led to 
 def choices(
     program: decl.Program, state: State, pid: int, begun: Store | None = None, world: World = NOTHING
 ) -> list[Step]:
-    """What one robot may do within a round: skip, or run any event whose guard holds, that has priority and that is
+    """Return the steps of one robot in a round: skip, or run any event whose guard holds, that has priority and that is
     not discarded. `begun` is the store at the round's start (the state's own unless given), on which plain events run
     and guards of earlier events of a `priority:` block are evaluated; atomic events run on the state's."""
     found = [Step(pid, None, None)]

@@ -67,7 +67,8 @@ def no_port(port: str, args: tuple[Value, ...]) -> Value:
 
 
 def run_init(program: decl.Program, state: State, world: World = NOTHING) -> tuple[State, list[Step]]:
-    """Every robot's init, each on the store before it; round 1 comes next."""
+    """Every robot's init, each on the store before it; round 1 comes next. Where one of them is discarded, no mission
+    begins: nothing goes on from the state that is returned then."""
     steps = [Step(pid, None, execute(program, program.init, state, pid, world)) for pid in range(len(state.robots))]
     return _all_applied(state, steps)._replace(round=1), steps
 

@@ -265,7 +265,7 @@ def _follows(states: States, token: Any) -> bool:
 
 
 def _awaits_event(states: States) -> bool:
-    """Whether the name of an event may follow, and no statement."""
+    """Return whether the name of an event may follow, and no statement."""
     return _fits(states, [], ("NAME",)) and not _fits(states, [], ("pass",))
 
 

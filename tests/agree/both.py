@@ -31,8 +31,8 @@ Pass = Callable[[d.Program], d.Program]
 
 
 def outside(name: str, args: tuple[Any, ...], result: Type) -> Value:
-    """What an extern function yields: some value that depends on all of its arguments, which need not be finite; now
-    and then it fails."""
+    """Return the result of an extern function: a value that depends on all of its arguments, which need not be finite;
+    now and then it fails."""
     rng = Random(f"{name} {args!r}")
     if rng.random() < 0.02:
         raise RuntimeError("no answer")

@@ -132,7 +132,7 @@ E:
 
 
 def outcomes(effect: str) -> tuple[Outcome, Outcome]:
-    """What an effect comes to by the semantics, and as generated code."""
+    """Run an effect by the semantics and as generated code; return both results."""
     program = compiled(HEAD + "".join(f"    {line}\n" for line in effect.split("\n")))
     state = initial(program, N_SYS)
     return Meant(program).event(state, 0)[2], Generated(program, program_text(program)).event(state, 0)[2]

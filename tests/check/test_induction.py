@@ -193,7 +193,7 @@ def test_a_seeded_fault_is_found(name: str, fault: Callable[..., object], monkey
 
 
 def reported(block: str) -> bool:
-    """Whether an index of the block is wrong, or doubtful and checked at run time."""
+    """Return whether an index of the block is wrong, or doubtful and checked at run time."""
     program, codes = checked(function(block))
     return bool(codes & {"K030", "K034"}) and (program is None or proved(program)[1] > 0)
 

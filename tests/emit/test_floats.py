@@ -36,7 +36,7 @@ E:
 
 
 def checks(effect: str, guard: str = "True") -> list[str]:
-    """What stands in generated code about NaN, in the order of the text, but for the function of the head."""
+    """Return the checks for NaN in generated code, in the order of the text, but for the function of the head."""
     text = program_text(checked(HEAD.format(guard=guard, effect=effect.replace("\n", "\n    "))))
     return re.findall(r"no_nan\w*\([^()]*", text[text.index("def guard_e") :])
 

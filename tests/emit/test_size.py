@@ -1,4 +1,4 @@
-"""What surely stays small is emitted as before; what may grow is emitted with a look at its size."""
+"""Values that surely stay small are emitted as before; values that may grow are emitted with a check of their size."""
 
 from __future__ import annotations
 

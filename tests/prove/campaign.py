@@ -48,7 +48,7 @@ class Runner:
         self.commit = commit()
 
     def judged(self, made: Made, seed: int) -> Judged:
-        """What the prover and its judges say; the solvers have their time for this program anew."""
+        """Judge one program; the solvers have their time for this program anew."""
         for one in self.solver.solvers if isinstance(self.solver, Both) else (self.solver,):
             one.limits = one.limits._replace(total=one.spent + 4 * self.seconds)
         return judged(made.program, self.solver, seed, self.effort)
@@ -74,7 +74,7 @@ def commit() -> str:
 
 
 def kind_of(found: Judged) -> str:
-    """What is wrong: "contradiction", or where which exception arose; empty where nothing is."""
+    """Return "contradiction", or the exception and where it arose; empty where nothing is wrong."""
     if found.contradictions:
         return "contradiction"
     lines = [line for line in found.fault.splitlines() if line.strip()]
@@ -170,7 +170,7 @@ def run_slices(todo: Sequence[range], options: Namespace) -> None:
 
 
 def results(options: Namespace) -> Iterator[dict[str, Any]]:
-    """What is known of the seeds that were asked for."""
+    """The results for the seeds that were asked for."""
     for seeds in slices(options.first, options.count):
         for line in lines_of(file_of(Path(options.folder), options.solver, seeds[0])):
             if line["seed"] in seeds:
@@ -205,7 +205,7 @@ def summary(lines: Sequence[dict[str, Any]]) -> str:
 
 
 def _what(left: Sequence[str]) -> str:
-    """What of TELLING a contradicting program still has when it is small."""
+    """Return the constructs of TELLING that a contradicting program still has when it is small."""
     return " + ".join(name for name in TELLING if name in left) or "none of these: " + ", ".join(left)
 
 

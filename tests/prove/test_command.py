@@ -57,6 +57,9 @@ assumed:
     checked: the simulator watches it in each run (docs/sim.md)
   - initially: forall i in ID: Motion.position[i] in Rect(lo, hi) (app.koord:20); checked: the
     simulator watches it in each run (docs/sim.md)
+  - start: every robot's init has a result: otherwise no mission begins (app.koord:12); checked:
+    agents hold before round 1 until all have it, and a robot whose init is discarded ends
+    (docs/safety.md)
   - arithmetic: numbers are real numbers; robots round each result to 53 bits, and to infinity
     beyond 1.8e308; unchecked
   - arithmetic: no event compares NaN, nor keeps or sends NaN or infinity; checked: agents discard

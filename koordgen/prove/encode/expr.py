@@ -331,7 +331,7 @@ class Encoder:
         return t.and_(*self.parts(node, scope))
 
     def parts(self, node: ir.Expr, scope: Scope) -> tuple[Term, Term]:
-        """That a formula has a value; whether it is true, if it has."""
+        """Return two terms: that a formula has a value, and that it is true if it has one."""
         with self.room.outermost(), self.room.aside() as demands:
             formula = self.term(node, scope)
         return t.all_of([demand.term for demand in demands]), formula

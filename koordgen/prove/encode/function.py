@@ -52,7 +52,7 @@ class Functions:
         return result
 
     def is_closed(self, function: decl.Function) -> bool:
-        """Whether no extern function is called in a run."""
+        """Return whether a run calls no extern function."""
         if function.name not in self.closed:
             called = [n for n in nodes(function.block) if isinstance(n, (ir.Call, ir.ExternCall))]
             functions = [self.functions.get(n.name) for n in called]
@@ -101,7 +101,7 @@ class Functions:
     def contract(
         self, function: decl.ExternFunction, args: tuple[Val, ...], result: Val
     ) -> tuple[list[Term], list[tuple[Term, int]]]:
-        """What a call requires; what its result then satisfies, with the lines that say so."""
+        """Return what a call requires, and what its result then satisfies, with the lines that say so."""
         types = {p.name: p.type for p in function.parameters}
         frame = Frame(self.encoder, t.integer(-1), None, None, _nothing, types, self.know)
         frame.temps = dict(zip(types, args, strict=True))
@@ -111,7 +111,7 @@ class Functions:
 
 
 def _identity(value: Val) -> object:
-    """What tells arguments apart: equal ones have equal values, whatever the state."""
+    """Return a key of an argument: arguments with equal keys have equal values, whatever the state."""
     match value:
         case Fleet(name):
             return "fleet", name

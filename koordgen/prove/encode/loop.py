@@ -79,7 +79,7 @@ def way_of(loop: Loop, known: Mapping[str, ir.Expr], robots: int | None) -> Way:
 
 
 def has_loop(block: object) -> bool:
-    """Whether there is a loop in a block: it is encoded even where nothing gets there, so that the obligations of a
+    """Return whether a block has a loop: it is encoded even where nothing gets there, so that the obligations of a
     program do not depend on what the encoder sees to be impossible."""
     return any(isinstance(n, (stmt.For, stmt.While)) for n in nodes(block))
 
@@ -130,7 +130,7 @@ def is_unordered(type_: Type) -> bool:
 
 
 def written(block: stmt.Block) -> dict[Key, None]:
-    """What a block may write, on any way."""
+    """Return the variables that a block may write, on any way."""
     found: dict[Key, None] = {}
     for statement in block:
         match statement:
@@ -147,8 +147,8 @@ def written(block: stmt.Block) -> dict[Key, None]:
 
 
 def kept_by(loop: Loop) -> dict[Key, None]:
-    """What a turn may write on a way to the next turn: not what it writes and then leaves the loop, and none of the
-    loop's own variables."""
+    """Return what a turn may write on a way to the next turn: not what it writes before it leaves the loop, and none of
+    the loop's own variables."""
     own = set(temps_of(loop.block))
     if isinstance(loop, stmt.For):
         own.update(loop.names)
@@ -156,13 +156,13 @@ def kept_by(loop: Loop) -> dict[Key, None]:
 
 
 def has_next_turn(loop: Loop) -> bool:
-    """Whether some way through the block leads to the loop's head again."""
+    """Return whether some way through the block leads to the loop's head again."""
     _, ends, continues = _kept(loop.block)
     return ends or continues
 
 
 def _kept(block: stmt.Block) -> tuple[dict[Key, None], bool, bool]:
-    """What is written on the ways that reach the block's end or a `continue`; whether its end is reached, and whether a
+    """Return what is written on the ways to the block's end or a `continue`; whether the end is reached, and whether a
     `continue` is."""
     so_far: dict[Key, None] = {}  # on ways that reach this statement
     continued: dict[Key, None] = {}  # on ways that ended in a `continue`
@@ -209,7 +209,7 @@ def temps_of(block: object) -> dict[str, Type]:
 
 
 def tells(block: stmt.Block, names: tuple[str, ...]) -> bool:
-    """Whether the element that leaves a loop tells anything behind it, but that it did."""
+    """Return whether a value behind the loop depends on which element left it."""
     for statement in block:
         match statement:
             case stmt.Assign(_, value) | stmt.Return(value):
@@ -244,7 +244,7 @@ class Write(NamedTuple):
 
 
 class Writes:
-    """What the block of a loop writes, as far as the shape of the block tells."""
+    """The statements by which the block of a loop writes, as far as the shape of the block tells."""
 
     def __init__(self, loop: Loop) -> None:
         self.loop = loop
@@ -286,8 +286,8 @@ class Writes:
         return found[0] if len(found) == 1 else None
 
     def is_fixed(self, node: Node, lets: tuple[stmt.Let, ...], element: bool = True) -> bool:
-        """Whether a value depends on nothing but the element of its turn (if `element`) and on what the loop leaves
-        alone."""
+        """Return whether a value depends on nothing but the element of its turn (if `element`) and on what the loop
+        leaves alone."""
         own = self.loop.names if isinstance(self.loop, stmt.For) else ()
         local = {let.name: let for let in lets}
         for part in nodes(node):
@@ -310,7 +310,7 @@ class Writes:
 
 
 def leaves(part: object) -> bool:
-    """Whether a statement may end the turn, the loop or the event."""
+    """Return whether a statement may end the turn, the loop or the event."""
     return any(isinstance(n, (stmt.Break, stmt.Continue, stmt.Return, stmt.Stop)) for n in nodes(part))
 
 

@@ -36,21 +36,21 @@ class Domain(NamedTuple):
     step: int
 
     def ahead(self, index: Term) -> Term:
-        """Whether a loop that has come to this place has an element left."""
+        """Return that a loop which has come to this place has an element left."""
         return t.less(index, self.stop) if self.step > 0 else t.less(self.stop, index)
 
     def not_after(self, a: Term, b: Term) -> Term:
-        """Whether a place comes before another one, or is that one."""
+        """Return that a place comes before another one, or is that one."""
         return t.at_most(a, b) if self.step > 0 else t.at_most(b, a)
 
     def passed(self, index: Term, head: Term) -> Term:
-        """Whether a place was gone through by a loop that has come to `head`."""
+        """Return that a loop which has come to `head` has gone through a place."""
         before = t.less(index, head) if self.step > 0 else t.less(head, index)
         reached = self.not_after(self.start, index)
         return t.all_of([before, reached, *self.on_grid(index)])
 
     def on_grid(self, index: Term) -> list[Term]:
-        """That a number is `start` and some steps: nothing to say of a step of 1 or -1."""
+        """Return that a number is `start` plus some steps; nothing for a step of 1 or -1."""
         if abs(self.step) == 1:
             return []
         return [t.equals(t.remainder(t.subtract(index, self.start), t.integer(abs(self.step))), _ZERO)]
@@ -105,7 +105,7 @@ _TOTAL = frozenset(("distance", "path_distance", "clear", "abs", "min", "max", "
 
 
 def _may_fail(e: Encoder, node: ir.Quantified, scope: Scope) -> bool:
-    """Whether an instance may have no value, as far as its operations tell."""
+    """Return whether an instance may have no value, as far as its operations tell."""
     named = {node.name} if isinstance(node.domain, ir.Ids) else set()
     for part in nodes(node.body):
         if isinstance(part, ir.Quantified) and isinstance(part.domain, ir.Ids):
@@ -150,7 +150,7 @@ def in_fleet(e: Encoder, xs: Fleet, item: Val) -> Term:
 
 
 def domain(e: Encoder, node: ir.Expr, scope: Scope, body: object, name: str) -> Domain:
-    """What a quantifier or a loop runs over; `body` uses its elements by `name`."""
+    """Return the domain of a quantifier or a loop; `body` uses its elements by `name`."""
     if isinstance(node, ir.Range):
         return _range(e, node, scope, body, name)
     xs = path_of(e.value(node, scope))
@@ -185,11 +185,16 @@ def _range(e: Encoder, node: ir.Range, scope: Scope, body: object, name: str) ->
         return t.and_(within, t.equals(t.remainder(t.subtract(index, start), step), _ZERO))
 
     whole = start is _ZERO and stop is e.room.size
-    return Domain(inside, _int, few, names_robots(body, name), not whole, start, stop, node.step)
+    robots = names_robots(body, name) or _speaks_of(start, e.room.size) or _speaks_of(stop, e.room.size)
+    return Domain(inside, _int, few, robots, not whole, start, stop, node.step)
+
+
+def _speaks_of(term: Term, part: Term) -> bool:
+    return term is part or (isinstance(term, t.Op) and any(_speaks_of(arg, part) for arg in term.args))
 
 
 def names_robots(body: object, name: str) -> bool:
-    """Whether a number is used as the index of a robot, or may be: so it is where it is handed on."""
+    """Return whether a number may be used as the index of a robot; a number that is handed on may."""
     for part in nodes(body):
         match part:
             case ir.SlotRead(_, index) | ir.LocalOf(_, index) | ir.PortOf(_, _, index):

@@ -120,7 +120,7 @@ class Room:
             self.fact(t.implies(self.here(), formula), label, line)
 
     def here(self) -> Term:
-        """That this place is reached: its path is taken, and every operation before it has a value.
+        """Return that this place is reached: its path is taken, and every operation before it has a value.
 
         Without the second part a fact of this place could show that an operation before it has a value."""
         return t.all_of([*self.path, *[demand.term for demand in self.demands]])
@@ -141,7 +141,7 @@ class Room:
 
     @contextmanager
     def outermost(self) -> Iterator[None]:
-        """What is encoded now does not depend on the place that is being encoded."""
+        """Encode something that does not depend on the place that is being encoded."""
         kept, self.path = self.path, ()
         try:
             yield

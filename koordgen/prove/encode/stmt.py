@@ -46,7 +46,7 @@ class Place(NamedTuple):
 
     @property
     def reached(self) -> Term:
-        """That a run gets to this place."""
+        """The condition that a run gets to this place."""
         return t.all_of([self.path, *[demand.term for demand in self.demands]])
 
 
@@ -361,7 +361,7 @@ class Frame:
         return t.not_(condition)
 
     def looked_at(self, index: Term, over: Domain, told: bool) -> None:
-        """What is said of all robots, or of all places in lists, is to be said of this one, if so much is told."""
+        """Instantiate what holds of all robots, or of all places in lists, for this one, if so much is told."""
         if told:
             self.room.element(index, over.robots, over.places)
         else:

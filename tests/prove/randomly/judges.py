@@ -93,7 +93,7 @@ Judge = Callable[[decl.Program, frozenset[str], int, Effort], "Contradiction | N
 
 
 def judged(program: decl.Program, solver: Solver | Both, seed: int, effort: Effort) -> Judged:
-    """What the prover says of a program, and what the judges say of that."""
+    """Return the verdicts on a program, and the contradictions that the judges found."""
     verdicts: dict[str, str] = {}
     found: list[Contradiction] = []
     skipped: list[str] = []
