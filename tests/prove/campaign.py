@@ -43,7 +43,7 @@ class Runner:
 
     def __init__(self, solver: str, seconds: float) -> None:
         self.seconds = seconds
-        self.effort = Effort(seconds=seconds / 15, explaining=seconds / 25, attacking=seconds / 16, proving=4 * seconds)
+        self.effort = Effort(seconds=seconds / 15, explaining=seconds / 60, attacking=seconds / 16, proving=4 * seconds)
         self.solver = solver_of(solver, Limits(query=2 * seconds))
         self.commit = commit()
 
