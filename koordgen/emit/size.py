@@ -97,7 +97,7 @@ def looks(node: ir.Expr, written: Container[stmt.Place]) -> str:
     0. What no variable that the block has `written` may hold is within its declared capacity."""
     if _weight(node, written) < ELEMENTS_A_TURN:
         return ""
-    is_flat = node.type == STRING or (isinstance(node.type, Sequence) and _is_plain(node.type.element))
+    is_flat = node.type == STRING or (isinstance(node.type, Sequence) and not _most(node.type.element, False))
     return "looked" if is_flat else "looked_in"
 
 

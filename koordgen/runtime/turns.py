@@ -17,7 +17,7 @@ from typing import Literal, TypeVar
 import msgspec
 
 from koordgen.runtime.gridmap import GridMap
-from koordgen.runtime.values import Opaque
+from koordgen.runtime.values import Opaque, Point
 
 T = TypeVar("T")
 S = TypeVar("S", bound=Sized)
@@ -27,6 +27,7 @@ ELEMENTS_A_TURN = 100
 MOST_ELEMENTS = 100_000  # of a list, set, map, queue; characters of a text
 CELLS_AN_ELEMENT = 100  # so many cells of a GridMap count as one element
 MOST_BITS = 4096  # of an int
+_PLAIN = frozenset((int, bool, float, Point))  # of these nothing is counted
 SMALL_BITS = 64  # an int of at most so many is added and subtracted without a look at the result
 TOO_LONG = f"an int of more than {MOST_BITS} bits"
 
@@ -109,24 +110,22 @@ def elements(value: object) -> int:
     """Count the elements of a value and of all that is in it: elements of a list, queue or set and items of a tuple;
     of a map its pairs, keys and values; characters; rays; of a GridMap one for CELLS_AN_ELEMENT cells. Counting ends
     beyond what any event can pay for."""
-    match value:
-        case str():
-            return len(value)
-        case GridMap():
-            return value.width * value.height // CELLS_AN_ELEMENT
-        case Opaque():
-            return 0
-        case msgspec.Struct():
-            return sum(map(elements, msgspec.structs.astuple(value)))
-        case tuple():
-            found = len(value)
-            for part in value:
-                if found > MOST_TURNS * ELEMENTS_A_TURN:
-                    break
-                found += elements(part)
-            return found
-        case _:
-            return 0
+    if isinstance(value, tuple):
+        found = len(value)
+        for part in value:
+            if type(part) in _PLAIN:
+                continue
+            if found > MOST_TURNS * ELEMENTS_A_TURN:
+                break
+            found += elements(part)
+        return found
+    if isinstance(value, str):
+        return len(value)
+    if isinstance(value, GridMap):
+        return value.width * value.height // CELLS_AN_ELEMENT
+    if isinstance(value, msgspec.Struct) and not isinstance(value, Opaque):
+        return sum([elements(field) for field in msgspec.structs.astuple(value)])
+    return 0
 
 
 def spend(turns: int) -> None:

@@ -99,7 +99,10 @@ def operand(node: ir.Expr, view: View) -> Value:
     """Return the value of an operand of a comparison or a search, for the turns that it costs. Raises Discarded, also
     where there is NaN in it."""
     value = looked(node, evaluate(node, view), view)
-    _guarded(node, lambda: builtins.comparable(value))
+    try:
+        builtins.comparable(value)
+    except ArithmeticError as error:
+        raise _fault(node, str(error), False) from None
     return value
 
 

@@ -29,7 +29,8 @@ def emitted(expression: str, type_: str = "int") -> str:
         ("k - n", "minus(s.local_k.value, s.local_n.value)"),
         ("k * 2", "product(s.local_k.value, 2)"),
         ("len(xs) * len(s)", "len(s.local_xs.value) * len(s.local_s.value)"),
-        ("sum(xs)", "checked(sum(s.local_xs.value))"),
+        ("sum(xs)", "checked(sum(looked(s.local_xs.value)))"),
+        ("sum([k, 3])", "checked(sum((s.local_k.value, 3)))"),
     ],
 )
 def test_ints(expression: str, python: str) -> None:
