@@ -29,7 +29,6 @@ from koordgen.semantics.values import RecordValue, Value, as_, conforms, default
 from koordgen.source import Span
 
 T = TypeVar("T", bound=HasLength)
-G = TypeVar("G")
 
 
 class Discarded(Exception):
@@ -279,7 +278,7 @@ def _asked(node: ir.PortCall, view: View) -> Value:
     return answer
 
 
-def _guarded(node: ir.Expr, compute: Callable[[], G], proved: bool = False) -> G:
+def _guarded(node: ir.Expr, compute: Callable[[], Value], proved: bool = False) -> Value:
     """A value that need not exist: Discarded at this node then."""
     try:
         return compute()
