@@ -12,11 +12,11 @@ import sys
 import textwrap
 import time
 from argparse import ArgumentParser
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from itertools import count
 from types import FunctionType
-from typing import NamedTuple, TextIO
+from typing import Any, NamedTuple, TextIO
 from unittest.mock import patch
 
 from koordgen.explore.environment import Lacking
@@ -60,10 +60,10 @@ def planted(mutant: Mutant) -> Iterator[None]:
         source.replace(mutant.line, mutant.instead), inspect.getfile(function), "exec",
         annotations.compiler_flag, True,
     )  # fmt: skip
-    made: dict[str, Callable[..., object]] = {}
+    made: dict[str, Any] = {}
     exec(changed, function.__globals__, made)
     wrapped = made[function.__name__]
-    other = inspect.unwrap(wrapped.fget if isinstance(wrapped, property) else wrapped)  # type: ignore[arg-type]
+    other = inspect.unwrap(wrapped.fget if isinstance(wrapped, property) else wrapped)
     kept, function.__code__ = function.__code__, other.__code__
     try:
         yield
