@@ -172,3 +172,41 @@ def test_an_init_that_may_have_no_result_is_told_with_its_line(failing: str, tmp
     assert (found.invariant, found.verdict) == ("(well-defined)", "NOT INDUCTIVE")
     assert found.explanation is not None and found.explanation.counterexample is not None
     assert found.explanation.counterexample.discarded.startswith("line 6: ")
+
+
+def test_a_run_has_a_step_of_the_environment_between_two_rounds(tmp_path: Path, solver: Solver) -> None:
+    path = tmp_path / "app.koord"
+    path.write_text(
+        """
+using S:
+  sensors: int v
+  assume v' == v + 1
+initially: forall i in ID: S.v[i] == 0
+local: int a
+Go:
+  pre: True
+  eff: a += 1
+invariant Q: forall i in ID: a[i] <= S.v[i] + 1
+""".lstrip()
+    )
+    (found,) = prove(Question(check_file(str(path)).program), solver)
+    assert found.verdict == "NOT INDUCTIVE"  # it is true, so there is no run to a state in which it is false
+
+
+def test_the_search_for_a_run_goes_on_with_more_robots_when_all_states_of_fewer_are_known(
+    tmp_path: Path, solver: Solver
+) -> None:
+    path = tmp_path / "app.koord"
+    path.write_text(
+        """
+allread: int x[N_SYS]
+Go:
+  pre: x[pid] == 0 and pid > 0 and x[pid - 1] == 0
+  eff:
+    atomic:
+      x[pid] = 1
+invariant C: forall i in ID: i == 0 or x[i] == 0 or x[i - 1] == 0
+""".lstrip()
+    )
+    found = {v.invariant: v.verdict for v in prove(Question(check_file(str(path)).program), solver)}
+    assert found["C"] == "FALSIFIED"  # by three robots in two rounds
