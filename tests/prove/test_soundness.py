@@ -210,3 +210,35 @@ invariant C: forall i in ID: i == 0 or x[i] == 0 or x[i - 1] == 0
     )
     found = {v.invariant: v.verdict for v in prove(Question(check_file(str(path)).program), solver)}
     assert found["C"] == "FALSIFIED"  # by three robots in two rounds
+
+
+@pytest.mark.parametrize("values, false", [("range(0, 3)", "k < 2"), ("[1, 2]", "a == 0"), ("ID", "k < 1")])
+def test_a_false_invariant_of_a_short_loop_has_a_verdict(
+    values: str, false: str, tmp_path: Path, solver: Solver
+) -> None:
+    path = tmp_path / "app.koord"
+    path.write_text(
+        f"""
+fun f() -> int:
+  int a = 0
+  for k in range(0, 3):
+    invariant k < 2
+    a += 1
+  return a
+local:
+  int a
+  bool done
+Go:
+  pre: not done and f() > 0
+  eff:
+    for k in {values}:
+      invariant {false}
+      a = 5
+    done = True
+invariant N: forall i in ID: a[i] >= 0
+""".lstrip()
+    )
+    question = Question(check_file(str(path)).program, 2)
+    found = {v.invariant: v.verdict for v in prove(question, solver)}
+    assert found["line 4"] in ("NOT INDUCTIVE", "UNKNOWN")
+    assert found["line 14"] in ("NOT INDUCTIVE", "UNKNOWN")
