@@ -31,6 +31,8 @@ from koordgen.semantics.step import Step, applied, initial, round_, run_init, se
 from koordgen.semantics.values import Value
 from koordgen.source import Span
 
+ENVIRONMENT = "(environment)"
+
 
 class Bounds(NamedTuple):
     """How far to look: robots, rounds, states in all, values of one sensor, moves of the whole fleet, seconds of
@@ -119,8 +121,9 @@ class _Search:
         found = self.broken(layer)
         seen: list[State] = []
         while layer and found is None and layer[0][-1].round < self.bounds.rounds:
-            layer = list(islice(self.rounds(layer, seen), self.bounds.states))
-            found = self.broken(layer)
+            reached = list(islice(self.rounds(layer, seen), self.bounds.states))
+            found = self.broken(reached)
+            layer = [run for run in reached if run[-1].event == ENVIRONMENT]  # a round begins behind such a step
         return found
 
     def broken(self, layer: list[tuple[Moment, ...]]) -> Run | None:
@@ -164,7 +167,7 @@ class _Search:
                     fresh = moved._replace(round=0)
                     if fresh not in seen:
                         seen.append(fresh)
-                        yield (*stepped, Moment(moved, "(environment)", None, run[-1].round + 1))
+                        yield (*stepped, Moment(moved, ENVIRONMENT, None, run[-1].round + 1))
 
     def stepped(self, run: tuple[Moment, ...], state: State) -> Iterator[tuple[Moment, ...]]:
         number = run[-1].round + 1
@@ -179,7 +182,8 @@ class _Search:
             for step in steps:
                 if step.event is not None and not isinstance(step.outcome, Discarded):
                     moments.append(Moment(applied(moments[-1].state, step), step.event, step.pid, number))
-            yield tuple(moments)
+            if len(moments) > len(run):
+                yield tuple(moments)
 
     def events(self, state: State, pid: int) -> Iterator[Step]:
         """What a robot may do. An event that cannot be run exactly is left out: a run without it is a run, too."""

@@ -172,3 +172,73 @@ def test_an_init_that_may_have_no_result_is_told_with_its_line(failing: str, tmp
     assert (found.invariant, found.verdict) == ("(well-defined)", "NOT INDUCTIVE")
     assert found.explanation is not None and found.explanation.counterexample is not None
     assert found.explanation.counterexample.discarded.startswith("line 6: ")
+
+
+def test_a_run_has_a_step_of_the_environment_between_two_rounds(tmp_path: Path, solver: Solver) -> None:
+    path = tmp_path / "app.koord"
+    path.write_text(
+        """
+using S:
+  sensors: int v
+  assume v' == v + 1
+initially: forall i in ID: S.v[i] == 0
+local: int a
+Go:
+  pre: True
+  eff: a += 1
+invariant Q: forall i in ID: a[i] <= S.v[i] + 1
+""".lstrip()
+    )
+    (found,) = prove(Question(check_file(str(path)).program), solver)
+    assert found.verdict == "NOT INDUCTIVE"  # it is true, so there is no run to a state in which it is false
+
+
+def test_the_search_for_a_run_goes_on_with_more_robots_when_all_states_of_fewer_are_known(
+    tmp_path: Path, solver: Solver
+) -> None:
+    path = tmp_path / "app.koord"
+    path.write_text(
+        """
+allread: int x[N_SYS]
+Go:
+  pre: x[pid] == 0 and pid > 0 and x[pid - 1] == 0
+  eff:
+    atomic:
+      x[pid] = 1
+invariant C: forall i in ID: i == 0 or x[i] == 0 or x[i - 1] == 0
+""".lstrip()
+    )
+    found = {v.invariant: v.verdict for v in prove(Question(check_file(str(path)).program), solver)}
+    assert found["C"] == "FALSIFIED"  # by three robots in two rounds
+
+
+@pytest.mark.parametrize("values, false", [("range(0, 3)", "k < 2"), ("[1, 2]", "a == 0"), ("ID", "k < 1")])
+def test_a_false_invariant_of_a_short_loop_has_a_verdict(
+    values: str, false: str, tmp_path: Path, solver: Solver
+) -> None:
+    path = tmp_path / "app.koord"
+    path.write_text(
+        f"""
+fun f() -> int:
+  int a = 0
+  for k in range(0, 3):
+    invariant k < 2
+    a += 1
+  return a
+local:
+  int a
+  bool done
+Go:
+  pre: not done and f() > 0
+  eff:
+    for k in {values}:
+      invariant {false}
+      a = 5
+    done = True
+invariant N: forall i in ID: a[i] >= 0
+""".lstrip()
+    )
+    question = Question(check_file(str(path)).program, 2)
+    found = {v.invariant: v.verdict for v in prove(question, solver)}
+    assert found["line 4"] in ("NOT INDUCTIVE", "UNKNOWN")
+    assert found["line 14"] in ("NOT INDUCTIVE", "UNKNOWN")

@@ -64,11 +64,11 @@ def way_of(loop: Loop, known: Mapping[str, ir.Expr], robots: int | None) -> Way:
     """How a loop of an event or of `init` is encoded. `known`: the params with fixed values; `robots`: how many there
     are, where each is spoken of by its number.
 
-    unrolled: a `for` over at most FEW elements whose number the program tells.
+    unrolled: a `for` over at most FEW elements whose number the program tells, without invariants at its head.
     search: a `for` whose turns write nothing that a later turn can read; the first element that leaves it decides.
     cut: any other loop. What it writes may be anything that its invariants and the facts about turns allow.
     """
-    if isinstance(loop, stmt.For):
+    if isinstance(loop, stmt.For) and not loop.invariants:
         many = length(loop.values, known, robots)
         if many is not None and many <= FEW:
             return "unrolled"

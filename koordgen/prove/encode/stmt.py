@@ -15,7 +15,7 @@ from koordgen.ir import stmt
 from koordgen.ir.types import Type
 from koordgen.prove import term as t
 from koordgen.prove.encode.expr import Encoder
-from koordgen.prove.encode.loop import Loop, Way, WayOf, has_loop, is_search, kept_by, key_of, tells
+from koordgen.prove.encode.loop import Loop, Way, WayOf, has_loop, has_next_turn, is_search, kept_by, key_of, tells
 from koordgen.prove.encode.quantifier import Domain, domain
 from koordgen.prove.encode.state import Key, State, Written, slots
 from koordgen.prove.encode.tree import nodes
@@ -229,7 +229,7 @@ class Frame:
     def way_of(self, loop: Loop, over: Domain | None) -> Way:
         if self.way is not None:
             return self.way(loop)
-        if over is None or not isinstance(loop, stmt.For):
+        if over is None or not isinstance(loop, stmt.For) or loop.invariants:
             return "cut"
         if over.few is not None:
             return "unrolled"
@@ -348,7 +348,7 @@ class Frame:
         start = self.snapshot()
         with room.under(condition):
             live = self.run(loop, element)
-            if live is not t.FALSE:
+            if live is not t.FALSE or has_next_turn(loop):  # as `count.py` has it, which folds no constants
                 if over is not None:
                     assert index is not None
                     self.count(loop, t.add(index, t.integer(over.step)))
