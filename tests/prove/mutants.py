@@ -63,7 +63,8 @@ def planted(mutant: Mutant) -> Iterator[None]:
     made: dict[str, Any] = {}
     exec(changed, function.__globals__, made)
     wrapped = made[function.__name__]
-    other = inspect.unwrap(wrapped.fget if isinstance(wrapped, property) else wrapped)
+    getter: Any = wrapped.fget if isinstance(wrapped, property) else wrapped
+    other: Any = inspect.unwrap(getter)
     kept, function.__code__ = function.__code__, other.__code__
     try:
         yield
