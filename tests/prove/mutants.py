@@ -28,13 +28,14 @@ from koordgen.replay.functions import CannotCall
 from koordgen.verify.attack.attack import attack
 from tests.prove.mutant_catalogue import MUTANTS, Mutant
 from tests.prove.mutant_programs import PROGRAMS, VERDICTS
-from tests.prove.randomly.judges import JUDGES, Effort, Overtime, _within
+from tests.prove.randomly.judges import Effort, Overtime, _within, explored, ran
 from tests.prove.randomly.programs import program as random_program
 from tests.prove.told import checked, told
 from tests.verify.faults import ticks
 
 SECONDS = 120.0  # in which each mutant is caught
 EFFORT = Effort()
+JUDGES = {"exploration": explored, "run": ran}
 LIMITS = Limits(query=1.0, total=100_000.0)
 
 
