@@ -20,14 +20,14 @@ from koordgen.prove.model import allowed
 from koordgen.prove.reading import Unshowable
 from koordgen.semantics.eval import Discarded
 from koordgen.semantics.exact import NotExact
-from koordgen.semantics.exec import NoMeaning, Writes
+from koordgen.semantics.exec import UNFINISHED, NoMeaning, Writes
 from koordgen.semantics.property import holds_property
 from koordgen.semantics.relations import choices
 from koordgen.semantics.state import State
 from koordgen.semantics.step import Step, applied, enabled, execute, run_init, sense
 from koordgen.semantics.values import Value
 from koordgen.source import Span
-from koordgen.verify.attack.ports import Answer, Draw, Ports
+from koordgen.verify.attack.ports import TURNS, Answer, Draw, Ports
 
 WELL_DEFINED = "(well-defined)"
 INIT, ENVIRONMENT = "init", "(environment)"
@@ -260,7 +260,9 @@ class Judge:
         if not isinstance(outcome, Writes):
             breach = self._fault(name, str(outcome), outcome.reason)
             if breach is None:
-                self.reasons.setdefault((name, ""), f"each run of it was discarded: {outcome.reason}")
+                given_up = outcome.reason == UNFINISHED  # by the attack's own limit, long before a robot's
+                why = f"given up: it takes more than {TURNS:,} turns" if given_up else f"discarded: {outcome.reason}"
+                self.reasons.setdefault((name, ""), f"each run of it was {why}")
             return (now, self._act(name, pid), breach) if breach else None
         if self.defined and self._new(WELL_DEFINED, name, pid, key_of(_seen(event, start, now))):
             self.counts[name, WELL_DEFINED] += 1
