@@ -44,13 +44,14 @@ SURE = [
     "forall i in ID: Motion.position[i] in Rect(lo, hi) and x[i] in Rect(hi, lo)",
     "forall i in ID: not on[i] or Motion.position[i] in Ball(x[i] / 2, 2 * eps)",
     "not exists i in ID: on[i] and not Motion.position[i] in Rect(lo, hi)",
-    "forall i in ID: not (Motion.position[i] in Ball(lo + hi, eps)) or Motion.reached[i]",
+    "forall i in ID: not (Motion.position[i] in Ball(lo, eps)) or Motion.reached[i]",
     "exists i in ID: Motion.position[i].x + 1 >= sum and mine[i] >= least - 1",
     "forall i in ID: exists j in ID: i != j and Motion.velocity[j].z * 2 < -Motion.position[i].y + 1",
     "not forall i in ID: on[i] == Motion.reached[i] or Motion.position[i].y > sum",
     "forall i in ID: N_SYS > 2 and distance(Point(sum, Motion.position[i].y, 0), Motion.target[i]) < 3",
 ]
 BEYOND = [
+    "forall i in ID: not (Motion.position[i] in Ball(lo + hi, eps)) or Motion.reached[i]",  # lo + hi may be infinite
     "forall i in ID: Motion.position[i] == x[i]",
     "forall i in ID: sum / Motion.position[i].x > 1",
     "forall i in ID: sqrt(Motion.position[i].x) > 1",
