@@ -19,6 +19,7 @@ from koordgen.prove.begin import Launch, Ready, Run, ended, launched
 from koordgen.prove.encode.loop import conjuncts, temps_of
 from koordgen.prove.encode.state import Begun, Free, Moved, State, Written
 from koordgen.prove.encode.stmt import Frame, Head
+from koordgen.prove.encode.tree import nodes
 from koordgen.prove.encode.values import Val
 from koordgen.prove.goal import goal, goal_at
 from koordgen.prove.loops import stating
@@ -30,6 +31,7 @@ from koordgen.prove.within import changes
 
 WELL_DEFINED = "(well-defined)"
 AFTERWARDS = " afterwards"
+OF_TWO = "(two robots)"
 CONSISTENT = ("initially", "environment")  # what is asked of the assumptions, whatever the program does
 
 
@@ -65,8 +67,7 @@ def rooms(
     """The same, by and by: those that share their facts together."""
     t.forget()
     setting = Setting(program, robots, params, told, dropped)
-    for name in CONSISTENT:
-        yield [consistent(setting, name)]
+    yield from ([obligation] for obligation in consistency(setting))
     for function in stating(program):
         yield of_function(setting, function)
     if program.init:
@@ -82,8 +83,16 @@ def assumptions(
 ) -> list[Obligation]:
     """Those of the obligations that ask whether what is assumed can be true."""
     t.forget()
-    setting = Setting(program, robots, params, "little")
-    return [consistent(setting, name) for name in CONSISTENT]
+    return consistency(Setting(program, robots, params, "little"))
+
+
+def consistency(setting: Setting) -> list[Obligation]:
+    """All that is asked of the assumptions, whatever the program does."""
+    found = [consistent(setting, name) for name in CONSISTENT]
+    assumed = [a.formula for module in setting.program.modules for a in module.assumptions]
+    if setting.robots is None and any(isinstance(node, ir.Pid) for node in nodes(tuple(assumed))):
+        found.append(consistent(setting, "environment", of_two=True))
+    return found
 
 
 def of_function(setting: Setting, function: decl.Function) -> list[Obligation]:
@@ -196,12 +205,17 @@ def environment(setting: Setting) -> list[Obligation]:
     return out.all(goals, (), ())
 
 
-def consistent(setting: Setting, name: str) -> Obligation:
+def consistent(setting: Setting, name: str, of_two: bool = False) -> Obligation:
     """Ask whether the assumptions can be true: at the mission's start (of params, sensors, spec functions, contracts),
-    or of a step of the environment within the invariants, with an answer of each callable port."""
+    or of a step of the environment within the invariants, with an answer of each callable port. `of_two`: in a fleet of
+    at least two robots, since assumptions that read `pid` may contradict one another for robot 1 and not for robot 0.
+    """
     stage = Stage(setting, thorough=True)
     room = stage.room
     room.robot(t.integer(0), known=True)
+    if of_two:
+        room.fact(t.at_most(t.integer(2), room.size), "there are two robots")
+        room.robot(t.integer(1), known=True)
     if name == "initially":
         launch = Launch(stage)
         launched(stage, launch)
@@ -215,8 +229,9 @@ def consistent(setting: Setting, name: str) -> Obligation:
         stage.ports(now, after)
         stage.any_answers(now)
         cells = stage.cells([("before", now), ("after", after)])
-    out = _Output(stage, "consistency", "", 1, stage.close(), cells)
-    return out.one(f"consistency-{name}", Goal("", ()), None, ())
+    event = OF_TWO if of_two else ""
+    out = _Output(stage, "consistency", event, 1, stage.close(), cells)
+    return out.one(f"consistency-{name}{'-of-two' if of_two else ''}", Goal("", ()), None, ())
 
 
 def at_heads(stage: Stage, heads: Sequence[Head]) -> list[Goal]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 from koordgen.ir import decl
 from koordgen.ir.expr import Expr
 from koordgen.node import replace
-from koordgen.prove.generate import assumptions, obligations, rooms
+from koordgen.prove.generate import OF_TWO, assumptions, obligations, rooms
 from koordgen.prove.ledger import Entry, Ledger
 from koordgen.prove.moment import Told
 from koordgen.prove.obligation import AtHead, Obligation
@@ -201,7 +201,8 @@ def _consistency(outcomes: Sequence[Outcome], solver: Solver | Both) -> tuple[st
         core = solver.ask(obligation, core=True).core or range(len(obligation.facts))
         facts = [obligation.facts[place] for place in core if obligation.facts[place].line]
         told = dict.fromkeys(f"{fact.label} ({fact.file}:{fact.line})" for fact in facts)
-        return f"no state satisfies {' and '.join(told) or 'what is assumed'}: anything follows from that", ""
+        state = "state of two robots or more" if obligation.event == OF_TWO else "state"
+        return f"no {state} satisfies {' and '.join(told) or 'what is assumed'}: anything follows from that", ""
     return "", doubt
 
 

@@ -142,6 +142,30 @@ def test_contradictory_assumptions_prove_nothing(tmp_path: Path, solver: Solver)
     assert "app.koord:3" in found.reason and "app.koord:4" in found.reason
 
 
+FOR_ROBOT_0 = """\
+using S:
+  sensors: int v
+  assume pid == 0 or v' > 0
+  assume pid == 0 or v' < 0
+local: int a
+Go:
+  pre: True
+  eff: a = 0
+invariant Zero: forall i in ID: a[i] == 0
+"""
+
+
+def test_assumptions_that_contradict_for_some_robots_only_prove_nothing(tmp_path: Path, solver: Solver) -> None:
+    found = verdicts(tmp_path, FOR_ROBOT_0, solver)["Zero"]
+    assert found.verdict == "VACUOUS"
+    assert "of two robots or more" in found.reason
+    assert verdicts(tmp_path, FOR_ROBOT_0, solver, 1)["Zero"].verdict == "PROVED"
+    alone = f"initially: N_SYS == 1\n{FOR_ROBOT_0}"
+    assert verdicts(tmp_path, alone, solver)["Zero"].verdict == "PROVED"
+    without = FOR_ROBOT_0.replace("  assume pid == 0 or v' < 0\n", "")
+    assert verdicts(tmp_path, without, solver)["Zero"].verdict == "PROVED"
+
+
 def test_an_event_without_a_result_is_told_with_its_line(tmp_path: Path, solver: Solver) -> None:
     found = verdicts(tmp_path, DIVIDES, solver)["(well-defined)"]
     assert found.verdict == "NOT INDUCTIVE"
