@@ -206,10 +206,9 @@ def environment(setting: Setting) -> list[Obligation]:
 
 
 def consistent(setting: Setting, name: str, of_two: bool = False) -> Obligation:
-    """Ask whether the assumptions can be true: at the mission's start (of params, sensors, spec functions, contracts),
-    or of a step of the environment within the invariants, with an answer of each callable port. `of_two`: in a fleet of
-    at least two robots, since assumptions that read `pid` may contradict one another for robot 1 and not for robot 0.
-    """
+    """Ask whether the assumptions can be true: at the mission's start (params, sensors, spec functions, contracts and
+    answers of callable ports), or of a step of the environment within the invariants. `of_two`: in a fleet of at least
+    two robots, since assumptions that read `pid` may contradict one another for robot 1 and not for robot 0."""
     stage = Stage(setting, thorough=True)
     room = stage.room
     room.robot(t.integer(0), known=True)
@@ -221,13 +220,13 @@ def consistent(setting: Setting, name: str, of_two: bool = False) -> Obligation:
         launched(stage, launch)
         stage.any_axioms()
         stage.any_contracts()
+        stage.any_answers(Free(room, setting.types))
         cells = stage.cells([("before", launch)])
     else:
         now = Free(room, setting.types)
         after = Moved(now, Free(room, setting.types, "@after"), setting.sensors)
         stage.holds(setting.invariants, now)
         stage.ports(now, after)
-        stage.any_answers(now)
         cells = stage.cells([("before", now), ("after", after)])
     event = OF_TWO if of_two else ""
     out = _Output(stage, "consistency", event, 1, stage.close(), cells)
