@@ -330,7 +330,7 @@ def _flaw(bound: Bound, value: Any) -> str:
 
 def wrong_first_value(program: Program) -> str | None:
     """Return why a variable must not begin with its first value, in words; None when all are right. The compiler
-    refuses numbers that are too large where it sees them; it does not run builtins."""
+    refuses such first values, too; an agent does not rely on it."""
     for variable in (*program.locals, *program.shared):
         flaw = _flaw(variable.bound, variable.initial())
         if flaw:

@@ -170,7 +170,7 @@ def test_a_closed_terminal_brings_it_to_rest(bundles: list[Path], started: list[
     for _ in range(4):  # a shell and the kernel may each tell of it, more than once
         process.send_signal(signal.SIGHUP)
         time.sleep(0.02)
-    _, errors = process.communicate(timeout=5)
+    _, errors = process.communicate(timeout=60)
     assert process.returncode == 0, errors
     assert ends_with(bundles[0])[-2:] == ["resting", "rested"]
 
