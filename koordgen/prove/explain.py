@@ -161,7 +161,7 @@ class Explainer:
         def proves(program: decl.Program, names: frozenset[str]) -> frozenset[str]:
             nonlocal solving
             bad: set[str] = set()
-            # What holds for every number holds for this one, and is decided faster.
+            # An invariant of all numbers of robots holds for this one, and is decided faster.
             for obligation in obligations(program, None, self.params, dropped=self.dropped):
                 if obligation.invariant in names - bad and obligation.kind != "consistency":
                     if time.process_time() + solving > until:

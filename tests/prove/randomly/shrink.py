@@ -54,7 +54,7 @@ def _smaller(text: str) -> Iterator[str]:
 
 
 def _end(lines: list[str], at: int) -> int:
-    """Where the block of a line ends."""
+    """Return the line at which the block of a line ends."""
     end = at + 1
     while end < len(lines) and lines[end].strip() and _indent(lines[end]) > _indent(lines[at]):
         end += 1
