@@ -1,17 +1,18 @@
-"""`koordgen estop`: stops a whole fleet, all robots at once, and tells of each what became of it.
+"""Emergency stop from outside: stop all robots of a fleet at once, and report each robot's answer.
 
-A robot is called every few milliseconds until it answers or time is up. Whatever of the fleet file can be read is used:
-a mistake elsewhere must not keep anyone from stopping.
+A robot is called every few milliseconds until it answers or time is up. No state of the fleet file keeps a robot from
+being stopped: what can be read of the file is used, then the folders of the last build, and addresses given by hand.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import socket
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -57,19 +58,48 @@ class CannotStop(Exception):
 
 
 class Fleet(Node):
-    """`key` is the name of the key's file; empty without one."""
+    """`key` is the name of the key's file, empty without one; `folder` is where it is looked for first."""
 
     places: tuple[Place, ...]
     application: int
     key: str
+    folder: Path = Path()
+
+
+def find_fleet(path: Path, warn: Callable[[str], None]) -> Fleet:
+    """Return whom to call: the robots of a fleet file, or of a folder that `build` wrote. Of a fleet file that cannot
+    be read as one, every address in its text is used, and every robot of the last build. Raises CannotStop."""
+    if path.is_dir():
+        return _built(path, CannotStop(f"{path}: no folder of a robot is in it (its settings.json is looked for)"))
+    text = ""
+    try:
+        text = path.read_bytes().decode("utf-8", "replace")
+        fleet = read_fleet(text)
+        return Fleet(fleet.places, fleet.application, fleet.key, path.parent)
+    except OSError as error:
+        trouble = CannotStop(f"{path}: {error.strerror or error}")
+    except CannotStop as error:
+        trouble = CannotStop(f"{path}: {error}")
+    scanned = scan_fleet(text)
+    built = _last_build(path.parent)
+    if built is None and not scanned.places:
+        raise trouble
+    known = {(place.host, place.port) for place in scanned.places}
+    more = tuple([p for p in built[1].places if (p.host, p.port) not in known]) if built else ()
+    sources = ["the addresses in its text"] if scanned.places else []
+    sources += [f"those of the last build, {built[0]}"] if built and more else []
+    warn(f"warning: {trouble}; calling {' and '.join(sources)}")
+    if scanned.places or built is None:
+        return Fleet((*scanned.places, *more), scanned.application, scanned.key, path.parent)
+    return Fleet(more, built[1].application, built[1].key, path.parent)
 
 
 def read_fleet(text: str) -> Fleet:
-    """What of a fleet file is needed to stop it. Raises CannotStop."""
+    """Return what of a fleet file is needed to stop it. Raises CannotStop."""
     try:
         top = yaml.safe_load(text)
     except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise CannotStop(f"not YAML: {error}") from None
+        raise CannotStop(f"not YAML: {' '.join(str(error).split())}") from None
     top = top if isinstance(top, dict) else {}
     robots = top.get("robots")
     if not isinstance(robots, list) or not robots:
@@ -80,6 +110,68 @@ def read_fleet(text: str) -> Fleet:
         application if isinstance(application, int) and 0 <= application <= 65535 else 0,
         "" if top.get("insecure") is True else key if isinstance(key, str) else "fleet.key",
     )
+
+
+# The parts of a text that may be one robot's entry begin at a dash or at a brace; comments are not looked at.
+_COMMENT = re.compile(r"(?m)(^|\s)#.*$")
+_ENTRY = re.compile(r"(?m)^\s*-\s|\{(?=[^{}]*\baddress\b)")
+_VALUE = r"\b{}\s*:\s*['\"]?([^\s,'\"{{}}]+)"
+
+
+def scan_fleet(text: str) -> Fleet:
+    """Return the robots whose addresses stand in a text, however broken its YAML is: as `read_fleet`, and without any
+    robot where there is no address."""
+    text = _COMMENT.sub("", text)
+    places: list[Place] = []
+    for part in _ENTRY.split(text):
+        entry = {key: value for key in ("name", "address", "control") for value in _values(part, key)}
+        if "address" in entry:
+            control = entry.get("control", "")
+            place = _place(len(places), {**entry, "control": int(control) if control.isdecimal() else None})
+            if place.port:
+                places.append(place)
+    application = next(_values(text, "application_id"), "0")
+    insecure = next(_values(text, "insecure"), "") == "true"
+    return Fleet(
+        tuple(places),
+        int(application) if application.isdecimal() and int(application) <= 65535 else 0,
+        "" if insecure else next(_values(text, "key"), "fleet.key"),
+    )
+
+
+def _values(text: str, key: str) -> Iterator[str]:
+    return (found[1] for found in re.finditer(_VALUE.format(key), text))
+
+
+def _last_build(folder: Path) -> tuple[Path, Fleet] | None:
+    """Return the robots of the application that was built last, in `build` beside the fleet file or here."""
+    built = [each for place in {folder / "build", Path("build")} for each in _folders(place)]
+    for application in sorted(built, key=lambda each: each.stat().st_mtime, reverse=True):
+        with suppress(CannotStop):
+            return application, _built(application, CannotStop(""))
+    return None
+
+
+def _folders(place: Path) -> list[Path]:
+    with suppress(OSError):
+        return [each for each in place.iterdir() if each.is_dir()]
+    return []
+
+
+def _built(folder: Path, nobody: CannotStop) -> Fleet:
+    """Return the robots whose folders `build` wrote into one folder, or the robot of one such folder; raises `nobody`
+    where there is none."""
+    places, application, key = [], 0, ""
+    for each in sorted([folder, *_folders(folder), *_folders(folder / "sim" / "agents")]):
+        with suppress(OSError, ValueError, TypeError, KeyError, IndexError):
+            settings = json.loads((each / "settings.json").read_bytes())
+            peer = settings["peers"][settings["pid"]]
+            places.append(Place(str(settings["robot"]), str(peer["host"]), int(settings["control"])))
+            application = int(settings["application_id"])
+            key = "" if settings["insecure"] is True else str(settings["key_file"])
+    if not places:
+        raise nobody
+    return Fleet(tuple(places), application, key, folder)
 
 
 def _place(pid: int, robot: dict[str, Any]) -> Place:
@@ -134,20 +226,33 @@ class Stopping:
         return False
 
 
-def stop_fleet(path: str, key_path: str | None, warn: Callable[[str], None]) -> list[Called]:
-    """Stop the fleet of a fleet file. Raises CannotStop."""
-    try:
-        text = Path(path).read_bytes().decode("utf-8", "replace")
-        fleet = read_fleet(text)
-    except OSError as error:
-        raise CannotStop(f"{path}: {error.strerror or error}") from None
-    except CannotStop as error:
-        raise CannotStop(f"{path}: {error}") from None
+def stop_fleet(
+    path: str | None, key_path: str | None, warn: Callable[[str], None], by_hand: Sequence[str] = (),
+    application: int | None = None,
+) -> list[Called]:  # fmt: skip
+    """Stop the robots of a fleet file (or of a folder that `build` wrote) and those at addresses given `by_hand`, as
+    HOST:PORT of the fleet file. `application` overrides the file's application_id. Raises CannotStop."""
+    places = tuple([_place(0, {"name": address, "address": address}) for address in by_hand])
+    if wrong := [place.name for place in places if not place.port]:
+        raise CannotStop(f"--address {wrong[0]}: not HOST:PORT")
+    fleet = Fleet((), 0, "fleet.key")
+    if path is not None:
+        try:
+            fleet = find_fleet(Path(path), warn)
+        except CannotStop as error:
+            if not places:
+                raise
+            warn(f"warning: {error}; calling only those that --address names")
+    elif not places:
+        raise CannotStop("no fleet file is named, and no --address")
+    known = {(place.host, place.port) for place in places}
+    places += tuple([place for place in fleet.places if (place.host, place.port) not in known])
     key = None
     if key_path or fleet.key:
-        beside = Path(path).parent / fleet.key
-        key = read_key(Path(key_path) if key_path else beside if beside.exists() else Path(fleet.key), warn)
-    return stop_all(fleet.places, fleet.application, key, PATIENCE)
+        beside = [folder / fleet.key for folder in (fleet.folder, Path(path).parent if path else Path())]
+        usual = next((place for place in beside if place.exists()), Path(fleet.key))
+        key = read_key(Path(key_path) if key_path else usual, warn)
+    return stop_all(places, fleet.application if application is None else application, key, PATIENCE)
 
 
 def show(results: list[Called], form: str) -> str:

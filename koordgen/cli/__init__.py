@@ -149,7 +149,7 @@ def _estop(options: Namespace) -> int:
     from koordgen.estop import BY_HAND, CannotStop, show, stop_fleet
 
     try:
-        results = stop_fleet(options.fleet, options.key, _say)
+        results = stop_fleet(options.fleet, options.key, _say, options.address, options.application)
     except CannotStop as error:
         raise Failure(WRONG, str(error), f"{error.help}nobody was called; {BY_HAND}") from None
     print(show(results, options.format), flush=True)

@@ -132,7 +132,13 @@ def _explain(command: argparse.ArgumentParser) -> None:
 
 
 def _estop(command: argparse.ArgumentParser) -> None:
-    command.add_argument("fleet", metavar="FLEET", help="the fleet file (YAML)")
+    command.add_argument(
+        "fleet", metavar="FLEET", nargs="?", help="the fleet file (YAML), or a folder that build wrote"
+    )
+    address = "another robot, by its address as in a fleet file; may be given several times"
+    command.add_argument("--address", metavar="HOST:PORT", action="append", default=[], help=address)
+    number = "the fleet's application_id (default: the fleet file's, or 0)"
+    command.add_argument("--application", metavar="N", type=int, help=number)
     command.add_argument("--key", metavar="FILE", help="the fleet's key (default: beside the fleet file, or here)")
     command.add_argument("--format", choices=("text", "json"), default="text", help="of what is told (default: text)")
 

@@ -193,6 +193,7 @@ def test_a_key_that_others_may_read_stops_all_the_same(
         ("delta: 0.1\n", "it lists no robots"),
         ("- 1\n", "it lists no robots"),
         ("robots: [{name: a, address: 'localhost:1'}]\n", "fleet.key: No such file"),
+        ("robots: [{name: a, address: 'localhost:1'}]]\n", "fleet.key: No such file"),
         ("robots: [{name: a, address: 'localhost:1'}]\nkey: mine.key\n", "mine.key: No such file"),
     ],
 )
@@ -225,6 +226,68 @@ def test_mistakes_elsewhere_in_the_fleet_file_stop_no_stop(tmp_path: Path) -> No
     assert (fleet.application, fleet.key) == (9, "")
     results = estop.stop_all(fleet.places[:2], 9, None, 0.1)
     assert [r.note for r in results] == ["the fleet file has no address for it"] * 2
+
+
+ONE_LINE = """robots: [{name: al, target: quad, address: '10.0.0.1:47100'}, {address: 10.0.0.2:47101, name: bo}]
+key: mine.key
+"""
+BLOCKS = """application_id: 7
+key: "mine.key"
+robots:
+  - name: al
+    target: quad
+    address: 10.0.0.1:47100   # the old one was 10.0.0.9:47100
+    start: {position: [0, 0, 0], yaw: 0}
+  # - {name: cy, address: 10.0.0.3:47102}
+  - control: 5000
+    address: "10.0.0.2:47101"
+    name: bo
+"""
+
+
+@pytest.mark.parametrize(
+    "harm", ["%s\n\t- x: ]", "[%s", "%s\nrobots: {", "a: &a [*a, *b]\n%s", "%s\n\x00", "robots:\n%s"]
+)
+@pytest.mark.parametrize(("text", "control", "application"), [(ONE_LINE, 48101, 0), (BLOCKS, 5000, 7)])
+def test_whom_a_broken_fleet_file_names(harm: str, text: str, control: int, application: int) -> None:
+    fleet = estop.scan_fleet(harm % text)
+    assert [(p.name, p.host, p.port) for p in fleet.places] == [("al", "10.0.0.1", 48100), ("bo", "10.0.0.2", control)]
+    assert (fleet.application, fleet.key) == (application, "mine.key")
+
+
+@pytest.mark.parametrize("source", ["a broken file", "no file", "the build's folder", "addresses"])
+def test_whatever_the_state_of_the_fleet_file(
+    bundles: list[Path], fleet: Path, started: list[subprocess.Popen[str]], capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch, source: str,
+) -> None:  # fmt: skip
+    """All robots are stopped, and what was wrong is said."""
+    for folder in bundles:
+        start(folder, started)
+    wait_for(bundles, "joining")
+    monkeypatch.chdir(fleet.parent)
+    built = fleet.parent / "build" / "app"
+    built.parent.mkdir()
+    arguments, said = ["estop", str(fleet)], ""
+    match source:
+        case "a broken file":
+            fleet.write_text(fleet.read_text() + "world: [\n")
+            said = "not YAML"
+        case "no file":
+            fleet.unlink()
+            said = "No such file"
+        case "the build's folder":
+            arguments = ["estop", str(built), "--key", "fleet.key"]
+        case "addresses":
+            places = [f"127.0.0.1:{control - 1000}" for control in controls_of(bundles)]
+            arguments = ["estop", *[word for place in places for word in ("--address", place)]]
+    if source in ("no file", "the build's folder"):
+        built.symlink_to(bundles[0].parent, target_is_directory=True)
+    assert main([*arguments, "--format", "json"]) == 0
+    told = capsys.readouterr()
+    assert len(json.loads(told.out)["robots"]) == 3
+    assert said in told.err and bool(said) == ("warning: " in told.err)
+    for process in started:
+        assert process.wait(timeout=20) == 0
 
 
 def test_a_host_that_nobody_knows_keeps_nobody_waiting(
