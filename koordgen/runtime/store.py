@@ -4,6 +4,10 @@ All of the file is allocated when it is opened, so a full disk is told before an
 into a slot of its own kind; a slot counts only when its digest is right, so a write that was cut short is as if it had
 never begun, and the records before it are still there. Nothing is synced to the disk: the file survives the death of
 the process, not a loss of power.
+
+An acceptor record lies within one page of memory, and a process that dies leaves such a write undone or done. So an
+acceptor record with a wrong digest is damage, and what this robot promised the others may be lost: all is forgotten
+then, since a robot that forgets a vote must not go on with its mission.
 """
 
 from __future__ import annotations
@@ -26,11 +30,12 @@ from koordgen.runtime.program import Port, Program, Variable
 from koordgen.runtime.transport import CannotOpen
 from koordgen.runtime.values import transmissible
 
-STORE_FORMAT = 1
+STORE_FORMAT = 2
 KEPT = 8  # rounds whose locals can be found again
 _MAGIC = b"koord-state\n"
 _HEADER = 512  # bytes; less than a page, so no death of the process leaves half of it
 _DIGEST = 16
+_PAGE = 4096  # bytes, or a part of a page
 _HEAD = struct.Struct("!BQI")  # kind, sequence number, length of the payload
 
 _encode = msgspec.msgpack.Encoder().encode
@@ -120,9 +125,12 @@ class Store:
         self._sequence = 0
         self._keyed = blake2s(digest_size=_DIGEST, key=identity.token)
         self._next = [0] * len(_KINDS)  # the slot of each kind to be written next
-        self._lengths = [_length(room) for room in identity.rooms]
-        lengths = [n * length for n, length in zip(_SLOTS, self._lengths, strict=True)]
-        self._begins = [_HEADER + sum(lengths[:kind]) for kind in range(len(_KINDS) + 1)]
+        mission, locals_, acceptor = [_length(room) for room in identity.rooms]
+        assert acceptor <= _PAGE
+        self._lengths = [mission, locals_, _PAGE]
+        second = _HEADER + _SLOTS[0] * mission
+        third = -(-(second + _SLOTS[1] * locals_) // _PAGE) * _PAGE
+        self._begins = [_HEADER, second, third, third + _SLOTS[2] * _PAGE]
 
     @classmethod
     def open(cls, path: Path | None, program: Program, robot: str, pid: int, n_sys: int,
@@ -148,7 +156,14 @@ class Store:
         except CannotOpen:
             store.close()
             raise
-        store.load()  # so that what is written next counts as newer
+        loaded = store.load()  # so that what is written next counts as newer
+        if store._is_damaged(_NUMBERS[Acceptor]):
+            if loaded.mission is not None:
+                warn(
+                    f"state: {path} is damaged: what this robot promised the others in its mission cannot be read, so "
+                    "it does not come back to that mission. End the programs of all robots and start them again"
+                )
+            store.clear()
         return store
 
     @property
@@ -245,6 +260,9 @@ class Store:
         self._begin_anew()
 
     def _begin_anew(self) -> None:
+        """Forget all records, the missions first: without one, no other record counts."""
+        size = self._offset(len(_KINDS), 0)
+        _put(self._file, bytes(size - _HEADER), _HEADER)
         self._identify(msgspec.structs.replace(self._identity, token=os.urandom(16)))
         text = _encode(self._identity)
         body = (_MAGIC + len(text).to_bytes(2, "big") + text).ljust(_HEADER - _DIGEST, b"\0")
@@ -274,6 +292,11 @@ class Store:
         state = self._keyed.copy()
         state.update(body)
         return state.digest()
+
+    def _is_damaged(self, kind: int) -> bool:
+        """Return whether something was written to a slot of this kind that cannot be read."""
+        slots = [slot for slot in range(_SLOTS[kind]) if self._read(kind, slot) is None]
+        return any(any(os.pread(self._file, self._lengths[kind], self._offset(kind, slot))) for slot in slots)
 
     def _read(self, kind: int, slot: int) -> tuple[int, Kept] | None:
         if self._file < 0:
