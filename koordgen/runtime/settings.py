@@ -19,21 +19,26 @@ class BadSettings(Exception):
     """A settings file that cannot be used; the message names the file and the key."""
 
 
+# Ranges, as the fleet file's reader has them (tests compare both): settings may be edited on the robot, too.
+Port = Annotated[int, msgspec.Meta(ge=1, le=65535)]
+Seconds = Annotated[float, msgspec.Meta(ge=0.05, le=10000.0)]
+
+
 class Peer(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Where one robot of the fleet receives its datagrams. Its index in `peers` is its pid."""
 
     name: str
     host: str
-    port: int
+    port: Port
 
 
 class Origin(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """WGS-84 place of the fleet's local ENU frame: radians would hide it, so degrees; metres above the ellipsoid's
     mean sea level (AMSL)."""
 
-    latitude: float
-    longitude: float
-    altitude: float
+    latitude: Annotated[float, msgspec.Meta(ge=-90, le=90)]
+    longitude: Annotated[float, msgspec.Meta(ge=-180, le=180)]
+    altitude: Annotated[float, msgspec.Meta(ge=-1000, le=10000)]
 
 
 class Box(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -46,12 +51,14 @@ class Box(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Safety(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Thresholds of the safety layer, in seconds or rounds."""
 
-    position_stale: float = 0.5  # seconds without a fresh own position: hold
-    position_lost: float = 2.0  # ... : end safely
-    missed_rounds: int = 10  # rounds in a row in which the shared state was not current, then:
+    position_stale: Seconds = 0.5  # seconds without a fresh own position: hold
+    position_lost: Seconds = 2.0  # ... : end safely
+    # rounds in a row in which the shared state was not current, then `missed_action`
+    missed_rounds: Annotated[int, msgspec.Meta(ge=1, le=10000)] = 10
     missed_action: Literal["hold", "rest"] = "hold"  # go on holding, with a warning; or end safely
-    peer_timeout: int = 10  # rounds in which nothing comes of a robot, then the others go on without it
-    outside_fence: float = 0.5  # seconds outside the geofence: end safely
+    # rounds in which nothing comes of a robot, then the others go on without it
+    peer_timeout: Annotated[int, msgspec.Meta(ge=3, le=10000)] = 10
+    outside_fence: Seconds = 0.5  # seconds outside the geofence: end safely
 
 
 class Network(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -60,7 +67,7 @@ class Network(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     transport: Literal["unicast", "broadcast", "multicast", "zenoh"] = "unicast"
     group: str = ""  # IPv4 address that all robots listen to
-    port: int = 47000  # ... and its port; not the robots' own
+    port: Port = 47000  # ... and its port; not the robots' own
     interface: str = ""  # address or name of the interface for multicast; empty: that of the robot's own address
     mode: Literal["peer", "router", "client"] = "peer"  # routers pass on what others send
     listen: tuple[str, ...] | None = None  # endpoints; None: the robot's own address, and none as a client
@@ -73,11 +80,11 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     app: str
     robot: str
     pid: int
-    delta: float  # seconds in a round
+    delta: Annotated[float, msgspec.Meta(ge=0.005, le=60.0)]  # seconds in a round
     peers: tuple[Peer, ...]
     origin: Origin
     geofence: Box
-    application_id: int = 0  # tells apart fleets that share a network
+    application_id: Annotated[int, msgspec.Meta(ge=0, le=65535)] = 0  # tells apart fleets that share a network
     key_file: str | None = None  # 32 bytes, mode 0600; relative to the settings file
     insecure: bool = False  # run without a key, with a warning
     safety: Safety = Safety()
@@ -85,11 +92,12 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     monitors: dict[str, Action] = {}  # by an invariant's name, "assume MODULE", "requires F", "ensures F", or "default"
     body: dict[str, Any] = {}
     trace: str | None = None  # JSON lines, one a round
-    planner_budget: float = 0.01  # seconds that a call of a planner within an event may take; more is counted and told
+    # seconds that a call of a planner within an event may take; more is counted and told
+    planner_budget: Annotated[float, msgspec.Meta(ge=0.0005, le=1.0)] = 0.01
     obstacles: tuple[Obstacle, ...] = ()  # what stands there; numbered from 0
     avoid: str = ""  # the allread variable in which robots publish their paths; empty: planners do not look at others
     bind: str = ""  # the address to listen on, when it is not the one that peers send to
-    control: Annotated[int, msgspec.Meta(ge=1, le=65535)] | None = None  # UDP port of orders; None: `control_port`
+    control: Port | None = None  # UDP port of orders; None: `control_port`
     state: str | None = "state"  # folder of what survives a crash, beside the bundle; None: none
 
     @property
@@ -116,8 +124,6 @@ def load(path: Path, overrides: Path | None = None, pid: int | None = None) -> S
         raise BadSettings(f"{overrides or path}: {error}") from None
     if not 0 <= settings.pid < len(settings.peers):
         raise BadSettings(f"{overrides or path}: pid {settings.pid} is not among the {len(settings.peers)} peers")
-    if not 0.005 <= settings.delta <= 60:
-        raise BadSettings(f"{overrides or path}: delta {settings.delta} s is not within 0.005 to 60")
     if settings.key_file is not None:
         settings = msgspec.structs.replace(settings, key_file=str(base / settings.key_file))
     return settings
