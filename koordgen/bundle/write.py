@@ -1,7 +1,7 @@
-"""Writes planned bundles to disk: beside the old ones first, then by rename; what is not ours is never touched.
+"""Write planned bundles to disk: beside the old ones first, then by rename; what is not ours is never touched.
 
-A folder is ours when its SHA256SUMS accounts for every file in it, unchanged: then nothing of the user's can be
-lost by replacing it.
+A folder is ours when its SHA256SUMS begins with our mark and accounts for everything in it, unchanged: then nothing of
+the user's can be lost by replacing it. Byte code of our own files counts as ours, and so does nothing else.
 """
 
 from __future__ import annotations
@@ -10,10 +10,13 @@ import errno
 import os
 import shutil
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from hashlib import sha256
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 SUMS = "SHA256SUMS"
+MARK = "# written by koordgen; a build replaces this folder while nothing in it is changed or added"
+STAGING = ".building-"  # and the number of the process
 
 
 class CannotWrite(Exception):
@@ -29,21 +32,23 @@ class Foreign(CannotWrite):
 
 
 def sums(files: Mapping[str, bytes]) -> bytes:
-    """The text of SHA256SUMS for a bundle's files, as `sha256sum -c` reads it."""
-    return "".join(f"{sha256(data).hexdigest()}  {path}\n" for path, data in sorted(files.items())).encode()
+    """The text of SHA256SUMS for a bundle's files, as `sha256sum -c` reads it: that takes our mark for a comment."""
+    lines = [f"{sha256(data).hexdigest()}  {path}\n" for path, data in sorted(files.items())]
+    return "".join([f"{MARK}\n", *lines]).encode()
 
 
 def write(bundles: Mapping[str, Mapping[str, bytes]], folder: Path) -> None:
     """Write each bundle (name -> relative path -> bytes) as `folder/<name>/`, all or none; one that stands there
     already, byte for byte, is left as it is. Raises Foreign before anything was written, CannotWrite when the disk
     refuses."""
+    _sweep(folder)
     standing = {name: _must_be_ours(folder / name) for name in bundles}
     bundles = {name: files for name, files in bundles.items() if files[SUMS] != standing[name]}
     if not bundles:
         return
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        staging = folder / f".building-{os.getpid()}"  # not tempfile: it would cost as much as all our own imports
+        staging = folder / f"{STAGING}{os.getpid()}"  # not tempfile: it would cost as much as all our own imports
         staging.mkdir()
     except OSError as error:
         raise _refused(folder, error) from None
@@ -99,6 +104,29 @@ def _swap(staging: Path, folder: Path, names: list[str]) -> None:
         raise
 
 
+def _sweep(folder: Path) -> None:
+    """Remove what builds that were killed have left, once an old bundle that one of them moved away is back."""
+    for staging in folder.glob(f"{STAGING}*"):
+        number = staging.name.removeprefix(STAGING)
+        if staging.is_symlink() or not number.isdecimal() or _runs(int(number)):
+            continue
+        with suppress(OSError):
+            for old in (staging / "old").glob("*"):
+                if not (folder / old.name).exists():
+                    old.rename(folder / old.name)
+            shutil.rmtree(staging)
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:
+        pass
+    return True
+
+
 def _must_be_ours(folder: Path) -> bytes | None:
     """The SHA256SUMS of a whole, unchanged bundle of ours; None when there is none or a file of it is missing.
     Raises Foreign."""
@@ -106,11 +134,13 @@ def _must_be_ours(folder: Path) -> bytes | None:
         raise Foreign(f"{folder}: in the way, and not written by koordgen", "move it away, or choose another -o")
     if not folder.is_dir():
         return None
-    found = dict(_files(folder))
+    known = _known(folder)
+    found = dict(_contents(folder, known))
     if not found:
         return None
-    known = _known(folder)
-    strange = sorted(p for p in found if p != SUMS and p not in known)
+    strange = sorted(path for path in found if path != SUMS and path not in known)
+    if not known and SUMS in found:
+        strange = [SUMS]  # not ours, or of an earlier version
     changed = sorted(p for p in known if p in found and sha256(found[p].read_bytes()).hexdigest() != known[p])
     for paths, what in ((strange, "not written by koordgen"), (changed, "changed since koordgen wrote it")):
         if paths:
@@ -122,18 +152,27 @@ def _must_be_ours(folder: Path) -> bytes | None:
     return (folder / SUMS).read_bytes() if set(found) == {*known, SUMS} else None
 
 
-def _files(folder: Path) -> Iterator[tuple[str, Path]]:
-    """All files below, without the byte code that Python leaves when a bundle runs."""
+def _contents(folder: Path, known: Mapping[str, str]) -> Iterator[tuple[str, Path]]:
+    """All files and links below, and the empty folders in which no `known` file is to stand; without the byte code that
+    Python leaves when a bundle runs."""
+    parents = {parent.as_posix() for path in known for parent in PurePosixPath(path).parents}
     for root, folders, names in os.walk(folder):
-        folders[:] = [d for d in folders if d != "__pycache__"]
-        for name in names:
-            path = Path(root, name)
-            yield path.relative_to(folder).as_posix(), path
+        place = Path(root).relative_to(folder)
+        compiled = place.name == "__pycache__" and place.parent.as_posix() in parents
+        for name in [*names, *[each for each in folders if os.path.islink(os.path.join(root, each))]]:
+            path = place / name
+            if not (compiled and (place.parent / f"{name.partition('.')[0]}.py").as_posix() in known):
+                yield path.as_posix(), folder / path
+        if not (names or folders or compiled) and place.as_posix() not in (*parents, "."):
+            yield place.as_posix(), folder / place
 
 
 def _known(folder: Path) -> dict[str, str]:
+    """The digests of the files that koordgen wrote, by their paths."""
     try:
-        listed = (folder / SUMS).read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError):
+        mark, *listed = (folder / SUMS).read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError):
+        return {}
+    if mark != MARK:
         return {}
     return {path: digest for digest, _, path in (line.partition("  ") for line in listed)}

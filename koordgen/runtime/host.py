@@ -95,7 +95,8 @@ def files(root: Path) -> Finding:
     """Whether the bundle arrived whole and is as it was built. Settings may be changed by hand; code may not: robots
     of different programs refuse one another, and nobody tested it."""
     try:
-        lines = (root / SUMS).read_text(encoding="utf-8").splitlines()
+        whole = (root / SUMS).read_text(encoding="utf-8").splitlines()
+        lines = [line for line in whole if not line.startswith("#")]
     except (OSError, UnicodeDecodeError):
         return Finding("files", "warn", f"no {SUMS}", why="whether the bundle is whole cannot be told: copy it again")
     listed = {path: digest for digest, _, path in (line.partition("  ") for line in lines)}
