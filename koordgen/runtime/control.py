@@ -121,7 +121,9 @@ class Control:
                     answer = Offer(nonce, self._pid, self._challenge(now), self._robot)
                 case Stop(nonce, challenge):
                     answer = self._stop(nonce, challenge, phase, now)
-                case AskStatus(_, nonce, part):
+                case AskStatus(_, _, challenge, _) if flaw := self._flaw(challenge, now):
+                    answer = flaw
+                case AskStatus(_, nonce, _, part):
                     new = nonce not in self._status
                     answer = "too many questions" if new and reported else self._part(nonce, part, report)
                     reported = reported or new
@@ -146,12 +148,18 @@ class Control:
     def _signed(self, issued: bytes) -> bytes:
         return issued + blake2s(issued, digest_size=16, key=self._secret).digest()
 
-    def _stop(self, nonce: bytes, challenge: bytes, phase: str, now: float) -> Stopped | str:
-        """The first one counts; the robot then ends, so later ones can be but repeats and are only answered."""
+    def _flaw(self, challenge: bytes, now: float) -> str:
+        """Return why a challenge is refused; empty for one that this process offered lately."""
         if not compare_digest(self._signed(challenge[:8]), challenge):
             return "not our challenge"
         if now - int.from_bytes(challenge[:8], "big") / 1e6 > CHALLENGE_LIFE:
             return "an old challenge"
+        return ""
+
+    def _stop(self, nonce: bytes, challenge: bytes, phase: str, now: float) -> Stopped | str:
+        """The first one counts; the robot then ends, so later ones can be but repeats and are only answered."""
+        if flaw := self._flaw(challenge, now):
+            return flaw
         if self._stopped_at is None:
             self._stopped_at = now
         return Stopped(nonce, self._pid, phase if phase in ("resting", "rested") else "resting")

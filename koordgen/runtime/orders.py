@@ -1,11 +1,14 @@
-"""What people and agents say to one another over the control port: emergency stop and status, sealed and fresh.
+"""Datagrams of the control port, by which people talk to agents: emergency stop and status, sealed and fresh.
 
 A datagram is one byte `ORDER_FORMAT`, one of its kind, fields of fixed places, zeros up to its length, and the MAC of
 `seal`. Nothing here needs more than Python itself: a stop must work from any computer that has the key.
 
-To stop: Ask -> Offer with a challenge -> Stop with that challenge -> Stopped. Only the agent that made a challenge
-takes it, for CHALLENGE_LIFE seconds, and its secret dies with its process: a recorded Stop stops nobody. The nonce in
-every answer is the asker's, drawn anew for each call, so no recorded answer is believed either.
+To stop: Ask -> Offer with a challenge -> Stop with that challenge -> Stopped. For the status: Ask -> Offer -> AskStatus
+with that challenge -> StatusPart. Only the agent that made a challenge takes it, for CHALLENGE_LIFE seconds, and its
+secret dies with its process: a recorded Stop stops nobody, and a recorded AskStatus learns nothing. The nonce in every
+answer is the asker's, drawn anew for each call, so no recorded answer is believed either.
+
+The formats of Ask, Offer, Stop and Stopped stay as they are: a new koordgen must be able to stop an old agent.
 """
 
 from __future__ import annotations
@@ -17,9 +20,8 @@ from dataclasses import dataclass
 from koordgen.runtime.seal import CONTROL, MAC_SIZE, seal, unseal
 
 ORDER_FORMAT = 1
-SHORT = (
-    96  # bytes of a sealed datagram: all that asks are as long as their answers, so nobody is flooded through an agent
-)
+# bytes of a sealed datagram: all that asks are as long as their answers, so nobody is flooded through an agent
+SHORT = 96
 LONG = 1200  # of an AskStatus and at most of its answer
 NONCE = 8
 CHALLENGE = 24
@@ -66,6 +68,7 @@ class AskStatus:
 
     application: int
     nonce: bytes
+    challenge: bytes
     part: int
 
 
@@ -83,7 +86,8 @@ _ASK = struct.Struct("!BBH8s")
 _OFFER = struct.Struct(f"!BB8sB{CHALLENGE}s{_NAME}s")
 _STOP = struct.Struct(f"!BB8s{CHALLENGE}s")
 _STOPPED = struct.Struct(f"!BB8sB{_NAME}s")
-_ASK_STATUS = struct.Struct("!BBH8sH")
+_ASK_STATUS = struct.Struct(f"!BBH8s{CHALLENGE}sH")
+_KIND_OF_ASK_STATUS = 6  # 4 was one without a challenge
 
 
 def encode(order: Order, key: bytes | None) -> bytes:
@@ -99,8 +103,9 @@ def encode(order: Order, key: bytes | None) -> bytes:
             payload = _STOP.pack(f, 2, nonce, challenge)
         case Stopped(nonce, pid, phase):
             payload = _STOPPED.pack(f, 3, nonce, pid, _cut(phase))
-        case AskStatus(application, nonce, part):
-            payload, length = _ASK_STATUS.pack(f, 4, application, nonce, part), LONG
+        case AskStatus(application, nonce, challenge, part):
+            payload = _ASK_STATUS.pack(f, _KIND_OF_ASK_STATUS, application, nonce, challenge, part)
+            length = LONG
         case StatusPart(nonce, part, parts, data):
             payload, length = _PART.pack(f, 5, nonce, part, parts) + data, 0
     return seal(key, CONTROL, payload.ljust(length - MAC_SIZE, b"\0"))
@@ -122,7 +127,7 @@ def decode(datagram: bytes, key: bytes | None) -> Order | str:
         _, _, nonce, part, parts = _PART.unpack_from(payload)
         return StatusPart(nonce, part, parts, payload[_PART.size :])
     reader = _READERS.get(kind)
-    if reader is None or len(datagram) != (LONG if kind == 4 else SHORT):
+    if reader is None or len(datagram) != (LONG if kind == _KIND_OF_ASK_STATUS else SHORT):
         return "malformed"
     return reader(payload)
 
@@ -150,5 +155,5 @@ _READERS: dict[int, Callable[[bytes], Order]] = {
     1: _offer,
     2: lambda payload: Stop(*_STOP.unpack_from(payload)[2:]),
     3: _stopped,
-    4: lambda payload: AskStatus(*_ASK_STATUS.unpack_from(payload)[2:]),
+    _KIND_OF_ASK_STATUS: lambda payload: AskStatus(*_ASK_STATUS.unpack_from(payload)[2:]),
 }

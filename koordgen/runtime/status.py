@@ -11,39 +11,51 @@ from contextlib import suppress
 from typing import Any
 
 from koordgen.runtime.control import address_of
-from koordgen.runtime.orders import LONG, NONCE, AskStatus, StatusPart, decode, encode
+from koordgen.runtime.orders import LONG, NONCE, Ask, AskStatus, Offer, StatusPart, decode, encode
 from koordgen.runtime.settings import Settings
 
 REPEAT, TIMEOUT = 0.1, 2.0  # seconds
 
 
 class Asking:
-    """Asks one agent for its status: send all of `datagrams`, `take` what comes, until `answer` is there."""
+    """Asks one agent for its status: send all of `datagrams`, `take` what comes, until `answer` is there. The first
+    question is for the challenge with which the others are asked."""
 
     def __init__(self, application: int, key: bytes | None, nonce: bytes) -> None:
         self.answer: dict[str, Any] | None = None
         self._application = application
         self._key = key
         self._nonce = nonce
+        self._challenge = b""
         self._pieces: list[bytes | None] = [None]
 
     def datagrams(self) -> list[bytes]:
+        if not self._challenge:
+            return [encode(Ask(self._application, self._nonce), self._key)]
         missing = [i for i, piece in enumerate(self._pieces) if piece is None]
-        return [encode(AskStatus(self._application, self._nonce, i), self._key) for i in missing]
+        questions = [AskStatus(self._application, self._nonce, self._challenge, i) for i in missing]
+        return [encode(question, self._key) for question in questions]
 
-    def take(self, datagram: bytes) -> None:
+    def take(self, datagram: bytes) -> bool:
+        """Return whether there is an answer now, or something else to be asked at once."""
         order = decode(datagram, self._key)
+        if isinstance(order, Offer) and order.nonce == self._nonce and not self._challenge:
+            self._challenge = order.challenge
+            return True
         if not isinstance(order, StatusPart) or order.nonce != self._nonce or order.part >= order.parts:
-            return
-        if len(self._pieces) != order.parts:
+            return False
+        more = len(self._pieces) != order.parts
+        if more:
             self._pieces = [None] * order.parts
         self._pieces[order.part] = order.data
         whole = [piece for piece in self._pieces if piece is not None]
-        if len(whole) == order.parts:
-            try:
-                self.answer = json.loads(b"".join(whole))
-            except ValueError:  # pieces of two moments: others asked meanwhile
-                self._pieces = [None]
+        if len(whole) < order.parts:
+            return more
+        try:
+            self.answer = json.loads(b"".join(whole))
+        except ValueError:  # pieces of two moments: others asked meanwhile
+            self._pieces = [None]
+        return True
 
 
 def ask(settings: Settings, key: bytes | None) -> dict[str, Any] | None:
@@ -58,8 +70,8 @@ def ask(settings: Settings, key: bytes | None) -> dict[str, Any] | None:
                 with suppress(OSError):
                     asker.sendto(datagram, address)
             with suppress(OSError):  # a timeout among them
-                while asking.answer is None:
-                    asking.take(asker.recv(LONG + 1))
+                while not asking.take(asker.recv(LONG + 1)):
+                    pass
     return asking.answer
 
 

@@ -139,8 +139,9 @@ def test_another_robots_challenge_is_not_ours() -> None:
         (encode(Ask(0, NONCE), OTHER), "not authentic"),
         (encode(Ask(0, NONCE), None), "not authentic"),
         (encode(Ask(7, NONCE), KEY), "another application"),
-        (encode(AskStatus(7, NONCE, 0), KEY), "another application"),
-        (encode(AskStatus(0, NONCE, 9), KEY), "no such part"),
+        (encode(AskStatus(7, NONCE, bytes(24), 0), KEY), "another application"),
+        (encode(AskStatus(0, NONCE, bytes(24), 0), KEY), "not our challenge"),
+        (seal(KEY, CONTROL, b"\1\4\0\0" + NONCE + bytes(LONG - 28)), "malformed"),
         (encode(Offer(NONCE, 1, bytes(24), "bert"), KEY), "an answer to nobody"),
         (encode(Stopped(NONCE, 1, "resting"), KEY), "an answer to nobody"),
         (encode(Stop(NONCE, bytes(24)), KEY), "not our challenge"),
@@ -167,7 +168,7 @@ def test_what_is_not_listened_to(datagram: bytes, reason: str) -> None:
         Offer(NONCE, 127, bytes(range(24)), "a" * 32),
         Stop(NONCE, bytes(24)),
         Stopped(NONCE, 0, "rested"),
-        AskStatus(1, NONCE, 3),
+        AskStatus(1, NONCE, bytes(range(24)), 3),
         StatusPart(NONCE, 0, 1, b"{}\0\0"),
         StatusPart(NONCE, 65535, 65535, b"x" * 1170),
     ],
@@ -181,7 +182,7 @@ def test_orders_arrive_as_they_were(order: Order) -> None:
 def test_garbage_is_never_listened_to() -> None:
     rng, robot = random.Random(1), Robot()
     stop = encode(Stop(NONCE, robot.challenge()), KEY)
-    sources = [stop, encode(Ask(0, NONCE), KEY), encode(AskStatus(0, NONCE, 0), KEY)]
+    sources = [stop, encode(Ask(0, NONCE), KEY), encode(AskStatus(0, NONCE, robot.challenge(), 0), KEY)]
     for _ in range(4000):
         data = bytearray(rng.choice(sources))
         match rng.randrange(3):
@@ -311,24 +312,41 @@ def test_a_status_is_of_one_moment_however_long_it_is() -> None:
 
 def test_a_question_asked_again_costs_no_new_report() -> None:
     robot = Robot()
+    challenge = robot.challenge()
     for _ in range(5):
-        robot.ask(AskStatus(0, NONCE, 0))
+        robot.ask(AskStatus(0, NONCE, challenge, 0))
     assert robot.reports == 1
-    flood = [encode(AskStatus(0, bytes([i]) * 8, 0), KEY) for i in range(100)]
+    assert robot.ask(AskStatus(0, NONCE, challenge, 9)) == []
+    assert robot.control.rejected.pop("no such part") == 1
+    flood = [encode(AskStatus(0, bytes([i]) * 8, challenge, 0), KEY) for i in range(100)]
     robot.get(*flood)
     assert robot.reports == 2 and robot.control.rejected == {"too many questions": 99}
 
 
 def test_a_report_that_cannot_be_made_harms_nobody() -> None:
     robot = Robot()
+    challenge = robot.challenge()
     for wrong in (lambda: {"a": 1 // 0}, lambda: {"a": object()}):
         robot.report = wrong  # type: ignore[method-assign]
-        assert robot.ask(AskStatus(0, NONCE, 0)) == []
+        assert robot.ask(AskStatus(0, NONCE, challenge, 0)) == []
     assert robot.control.rejected == {"no report can be made": 2}
+
+
+def test_a_recorded_question_learns_nothing() -> None:
+    """Nor does it cost a report: its challenge is old, or of an earlier process."""
+    robot = Robot(secret=b"a" * 32)
+    recorded = encode(AskStatus(0, NONCE, robot.challenge(), 0), KEY)
+    assert len(robot.get(recorded)) == 1
+    robot.now += CHALLENGE_LIFE + 0.1
+    assert robot.get(recorded) == []
+    after = Robot(secret=b"b" * 32)
+    assert after.get(recorded) == [] and after.reports == 0
+    assert (robot.control.rejected, after.control.rejected) == ({"an old challenge": 1}, {"not our challenge": 1})
 
 
 def test_pieces_of_two_moments_are_asked_for_again() -> None:
     asking = Asking(0, KEY, NONCE)
+    asking.take(encode(Offer(NONCE, 1, bytes(24), "bert"), KEY))
     asking.take(encode(StatusPart(NONCE, 0, 2, b'{"a": '), KEY))
     asking.take(encode(StatusPart(NONCE, 1, 2, b'"}'), KEY))
     assert asking.answer is None and len(asking.datagrams()) == 1
