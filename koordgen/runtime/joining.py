@@ -12,6 +12,7 @@ that mission is lost, and a new one begins.
 
 from __future__ import annotations
 
+import random
 from collections import deque
 from dataclasses import dataclass
 from hashlib import blake2s
@@ -75,6 +76,11 @@ class Joining:
         self.met = True  # no robot need be told of this one any more
         self._restarted: set[int] = set()  # robots that began anew while the mission runs
         self._untold = False  # there are more of them
+        # Hellos of boots that have not proven to be live: who was answered in this period, and for each robot how many
+        # more came since, with the challenge of one of them.
+        self._answered: set[int] = set()
+        self._unanswered: dict[int, tuple[int, bytes]] = {}
+        self._random = random.Random(link.boot)  # of a simulated boot the same each time
 
     def come_back(self, epoch: bytes) -> None:
         """This robot was in the mission of that name when its process died."""
@@ -128,6 +134,7 @@ class Joining:
             self._next = now
         if now >= self._next:
             self._next = now + self._period
+            self._answer_more()
             self.tell()
         return self._next
 
@@ -136,6 +143,7 @@ class Joining:
         called again."""
         if now >= self._next:
             self._next = now + self._period
+            self._answer_more()
             for pid in self._link.strangers if self.met else self._others:
                 self._hello(pid, self._others[pid].challenge)
             self._link.strangers.clear()
@@ -152,13 +160,13 @@ class Joining:
         other = self._others[pid]
         if not self._link.is_adopted(hello):
             if hello.answer != self._challenge(pid):
-                self._hello(pid, hello.challenge)  # let it prove that it lives; nothing is kept of it until then
+                self._answer(pid, hello.challenge)  # let it prove that it lives; nothing is kept of it until then
                 return
             same_mission = hello.head.epoch == self._link.epoch
             if self._start is not None and not same_mission:
                 self._untold = self._untold or pid not in self._restarted
                 self._restarted.add(pid)
-                self._hello(pid, hello.challenge)
+                self._answer(pid, hello.challenge)
                 return
             self._link.adopt(hello)
             other = self._others[pid] = _Other(adoptions=other.adoptions + 1)
@@ -229,6 +237,27 @@ class Joining:
         if deaf and not self._returning and not absent and not unready:
             parts.append(f"waiting until {', '.join(deaf)} hear from all")
         return "; ".join(parts) or "waiting for the start of round 1"
+
+    def _answer(self, pid: int, challenge: bytes) -> None:
+        """Answer a Hello that may be a recorded one: at most one a period and robot, however many come. Of those that
+        come in the same period one is drawn at random for the next period, so that nobody can crowd out the robot
+        itself."""
+        if pid not in self._answered:
+            self._answered.add(pid)
+            self._hello(pid, challenge)
+            return
+        count, drawn = self._unanswered.get(pid, (0, challenge))
+        if challenge != drawn:
+            count += 1
+            drawn = challenge if self._random.randrange(count + 1) == 0 else drawn
+        self._unanswered[pid] = count, drawn
+
+    def _answer_more(self) -> None:
+        """A period begins."""
+        self._answered = set(self._unanswered)
+        for pid, (_, challenge) in self._unanswered.items():
+            self._hello(pid, challenge)
+        self._unanswered = {}
 
     def _hello(self, to: int, answer: bytes) -> None:
         holds = tuple(p for p, o in sorted(self._others.items()) if o.init is not None)

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from koordgen.runtime.joining import PERIOD
 from tests.runtime.fleet import Fleet
 from tests.runtime.lineform import PROGRAM
 
@@ -44,6 +45,51 @@ def test_a_recorded_hello_of_an_earlier_boot_never_passes_for_live() -> None:
         fleet.run(0.3)
     fleet.run_rounds(3)
     assert all(r.records[-1].frame is not None for r in fleet.robots.values())
+
+
+def test_replayed_hellos_are_answered_once_a_period_and_keep_nobody_out() -> None:
+    """Hellos of earlier boots of robot 1, thousands a second: robot 0 answers few, and lets robot 1 come back."""
+    fleet = Fleet(n=3)
+    recorded: dict[bytes, None] = {}
+    answers = 0
+    send = fleet.network.send
+
+    def tapped(sender: int, receiver: int, datagram: bytes) -> None:
+        nonlocal answers
+        if (sender, receiver) == (1, 0) and fleet.robots[1].agent.phase == "joining":
+            recorded[datagram] = None
+        answers += (sender, receiver) == (0, 1)
+        send(sender, receiver, datagram)
+
+    fleet.network.send = tapped  # type: ignore[method-assign]
+    fleet.boot(0)
+    for _ in range(3):
+        fleet.boot(1)
+        fleet.run(0.5)
+        del fleet.robots[1]
+    fleet.boot(1)
+    fleet.boot(2)
+    fleet.run_rounds(3)
+    old_hellos = list(recorded)
+    del fleet.robots[1]
+    fleet.run(2.0)
+    answers = 0
+    for _ in range(40):
+        for datagram in old_hellos * 10:
+            send(1, 0, datagram)
+        fleet.run(0.05)
+    flooded = answers
+    answers = 0
+    fleet.run(2.0)
+    assert flooded - answers <= 2.0 / PERIOD + 2
+    fleet.boot(1)
+    for _ in range(100):
+        for datagram in old_hellos:
+            send(1, 0, datagram)
+        fleet.run(0.05)
+        if fleet.robots[1].agent.phase == "running":
+            break
+    assert fleet.robots[1].agent.phase == "running"
 
 
 def test_a_robot_that_kept_nothing_of_the_mission_is_told_of_and_not_let_in() -> None:
