@@ -20,10 +20,12 @@ from koordgen.manifest import Target, available, load
 from koordgen.mocap import Mocap, Quaternion, Vector
 from koordgen.node import Node
 from koordgen.robots import parse_address
+from koordgen.runtime.datagrams import raw_clock
 from koordgen.runtime.seal import BadKey, load_key
 
 RATE = 50.0  # datagrams a second to each robot at most, where nothing else is asked for
 TOLD_EVERY = 1.0  # seconds
+SESSION = "basestation.session"  # beside the fleet file: the number of the last run
 LOST = 1.0  # seconds without a pose after which a robot counts as not seen
 _JITTER = 0.25  # of a period by which a frame may come early: else a rate near the cameras' would lose each second one
 _LOOK = 0.2  # seconds between two looks whether to end
@@ -71,8 +73,11 @@ def receivers(fleet: Fleet, targets: Mapping[str, Target]) -> tuple[Receiver, ..
 class Forwarder:
     """What goes to whom, without network and clock. `session` is greater than that of any run before."""
 
-    def __init__(self, robots: tuple[str, ...], mocap: Mocap, key: bytes | None, session: int, rate: float) -> None:
+    def __init__(
+        self, robots: tuple[str, ...], mocap: Mocap, key: bytes | None, session: int, rate: float, application: int = 0
+    ) -> None:
         self._mocap, self._key, self._session, self._period = mocap, key, session, 1.0 / rate
+        self._application = application
         self._sequence = 0
         self._last: dict[str, Body] = {}
         self._next = dict.fromkeys(robots, 0.0)
@@ -105,7 +110,8 @@ class Forwarder:
         self._sequence += 1
         self._sent[name] += 1
         place = Pose(Point(*pose[0]), pose[1])
-        return encode(Sample(name, self._session, self._sequence, now, place, now - measured), self._key)
+        sample = Sample(name, self._session, self._sequence, now, place, now - measured, self._application)
+        return encode(sample, self._key)
 
     def told(self, now: float, seconds: float) -> str:
         """What was passed on in the last `seconds`, in a line."""
@@ -125,7 +131,7 @@ class Camera:
     """Reads frames in a thread of its own: waiting for one cannot be interrupted. `frames` holds the newest, or the
     error that ended it."""
 
-    def __init__(self, system: Any, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, system: Any, clock: Callable[[], float] = raw_clock) -> None:
         self._system, self._clock = system, clock
         self._ended = threading.Event()
         self.frames: queue.Queue[Frame | Exception] = queue.Queue(maxsize=2)
@@ -187,7 +193,7 @@ class Station:
         self._addresses = {receiver.robot: _resolved(receiver) for receiver in to}
         self.camera = Camera(system)
 
-    def serve(self, told: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
+    def serve(self, told: Callable[[str], None], clock: Callable[[], float] = raw_clock) -> None:
         """Pass on for ever; `told` gets a line each second. Raises CannotServe when the system is gone."""
         said = clock()
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
@@ -208,13 +214,33 @@ class Station:
                 sender.sendto(datagram, self._addresses[robot])
 
 
-def station(fleet: Fleet, path: str, key_path: str | None, name: str, host: str, rate: float) -> Station:
+def station(
+    fleet: Fleet, path: str, key_path: str | None, name: str, host: str, rate: float, warn: Callable[[str], None]
+) -> Station:
     """The station of the fleet in the file `path`, with the system called `name` at `host`. Raises CannotServe."""
     to = receivers(fleet, all_targets())
     key = keyed(fleet, path, key_path)
-    session = time.time_ns() // 1_000_000
-    forwarder = Forwarder(tuple(receiver.robot for receiver in to), fleet.mocap, key, session, rate)
+    session = next_session(Path(path).parent / SESSION, time.time_ns() // 1_000_000, warn)
+    robots = tuple(receiver.robot for receiver in to)
+    forwarder = Forwarder(robots, fleet.mocap, key, session, rate, fleet.application_id)
     return Station(connected(name, host), forwarder, to)
+
+
+def next_session(path: Path, now: int, warn: Callable[[str], None]) -> int:
+    """Return a number greater than that of any run before, which the file at `path` keeps: `now`, milliseconds since
+    1970, unless the clock was ahead before."""
+    try:
+        session = max(now, int(path.read_text()) + 1) if path.exists() else now
+    except (OSError, ValueError):
+        warn(f"warning: {path} cannot be read: agents that run refuse positions if this computer's clock is behind")
+        session = now
+    try:
+        new = path.with_name(f"{path.name}.new")
+        new.write_text(f"{session}\n")
+        new.replace(path)
+    except OSError as error:
+        warn(f"warning: {path}: {error.strerror or error}: after the next start, agents may refuse positions")
+    return session
 
 
 def _resolved(receiver: Receiver) -> tuple[Any, ...]:

@@ -162,7 +162,8 @@ def _built(folder: Path, nobody: CannotStop) -> Fleet:
     """Return the robots whose folders `build` wrote into one folder, or the robot of one such folder; raises `nobody`
     where there is none."""
     places, application, key = [], 0, ""
-    for each in sorted([folder, *_folders(folder), *_folders(folder / "sim" / "agents")]):
+    harness = [agent for each in _folders(folder) for agent in _folders(each / "agents")]
+    for each in sorted([folder, *_folders(folder), *harness]):
         with suppress(OSError, ValueError, TypeError, KeyError, IndexError):
             settings = json.loads((each / "settings.json").read_bytes())
             peer = settings["peers"][settings["pid"]]

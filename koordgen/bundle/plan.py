@@ -191,7 +191,7 @@ def _scenario(these: Ingredients, fleet: Fleet, harness: Target) -> dict[str, An
     return {
         "app": these.program.name,
         "source": these.program.path,
-        **{k: facts[k] for k in ("program_hash", "delta", "origin", "geofence", "obstacles")},
+        **{k: facts[k] for k in ("program_hash", "application_id", "delta", "origin", "geofence", "obstacles")},
         "world": fleet.world.facts,
         "shared": [{"name": v.name, "kind": v.kind, "type": str(v.type)} for v in these.program.shared],
         "records": {str(r.type): [[name, str(t)] for name, t in r.type.fields] for r in these.program.records},

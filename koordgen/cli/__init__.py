@@ -168,7 +168,7 @@ def _basestation(options: Namespace) -> int:
     fleet, _ = read_fleet(options.fleet, all_targets(), None)
     line = Line(sys.stderr)
     try:
-        serving = station(fleet, options.fleet, options.key, options.system, options.host, options.rate)
+        serving = station(fleet, options.fleet, options.key, options.system, options.host, options.rate, _say)
         try:
             serving.serve(line.show)
         except KeyboardInterrupt:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from typing import Protocol
 
 from koordgen.runtime.platform import Unready
@@ -12,6 +13,11 @@ LARGEST_DATAGRAM = 2048
 # All that a socket buffers, or what waits behind a flood would be taken for new; and no more than is done in a few
 # milliseconds.
 DATAGRAMS_A_POLL = 512
+
+
+def raw_clock() -> float:
+    """Seconds of a clock that runs as evenly as the computer's crystal: NTP slews the monotonic clock by far more."""
+    return time.clock_gettime(time.CLOCK_MONOTONIC_RAW)
 
 
 class DatagramLink(Protocol):
@@ -57,6 +63,11 @@ def listen(key: str, setting: str, what: str, sender: str, example: str) -> UdpL
         reason = getattr(error, "strerror", None) or error
         hint = f"free the port, or give another in `{key}` of the robot's settings and to {sender}"
         raise Unready(f"cannot receive {what} on {host}:{port}: {reason}", hint) from None
+
+
+def even_clock(link: DatagramLink) -> Callable[[], float] | None:
+    """Return the clock by which arrivals on a link are stamped: None on a simulated one, which has the caller's."""
+    return raw_clock if isinstance(link, UdpLink) else None
 
 
 def waiting(link: DatagramLink) -> Iterator[bytes]:

@@ -1,28 +1,33 @@
-"""The position feed: what a base station (motion capture, or the simulator) tells a robot about its own pose.
+"""Position feed: a robot's own pose, measured and sent by a base station (motion capture, or the simulator).
 
 One sealed MessagePack datagram a sample; see `Sample` for its fields and docs/feeds.md for the bytes. Sequence numbers
-only grow within a session (one run of the base station), so an old sample is never taken for a new one.
+only grow within a session (one run of the base station), so an old sample is never taken for a new one. The transit
+time of a sample is compared with the least one of its session, so a delay that grows is noticed, however slowly. A
+delay that all samples of a session have had cannot be seen.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import msgspec
 
-from koordgen.runtime.datagrams import UdpLink, listen
+from koordgen.runtime.datagrams import DatagramLink, UdpLink, even_clock, listen
 from koordgen.runtime.seal import POSITION, seal, unseal
 from koordgen.runtime.values import Pose
 
 FARTHEST = 100_000.0  # metres from the origin, and radians of yaw: more is no pose of a robot
-WINDOW = 2.0  # seconds; clocks that drift apart by 100 ppm err by less than half a millisecond in two of it
+LATEST = 1e12  # seconds on a sender's clock; more is no time
+DRIFT = 200e-6  # by which the clocks of two computers run apart, at most: crystals are within 100 ppm
+OVERTAKEN = 100  # samples of an earlier session in a row after which the robot's people are told
 _HINT = "start the base station; check that it knows this robot's name, address and the fleet's key"
 
 
 class Sample(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """One measured pose: `robot` by its name in the fleet file, metres and radians in local ENU; `sent` is when it was
     sent (seconds on the sender's clock, which runs on evenly within a session), and `age` the seconds between the
-    measurement and the sending."""
+    measurement and the sending. `application` is the fleet's application_id."""
 
     robot: str
     session: int
@@ -30,6 +35,7 @@ class Sample(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields
     sent: float
     pose: Pose
     age: float = 0.0
+    application: int = 0
 
 
 _encoder = msgspec.msgpack.Encoder()
@@ -42,34 +48,41 @@ def encode(sample: Sample, key: bytes | None) -> bytes:
 
 
 class Transit:
-    """Brings the sender's clock to ours: what has the shortest way of the last seconds is taken to have had none. So a
-    datagram that was held up on its way is as old as it is, and none is younger."""
+    """Brings the sender's clock to ours: the datagram of a session with the shortest way is taken to have had none, and
+    every other one is as old as its way was longer. That difference of the clocks may grow by DRIFT and no faster, so a
+    delay that grows cannot pass for it. No datagram is younger than it is said to be."""
 
     def __init__(self) -> None:
-        self._least = self._before = math.inf  # our clock minus theirs, in the present window and in the one before
-        self._since = -math.inf
+        self._least = math.inf  # our clock minus theirs
+        self._last = -math.inf  # when the last datagram arrived
 
     def arrived(self, sent: float, now: float) -> float:
         """When a datagram was sent, on our clock; not later than `now`."""
-        if now - self._since > WINDOW:
-            self._before, self._least, self._since = self._least, math.inf, now
-        self._least = min(self._least, now - sent)
-        return min(now, sent + min(self._least, self._before))
+        self._least = min(self._least + DRIFT * max(0.0, now - self._last), now - sent)
+        self._last = now
+        return min(now, sent + self._least)
 
 
 class Feed:
     """Receives one robot's samples. `rejected` counts what was dropped, by reason; nothing received ever raises.
     `time` is when `pose` was true, seconds on our clock."""
 
-    def __init__(self, robot: str, key: bytes | None) -> None:
+    def __init__(self, robot: str, key: bytes | None, application: int = 0) -> None:
         self._robot = robot
         self._key = key
+        self._application = application
         self._session = 0
         self._sequence = -1
         self._transit = Transit()
+        self._even: Callable[[], float] | None = None
+        self._overtaken = 0  # samples of an earlier session since the last one that was taken
         self.rejected: dict[str, int] = {}
         self.pose: Pose | None = None
         self.time: float | None = None
+
+    def hear(self, link: DatagramLink) -> None:
+        """Samples come by this link from now on."""
+        self._even = even_clock(link)
 
     def take(self, datagram: bytes, now: float) -> bool:
         """Take a datagram that arrived at `now`; True when it brought a newer pose."""
@@ -84,17 +97,33 @@ class Feed:
         numbers = (p.x, p.y, p.z, sample.pose.yaw)
         if not all(map(math.isfinite, (*numbers, sample.sent, sample.age))):
             return self.reject("not finite")
-        if max(map(abs, numbers)) > FARTHEST:
+        if max(map(abs, numbers)) > FARTHEST or abs(sample.sent) > LATEST:
             return self.reject("out of range")
         if sample.robot != self._robot:
             return self.reject("another robot's")
+        if sample.application != self._application:
+            return self.reject("another application")
         if sample.session < self._session or (sample.session == self._session and sample.sequence <= self._sequence):
+            self._overtaken += sample.session < self._session
             return self.reject("old")
         if sample.session != self._session:
             self._transit = Transit()
-        self._session, self._sequence = sample.session, sample.sequence
-        self.pose, self.time = sample.pose, self._transit.arrived(sample.sent, now) - max(0.0, sample.age)
+        self._session, self._sequence, self._overtaken = sample.session, sample.sequence, 0
+        even = now if self._even is None else self._even()
+        delay = even - self._transit.arrived(sample.sent, even)
+        self.pose, self.time = sample.pose, now - delay - max(0.0, sample.age)
         return True
+
+    def news(self) -> list[str]:
+        """What the robot's people should know, once: that a base station is refused for its session."""
+        if self._overtaken < OVERTAKEN:
+            return []
+        self._overtaken = -(10 * OVERTAKEN)  # it is said again after as many more
+        return [
+            f"{OVERTAKEN} positions were refused: they are of an earlier run of the base station than one heard before "
+            f"(session {self._session}). Does another base station run, or is its computer's clock behind? Set that "
+            "clock and start the base station again, or restart this agent"
+        ]
 
     def reject(self, reason: str) -> bool:
         """Count what is dropped; False, for the caller to return."""

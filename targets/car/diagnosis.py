@@ -103,6 +103,7 @@ def feed_findings(settings: CarSettings, fence: Box, feed: Feed, links: Links) -
         datagrams = links.position(settings.position)
     except Unready as error:
         return [Finding.of("position", error)]
+    feed.hear(datagrams)
     came: list[float] = []
     oldest = 0.0  # seconds
     try:

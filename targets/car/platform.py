@@ -60,7 +60,8 @@ class Car:
         self._links: Links = links if links is not None else RealLinks()
         self._frame = LocalFrame(settings.origin.latitude, settings.origin.longitude, settings.origin.altitude)
         self._robot, self._key, self._clock = settings.robot, key, clock
-        self._feed = Feed(settings.robot, key)
+        self._application = settings.application_id
+        self._feed = Feed(settings.robot, key, settings.application_id)
         self._lidar = ScanPort(self._settings.scans, settings.robot, key, self._links.scans)
         own = self._settings
         self._estimator = Estimator(own.wheelbase, own.max_speed, own.steering_limit)
@@ -85,7 +86,8 @@ class Car:
         if self._settings.position == FROM_DRIVE:
             found += fix_findings(self._settings, self._fence, self._links, self._frame)
         else:
-            found += feed_findings(self._settings, self._fence, Feed(self._robot, self._key), self._links)
+            feed = Feed(self._robot, self._key, self._application)
+            found += feed_findings(self._settings, self._fence, feed, self._links)
         found += [limits(self._settings, self._fence), self._loaded(), self._avoidance.diagnose(self._links.wait)]
         return [*found, *self._lidar.diagnose(self._links.wait)]
 
@@ -110,6 +112,7 @@ class Car:
         """Open the links that are not open: the sockets first, for opening a VESC's port can take a moment."""
         if self._datagrams is None:
             self._datagrams = self._links.position(self._settings.position)
+            self._feed.hear(self._datagrams)
         self._lidar.open()
         if self._drive is None:
             self._drive = opened(self._settings, self._links, self._frame)
@@ -316,7 +319,7 @@ class Car:
 
     def news(self) -> list[str]:
         """See Platform."""
-        told, self._news = self._news + self._avoidance.news(), []
+        told, self._news = self._news + self._avoidance.news() + self._feed.news(), []
         return told + (self._drive.news() if self._drive is not None else [])
 
     def hold(self, on: bool, now: float) -> None:

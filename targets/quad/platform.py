@@ -261,7 +261,8 @@ class Quad:
 
     def news(self) -> list[str]:
         """See Platform."""
-        return self._avoidance.news()
+        told = self._positioning.news() if self._positioning is not None else []
+        return told + self._avoidance.news()
 
     def hold(self, on: bool, now: float) -> None:
         """See Platform."""

@@ -49,7 +49,7 @@ class Positioning:
         """`bind` opens the port that `setting` names; `wall` is the time of day, seconds since 1970."""
         self._mode, self._setting, self._frame, self._bind, self._wall = mode, setting, frame, bind, wall
         self._lost = settings.safety.position_lost
-        self._feed = Feed(settings.robot, key)
+        self._feed = Feed(settings.robot, key, settings.application_id)
         self._track = Track(max_speed)
         o = settings.origin
         self._origin = Origin(frame, (o.latitude, o.longitude, o.altitude))
@@ -67,7 +67,12 @@ class Positioning:
         """Bind the feed's port, if it is not bound. Raises Unready."""
         if self._datagrams is None:
             self._datagrams = self._bind(self._setting)
+            self._feed.hear(self._datagrams)
         self._began, self._unix, self._taken = now, self._wall() - now, 0
+
+    def news(self) -> list[str]:
+        """See Platform."""
+        return self._feed.news()
 
     def close(self) -> None:
         """Give the port back. Idempotent."""

@@ -73,7 +73,7 @@ class DeviceContext:
     """What a device is made with. `settings` are the robot's own (`body` in its settings.json), `harness` those of
     the sim target, `origin` is WGS-84 (degrees, degrees, metres), `noise` the standard deviation of sensed
     positions (m), `key` the run's fleet key, `wiring` makes its ends of what connects it with the agent, `upset` is
-    what is wrong at the moment."""
+    what is wrong at the moment, `application` the fleet's application_id."""
 
     robot: str
     settings: Mapping[str, Any]
@@ -83,6 +83,7 @@ class DeviceContext:
     key: bytes
     wiring: Wiring = field(default_factory=Loopback)
     upset: Upset = field(default_factory=Upset)
+    application: int = 0
 
 
 class Device(Protocol):

@@ -149,6 +149,7 @@ class Scenario(msgspec.Struct, frozen=True):
     drivers: tuple[tuple[str, str, str], ...] = ()
     shared: tuple[Shared, ...] = ()
     records: dict[str, tuple[tuple[str, str], ...]] = {}
+    application_id: int = 0
     gui: bool = False  # whether PyBullet shows its window: no file says so, but --gui
 
     def number(self, setting: str, default: float) -> float:

@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from koordgen.runtime.datagrams import raw_clock
 from targets.sim.bodies import BodyState, Device, DeviceContext, Vector
 from targets.sim.car import Running, SimulatedCar
 from targets.sim.external import ExternalAutopilot
@@ -134,9 +135,9 @@ class Stage:
         seed: int,
         key: bytes,
         wiring: Wiring | None = None,
-        clock: Clock = time.monotonic,
+        clock: Clock = raw_clock,
     ) -> None:
-        """`wiring` is how agents are reached, and `clock` the one that they live by. Raises BadScenario, and
+        """`wiring` is how agents are reached, `clock` the one by which they stamp what arrives. Raises BadScenario, and
         bullet.NoDisplay when a window is asked for where there is none."""
         self.world = World(scenario.world.wind, scenario.world.floor_friction, seed, scenario.gui)
         self.actors: list[Actor] = []
@@ -235,7 +236,8 @@ def _actor(
     own_seed = random.Random(f"{seed}/{robot.pid}").getrandbits(32)
     place = (origin.latitude, origin.longitude, origin.altitude)
     upset = Upset()
-    context = DeviceContext(robot.name, robot.settings, harness, place, own_seed, key, wiring, upset)
+    context = DeviceContext(robot.name, robot.settings, harness, place, own_seed, key, wiring, upset,
+                            scenario.application_id)  # fmt: skip
     slowed = Slowed(body, upset, lambda: world.time)
     if robot.sim.fidelity == "simple":
         make = SIMPLE[robot.body]

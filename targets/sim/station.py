@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import random
-import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
+from koordgen.runtime.datagrams import raw_clock
 from koordgen.runtime.feed import Sample, encode
 from koordgen.runtime.values import Point, Pose
 from targets.sim.bodies import BodyState, DeviceContext
@@ -32,7 +32,7 @@ class BaseStation:
     def __init__(self, body: Carrier, context: DeviceContext) -> None:
         self._body = body
         self._robot = context.robot
-        self._key = context.key
+        self._key, self._application = context.key, context.application
         self._noise = float(context.harness.get("position_noise", 0.0))
         self._delay = float(context.harness.get("position_delay", 0.0))
         self._upset = context.upset
@@ -51,7 +51,9 @@ class BaseStation:
         if not self._measured or now < self._measured[0][0]:
             return None
         self._sequence += 1
-        return encode(Sample(self._robot, 1, self._sequence, sent, self._measured.popleft()[1]), self._key)
+        pose = self._measured.popleft()[1]
+        sample = Sample(self._robot, 1, self._sequence, sent, pose, application=self._application)
+        return encode(sample, self._key)
 
     def _measure(self) -> Pose | None:
         state = self._body.state()
@@ -67,7 +69,7 @@ class SimulatedFeed:
     a world that cannot keep up with it would seem to send what is old."""
 
     def __init__(
-        self, body: Carrier, context: DeviceContext, setting: str, clock: Callable[[], float] = time.monotonic
+        self, body: Carrier, context: DeviceContext, setting: str, clock: Callable[[], float] = raw_clock
     ) -> None:
         self._station = BaseStation(body, context)
         self._clock = clock

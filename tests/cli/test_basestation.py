@@ -25,6 +25,7 @@ from koordgen.basestation import (
     Receiver,
     all_targets,
     connected,
+    next_session,
     receivers,
     station,
 )
@@ -178,7 +179,7 @@ class Enough(Exception):
 
 def test_from_the_system_to_the_robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, robot: socket.socket) -> None:
     asked, path = fake(monkeypatch), written(tmp_path, port=robot.getsockname()[1])
-    serving = station(fleet_of(path), str(path), None, "vicon", "10.0.0.2", 50.0)
+    serving = station(fleet_of(path), str(path), None, "vicon", "10.0.0.2", 50.0, pytest.fail)
     told: list[str] = []
 
     def enough(text: str) -> None:
@@ -283,3 +284,28 @@ def test_it_ends_in_order_when_interrupted(system: str, tmp_path: Path) -> None:
             process.kill()
             process.wait()
     assert b"Traceback" not in told
+
+
+def test_a_session_is_greater_than_any_before_whatever_the_clock_says(tmp_path: Path) -> None:
+    path, told = tmp_path / "basestation.session", [""]
+    assert next_session(path, 1000, told.append) == 1000
+    assert next_session(path, 900, told.append) == 1001, "the clock is behind"
+    assert next_session(path, 5000, told.append) == 5000
+    assert next_session(path, 5000, told.append) == 5001
+    assert told == [""]
+    path.write_text("noise")
+    assert next_session(path, 7000, told.append) == 7000
+    assert "cannot be read" in told[-1] and str(path) in told[-1]
+    assert [p.name for p in tmp_path.iterdir()] == ["basestation.session"]
+
+
+def test_a_folder_that_keeps_no_session_stops_no_base_station(tmp_path: Path) -> None:
+    told: list[str] = []
+    assert next_session(tmp_path / "gone" / "basestation.session", 1000, told.append) == 1000
+    assert len(told) == 1 and "No such file" in told[0]
+
+
+def test_samples_carry_the_application_id() -> None:
+    passed = Forwarder(("alice",), Mocap(), KEY, 1, 50.0, 7)
+    feed = Feed("alice", KEY, 7)
+    assert feed.take(passed.frame({"alice": body(1.0)}, 3.0, 3.0)["alice"], 10.0)

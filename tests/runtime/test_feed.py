@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from koordgen.runtime.datagrams import DATAGRAMS_A_POLL, waiting
-from koordgen.runtime.feed import FARTHEST, WINDOW, Feed, Sample, Transit, encode
+from koordgen.runtime.datagrams import DATAGRAMS_A_POLL, UdpLink, waiting
+from koordgen.runtime.feed import DRIFT, FARTHEST, OVERTAKEN, Feed, Sample, Transit, encode
 from koordgen.runtime.seal import POSITION, SCAN, seal
 from koordgen.runtime.values import Point, Pose
 
@@ -49,7 +49,7 @@ def test_what_arrives_is_what_was_measured_and_when() -> None:
         (b"", "not authentic"),
         (seal(KEY, POSITION, b"\xc1"), "malformed"),
         (seal(KEY, POSITION, b"\x91" * 1900), "malformed"),
-        (seal(KEY, POSITION, msgspec.msgpack.encode(["bert", 1, 1, 5.0, [[0, 0, 0], 0], 0.0, 1])), "malformed"),
+        (seal(KEY, POSITION, msgspec.msgpack.encode(["bert", 1, 1, 5.0, [[0, 0, 0], 0], 0.0, 0, 1])), "malformed"),
         (datagram(robot="anna"), "another robot's"),
         (datagram(pose=Pose(Point(math.nan, 0, 0))), "not finite"),
         (datagram(pose=Pose(Point(0, 0, math.inf))), "not finite"),
@@ -94,16 +94,63 @@ def test_a_senders_clock_may_drift() -> None:
             feed.take(datagram(i, sent=i * 0.02 * rate), true + (0.03 if jitter.random() < 0.01 else 0.001))
             assert feed.time is not None
             worst = max(worst, abs(feed.time - true))
-        assert worst < 0.001 + 2.1 * WINDOW * 2e-4
+        assert worst < 0.002
 
 
-@pytest.mark.parametrize("rate", [0.95, 1.05])
-def test_a_clock_that_is_quite_wrong_makes_no_fresh_sample_old(rate: float) -> None:
-    """That of a simulated world, say, which cannot keep up."""
+def test_a_delay_that_grows_slowly_is_noticed() -> None:
+    """By 0.05 s a second, as somebody on the way may do without the key: the samples are as old as they are."""
+    feed = Feed("bert", KEY)
+    for i in range(6000):
+        sent = i * 0.02
+        arrives = 100.0 + sent + 0.003 + 0.05 * sent
+        feed.take(datagram(i, sent=sent), arrives)
+        assert feed.time is not None
+        assert feed.time - (100.003 + sent) <= DRIFT * (arrives - 100.0) + 1e-6, "none is taken for a newer one"
+    assert arrives - feed.time > 5.9
+
+
+def test_a_senders_clock_that_runs_fast_makes_no_fresh_sample_old() -> None:
     feed = Feed("bert", KEY)
     for i in range(3000):
-        feed.take(datagram(i, sent=i * 0.02 * rate), 100.0 + i * 0.02)
-        assert feed.time is not None and 100.0 + i * 0.02 - feed.time < 0.25
+        feed.take(datagram(i, sent=i * 0.02 * 1.05), 100.0 + i * 0.02)
+        assert feed.time == pytest.approx(100.0 + i * 0.02)
+
+
+def test_samples_of_another_application_are_refused() -> None:
+    feed = Feed("bert", KEY, 7)
+    assert not feed.take(datagram(1), 10.0) and not feed.take(datagram(2, application=8), 10.0)
+    assert feed.take(datagram(3, application=7), 10.0)
+    assert feed.rejected == {"another application": 2}
+
+
+def test_a_base_station_that_is_refused_for_its_session_is_told_of_once() -> None:
+    feed = Feed("bert", KEY)
+    assert feed.take(datagram(1, session=9), 10.0)
+    told = []
+    for i in range(3 * OVERTAKEN):
+        feed.take(datagram(i, session=8), 10.0)
+        told += feed.news()
+    assert len(told) == 1 and "earlier run of the base station" in told[0]
+    for _ in range(2 * OVERTAKEN):  # one that is repeated, as networks do, is none of those
+        feed.take(datagram(2, session=9), 11.0)
+    assert feed.news() == []
+
+
+def test_arrivals_on_a_socket_are_stamped_by_an_even_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The agent's clock is slewed by NTP: a sample that came at once is new all the same."""
+    even = 500.0
+    monkeypatch.setattr("koordgen.runtime.datagrams.raw_clock", lambda: even)
+    link = UdpLink("127.0.0.1", 0)
+    try:
+        feed = Feed("bert", KEY)
+        feed.hear(link)
+    finally:
+        link.close()
+    for i in range(3000):
+        even = 500.0 + i * 0.02
+        now = 10.0 + i * 0.02 * 1.0005
+        feed.take(datagram(i, sent=i * 0.02), now)
+        assert feed.time == pytest.approx(now)
 
 
 def test_no_sample_is_of_the_future() -> None:
@@ -190,4 +237,4 @@ def test_a_new_session_has_a_clock_of_its_own() -> None:
     for i in range(5):
         feed.take(datagram(i, sent=90_000.0 + i), 10.0 + i)
     assert feed.take(datagram(1, session=2, sent=3.0), 15.0) and feed.time == pytest.approx(15.0)
-    assert feed.take(datagram(2, session=2, sent=3.5), 15.6) and feed.time == pytest.approx(15.5)
+    assert feed.take(datagram(2, session=2, sent=3.5), 15.6) and feed.time == pytest.approx(15.5, abs=1e-3)
