@@ -12,6 +12,7 @@ from targets.car.bicycle import State
 from targets.car.curves import Curve
 from targets.car.mpc import BLIND_STEPS, Command, Limits, Mpc
 from targets.car.planner import Area, arc, segments
+from targets.car.reasons import NoWay
 from targets.car.settings import CarSettings
 from targets.car.tracker import BRAKING, Tracker
 
@@ -97,6 +98,7 @@ class Navigator:
         self._stirred = 0.0  # when the car moved last, or had no reason to
         self._trail = Trail()
         self._curve: Curve | None = None  # the way that is driven
+        self._no_way = NoWay()
         self.reached = True
         self.progress = "standing: no target yet"
 
@@ -104,6 +106,11 @@ class Navigator:
     def steering(self) -> float:
         """The angle commanded last, radians."""
         return self._last.steering
+
+    @property
+    def stall(self) -> str:
+        """See koordgen.runtime.platform: why there is no way to the target now."""
+        return "" if self._arrived or self.reached else self._no_way.why
 
     @property
     def gear(self) -> int:
@@ -189,7 +196,10 @@ class Navigator:
         command = self._tracker.step(State(x, y, state.yaw, speed, self._last.steering), free)
         if self._tracker.failures > BLIND_STEPS:
             self.progress = f"braking: {self._tracker.trouble}"
+            self._no_way.blocked(self._target, f"the controller has no plan: {self._tracker.trouble}")
             return None
+        if free == math.inf and not standing:
+            self._no_way.found()
         return None if self._tracker.done else command
 
     def _free(self, state: State, standing: bool, now: float) -> float:
@@ -203,6 +213,8 @@ class Navigator:
         if free < math.inf:
             self.progress = f"another robot's path crosses this one in {free:.1f} m"
             self._stirred = now  # it knows why it stands
+            if standing and self._target is not None:
+                self._no_way.blocked(self._target, f"{self._avoidance.blocker} is {free:.1f} m ahead")
             if standing and now >= self._retry_at:
                 self._considered, self._retry_at = None, now + RETRY
         return free
@@ -275,6 +287,7 @@ class Navigator:
         if curve is None:
             why = reason or "no path inside the geofence leads there"
             self.progress = f"standing: {why}: ({target[0]:.2f}, {target[1]:.2f})"
+            self._no_way.failed(target, self._avoidance.explained((state.x, state.y), target, reason), now)
             self._failed_for, self._retry_at, self._arrival = target, now + RETRY, None
             self._tracker.stop()
             return

@@ -31,6 +31,7 @@ from targets.car.navigator import STANDING, Navigator
 from targets.car.settings import FROM_DRIVE, decode
 from targets.planning.process import Beside
 from targets.planning.route import Route
+from targets.planning.unplanned import Unplanned
 
 MODULES = ("Motion", "MotionWithScan")  # one body under two names; the second has a lidar
 WAIT_FOR_FEED = 60.0  # seconds until Unready: a base station may be started after the robots
@@ -69,6 +70,7 @@ class Car:
         self._navigator: Navigator | None = None
         self._route = Route()
         self._avoidance = Avoidance(settings, own, planning)
+        self._unplanned = Unplanned()
         self._now = 0.0
         self._started = 0.0
         self._next_control = -math.inf
@@ -261,6 +263,14 @@ class Car:
         waiting = self._lidar.waiting or self._avoidance.waiting
         return self._blocked or waiting or self._avoidance.refusal or self._navigator.progress
 
+    @property
+    def stall(self) -> str:
+        """See Platform."""
+        if self._navigator is None or self._resting_since is not None or self._holding:
+            return ""
+        idle = self._unplanned.why(self._now) if self._navigator.reached else ""
+        return self._blocked or self._avoidance.refusal or self._navigator.stall or idle
+
     def sense(self, now: float) -> Sensed:
         """The filtered pose, run on to `now`."""
         state = self._estimator.state
@@ -289,6 +299,8 @@ class Car:
     def _go(self, points: tuple[Point, ...], navigator: Navigator) -> None:
         """Follow points: the way that they stand for when they are the planner's, else one that is planned to each; in
         place of what leads into an obstacle of the fleet file the car holds, and says so."""
+        if points:
+            self._unplanned.commanded()
         held = self._avoidance.refusal
         if not self._avoidance.admits(points):
             if held:
@@ -308,7 +320,9 @@ class Car:
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
         """See Platform. The only one is `planner(goal, obstacles)`."""
         gear = self._navigator.gear if self._navigator is not None else 0
-        return self._avoidance.plan(self._estimator.state, gear, args[0], args[1] if len(args) > 1 else ())
+        path = self._avoidance.plan(self._estimator.state, gear, args[0], args[1] if len(args) > 1 else ())
+        self._unplanned.called(args[0], self._avoidance.unplanned, self._now)
+        return path
 
     def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
         """See Platform."""

@@ -25,6 +25,7 @@ from targets.mavlink.framing import Message
 from targets.mavlink.link import Link
 from targets.mavlink.transport import Transport, opened
 from targets.planning.process import Beside
+from targets.planning.unplanned import Unplanned
 from targets.quad.avoidance import Avoidance, MakePlanning
 from targets.quad.check import listen
 from targets.quad.diagnosis import findings
@@ -116,6 +117,7 @@ class Quad:
         self._link: Link | None = None
         self._flight: Flight | None = None
         self._avoidance = Avoidance(settings, body.flight_height, body.radius, body.clearance, body.planner, planning)
+        self._unplanned = Unplanned()
         self._held = False
         self._now = 0.0
 
@@ -218,6 +220,13 @@ class Quad:
         doubt = f"; {self._positioning.doubt}" if self._positioning is not None and self._positioning.doubt else ""
         return self._flight.progress + doubt + waiting + refused
 
+    @property
+    def stall(self) -> str:
+        """See Platform."""
+        if self._held or self.rested:
+            return ""
+        return self._avoidance.refusal or (self._unplanned.why(self._now) if self._motion.reached else "")
+
     def sense(self, now: float) -> Sensed:
         """See Platform. Before the first estimate the position is the origin, and `time` is None."""
         state = self._telemetry
@@ -245,6 +254,8 @@ class Quad:
                 self._command(actuators[f"{module}.path"], now)
 
     def _command(self, points: tuple[Point, ...], now: float) -> None:
+        if points:
+            self._unplanned.commanded()
         held = self._avoidance.refusal
         if self._avoidance.admits(self._telemetry.position, points):
             self._motion.command(points, now)
@@ -253,7 +264,9 @@ class Quad:
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
         """See Platform. The only one is `planner(goal, obstacles)`."""
-        return self._avoidance.plan(self._telemetry.position, args[0], args[1] if len(args) > 1 else ())
+        path = self._avoidance.plan(self._telemetry.position, args[0], args[1] if len(args) > 1 else ())
+        self._unplanned.called(args[0], self._avoidance.unplanned, self._now)
+        return path
 
     def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
         """See Platform."""

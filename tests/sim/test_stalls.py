@@ -1,0 +1,79 @@
+"""Robots without a way: each says what is wanted and why there is none, in its log, its trace and the summary."""
+
+from __future__ import annotations
+
+import json
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from koordgen.cli import main
+from targets.sim.view import report
+from tests.sim.lockstep import ran, summary
+
+PROGRAM = """\
+param List<Point> goals max 8 = [Point(0, 0, 0)]
+using Motion:
+  actuators: Point target
+  sensors:
+    Point position
+    bool reached
+local:
+  bool sent = False
+Go:
+  pre: not sent and pid < len(goals)
+  eff:
+    sent = True
+    Motion.target = goals[pid]
+"""
+FLEET = """\
+delta: 0.1
+origin: {latitude: 47.4, longitude: 8.5, altitude: 488.0}
+geofence: {lo: [-5.0, -5.0, -0.5], hi: [5.0, 5.0, 3.0]}
+params: {goals: [[3.0, 0.0, 0.0], [3.0, 0.0, 1.5]]}
+robots:
+- {name: carl, target: car, address: '127.0.0.1:47100', start: {position: [0.0, 0.0, 0.0]}}
+- {name: wing, target: quad, address: '127.0.0.1:47104', start: {position: [0.0, -2.0, 0.0]}}
+sim: {fidelity: simple}
+obstacles:
+- {lo: [2.6, -0.4, 0.0], hi: [3.4, 0.4, 3.0]}
+"""
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("stalls")
+    (folder / "go.koord").write_text(PROGRAM)
+    (folder / "fleet.yaml").write_text(FLEET)
+    arguments = ["build", str(folder / "go.koord"), "--fleet", str(folder / "fleet.yaml"), "--target", "sim"]
+    assert main([*arguments, "-o", str(folder / "build")]) == 0
+    bundle = folder / "build/go/sim"
+    ran(bundle, folder / "out", 4.0)
+    return folder / "out"
+
+
+WANTED = {
+    "carl": "target (3.00, 0.00) lies inside obstacle 0",
+    "wing": "to (3.00, 0.00, 1.50) comes within 0.00 m of obstacle 0",
+}
+
+
+def stalls_of(run: Path, robot: str) -> list[dict[str, Any]]:
+    found = [json.loads(line) for line in (run / "robots" / robot / "trace.jsonl").read_text().splitlines()]
+    return [record for record in found if record["kind"] == "stall"]
+
+
+@pytest.mark.parametrize("robot", WANTED)
+def test_a_robot_without_a_way_says_why(run: Path, robot: str) -> None:
+    stalls = stalls_of(run, robot)
+    assert [s["state"] for s in stalls] == ["begins"] and WANTED[robot] in stalls[0]["why"]
+    log = (run / "robots" / robot / "log.txt").read_text()
+    assert f"{robot}: warning: no way for 2 s: " in log and WANTED[robot] in log
+    (told,) = next(r for r in summary(run)["robots"] if r["name"] == robot)["stalls"]
+    assert WANTED[robot] in told["why"] and not told["over"] and told["seconds"] > 3.5
+    text = (run / "summary.txt").read_text()
+    assert f"{robot} from " in text and WANTED[robot] in text
+    report.write(run / "report.html", run / "trace.jsonl")
+    assert escape(WANTED[robot]) in (run / "report.html").read_text()
