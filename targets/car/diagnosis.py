@@ -13,6 +13,7 @@ from koordgen.runtime.safety import inside
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point
 from targets.car.drive import opened
+from targets.car.lag import LONGEST_LAG, is_long
 from targets.car.links import Links
 from targets.car.settings import CarSettings
 from targets.car.tracker import BRAKING
@@ -49,6 +50,25 @@ def limits(settings: CarSettings, fence: Box) -> Finding:
         hint = "a VESC refuses more as delivered: look at max_speed and speed_to_erpm_gain"
         return Finding("limits", "warn", told, f"{MOST_ERPM:.0f} ERPM or less", hint)
     return Finding("limits", "ok", told)
+
+
+def slow(lag: float) -> str:
+    """A motor's lag (s) that is too long, and what to do about it, in words."""
+    return (
+        f"the motor follows its commands with a lag of {lag:.1f} s, the car is driven exactly up to {LONGEST_LAG:g} s: "
+        "it overshoots and may circle its targets; tune the motor controller's speed loop, raise a rover's "
+        "MOT_SLEWRATE, or lower max_speed and max_acceleration"
+    )
+
+
+def lag_findings(lag: float | None) -> list[Finding]:
+    """The motor's lag as the agent measured it when the car drove last; nothing where it never was too long."""
+    if lag is None:
+        return []
+    told = f"{lag:.1f} s when the car drove last"
+    if is_long(lag):
+        return [Finding("lag", "warn", told, f"{LONGEST_LAG:g} s or less", slow(lag))]
+    return [Finding("lag", "ok", told)]
 
 
 def drive_findings(settings: CarSettings, links: Links, frame: LocalFrame) -> list[Finding]:

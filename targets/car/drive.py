@@ -42,6 +42,11 @@ class Drive(Protocol):
         """What of that is not as it should be, and why; "" when all is."""
         ...
 
+    @property
+    def asked(self) -> float:
+        """The speed, m/s, that the motor was asked for last: of a rover that which its throttle should give."""
+        ...
+
     def read(self, now: float) -> float | None:
         """Take what arrived; a newly measured speed, or None. Raises Unready when it has been gone or silent for too
         long; it may come back, so go on calling it."""

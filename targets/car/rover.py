@@ -56,6 +56,7 @@ class RoverDrive:
         self._armed = False
         self._ours = self._was_armed = False  # whether it has been in MANUAL, and armed in it, since we began
         self._taken = ""  # who has it instead of us, in words
+        self.asked = 0.0  # see Drive
         self._volts: float | None = None
         self._version = ""
         self._vouched = -math.inf  # when the EKF last said that it knows where it is
@@ -230,7 +231,9 @@ class RoverDrive:
     def go(self, command: Command, speed: float | None, now: float) -> None:
         """See Drive."""
         steering = channel(-command.steering / self._settings.max_steering)  # more than 1500 is a right turn
-        self._send(steering, channel(self._loop.throttle(command.speed, speed, STEP)), now)
+        throttle = self._loop.throttle(command.speed, speed, STEP)
+        self.asked = throttle * self._settings.full_speed
+        self._send(steering, channel(throttle), now)
 
     def brake(self, now: float) -> None:
         """See Drive: neutral, wheels straight."""

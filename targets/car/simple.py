@@ -57,6 +57,7 @@ class BodyDrive:
 
     def __init__(self, body: Driver, braking: float) -> None:
         self._body, self._braking = body, braking
+        self.asked = 0.0  # see Drive
         self._fixes: list[tuple[Pose, float]] = []
 
     def read(self, now: float) -> float | None:
@@ -75,6 +76,7 @@ class BodyDrive:
         return told
 
     def go(self, command: Command, speed: float | None, now: float) -> None:
+        self.asked = command.speed
         self._body.drive(command.speed, command.steering)
 
     def brake(self, now: float) -> None:

@@ -42,16 +42,34 @@ obstacles:
 """
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("stalls")
+SLOW = """\
+delta: 0.1
+origin: {latitude: 47.4, longitude: 8.5, altitude: 488.0}
+geofence: {lo: [-8.0, -8.0, -0.5], hi: [8.0, 8.0, 3.0]}
+params: {goals: [[4.0, 2.0, 0.0]]}
+robots:
+- name: carl
+  target: car
+  address: 127.0.0.1:47100
+  start: {position: [0.0, 0.0, 0.0]}
+  settings: {drive: 'rover:udpin:127.0.0.1:14550', position: rover}
+sim: {speed_lag: 2.0}
+"""
+
+
+def went(folder: Path, fleet: str, seconds: float) -> Path:
+    """The folder of a run in lockstep."""
     (folder / "go.koord").write_text(PROGRAM)
-    (folder / "fleet.yaml").write_text(FLEET)
+    (folder / "fleet.yaml").write_text(fleet)
     arguments = ["build", str(folder / "go.koord"), "--fleet", str(folder / "fleet.yaml"), "--target", "sim"]
     assert main([*arguments, "-o", str(folder / "build")]) == 0
-    bundle = folder / "build/go/sim"
-    ran(bundle, folder / "out", 4.0)
+    ran(folder / "build/go/sim", folder / "out", seconds)
     return folder / "out"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return went(tmp_path_factory.mktemp("stalls"), FLEET, 4.0)
 
 
 WANTED = {
@@ -77,3 +95,15 @@ def test_a_robot_without_a_way_says_why(run: Path, robot: str) -> None:
     assert f"{robot} from " in text and WANTED[robot] in text
     report.write(run / "report.html", run / "trace.jsonl")
     assert escape(WANTED[robot]) in (run / "report.html").read_text()
+
+
+def test_a_rover_whose_motor_is_slow_is_held_instead_of_circling_its_target(tmp_path: Path) -> None:
+    run = went(tmp_path, SLOW, 21.0)
+    log = (run / "robots/carl/log.txt").read_text()
+    assert "warning: the motor follows its commands with a lag of 2." in log
+    assert "no way for 2 s: target (4.00, 2.00) is not approached: given up after 18 s of driving" in log
+    poses = [json.loads(line) for line in (run / "trace.jsonl").read_text().splitlines() if '"kind":"pose"' in line]
+    late = [tuple(p["position"]) for p in poses if p["t"] > 20.0]
+    assert len(late) > 10 and len(set(late)) == 1, "it stands"
+    (told,) = summary(run)["robots"][0]["stalls"]
+    assert "the motor's lag is 2." in told["why"] and not told["over"]
