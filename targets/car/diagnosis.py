@@ -12,7 +12,7 @@ from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.safety import inside
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point
-from targets.car.drive import opened
+from targets.car.drive import Drive, opened
 from targets.car.lag import LONGEST_LAG, is_long
 from targets.car.links import Links
 from targets.car.settings import CarSettings
@@ -22,6 +22,7 @@ from targets.car.watchdog import LATE
 STALE = 0.3  # seconds without a sample of the position feed: brake
 _STEP, _STEPS = 0.05, 60  # seconds; the look ends earlier when all is there
 _DRIVE_STEPS = 110  # a drive that is silent for 5 s says so by itself
+_CHECK_STEPS = 100  # more, in which a drive that answers is asked for its settings
 _WATCHED = 1.0  # seconds for which a feed is watched
 LEAST_RATE = 10.0  # Hz
 LEAST_STEERING = 0.8  # of max_steering, that the servo's range must allow
@@ -77,12 +78,15 @@ def drive_findings(settings: CarSettings, links: Links, frame: LocalFrame) -> li
         drive = opened(settings, links, frame)
     except Unready as error:
         return [Finding.of("drive", error)]
+    checked: list[Finding] | None = None
     try:
-        for i in range(_DRIVE_STEPS):
+        for i in range(_DRIVE_STEPS + _CHECK_STEPS):
             drive.ask(i * _STEP)
             links.wait(_STEP)
             drive.read(i * _STEP)
-            if drive.heard:
+            if drive.heard and (checked := drive.checks(i * _STEP)) is not None:
+                break
+            if not drive.heard and i >= _DRIVE_STEPS:
                 break
     except Unready as error:
         return [Finding.of("drive", error)]
@@ -90,12 +94,16 @@ def drive_findings(settings: CarSettings, links: Links, frame: LocalFrame) -> li
         drive.close(standing=True)
     if not drive.heard:
         return [Finding("drive", "fail", drive.blocked, "an answer", "is it switched on, and `drive` right?")]
+    return [_answering(drive), *(checked or [])]
+
+
+def _answering(drive: Drive) -> Finding:
     if drive.fault:
         hint = "it brakes while this lasts; the VESC tool tells what the fault means"
-        return [Finding("drive", "fail", f"{drive.about}, {drive.fault}", "no fault", hint)]
+        return Finding("drive", "fail", f"{drive.about}, {drive.fault}", "no fault", hint)
     if drive.doubt:
-        return [Finding("drive", "warn", drive.about, why=drive.doubt)]
-    return [Finding("drive", "ok", drive.about)]
+        return Finding("drive", "warn", drive.about, why=drive.doubt)
+    return Finding("drive", "ok", drive.about)
 
 
 def watchdog_finding(links: Links) -> Finding:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.platform import Unready
+from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.values import Pose
 from targets.car.links import Links
 from targets.car.mpc import Command
@@ -54,6 +54,10 @@ class Drive(Protocol):
 
     def ask(self, now: float) -> None:
         """Ask for what it tells; moves nothing."""
+        ...
+
+    def checks(self, now: float) -> list[Finding] | None:
+        """For the doctor: look at the drive's own settings, in as many calls as it takes; None: not done yet."""
         ...
 
     def fixes(self) -> Sequence[tuple[Pose, float]]:

@@ -71,6 +71,10 @@ class BodyDrive:
     def ask(self, now: float) -> None:
         """It tells without being asked."""
 
+    def checks(self, now: float) -> list[Finding]:
+        """See Drive: it has no settings."""
+        return []
+
     def fixes(self) -> Sequence[tuple[Pose, float]]:
         told, self._fixes = self._fixes, []
         return told

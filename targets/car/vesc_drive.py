@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from koordgen.runtime.platform import Unready
+from koordgen.runtime.platform import Finding, Unready
 from targets.car import battery, vesc
 from targets.car.links import ByteLink, Links
 from targets.car.mpc import Command
@@ -144,6 +144,10 @@ class VescDrive:
     def ask(self, now: float) -> None:
         """See Drive."""
         self._send(b"", now)
+
+    def checks(self, now: float) -> list[Finding]:
+        """See Drive: its settings cannot be asked for."""
+        return []
 
     def fixes(self) -> tuple[()]:
         """See Drive: it does not know."""

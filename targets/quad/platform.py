@@ -23,6 +23,7 @@ from koordgen.runtime.settings import BadSettings, Settings
 from koordgen.runtime.values import Point
 from targets.mavlink.framing import Message
 from targets.mavlink.link import Link
+from targets.mavlink.parameters import Wanted
 from targets.mavlink.transport import Transport, opened
 from targets.planning.process import Beside
 from targets.planning.unplanned import Unplanned
@@ -32,7 +33,6 @@ from targets.quad.diagnosis import findings
 from targets.quad.firmware import Firmware
 from targets.quad.flight import Flight, Phase
 from targets.quad.motion import Motion, heading
-from targets.quad.parameters import Wanted
 from targets.quad.positioning import Positioning
 from targets.quad.setpoint import Aim, setpoint
 from targets.quad.telemetry import Telemetry
