@@ -96,12 +96,12 @@ class Navigator:
         self._near_since: float | None = None
         self._near_target: tuple[float, float] | None = None
         self._last = Command(0.0, 0.0)
-        self._stirred = 0.0  # when the car moved last, or had no reason to
-        self._trail = Trail()
-        self._curve: Curve | None = None  # the way that is driven
         self._no_way = NoWay()
         self._crossed = False  # whether another robot's path has met the way that is driven
         self._approach = Approach(_cornering(limits, settings.planned_radius), settings.reached_radius)
+        self._stirred = 0.0  # when the car moved last, or had no reason to
+        self._trail = Trail()
+        self._curve: Curve | None = None  # the way that is driven
         self.reached = True
         self.progress = "standing: no target yet"
 
@@ -111,14 +111,14 @@ class Navigator:
         return self._last.steering
 
     @property
-    def stall(self) -> str:
-        """See koordgen.runtime.platform: why there is no way to the target now."""
-        return "" if self._arrived or self.reached else self._no_way.why
-
-    @property
     def gear(self) -> int:
         """The direction in which it drives; 0: it stands."""
         return self._tracker.gear
+
+    @property
+    def stall(self) -> str:
+        """See koordgen.runtime.platform: why there is no way to the target now."""
+        return "" if self._arrived or self.reached else self._no_way.why
 
     def go_to(self, target: tuple[float, float]) -> None:
         """Take a target; it is brought inside the margin to the geofence, which is smaller than the radius."""

@@ -81,7 +81,6 @@ class Car:
         self._navigator: Navigator | None = None
         self._route = Route()
         self._avoidance = Avoidance(settings, own, planning)
-        self._unplanned = Unplanned()
         self._now = 0.0
         self._started = 0.0
         self._next_control = -math.inf
@@ -89,6 +88,7 @@ class Car:
         self._resting_since: float | None = None
         self._holding = False
         self._blocked = ""  # why the car brakes, in words; "" when it does not
+        self._unplanned = Unplanned()
         self._lag = Lag()
         self._slow: bool | None = None  # whether the lag is too long, as the log says; None: it is not known yet
         self._stood = False  # whether it stood when the position source began to jump

@@ -29,8 +29,8 @@ class Avoidance:
         self._planning = planning(planner, world, settings.planner_budget)
         self._guard = Guard(settings.obstacles, radius)
         self._names = dict(enumerate(peer.name for peer in settings.peers))
+        self._publishers: set[str] = set()  # robots that have published paths
         self._others: tuple[Path, ...] = ()
-        self._named: set[str] = set()  # robots that have published paths
         self._admitted: Path | None = None  # what was commanded last and may be flown
         self._news: list[str] = []
         self.refusal = ""  # why what was commanded last is not flown, in words
@@ -52,7 +52,7 @@ class Avoidance:
     def others(self, paths: Mapping[int, Path]) -> None:
         """What the other robots have published."""
         self._others = tuple(paths.values())
-        self._named = {self._names.get(pid, str(pid)) for pid in paths}
+        self._publishers = {self._names.get(pid, str(pid)) for pid in paths}
 
     def plan(self, position: Point | None, goal: Point, named: Any) -> Path:
         """A way from `position` to `goal` around the fleet file's obstacles, those that the program names, and the
@@ -72,7 +72,7 @@ class Avoidance:
 
     def _explained(self, position: Point, reason: str) -> str:
         """Why the planner found no way from here, to follow the goal."""
-        past = f", past the paths of {', '.join(sorted(self._named))}" if self._named else ""
+        past = f", past the paths of {', '.join(sorted(self._publishers))}" if self._publishers else ""
         here = f"({position.x:.2f}, {position.y:.2f}, {position.z:.2f})"
         return f"has no path: {reason}" if reason else f"has no path from {here}{past}"
 

@@ -117,9 +117,9 @@ class Quad:
         self._link: Link | None = None
         self._flight: Flight | None = None
         self._avoidance = Avoidance(settings, body.flight_height, body.radius, body.clearance, body.planner, planning)
-        self._unplanned = Unplanned()
         self._held = False
         self._now = 0.0
+        self._unplanned = Unplanned()
 
     def diagnose(self) -> list[Finding]:
         """See Platform: hears the autopilot, and the feeds that there are; a position feed is passed on meanwhile."""
