@@ -198,7 +198,6 @@ class Navigator:
             return None
         if not self._plan(state, away, now):
             return None
-        self._approach.drive(STEP)
         self.progress = f"driving, {away:.1f} m to go"
         speed = max(state.speed - SLIP, min(state.speed + SLIP, self._last.speed))
         # Until the speed has become the commanded one, the car will have gone this much farther than the model thinks.
@@ -210,8 +209,10 @@ class Navigator:
             self.progress = f"braking: {self._tracker.trouble}"
             self._no_way.blocked(self._target, f"the controller has no plan: {self._tracker.trouble}")
             return None
-        if free == math.inf and not standing:
-            self._no_way.found()
+        if free == math.inf:
+            self._approach.drive(STEP)
+            if not standing:
+                self._no_way.found()
         return None if self._tracker.done else command
 
     def _free(self, state: State, standing: bool, now: float) -> float:

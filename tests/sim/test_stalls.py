@@ -10,8 +10,10 @@ from typing import Any
 import pytest
 
 from koordgen.cli import main
+from koordgen.runtime.values import Point
 from targets.sim.view import report
 from tests.sim.lockstep import ran, summary
+from tests.sim.test_simple import Rig
 
 PROGRAM = """\
 param List<Point> goals max 8 = [Point(0, 0, 0)]
@@ -95,6 +97,20 @@ def test_a_robot_without_a_way_says_why(run: Path, robot: str) -> None:
     assert f"{robot} from " in text and WANTED[robot] in text
     report.write(run / "report.html", run / "trace.jsonl")
     assert escape(WANTED[robot]) in (run / "report.html").read_text()
+
+
+def test_a_quad_whose_planner_finds_no_way() -> None:
+    rig = Rig("quad")
+    rig.run(6.0)
+    assert rig.ready() and rig.platform.stall == ""
+    assert rig.platform.call("Motion.planner", (Point(9.0, 0.0, 1.0),)) == ()
+    assert rig.platform.stall == "the planner's goal (9.00, 0.00, 1.00) is outside the geofence"
+    assert rig.platform.call("Motion.planner", (Point(1.0, 0.0, 0.0),)) == ()
+    assert rig.platform.stall == "", "a goal on the ground is a car's task"
+    rig.platform.call("Motion.planner", (Point(9.0, 0.0, 1.0),))
+    rig.platform.hold(True, rig.world.time)
+    assert rig.platform.stall == "", "it was told to hold"
+    rig.platform.close()
 
 
 def test_a_rover_whose_motor_is_slow_is_held_instead_of_circling_its_target(tmp_path: Path) -> None:
