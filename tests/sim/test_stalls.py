@@ -111,6 +111,7 @@ def test_a_quad_whose_planner_finds_no_way() -> None:
     rig.platform.hold(True, rig.world.time)
     assert rig.platform.stall == "", "it was told to hold"
     rig.platform.close()
+    rig.device.close()
 
 
 def test_a_rover_whose_motor_is_slow_is_held_instead_of_circling_its_target(tmp_path: Path) -> None:
