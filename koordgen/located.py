@@ -1,4 +1,8 @@
-"""Reads YAML whose every value still knows its place: getters that report each mistake at its line and column."""
+"""Typed access to YAML in which every value knows its place: getters report each mistake at its line and column.
+
+A text is limited in depth and size before it becomes a tree: the parser of libyaml recurses on the C stack, and aliases
+of aliases stand for more values than any memory holds.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +17,10 @@ from koordgen.source import Source, Span
 # The C parser of libyaml is ten times faster; wheels of PyYAML have it, some distributions do not.
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _CONSTRUCT = yaml.constructor.SafeConstructor()
+
+DEEPEST = 100  # collections within one another
+MOST_VALUES = 200_000  # of a text, with those that its aliases stand for
+LONGEST_NUMBER = 32  # characters
 
 YamlNode = yaml.Node
 Report = Callable[[str, str, Span, str], None]  # code, message, place, help
@@ -29,6 +37,8 @@ class Reader:
     def document(self) -> YamlNode | None:
         """The only document of the file."""
         try:
+            if self._is_too_large():
+                return None
             node = yaml.compose(self._source.text, Loader=_LOADER)
         except yaml.MarkedYAMLError as error:
             mark = error.problem_mark or error.context_mark
@@ -42,6 +52,35 @@ class Reader:
         if node is None:
             self._report("F001", "the file is empty", Span(1, 1, 1, 2), "")
         return node
+
+    def _is_too_large(self) -> bool:
+        """Return whether the text exceeds a limit, which is reported then. Raises yaml.YAMLError."""
+        sizes: list[tuple[str | None, int]] = [(None, 0)]  # of the collections around: anchor, values so far
+        anchors: dict[str, int] = {}
+        for event in yaml.parse(self._source.text, Loader=_LOADER):
+            anchor, size = getattr(event, "anchor", None), 0
+            if isinstance(event, yaml.CollectionStartEvent):
+                sizes.append((anchor, 1))
+            elif isinstance(event, yaml.CollectionEndEvent):
+                anchor, size = sizes.pop()
+            elif isinstance(event, yaml.ScalarEvent):
+                size = 1
+            elif isinstance(event, yaml.AliasEvent):
+                size = anchors.get(str(event.anchor), MOST_VALUES)  # one within its own value has no end
+            if anchor is not None and size:
+                anchors[anchor] = size
+            sizes[-1] = sizes[-1][0], sizes[-1][1] + size
+            what = ""
+            if len(sizes) > DEEPEST + 1:
+                what = f"collections stand within one another more than {DEEPEST} deep"
+            elif sizes[-1][1] > MOST_VALUES:
+                what = f"it has more than {MOST_VALUES:,} values, with those that aliases stand for"
+            if what:
+                mark = event.start_mark
+                line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
+                self._report("F001", what, Span(line, column, line, column + 1), "")
+                return True
+        return False
 
     def report(self, code: str, message: str, node: YamlNode, help: str = "") -> None:
         """A mistake of the caller's own finding, at a node's place."""
@@ -93,16 +132,11 @@ class Reader:
         """A string, bool, int or float (an int serves as float; NaN and infinity never do)."""
         if node is None:
             return None
-        value = None
-        if isinstance(node, yaml.ScalarNode):
-            try:
-                value = _CONSTRUCT.construct_object(node)
-            except (yaml.YAMLError, ValueError):
-                value = None
+        value = _constructed(node)
         if kind is float and type(value) is int and abs(value) < 2**53:
             value = float(value)
         if type(value) is not kind or (isinstance(value, float) and not math.isfinite(value)):
-            shown = f", not {node.value!r}" if isinstance(node, yaml.ScalarNode) else ""
+            shown = f", not {_short(node.value)!r}" if isinstance(node, yaml.ScalarNode) else ""
             self.report("F004", f"{what} must be {_KIND_WORDS[kind]}{shown}", node)
             return None
         return value
@@ -153,14 +187,29 @@ class Reader:
         if isinstance(node, yaml.MappingNode):
             pairs = [(self.plain(key, what), self.plain(value, what)) for key, value in node.value]
             return {key if not isinstance(key, (list, dict)) else str(key): value for key, value in pairs}
-        try:
-            value = _CONSTRUCT.construct_object(node)
-        except (yaml.YAMLError, ValueError):
-            value = None
+        value = _constructed(node)
         if type(value) not in _KIND_WORDS:
             self.report("F004", f"{what} must be a number, a bool, a text, or lists and tables of these", node)
             return ""
         return value
+
+
+def _constructed(node: YamlNode) -> Any:
+    """The value of a scalar, None of anything else. Numbers that are too long are none, nor are those to the base of
+    60, which YAML 1.1 takes `1:30` for."""
+    if not isinstance(node, yaml.ScalarNode):
+        return None
+    is_number = node.tag in ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+    if is_number and (len(node.value) > LONGEST_NUMBER or ":" in node.value):
+        return None
+    try:
+        return _CONSTRUCT.construct_object(node)
+    except (yaml.YAMLError, ValueError):
+        return None
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 2 * LONGEST_NUMBER else f"{text[:LONGEST_NUMBER]}..."
 
 
 _KIND_WORDS = {str: "a text", bool: "true or false", int: "a whole number", float: "a finite number"}

@@ -14,6 +14,7 @@ from koordgen.located import Reader, YamlNode
 from koordgen.mesh import BadMesh, Vector, read_mesh
 
 MOST_OBSTACLES = 1000
+MOST_BYTES = 1 << 24  # of a mesh's file
 MOST_FACES = 10_000  # of a mesh: robots keep and measure each
 LEAST, MOST = 1e-3, 1e5  # metres, of a radius or a height
 _SHAPES = (
@@ -96,6 +97,13 @@ def _mesh(reader: Reader, node: YamlNode, what: str, folder: Path) -> Obstacle:
         reader.report("F005", f"{what}.mesh is {name!r}", named, "a file that ends in .stl or .obj is expected")
         return empty
     try:
+        if file.exists() and not file.is_file():
+            reader.report("F005", f"the mesh {file} is no regular file", named)
+            return empty
+        if file.stat().st_size > MOST_BYTES:
+            reader.report("F005", f"the mesh {file} has {file.stat().st_size:,} bytes; there may be at most "
+                          f"{MOST_BYTES:,}", named, "simplify it: planners measure each triangle")  # fmt: skip
+            return empty
         mesh = read_mesh(file.read_bytes(), form)
     except OSError as error:
         reader.report("F005", f"the mesh {file} cannot be read: {error.strerror or error}", named,

@@ -95,6 +95,11 @@ robots:
 """
 
 
+LAUGHS = "a: &a [1, 2, 3, 4, 5, 6, 7, 8, 9, 0]\n" + "".join(
+    f"{name}: &{name} [{', '.join([f'*{before}'] * 10)}]\n" for before, name in zip("abcdefgh", "bcdefghi", strict=True)
+)
+
+
 @pytest.mark.parametrize(
     ("change", "code", "line", "column", "words"),
     [
@@ -123,6 +128,17 @@ robots:
         (("delta: 0.1", "key: ../fleet.key\ndelta: 0.1"), "F005", 1, 6, "without folders"),
         (("delta: 0.1", "key: my.key\ninsecure: true\ndelta: 0.1"), "F005", 1, 6, "not both"),
         (("delta: 0.1", "delta: [0.1"), "F001", 2, 7, "not YAML"),
+        (("delta: 0.1", "delta: " + "[" * 50_000), "F001", 1, 107, "more than 100 deep"),
+        (("delta: 0.1", "delta: " + "[" * 50_000 + "]" * 50_000), "F001", 1, 107, "more than 100 deep"),
+        (("delta: 0.1", "delta: " + "{a: " * 50_000), "F001", 1, 404, "more than 100 deep"),
+        (("delta: 0.1", "\n".join(f"{'  ' * i}a:" for i in range(3000)) + " 1"), "F001", 101, 201, "100 deep"),
+        (("delta: 0.1", LAUGHS + "delta: 0.1"), "F001", 6, 12, "more than 200,000 values"),
+        (("delta: 0.1", "delta: &a [*a]"), "F001", 1, 12, "more than 200,000 values"),
+        (("delta: 0.1", "delta: 1:30"), "F004", 1, 8, "finite number, not '1:30'"),
+        (("delta: 0.1", "delta: " + "1:" * 50_000 + "1"), "F004", 1, 8, "not '1:1:1"),
+        (("delta: 0.1", "delta: 0x" + "f" * 100_000), "F004", 1, 8, "not '0xfff"),
+        (("delta: 0.1", "application_id: " + "9" * 31 + "\ndelta: 0.1"), "F005", 1, 17, "0 to 65535"),
+        (("delta: 0.1", "application_id: " + "9" * 5000 + "\ndelta: 0.1"), "F004", 1, 17, "a whole number, not '999"),
         (("delta: 0.1", "sim: {boot: later}\ndelta: 0.1"), "F004", 1, 13, "boot must be"),
         (("delta: 0.1", "params: {margn: 1}\ndelta: 0.1"), "F002", 1, 10, "did you mean 'margin'"),
         (("delta: 0.1", "params: {laps: 1.5}\ndelta: 0.1"), "F004", 1, 16, "laps is of type int"),

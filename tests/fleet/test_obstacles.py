@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import struct
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import pytest
 
 from koordgen import fleet
 from koordgen.mesh import BadMesh, read_mesh
-from koordgen.obstacles import MOST_FACES, MOST_OBSTACLES
+from koordgen.obstacles import MOST_BYTES, MOST_FACES, MOST_OBSTACLES
 from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.values import Point
 from koordgen.source import Source, Span
@@ -174,3 +175,17 @@ def test_a_planner_is_one_of_those_there_are_or_a_class(setting: str, said: str)
         said in f[3] for f in found
     )
     assert bool(found) == bool(said)
+
+
+def test_a_mesh_is_a_regular_file_of_a_size_that_can_be_read(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.stl")
+    (tmp_path / "folder.stl").mkdir()
+    (tmp_path / "endless.stl").symlink_to("/dev/zero")
+    with (tmp_path / "large.stl").open("wb") as large:
+        large.truncate(MOST_BYTES + 1)
+    for name, words in (
+        ("pipe", "is no regular file"), ("folder", "is no regular file"), ("endless", "is no regular file"),
+        ("large", "has 16,777,217 bytes; there may be at most 16,777,216"),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=words):
+            obstacles(f"{{mesh: {name}.stl}}", folder=tmp_path)
