@@ -82,7 +82,7 @@ class Replay:
                     yield from self._take_round(line, record)
                 case _:
                     yield from self._stream(line, record)
-        except (BadValue, KeyError, TypeError, AttributeError) as error:
+        except (BadValue, LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
             told = str(error) if isinstance(error, BadValue) else f"a broken record: {error!r}"
             raise Unreplayable(f"line {line.number}: {told}") from None
 

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from koordgen.replay.record import MOST_JUMP, MOST_ROBOTS, flaw_of
+
 FORMAT = "koord-trace/1"
 KINDS = ("init", "round", "stream", "view")
 
@@ -41,12 +43,20 @@ class Trace:
 
     def lines(self) -> Iterator[Line]:
         """The records that a replay needs, in their order. Raises BadTrace."""
+        last: dict[int, int] = {}  # the round that each robot told of last
         for number, record in records(self):
-            if record.get("kind") in KINDS:
-                pid = self.pid if self.own else record.get("pid")
-                if not isinstance(pid, int) or not 0 <= pid < len(self.robots):
-                    raise BadTrace(f"{self.path}:{number}: no robot {pid!r}")
-                yield Line(number, pid, record)
+            if record.get("kind") not in KINDS:
+                continue
+            pid = self.pid if self.own else record.get("pid")
+            if not isinstance(pid, int) or not 0 <= pid < len(self.robots):
+                raise BadTrace(f"{self.path}:{number}: no robot {pid!r}")
+            if flaw := flaw_of(record):
+                raise BadTrace(f"{self.path}:{number}: {flaw}")
+            if record["kind"] == "round":
+                if record["round"] > last.get(pid, record["round"]) + MOST_JUMP:
+                    raise BadTrace(f"{self.path}:{number}: round {record['round']} after round {last[pid]}")
+                last[pid] = record["round"]
+            yield Line(number, pid, record)
 
 
 def opened(path: Path) -> Trace:
@@ -62,11 +72,15 @@ def opened(path: Path) -> Trace:
         followed = str(header.get("followed", ""))
         if "robots" in header:
             names = tuple(str(robot["name"]) for robot in header["robots"])
+            if not 1 <= len(names) <= MOST_ROBOTS:
+                raise ValueError(f"{len(names)} robots")
             return Trace(path, app, program_hash, names, False, 0, followed=followed)
         n, pid = int(header["n_sys"]), int(header["pid"])
+        if not (1 <= n <= MOST_ROBOTS and 0 <= pid < n):
+            raise ValueError(f"pid {pid} of {n} robots")
         names = tuple(str(header["robot"]) if p == pid else "" for p in range(n))
         return Trace(path, app, program_hash, names, True, pid, followed=followed)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BadTrace(f"{path}:{number}: a broken header: {error!r}") from None
 
 

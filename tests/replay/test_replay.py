@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import pytest
@@ -269,3 +270,84 @@ def test_an_example_is_found_by_its_program_and_fleet(tmp_path: Path) -> None:
     assert replay(own) == 0
     assert replay(own, "--program", program) == 1, "without the fleet's params it is another program"
     assert replay(own, "--program", program, "--fleet", fleet) == 1, "the program's name is part of it"
+
+
+@pytest.mark.parametrize("change", ["locals", "shared", "actuators", "stopped"])
+def test_a_write_in_a_round_without_an_event_is_refused(
+    copied: Path, capsys: pytest.CaptureFixture[str], change: str
+) -> None:
+    values = {"locals": {"level": 3.0}, "shared": {"nothing": 1.0}, "actuators": {"Motion.target": [0, 0, 0]}}
+    path = copied / "robots/bert/trace.jsonl"
+
+    def write(record: dict[str, Any]) -> bool:
+        if record["kind"] != "round" or record["event"] is not None:
+            return False
+        record[change] = values.get(change, True)
+        return True
+
+    line = edited(path, write)
+    assert replay(path) == 1
+    assert f"{path}:{line}: a write in a round without an event" in capsys.readouterr().err
+    main(["audit", str(path)])
+    told = " ".join(capsys.readouterr().out.split())
+    assert f"{path}:{line}: a write in a round without an event" in told
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("n_sys", 10**9), ("n_sys", 0), ("n_sys", 1e400), ("pid", 3), ("pid", -1)]
+)
+def test_a_header_of_too_many_robots_is_refused(
+    copied: Path, capsys: pytest.CaptureFixture[str], field: str, value: float
+) -> None:
+    path = copied / "robots/bert/trace.jsonl"
+    edited(path, lambda record: record.update({field: value}) is None)
+    assert replay(path) == 1
+    assert f"{path}:1: a broken header" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [(10**12, "a broken record of kind round"), (10**7, "round 10000000 after round"), (1.5, "a broken record"),
+     (1e400, "a broken record"), (-1, "a broken record"), (None, "a broken record")],
+)  # fmt: skip
+def test_a_round_that_none_can_be_is_refused(
+    copied: Path, capsys: pytest.CaptureFixture[str], value: float, words: str
+) -> None:
+    path = copied / "trace.jsonl"
+    seen = 0
+
+    def change(record: dict[str, Any]) -> bool:
+        nonlocal seen
+        seen += int(record["kind"] == "round")
+        if seen == 9:
+            record["round"] = value
+        return seen == 9
+
+    line = edited(path, change)
+    assert replay(copied) == 1
+    assert f"{path}:{line}: {words}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_damage_never_ends_in_an_internal_error(copied: Path, seed: int) -> None:
+    """Bytes that are changed, cut out or doubled, or a field that holds something else."""
+    rng, path = Random(seed), copied / "trace.jsonl"
+    lines = path.read_bytes().splitlines(keepends=True)
+    for _ in range(3):
+        k = rng.randrange(len(lines))
+        data = bytearray(lines[k])
+        match rng.randrange(4):
+            case 0:
+                data[rng.randrange(len(data))] = rng.randrange(256)
+            case 1:
+                del data[rng.randrange(len(data)) :]
+            case 2:
+                data = data * 2
+            case _:
+                record = json.loads(data) if data.endswith(b"}\n") and data.count(b"\n") == 1 else {"kind": "round"}
+                nonsense: list[Any] = [None, -1, 1e400, [], {}, "x", 10**400, [[[]]], {"9": [None]}, True]
+                record[rng.choice(list(record))] = rng.choice(nonsense)
+                data = bytearray(json.dumps(record).encode() + b"\n")
+        lines[k] = bytes(data)
+    path.write_bytes(b"".join(lines))
+    assert replay(copied) in (0, 1, 3)
