@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -164,8 +164,19 @@ def wait_until_joining(folder: Path) -> None:
     raise AssertionError("it never became ready")
 
 
+@contextmanager
+def hang_up(handler: signal.Handlers) -> Iterator[None]:
+    """Processes that are started meanwhile inherit this handler of SIGHUP: these tests may run under nohup."""
+    before = signal.signal(signal.SIGHUP, handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
 def test_a_closed_terminal_brings_it_to_rest(bundles: list[Path], started: list[subprocess.Popen[str]]) -> None:
-    process = start(bundles[0], started)
+    with hang_up(signal.SIG_DFL):
+        process = start(bundles[0], started)
     wait_until_joining(bundles[0])
     for _ in range(4):  # a shell and the kernel may each tell of it, more than once
         process.send_signal(signal.SIGHUP)
@@ -176,11 +187,8 @@ def test_a_closed_terminal_brings_it_to_rest(bundles: list[Path], started: list[
 
 
 def test_nohup_keeps_it_going(bundles: list[Path], started: list[subprocess.Popen[str]]) -> None:
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
+    with hang_up(signal.SIG_IGN):
         process = start(bundles[0], started)
-    finally:
-        signal.signal(signal.SIGHUP, before)
     wait_until_joining(bundles[0])
     process.send_signal(signal.SIGHUP)
     time.sleep(0.3)

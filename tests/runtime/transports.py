@@ -31,7 +31,7 @@ needs_ipv6 = pytest.mark.skipif(not _INTERFACES, reason="this host has no IPv6")
 LINK_LOCAL = next(
     (f"{IPv6Address(bytes.fromhex(a[0]))}%{a[5]}" for a in _INTERFACES if a[0].startswith("fe80") and a[4] == "80"), ""
 )
-PATIENCE = 5.0  # seconds until a test gives up; never waited for when all is well
+PATIENCE = 30.0  # seconds until a test gives up; never waited for when all is well
 MULTICAST = "239.255.71.1"
 BROADCAST = "127.255.255.255"
 

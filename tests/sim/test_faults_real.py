@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -37,14 +38,18 @@ def test_a_crashed_robot_comes_back_and_a_frozen_one_goes_on(tmp_path: Path) -> 
     assert [(c.what, c.robots, c.lasts) for c in causes] == [
         ("crash", ("r1",), 0.5), ("freeze", ("r2",), 1.0), ("restart", ("r1",), None),
     ]  # fmt: skip
-    assert [c.t for c in causes] == pytest.approx([0.4, 0.4, 0.9], abs=0.1)
+    times = [c.t for c in causes]
+    assert times == sorted(times) and times[0] >= 0.4 and times[2] >= 0.9
     assert [cause["what"] for cause in summary(out)["causes"]] == ["crash", "freeze", "restart"]
     assert "at 0.4" in (out / "summary.txt").read_text()
     first = [record.round for record in rounds(out, 1)]
-    assert first.count(1) == 2 and first.index(1, 1) in range(2, 7)  # its second life begins anew
-    gaps = [b.t - a.t for a, b in zip(rounds(out, 2), rounds(out, 2)[1:], strict=False)]
-    assert 0.9 < max(gaps) < 1.4 and sum(gap > 0.5 for gap in gaps) == 1
-    assert max(b.t - a.t for a, b in zip(rounds(out, 0), rounds(out, 0)[1:], strict=False)) < 0.5
+    assert first.count(1) == 2  # its second life begins anew
+    gaps = [b.t - a.t for a, b in pairwise(rounds(out, 2))]
+    frozen = gaps.index(max(gaps))
+    assert gaps[frozen] > 0.9
+    before, after = rounds(out, 2)[frozen].t, rounds(out, 2)[frozen + 1].t
+    meanwhile = [record.t for record in rounds(out, 0) if before < record.t < after]
+    assert len(meanwhile) > 1, "the others go on"
     assert json.loads((out / "faults.json").read_text())["events"][0]["crash"] == "r1"
     assert not list(out.rglob("trace-*.jsonl"))
     assert no_process_left(root)
