@@ -20,7 +20,7 @@ WARNINGS = ("-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion", "-Werr
 
 def told(compiler: str, source: Path, flags: Sequence[str]) -> str:
     """What it has to say."""
-    command = [compiler, *[f for f in flags if not f.startswith("-l")], "-c", str(source), "-o", "/dev/null"]
+    command = [compiler, *[f for f in flags if not f.startswith(("-l", "-shared"))], "-c", str(source), "-o", "/dev/null"]
     return subprocess.run(command, capture_output=True, text=True).stderr
 
 
