@@ -132,9 +132,17 @@ class Copter:
 
     def _change_speed(self, kind: int, speed: float) -> int:
         """DO_CHANGE_SPEED: airspeed, ground speed, climb or descent, until the aim is another. A MAV_RESULT."""
-        if not 0.1 <= speed <= 20 or kind not in (0, 1, 2, 3):
+        if not 0.1 <= speed <= 20:
             return DENIED
-        setattr(self.guidance, ("speed", "speed", "up", "down")[kind], speed)
+        match kind:
+            case 0 | 1:
+                self.guidance.speed = speed
+            case 2:
+                self.guidance.up = speed
+            case 3:
+                self.guidance.down = speed
+            case _:
+                return DENIED
         return ACCEPTED
 
     def set_mode(self, mode: int, now: float) -> int:
