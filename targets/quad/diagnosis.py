@@ -19,6 +19,7 @@ FAR_ORIGIN = 1000.0  # metres
 CLOCKS = 1.0  # seconds between the autopilot's wall clock and ours
 VARIANCE = 0.8  # at which ArduPilot's EKF failsafe acts (FS_EKF_THRESH)
 SLOW = 0.7  # of the rate that was asked for
+STARTING = 30.0  # seconds since its boot in which an autopilot sends more slowly than asked
 _FLAGS = {
     mavlink.EKF_ATTITUDE: "attitude",
     mavlink.EKF_VELOCITY_HORIZ: "horizontal velocity",
@@ -179,6 +180,9 @@ def _streams(heard: Heard) -> Finding:
     asked = {number: rate for number, rate in firmware.rates.items() if number not in firmware.occasional}
     told = ", ".join(f"{_name(n)} {heard.rate(n):.0f} of {rate:.0f}" for n, rate in asked.items())
     hint = "raise the link's baud rate, or end other programs that ask this autopilot for streams"
+    clock = heard.newest.get(mavlink.MAVLINK_MSG_ID_SYSTEM_TIME)
+    if clock is not None and clock.time_boot_ms < STARTING * 1e3:
+        hint = f"it is up for {clock.time_boot_ms / 1e3:.0f} s and still starting: ask again {STARTING:g} s after boot"
     if any(heard.rate(number) < SLOW * rate for number, rate in asked.items()):
         return Finding("streams", "warn", f"{told} Hz", "what was asked for", hint)
     return Finding("streams", "ok", f"{told} Hz")

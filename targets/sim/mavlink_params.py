@@ -52,6 +52,8 @@ PARAMETERS = (
     Parameter("VISO_DELAY_MS", 10, SHORT),
     Parameter("VISO_TYPE", 0),
     Parameter("WP_SPD", 5, REAL, (4, 7), "WPNAV_SPEED", 100),
+    Parameter("WP_SPD_DN", 1.5, REAL, (4, 7), "WPNAV_SPEED_DN", 100),
+    Parameter("WP_SPD_UP", 2.5, REAL, (4, 7), "WPNAV_SPEED_UP", 100),
     Parameter("WP_YAW_BEHAVIOR", 2),
 )
 _GPS = {"EK3_SRC1_POSXY": 3, "EK3_SRC1_POSZ": 3, "EK3_SRC1_VELXY": 3, "EK3_SRC1_VELZ": 3, "EK3_SRC1_YAW": 2}

@@ -117,21 +117,22 @@ def settings(**body: Any) -> Settings:
 
 
 class Rig:
-    """The pair, and the clock. `now` begins at 1000 s: no code may take 0 for the beginning of time. `prepared` is
-    the `positioning` that the autopilot's parameters were set for, where that is not the agent's own."""
+    """The pair, and the clock. `now` begins at 1000 s: no code may take 0 for the beginning of time. The autopilot
+    takes off at once, unless `harness` says otherwise. `prepared` is the `positioning` that the autopilot's parameters
+    were set for, where that is not the agent's own."""
 
     def __init__(
         self, boot: float | str = 1.0, noise: float = 0.0, autopilot: bool = True,
         position: Vector = (1.0, -2.0, 0.0), harness: dict[str, Any] | None = None,
-        prepared: str = "", **body: Any,
+        prepared: str = "", seed: int = 7, **body: Any,
     ) -> None:  # fmt: skip
         self.now = 1000.0
         self.body = PointMass(position)
         self.wire = Wire()
         self.upset = Upset()
         told = {"positioning": prepared or body.get("positioning", "own")}
-        setup = {"boot": boot, "position_noise": noise, **(harness or {})}
-        context = DeviceContext("alice", told, setup, ORIGIN, 7, b"", upset=self.upset)
+        setup = {"boot": boot, "spool_up": 0.3, "position_noise": noise, **(harness or {})}
+        context = DeviceContext("alice", told, setup, ORIGIN, seed, b"", upset=self.upset)
         self.autopilot = SimulatedAutopilot(self.body, context, self.wire.autopilot_end) if autopilot else None
         self.quad = self.agent(**body)
         self.progress: list[str] = []

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -32,6 +34,7 @@ def diagnosed(rig: Rig) -> dict[str, Finding]:
 
 def test_all_is_well_and_nothing_moves() -> None:
     rig = Rig()
+    rig.pass_time(2.0)
     began = rig.now
     found = diagnosed(rig)
     assert rig.now - began <= 15.0
@@ -41,6 +44,20 @@ def test_all_is_well_and_nothing_moves() -> None:
     assert "GLOBAL_POSITION_INT 20 of 20" in found["streams"].found
     assert {m.command for m in sent(rig, mavlink.MAVLINK_MSG_ID_COMMAND_LONG)} <= HARMLESS
     assert not commands(rig, mavlink.MAV_CMD_COMPONENT_ARM_DISARM)
+
+
+@pytest.mark.parametrize(("up", "advice"), [(5.0, "still starting: ask again 30 s after boot"), (40.0, "baud rate")])
+def test_streams_that_are_slow_while_the_autopilot_starts_are_not_the_links_fault(up: float, advice: str) -> None:
+    rig = Rig()
+    rig.pass_time(up)
+    seen = itertools.count()
+
+    def slow(data: bytes, down: bool) -> bytes | None:
+        return None if down and told(data) == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT and next(seen) % 2 else data
+
+    rig.wire.meddle = slow
+    streams = diagnosed(rig)["streams"]
+    assert streams.state == "warn" and advice in streams.why and "GLOBAL_POSITION_INT 10 of 20" in streams.found
 
 
 def test_a_silent_link() -> None:
