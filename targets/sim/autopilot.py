@@ -52,7 +52,7 @@ class SimulatedAutopilot:
         self.copter, self._reports, streams = self._firmware(firmware, boot, params, context.upset)
         noise, seed = float(harness.get("position_noise", 0.0)), f"{context.seed}/{context.robot}/autopilot"
         self.copter.estimator = self._estimator = Estimator(
-            params, self._frame, boot, noise, seed, self.copter.say, context.upset
+            params, self._frame, boot, noise, seed, self.copter.say, context.upset, self.copter.resets_datum
         )
         self._listed: deque[str] = deque()  # parameters that PARAM_REQUEST_LIST asked for
         self._telemetry = Telemetry(self._reports.makers, streams, self.copter.said, self._send)

@@ -33,6 +33,7 @@ class Copter:
     autopilot: int = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
     refusal = "PreArm"  # how the words begin in which it tells what hinders arming
     fragile = True  # a position that is not finite aborts it
+    resets_datum = True  # the EKF resets its height datum after an origin from outside
     odometry_frames: tuple[int, ...] = (mavlink.MAV_FRAME_LOCAL_FRD,)  # that it takes an ODOMETRY in
 
     def __init__(self, boot: float, params: Parameters) -> None:
