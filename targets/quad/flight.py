@@ -154,7 +154,8 @@ class Flight:
     def _estimate(self, now: float) -> None:
         state = self._telemetry
         self._review.poll(self._link, now)
-        if state.position is None or not state.fresh(now) or state.landed is None or state.mode is None:
+        told = None not in (state.yaw, state.landed, state.mode)
+        if state.position is None or not state.fresh(now) or not told:
             if differing := self._review.news():  # it may be why there is no estimate
                 self._doing = f"waiting for its position estimate; {differing}"
             return

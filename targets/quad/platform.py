@@ -30,11 +30,12 @@ from targets.quad.check import listen
 from targets.quad.diagnosis import findings
 from targets.quad.firmware import Firmware
 from targets.quad.flight import Flight, Phase
-from targets.quad.motion import Motion, heading
+from targets.quad.motion import Motion
 from targets.quad.parameters import Wanted
 from targets.quad.positioning import Positioning
 from targets.quad.setpoint import Aim, setpoint
 from targets.quad.telemetry import Telemetry
+from targets.quad.yaw import heading
 
 MODULES = ("Motion", "MotionWithScan")  # one body under two names; the second has a lidar
 
@@ -186,7 +187,9 @@ class Quad:
         if self._positioning is not None:
             self._positioning.poll(self._link, self._flight, self._telemetry, now)
             self._motion.hold(self._held or self._positioning.held, now)
-        if self._flight.phase is not Phase.FLYING:
+        if self._flight.phase is Phase.CLIMBING:
+            self._motion.rise(self._telemetry, now)
+        elif self._flight.phase is not Phase.FLYING:
             self._motion.coast(now)
         elif self._telemetry.fresh(now):
             self._motion.steer(self._link, self._telemetry, now)

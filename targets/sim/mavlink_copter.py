@@ -23,6 +23,8 @@ DENIED: int = mavlink.MAV_RESULT_DENIED
 FAILED: int = mavlink.MAV_RESULT_FAILED
 UNSUPPORTED: int = mavlink.MAV_RESULT_UNSUPPORTED
 MODE_LOST = 1.0  # seconds after boot in which a mode is acknowledged and forgotten
+IGNORE_PILOT_YAW = 4  # of GUID_OPTIONS
+SPINNING_RELEASE = (4, 7)
 COMPLAINS = 30.0  # seconds from one telling of what hinders arming to the next
 WARNING, CRITICAL, INFO = mavlink.MAV_SEVERITY_WARNING, mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_INFO
 
@@ -63,6 +65,19 @@ class Copter:
     def following(self) -> bool:
         """Whether setpoints are obeyed: in GUIDED, and off the ground; else they are dropped in silence."""
         return self.mode == GUIDED and self.armed and not self.landed
+
+    @property
+    def spins(self) -> bool:
+        """Whether GUIDED takes the missing receiver's yaw stick for one that is pushed to its end, as development
+        builds of 4.7.0 did where FS_THR_ENABLE is 0 (github.com/ArduPilot/ardupilot/issues/31353)."""
+        params = self.params
+        return (
+            self.mode == GUIDED
+            and params.development
+            and params.release == SPINNING_RELEASE
+            and not params.of("FS_THR_ENABLE")
+            and not int(params.of("GUID_OPTIONS")) & IGNORE_PILOT_YAW
+        )
 
     @property
     def shows_target(self) -> bool:

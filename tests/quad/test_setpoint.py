@@ -18,11 +18,12 @@ from koordgen.runtime.values import Point, distance
 from targets.mavlink.framing import Message
 from targets.mavlink.link import Link, Vehicle
 from targets.quad import setpoint as setpoints
-from targets.quad.motion import MARGIN, Motion, heading, room
+from targets.quad.motion import MARGIN, Motion, room
 from targets.quad.reference import Reference
 from targets.quad.setpoint import Aim, NotSendable, Shaping, aimed, setpoint
 from targets.quad.telemetry import Telemetry
 from targets.quad.trajectory import Limits, norm
+from targets.quad.yaw import heading
 from tests.quad.rig import FENCE, ORIGIN, SETPOINT, Wire
 
 VEHICLE = Vehicle(3, 1, 3, 2)
