@@ -13,13 +13,14 @@ from targets.mavlink.link import Link
 from targets.quad.reference import STANDING, Reference
 from targets.quad.setpoint import ARDUPILOT, Aim, Shaping, aimed, setpoint
 from targets.quad.telemetry import Telemetry
-from targets.quad.trajectory import Limits
+from targets.quad.trajectory import Limits, State
 from targets.quad.yaw import Yaw
 
 UNFOLLOWED = 5.0  # seconds for which the autopilot may show no sign of following the setpoints
 SPACING = 0.04  # seconds between two setpoints at least
 NEAR = 0.3  # metres by which the target that the autopilot tells may differ from what was sent
 HALTING = 1.0  # seconds for which a halt is told
+PLANNED = 0.97  # of the limits of speed, for the reference: the rest is room for the vehicle to catch up
 MARGIN = 0.15  # m from the fence's faces within which nothing is made for: room for the vehicle's own wavering
 
 
@@ -33,7 +34,7 @@ def room(fence: Box, height: float) -> Box:
 
 class Motion:
     """Lengths in m, fleet's ENU. Heights are raised to `height`, and everything is brought inside the fence, by a
-    margin. `climb` is the vertical speed limit; `yaw` is `yaw.heading`'s."""
+    margin. `max_speed` and `climb` (vertical) are limits of the vehicle's own speed, m/s; `yaw` is `yaw.heading`'s."""
 
     def __init__(
         self, frame: LocalFrame, fence: Box, height: float, max_speed: float, acceleration: float, climb: float,
@@ -42,7 +43,8 @@ class Motion:
         self._frame, self._fence = frame, fence
         self._radius, self._dwell, self._speed = radius, dwell, max_speed
         self._room = room(fence, height)
-        self._reference = Reference(Limits(max_speed, climb, acceleration, self._room))
+        self._limits = Limits(max_speed, climb, acceleration, self._room)
+        self._reference = Reference(Limits(PLANNED * max_speed, PLANNED * climb, acceleration, self._room))
         self._shaping = shaping
         self._yaw = Yaw(yaw)
         self._commanded: tuple[Point, ...] = ()
@@ -82,7 +84,9 @@ class Motion:
         if not self._reference.started:
             self._reference.start(position, state.velocity, now)
         self._reference.advance(position, now)
-        aim = aimed(self._reference, self._shaping)
+        age = 0.0 if state.time is None else now - state.time
+        here = State(position + state.velocity * (age + self._shaping.delay), state.velocity)
+        aim = aimed(self._reference, here, self._shaping, self._limits)
         yaw = self._yaw.command(state, self._reference.at(0.0).velocity, now)
         self._say(link, Aim(aim.position, aim.velocity, yaw), now)
         self._yaw.watch(state)

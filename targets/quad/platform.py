@@ -161,8 +161,9 @@ class Quad:
             self._positioning.open(now)
         self._link = Link(self._connect(url), self._body.system)
         self._flight = Flight(
-            url, self._link, self._telemetry, self._fence, self._body.flight_height, self._go_to, self._wanted, now
-        )
+            url, self._link, self._telemetry, self._fence, self._body.flight_height, self._body.max_climb, self._go_to,
+            self._wanted, now,
+        )  # fmt: skip
         self._flight.grounded = self._held
 
     def _go_to(self, p: Point) -> None:

@@ -23,6 +23,7 @@ DENIED: int = mavlink.MAV_RESULT_DENIED
 FAILED: int = mavlink.MAV_RESULT_FAILED
 UNSUPPORTED: int = mavlink.MAV_RESULT_UNSUPPORTED
 MODE_LOST = 1.0  # seconds after boot in which a mode is acknowledged and forgotten
+CLIMB_SPEED = 2  # SPEED_TYPE_CLIMB_SPEED
 IGNORE_PILOT_YAW = 4  # of GUID_OPTIONS
 SPINNING_RELEASE = (4, 7)
 COMPLAINS = 30.0  # seconds from one telling of what hinders arming to the next
@@ -136,9 +137,12 @@ class Copter:
             case mavlink.MAV_CMD_NAV_LAND:
                 return self.set_mode(LAND, now)
             case mavlink.MAV_CMD_DO_CHANGE_SPEED:
-                if not 0.1 <= p2 <= 20 or int(p1) not in (0, 1):
+                if not 0.1 <= p2 <= 20 or int(p1) not in (0, 1, CLIMB_SPEED):
                     return DENIED
-                self.guidance.speed = p2
+                if int(p1) == CLIMB_SPEED:
+                    self.guidance.rising = p2
+                else:
+                    self.guidance.speed = p2
                 return ACCEPTED
         return None
 

@@ -39,11 +39,13 @@ FOLLOWING = (Aim.POSITION, Aim.VELOCITY, Aim.POSITION_VELOCITY)
 
 
 class Guidance:
-    """The current aim. `speed` is the horizontal limit; `position` is the target, for LAND home's height. `yaw` (rad,
-    ENU) is kept; where `looks_ahead`, and no setpoint says otherwise, it turns to the direction of flight."""
+    """The current aim. `speed` is the horizontal limit, `rising` that upwards; `position` is the target, for LAND
+    home's height. `yaw` (rad, ENU) is kept; where `looks_ahead`, and no setpoint says otherwise, it turns to the
+    direction of flight."""
 
     def __init__(self) -> None:
         self.speed = SPEED
+        self.rising = SPEED_UP
         self.default_speed = SPEED
         self.timeout = TIMEOUT
         self.looks_ahead = True
@@ -61,7 +63,9 @@ class Guidance:
     def go(self, aim: Aim, now: float, position: Vector, velocity: Vector = STILL, push: Vector = STILL) -> None:
         """A new aim, or the same with other numbers."""
         if aim is not self.aim:
-            self.speed, self._begun = self.default_speed, False
+            self._begun = False
+            if aim is not Aim.TAKEOFF:  # the only change of submode that keeps the speeds
+                self.speed, self.rising = self.default_speed, SPEED_UP
         self.aim, self.since = aim, now
         self.position, self.velocity, self.push = position, velocity, push
         self.turn(None, 0.0)
@@ -108,7 +112,7 @@ class Guidance:
         self._height.path.advance(dt)
         self._shape(position[2], dt)
         level = self._level.acceleration(at, moving, self.speed, dt)
-        rising = SPEED_UP if self._height.path.position > position[2] else SPEED_DOWN
+        rising = self.rising if self._height.path.position > position[2] else SPEED_DOWN
         return level.real, level.imag, self._height.acceleration(position[2], velocity[2], rising, dt)
 
     def _shape(self, height: float, dt: float) -> None:
@@ -122,7 +126,7 @@ class Guidance:
                 up.seek(z, 0.0, 0.0, rising, dt)
             case Aim.POSITION_VELOCITY:
                 level.seek(complex(x, y), complex(vx, vy), complex(ax, ay), self.speed, dt)
-                up.seek(z, vz, az, SPEED_UP if z > up.position else SPEED_DOWN, dt)
+                up.seek(z, vz, az, self.rising if z > up.position else SPEED_DOWN, dt)
                 self.position = (x + vx * dt, y + vy * dt, z + vz * dt)
             case Aim.LAND:
                 level.match(0j, 0j, dt)
@@ -136,8 +140,8 @@ class Guidance:
         """The horizontal and the vertical speed of a straight way there, within both limits (kinematic_limit)."""
         length = math.hypot(far, up)
         if length <= 0.0:
-            return self.speed, SPEED_UP
+            return self.speed, self.rising
         level, steep = far / length, abs(up) / length
-        vertical_limit = SPEED_UP if up > 0 else SPEED_DOWN
+        vertical_limit = self.rising if up > 0 else SPEED_DOWN
         along = min(self.speed / max(level, 1e-9), vertical_limit / max(steep, 1e-9))
         return along * level, along * steep

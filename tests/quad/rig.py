@@ -131,7 +131,7 @@ class Rig:
         prepared: str = "", **body: Any,
     ) -> None:  # fmt: skip
         self.now = 1000.0
-        self.body = PointMass(position)
+        self.body = self.vehicle(position)
         self.wire = Wire()
         self.upset = Upset()
         told = {"positioning": prepared or body.get("positioning", "own")}
@@ -141,6 +141,10 @@ class Rig:
         self.quad = self.agent(**body)
         self.progress: list[str] = []
         self.watch: Callable[[], None] = lambda: None
+
+    def vehicle(self, position: Vector) -> PointMass:
+        """The body that the autopilot flies."""
+        return PointMass(position)
 
     def agent(self, **body: Any) -> Quad:
         """A new agent process on the same wire."""

@@ -131,7 +131,8 @@ def test_an_aim_keeps_to_the_room_and_is_worth_the_same(ways: list[tuple[Point, 
         for i in range(ticks):
             now += 0.05
             reference.advance(vehicle if i % 7 == 6 else reference.at(0.0).position, now)
-            aim = aimed(reference, shaping)
+            here = reference.at(shaping.delay)
+            aim = aimed(reference, here, shaping, limits)
             assert inside(wider(ROOM, 1e-9), aim.position)
             if aim.velocity is None:
                 continue
