@@ -13,7 +13,7 @@ from targets.mavlink.link import Link
 from targets.quad.reference import STANDING, Reference
 from targets.quad.setpoint import ARDUPILOT, Aim, Shaping, aimed, setpoint
 from targets.quad.telemetry import Telemetry
-from targets.quad.trajectory import Limits, State
+from targets.quad.trajectory import Limits, State, norm
 from targets.quad.yaw import Yaw
 
 UNFOLLOWED = 5.0  # seconds for which the autopilot may show no sign of following the setpoints
@@ -21,6 +21,7 @@ SPACING = 0.04  # seconds between two setpoints at least
 NEAR = 0.3  # metres by which the target that the autopilot tells may differ from what was sent
 HALTING = 1.0  # seconds for which a halt is told
 PLANNED = 0.97  # of the limits of speed, for the reference: the rest is room for the vehicle to catch up
+SETTLED = 0.1  # m: a vehicle that is so near, and slow, stands where it is to wait
 MARGIN = 0.15  # m from the fence's faces within which nothing is made for: room for the vehicle's own wavering
 
 
@@ -55,6 +56,7 @@ class Motion:
         self._halt: tuple[Point, float] | None = None  # where to, and until when it is told
         self.reached = True
         self.followed = False  # whether the autopilot was seen to follow the setpoints, and still does
+        self.settled = False  # whether the vehicle was seen to stand where it is to wait, since it is steered
         self.refused = 0  # targets that were not finite
 
     def command(self, points: tuple[Point, ...], now: float) -> None:
@@ -108,7 +110,7 @@ class Motion:
     def _drop(self, now: float) -> None:
         self._reference.drop(now)
         self._halt = self._sent = self._doubted = self._near = None
-        self.followed = False
+        self.followed = self.settled = False
 
     def halt(self, link: Link, now: float) -> None:
         """Ours, but without a fresh position: a position alone, so that the autopilot does not run on with the last
@@ -149,6 +151,9 @@ class Motion:
 
     def _judge(self, position: Point, velocity: Point, now: float) -> None:
         """`reached`: within the radius and standing still for the dwell; from then on, until a new target comes."""
+        waiting = self._reference.at(0.0)
+        stands = norm(waiting.velocity) == 0.0 and norm(velocity) < STANDING
+        self.settled |= stands and distance(position, waiting.position) < SETTLED
         goal = self._goal
         if self.reached or goal is None or not self._reference.final:
             return

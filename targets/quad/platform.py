@@ -199,7 +199,8 @@ class Quad:
 
     @property
     def ready(self) -> bool:
-        """At flight height, position fresh, the autopilot seen to follow setpoints, and a scan seen of a lidar."""
+        """Standing at flight height, position fresh, the autopilot seen to follow setpoints, and a scan seen of a
+        lidar."""
         return (
             self._flight is not None
             and self._flight.phase is Phase.FLYING
@@ -207,6 +208,7 @@ class Quad:
             and self._link.alive(self._now)
             and self._telemetry.fresh(self._now)
             and self._motion.followed
+            and self._motion.settled
             and not self._lidar.waiting
             and not self._avoidance.waiting
             and (self._positioning is None or not self._positioning.held)
