@@ -23,15 +23,16 @@ from koordgen.runtime.settings import BadSettings, Settings
 from koordgen.runtime.values import Point
 from targets.mavlink.framing import Message
 from targets.mavlink.link import Link
+from targets.mavlink.parameters import Wanted
 from targets.mavlink.transport import Transport, opened
 from targets.planning.process import Beside
+from targets.planning.unplanned import Unplanned
 from targets.quad.avoidance import Avoidance, MakePlanning
 from targets.quad.check import listen
 from targets.quad.diagnosis import findings
 from targets.quad.firmware import Firmware
 from targets.quad.flight import Flight, Phase
 from targets.quad.motion import Motion
-from targets.quad.parameters import Wanted
 from targets.quad.positioning import Positioning
 from targets.quad.setpoint import Aim, setpoint
 from targets.quad.telemetry import Telemetry
@@ -119,6 +120,7 @@ class Quad:
         self._avoidance = Avoidance(settings, body.flight_height, body.radius, body.clearance, body.planner, planning)
         self._held = False
         self._now = 0.0
+        self._unplanned = Unplanned()
 
     def diagnose(self) -> list[Finding]:
         """See Platform: hears the autopilot, and the feeds that there are; a position feed is passed on meanwhile."""
@@ -224,6 +226,13 @@ class Quad:
         doubt = f"; {self._positioning.doubt}" if self._positioning is not None and self._positioning.doubt else ""
         return self._flight.progress + doubt + waiting + refused
 
+    @property
+    def stall(self) -> str:
+        """See Platform."""
+        if self._held or self.rested:
+            return ""
+        return self._avoidance.refusal or (self._unplanned.why(self._now) if self._motion.reached else "")
+
     def sense(self, now: float) -> Sensed:
         """See Platform. Before the first estimate the position is the origin, and `time` is None."""
         state = self._telemetry
@@ -251,6 +260,8 @@ class Quad:
                 self._command(actuators[f"{module}.path"], now)
 
     def _command(self, points: tuple[Point, ...], now: float) -> None:
+        if points:
+            self._unplanned.commanded()
         held = self._avoidance.refusal
         if self._avoidance.admits(self._telemetry.position, points):
             self._motion.command(points, now)
@@ -259,7 +270,9 @@ class Quad:
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
         """See Platform. The only one is `planner(goal, obstacles)`."""
-        return self._avoidance.plan(self._telemetry.position, args[0], args[1] if len(args) > 1 else ())
+        path = self._avoidance.plan(self._telemetry.position, args[0], args[1] if len(args) > 1 else ())
+        self._unplanned.called(args[0], self._avoidance.unplanned, self._now)
+        return path
 
     def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
         """See Platform."""
