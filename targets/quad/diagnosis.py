@@ -26,6 +26,7 @@ _FLAGS = {
     mavlink.EKF_VELOCITY_VERT: "vertical velocity",
     mavlink.EKF_POS_VERT_ABS: "height",
 }
+RELEASE, _TYPES = 255, {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc"}  # FIRMWARE_VERSION_TYPE
 _REFUSALS = ("PreArm:", "Arm:", "Preflight Fail:")
 # Not the remote control, which may be absent, nor the motors, which a safety switch holds.
 _SENSORS = {
@@ -84,6 +85,8 @@ def _version(what: str, heard: Heard) -> Finding:
             "firmware", "warn", f"{what} of unknown version", "an answer", "is the link overloaded or lossy?"
         )
     version = ".".join(str(message.flight_sw_version >> shift & 0xFF) for shift in (24, 16, 8))
+    kind = message.flight_sw_version & 0xFF
+    version += "" if kind == RELEASE else _TYPES[kind & 0xC0]
     return Finding("firmware", "ok", f"{what} {version}, in {heard.telemetry.mode_name}")
 
 

@@ -13,7 +13,7 @@ from koordgen.runtime.geodesy import LocalFrame
 from targets.sim.bodies import DeviceContext, Quadrotor
 from targets.sim.mavlink_copter import ACCEPTED, SPOOL_UP, UNSUPPORTED, Copter
 from targets.sim.mavlink_estimate import Estimator
-from targets.sim.mavlink_params import VERSION, Parameters
+from targets.sim.mavlink_params import DEVELOPMENT, VERSION, Parameters
 from targets.sim.mavlink_px4 import STREAMS, Px4, Px4Parameters, Px4Reports
 from targets.sim.mavlink_reports import Reports
 from targets.sim.mavlink_setpoints import reposition, take_setpoint
@@ -23,6 +23,7 @@ from targets.sim.scenario import BadScenario
 from targets.sim.upset import Upset
 
 REAL_BOOT = 42.0  # seconds of a cold start, as observed
+SPIN = math.radians(60)  # rad/s, as observed on a build with the fault that `Copter.spins` describes
 _SETPOINTS = (
     mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
     mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
@@ -55,7 +56,7 @@ class SimulatedAutopilot:
         self.copter, self._reports, streams = self._firmware(firmware, boot, spool_up, params, context.upset)
         noise, seed = float(harness.get("position_noise", 0.0)), f"{context.seed}/{context.robot}/autopilot"
         self.copter.estimator = self._estimator = Estimator(
-            params, self._frame, boot, noise, seed, self.copter.say, context.upset
+            params, self._frame, boot, noise, seed, self.copter.say, context.upset, self.copter.resets_datum
         )
         self._listed: deque[str] = deque()  # parameters that PARAM_REQUEST_LIST asked for
         self._telemetry = Telemetry(self._reports.makers, streams, self.copter.said, self._send)
@@ -115,7 +116,8 @@ class SimulatedAutopilot:
             self._body.accelerate((0.0, 0.0, -1.0), 0.0)  # idling
         elif dt > 0.0:
             acceleration = guidance.acceleration(estimate.position, estimate.velocity, now, dt)
-            self._body.accelerate(acceleration, guidance.turning(estimate.yaw, dt))
+            turning = guidance.turning(estimate.yaw, dt)
+            self._body.accelerate(acceleration, SPIN if copter.spins else turning)
 
     def _decoded(self, datagram: bytes) -> list[Message]:
         self._mavlink.buf.clear()
@@ -207,9 +209,9 @@ class SimulatedAutopilot:
 
 def _version(text: str) -> str:
     """What the setting `version` says. Raises BadScenario."""
-    major, _, minor = text.partition(".")
+    major, _, minor = text.removesuffix(DEVELOPMENT).partition(".")
     if not (major.isdecimal() and minor.isdecimal()):
-        raise BadScenario(f"version is {text!r}", "give ArduPilot's major and minor version, such as 4.7")
+        raise BadScenario(f"version is {text!r}", "give ArduPilot's major and minor version, such as 4.7 or 4.7-dev")
     return text
 
 

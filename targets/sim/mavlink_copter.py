@@ -29,6 +29,8 @@ FAILSAFE_PAUSE = 4.0  # seconds for which a failsafe's LAND hovers first (LAND_W
 # motors' spin-up (MOT_SPOOL_TIME) and the ramp of the thrust (TKOFF_SLEW_TIME).
 SPOOL_UP = 3.3
 LIFTS = 0.3  # of these, the last ones, in which it begins to rise
+IGNORE_PILOT_YAW = 4  # of GUID_OPTIONS
+SPINNING_RELEASE = (4, 7)
 COMPLAINS = 30.0  # seconds from one telling of what hinders arming to the next
 WARNING, CRITICAL, INFO = mavlink.MAV_SEVERITY_WARNING, mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_INFO
 
@@ -39,6 +41,7 @@ class Copter:
     autopilot: int = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
     refusal = "PreArm"  # how the words begin in which it tells what hinders arming
     fragile = True  # a position that is not finite aborts it
+    resets_datum = True  # the EKF resets its height datum after an origin from outside
     odometry_frames: tuple[int, ...] = (mavlink.MAV_FRAME_LOCAL_FRD,)  # that it takes an ODOMETRY in
 
     def __init__(self, boot: float, params: Parameters, spool_up: float = SPOOL_UP) -> None:
@@ -69,6 +72,19 @@ class Copter:
     def following(self) -> bool:
         """Whether setpoints are obeyed: in GUIDED, and off the ground; else they are dropped in silence."""
         return self.mode == GUIDED and self.armed and not self.landed
+
+    @property
+    def spins(self) -> bool:
+        """Whether GUIDED takes the missing receiver's yaw stick for one that is pushed to its end, as development
+        builds of 4.7.0 did where FS_THR_ENABLE is 0 (github.com/ArduPilot/ardupilot/issues/31353)."""
+        params = self.params
+        return (
+            self.mode == GUIDED
+            and params.development
+            and params.release == SPINNING_RELEASE
+            and not params.of("FS_THR_ENABLE")
+            and not int(params.of("GUID_OPTIONS")) & IGNORE_PILOT_YAW
+        )
 
     @property
     def shows_target(self) -> bool:
@@ -194,6 +210,7 @@ class Copter:
         guidance, of = self.guidance, self.params.of
         guidance.default_speed = of("WP_SPD")
         guidance.default_up, guidance.default_down = of("WP_SPD_UP"), of("WP_SPD_DN")
+        guidance.take_default_speeds()
         self.guidance.timeout = self.params.of("GUID_TIMEOUT")
         self.guidance.looks_ahead = self.params.of("WP_YAW_BEHAVIOR") != 0
         self.guidance.stop(now, self.position)

@@ -3,7 +3,10 @@
 Of ArduPilot's EKF3 as much as shows: when it is ready, in which words it says so, how its error goes with the noise and
 the delay of what it is fed, what becomes of it when the feed ends. Observed on 4.7: with GPS_INPUT slower than 4 Hz the
 GPS counts as not healthy; a time that does not increase is no new fix; vision needs an origin from outside, after "EKF3
-IMU0 initialised"; a feed that ends is missed only after 7 to 8 s, and meanwhile the estimate drifts off.
+IMU0 initialised"; a feed that ends is missed only after 7 to 8 s, and meanwhile the estimate drifts off. After the
+origin from outside, ArduPilot resets its height datum: the EKF's own origin rises to the vehicle, but the origin that
+it reports and that poses are sent about does not. From then on the vehicle's height at the reset counts twice
+(NavEKF3_core::resetHeightDatum, and common_EKF_origin in getPosD).
 """
 
 from __future__ import annotations
@@ -53,7 +56,8 @@ class Estimate:
 
 
 class Estimator:
-    """`boot` in seconds; `noise` (m) is that of its own GPS. `say(severity, text)` is told what it tells people."""
+    """`boot` in seconds; `noise` (m) is that of its own GPS. `say(severity, text)` is told what it tells people.
+    `resets_datum`: the first pose after the origin resets the height datum."""
 
     def __init__(
         self,
@@ -64,7 +68,10 @@ class Estimator:
         seed: str,
         say: Callable[[int, str], None],
         upset: Upset | None = None,
+        resets_datum: bool = True,
     ) -> None:
+        self._resets_datum = resets_datum
+        self._datum: float | None = None  # m: the vehicle's height above the origin when the height datum was reset
         self._params, self._frame, self._boot, self._say = params, frame, boot, say
         self._random = random.Random(seed)
         self._own = OwnGps(noise, upset or Upset(), self._random)
@@ -198,7 +205,9 @@ class Estimator:
         if self.source != "vision" or self.origin is None or not all(map(math.isfinite, (*position, yaw))):
             return
         north, east, down = position
-        place = self._frame.enu(*self.origin.geodetic(east, north, -down))
+        if self._datum is None:
+            self._datum = -down if self._resets_datum else 0.0
+        place = self._frame.enu(*self.origin.geodetic(east, north, self._datum - down))
         heading = math.pi / 2 - yaw if self._params.of("EK3_SRC1_YAW") == VISION else None
         self._take(place, heading, self._params.of("VISO_DELAY_MS") / 1000, VISION_PERIOD, now)
 

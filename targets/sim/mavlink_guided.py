@@ -64,11 +64,16 @@ class Guidance:
     def go(self, aim: Aim, now: float, position: Vector, velocity: Vector = STILL, push: Vector = STILL) -> None:
         """A new aim, or the same with other numbers."""
         if aim is not self.aim:
-            self.speed, self.up, self.down = self.default_speed, self.default_up, self.default_down
             self._begun = False
+            if aim is not Aim.TAKEOFF:  # the only change of submode that keeps the speeds
+                self.take_default_speeds()
         self.aim, self.since = aim, now
         self.position, self.velocity, self.push = position, velocity, push
         self.turn(None, 0.0)
+
+    def take_default_speeds(self) -> None:
+        """Forget the limits that commands have set."""
+        self.speed, self.up, self.down = self.default_speed, self.default_up, self.default_down
 
     def land(self, now: float, position: Vector, pause: float) -> None:
         """Go down after a pause (s)."""

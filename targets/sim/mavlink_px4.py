@@ -98,6 +98,7 @@ class Px4(Copter):
     autopilot: int = mavlink.MAV_AUTOPILOT_PX4
     refusal = "Preflight Fail"
     fragile = False
+    resets_datum = False
     odometry_frames = (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_LOCAL_FRD)
 
     def __init__(self, boot: float, params: Parameters, frame: LocalFrame) -> None:

@@ -60,6 +60,24 @@ def test_streams_that_are_slow_while_the_autopilot_starts_are_not_the_links_faul
     assert streams.state == "warn" and advice in streams.why and "GLOBAL_POSITION_INT 10 of 20" in streams.found
 
 
+def test_a_build_that_may_spin_and_the_parameter_that_helps() -> None:
+    rig = Rig(harness={"version": "4.7-dev"})
+    found = diagnosed(rig)
+    assert "ArduPilot quadrotor 4.7.0-dev" in found["firmware"].found
+    spins = found["GUID_OPTIONS"]
+    assert (spins.state, spins.found) == ("warn", "0") and "spin in flight without a receiver" in spins.why
+    assert spins.wanted == "4, or any number with that bit set"
+    assert rig.autopilot is not None
+    rig.autopilot.copter.params["GUID_OPTIONS"] = 6.0
+    rig.quad = rig.agent()
+    assert "parameters" in diagnosed(rig)
+
+
+@pytest.mark.parametrize("version", ["4.6", "4.6-dev", "4.7", "4.8-dev"])
+def test_a_build_that_does_not_spin(version: str) -> None:
+    assert "GUID_OPTIONS" not in diagnosed(Rig(harness={"version": version}))
+
+
 def test_a_silent_link() -> None:
     rig = Rig(autopilot=False)
     found, *_ = diagnosed(rig).values()
