@@ -20,7 +20,8 @@ WARNINGS = ("-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion", "-Werr
 
 def told(compiler: str, source: Path, flags: Sequence[str]) -> str:
     """What it has to say."""
-    command = [compiler, *[f for f in flags if not f.startswith(("-l", "-shared"))], "-c", str(source), "-o", "/dev/null"]
+    compiling = [flag for flag in flags if not flag.startswith(("-l", "-shared"))]
+    command = [compiler, *compiling, "-c", str(source), "-o", "/dev/null"]
     return subprocess.run(command, capture_output=True, text=True).stderr
 
 
