@@ -1,4 +1,4 @@
-"""Planning for a car in 60 seeded scenes of 7 x 8 m, 8 to 20 boxes and cylinders: success, time, length, collisions.
+"""Planning for a car in seeded scenes of 7 x 8 m, clutter and walls with doors: success, time, length, collisions.
 
 `python benchmarks/car_planning.py [--quick] [--json FILE] [--pythonrobotics PATH]`. PATH is a checkout of
 github.com/AtsushiSakai/PythonRobotics, whose RRT with Dubins paths and RRT* with Reeds-Shepp paths then plan from the
@@ -10,6 +10,10 @@ A scene counts as solvable when an exhaustive search of a state lattice finds a 
 checker of tests/car/exact.py, the outline each centimetre against every obstacle, and by their curvature. Times are of
 the planner as its process runs it, without the pipe; "of CPU" is what a run on an idle machine would take. Ends with 1
 when a solvable scene is not solved, or a path is infeasible or collides; nothing of time is asserted.
+
+The second table is of rooms with walls (tests/car/walls.py): doors, dead ends, U shapes, offset doors. There ours
+is asked as a program's `planner(goal)` is, for any heading at the goal, within several values of `planner_budget`,
+counted in CPU time. A wall is for PythonRobotics a row of discs as wide as it is thick.
 """
 
 from __future__ import annotations
@@ -28,7 +32,9 @@ from functools import partial
 from itertools import pairwise
 from pathlib import Path as FilePath
 from statistics import mean, median
+from types import SimpleNamespace
 from typing import Any
+from unittest import mock
 
 sys.path.insert(0, str(FilePath(__file__).parents[1]))
 
@@ -36,14 +42,18 @@ from koordgen.runtime.obstacles import Block, Cylinder, Obstacle
 from koordgen.runtime.values import Point
 from targets.car.ask import Asked
 from targets.car.planner import segments
+from targets.planning.process import SHARE
 from tests.car.exact import collides, collisions, infeasible
 from tests.car.lattice import Lattice
 from tests.car.scenes import CAR, Case, ask, case, curve
+from tests.car.walls import room, solvable
 
 SCENES, QUICK = 60, 15
 BUDGET, PATIENCE = 0.036, 2.0  # seconds: for a short way, so that 40 ms pass; until which one is looked for at all
 ITERATIONS = 200
 RUNS = 5  # of ours with 40 ms in each scene
+BUDGETS = (0.01, 0.04, 0.06, 0.3, 0.6, 0.9)  # seconds, in rooms with walls
+QUICK_STEP = 6  # with --quick: every so many queries
 
 
 @dataclass
@@ -73,12 +83,12 @@ def ours(row: Row, number: int, scene: Case, seconds: float, patience: float = P
         row.lengths[number] = mean(lengths)
 
 
-def one_of_ours(row: Row, scene: Case, seconds: float, patience: float, reverse: bool) -> float:
-    """The way's length; 0 without one."""
+def one_of_ours(row: Row, scene: Case, seconds: float, patience: float, reverse: bool, pose: bool = True) -> float:
+    """The way's length; 0 without one. Without `pose`, the car may stand at the goal as it likes."""
     world = scene.world(reverse, seed=None)
     asked = Asked("rrt" if seconds == 0.0 else "rrt-smoothed", world)
-    goal = Point(scene.goal[0], scene.goal[1], 0.0)
-    answer = row.timed(lambda: ask(asked, scene.start, goal, seconds=seconds, heading=scene.goal[2], patience=patience))
+    goal, heading = Point(scene.goal[0], scene.goal[1], 0.0), scene.goal[2] if pose else None
+    answer = row.timed(lambda: ask(asked, scene.start, goal, seconds=seconds, heading=heading, patience=patience))
     if not answer.path:
         return 0.0
     found = curve(answer)
@@ -86,6 +96,25 @@ def one_of_ours(row: Row, scene: Case, seconds: float, patience: float, reverse:
     row.infeasible = (row.infeasible or 0) + bool(infeasible(world, path))
     row.colliding += bool(collisions(world, path))
     return found.length
+
+
+def in_rooms(kinds: dict[str, Any], quick: bool) -> list[Row]:
+    """Rows of queries in rooms with walls."""
+    rows = {budget: Row(f"ours, planner_budget {budget:g}") for budget in BUDGETS}
+    strangers = {name: Row(name) for name in kinds}
+    queries = list(solvable())[:: QUICK_STEP if quick else 1]
+    for number, (seed, i) in enumerate(queries):
+        query = room(seed).queries[i]
+        scene = Case(query.start, (*query.goal, query.heading), room(seed).walls)
+        for budget, row in rows.items():
+            with mock.patch("targets.planning.limit.time", SimpleNamespace(perf_counter=time.process_time)):
+                length = one_of_ours(row, scene, SHARE * budget, 0.0, reverse=True, pose=False)
+            if length:
+                row.lengths[number] = length
+        for name, kind in kinds.items():
+            theirs(strangers[name], kind, number, scene)
+    table([*rows.values(), *strangers.values()], len(queries))
+    return [*rows.values(), *strangers.values()]
 
 
 def peers(path: str) -> dict[str, Any]:
@@ -101,11 +130,19 @@ def peers(path: str) -> dict[str, Any]:
 
 
 def discs(bodies: tuple[Obstacle, ...]) -> list[tuple[float, float, float]]:
+    """Discs within bodies: in a box as many as touch each other in a row."""
     found = []
     for body in bodies:
         match body:
             case Block(lo, hi):
-                found.append(((lo.x + hi.x) / 2, (lo.y + hi.y) / 2, (hi.x - lo.x) / 2))
+                wide, high = hi.x - lo.x, hi.y - lo.y
+                size = min(wide, high)
+                count = max(1, round(max(wide, high) / size))
+                for k in range(count):
+                    share = (k + 0.5) / count
+                    x = lo.x + (share * wide if wide > high else wide / 2)
+                    y = lo.y + (share * high if high >= wide else high / 2)
+                    found.append((x, y, size / 2))
             case Cylinder(base, radius, _):
                 found.append((base.x, base.y, radius))
     return found
@@ -138,14 +175,14 @@ def headed(path: list[list[float]]) -> Iterator[list[float]]:
 
 
 def table(rows: list[Row], count: int) -> None:
-    print(f"{'':34} found  median ms (CPU)     p90 ms (CPU)   mean m  infeasible  colliding or outside")
+    print(f"{'':34}   found  median ms (CPU)     p90 ms (CPU)   mean m  infeasible  colliding or outside")
     for row in rows:
         late = sorted(zip(row.passed, row.cpu, strict=True))[int(0.9 * len(row.cpu))]
         length = mean(row.lengths.values()) if row.lengths else math.nan
         middle = f"{median(row.passed) * 1e3:8.1f} ({median(row.cpu) * 1e3:6.1f})"
         sharp = "-" if row.infeasible is None else str(row.infeasible)
         print(
-            f"{row.name:34} {len(row.lengths):2d}/{count:2d} {middle} {late[0] * 1e3:8.1f} ({late[1] * 1e3:6.1f})"
+            f"{row.name:34} {len(row.lengths):3d}/{count:3d} {middle} {late[0] * 1e3:8.1f} ({late[1] * 1e3:6.1f})"
             f" {length:7.2f} {sharp:>8} {row.colliding:10d}"
         )
 
@@ -189,6 +226,8 @@ def main() -> int:
     missed = sorted(solvable - set(first.lengths)) + sorted(solvable - set(short.lengths))
     print(f"the lattice solves {len(solvable)} of {count}; of these, not solved by ours: {missed or 'none'}")
     found = {row.name: ratios([first, short, lattice], row) for row in [*strangers, lattice]}
+    print("rooms with walls:")
+    rooms = in_rooms(kinds, options.quick)
     if options.json:
         told = {
             "rows": [
@@ -196,13 +235,13 @@ def main() -> int:
                     "name": row.name, "found": len(row.lengths), "median_s": median(row.passed),
                     "median_cpu_s": median(row.cpu), "infeasible": row.infeasible, "colliding": row.colliding,
                 }
-                for row in rows
+                for row in [*rows, *rooms]
             ],
             "ratios": found,
             "missed": missed,
         }  # fmt: skip
         FilePath(options.json).write_text(json.dumps(told, indent=1), encoding="utf-8")
-    wrong = sum((row.infeasible or 0) + row.colliding for row in (first, short, forward))
+    wrong = sum((row.infeasible or 0) + row.colliding for row in (first, short, forward, *rooms[: len(BUDGETS)]))
     return 1 if missed or wrong else 0
 
 

@@ -51,7 +51,7 @@ class Fleet(Node):
     params: dict[str, Any]
     safety: dict[str, Any]
     monitors: dict[str, str]  # what robots do when a property is violated, by its name
-    planner_budget: float  # seconds that a planner may take within an event
+    planner_budget: float | None  # seconds that a planner may take within an event; None: see bundle/calls.py
     drivers: dict[str, Driver]
     robots: tuple[Robot, ...]
     harness: dict[str, dict[str, Any]]
@@ -113,7 +113,7 @@ def _read(
         params={} if params is None else _params(reader, top.get("params"), params),
         safety=_safety(reader, top.get("safety")),
         monitors=_monitors(reader, top.get("monitors"), known, roster.robots, targets),
-        planner_budget=reader.number(top.get("planner_budget"), "planner_budget (seconds)", 0.0005, 1.0) or 0.01,
+        planner_budget=reader.number(top.get("planner_budget"), "planner_budget (seconds)", 0.0005, 1.0),
         drivers=_drivers(reader, top.get("modules")),
         robots=roster.robots,
         harness={n: read_settings(reader, top[n], n, targets[n].settings, known) for n in harnesses if n in top},

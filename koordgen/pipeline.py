@@ -101,7 +101,7 @@ def plan_file(
     from pathlib import Path
 
     from koordgen import manifest, resources
-    from koordgen.bundle.calls import check_calls
+    from koordgen.bundle.calls import check_calls, planner_budget
     from koordgen.bundle.offer import check_ports
     from koordgen.bundle.plan import plan, read_ingredients
     from koordgen.check.params import with_params
@@ -128,7 +128,8 @@ def plan_file(
     if wrong or missing:
         raise Rejected([(checked.source, d) for d in (*wrong, *missing)])
     if fleet:
-        slow = check_calls(program, len(fleet.robots), fleet.delta, fleet.planner_budget)
+        budget = planner_budget(program, len(fleet.robots), fleet.delta, fleet.planner_budget)
+        slow = check_calls(program, len(fleet.robots), fleet.delta, budget)
         checked = replace(checked, noticed=tuple(in_order([*checked.noticed, *sending, *slow])))
     source = Path(path).read_bytes()
     return checked, plan(read_ingredients(program, source, used, fleet, resources.package(), own, given), wanted)

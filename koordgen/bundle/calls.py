@@ -11,6 +11,9 @@ from koordgen.ir.decl import Event, Program
 from koordgen.ir.types import MapOf, PerRobot, Sequence
 from koordgen.node import Node
 
+SHORTEST, LONGEST = 0.01, 0.06  # seconds: the default of `planner_budget` is between these
+SHARE = 0.4  # of a round for all calls of an event: writes are due after half of it, and the event does more than plan
+
 Found = list[tuple[expr.PortCall, float]]  # each call, and how often it is made at most
 _AS_LONG = ("sorted", "reversed", "keys", "values", "items")  # as what they are of
 
@@ -20,6 +23,16 @@ def check_calls(program: Program, robots: int, delta: float, budget: float) -> l
     seconds; it stands at the call that is made most often."""
     counting = _Counting(program, robots)
     return [d for event in program.events for d in _check(event, counting.block(event.effect, 1), delta, budget)]
+
+
+def planner_budget(program: Program, robots: int, delta: float, given: float | None) -> float:
+    """Return the seconds that each call of a port may take: `given` by the fleet file, else what leaves every event in
+    time for its round."""
+    if given is not None:
+        return given
+    counting = _Counting(program, robots)
+    most = max((_number(counting.block(event.effect, 1)) for event in program.events), default=0)
+    return round(max(SHORTEST, min(LONGEST, SHARE * delta / max(most, 1))), 4)
 
 
 def _check(event: Event, found: Found, delta: float, budget: float) -> Iterator[Diagnostic]:

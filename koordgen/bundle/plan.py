@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from koordgen import __version__
+from koordgen.bundle.calls import planner_budget
 from koordgen.bundle.write import SUMS, sums
 from koordgen.emit.program import functions_module, interface_hash, program_hash, program_text
 from koordgen.emit.property import properties_text
@@ -177,7 +178,7 @@ def settings(program: Program, fleet: Fleet, robot: Robot) -> dict[str, Any]:
         "insecure": fleet.insecure,
         "network": fleet.network,
         "control": robot.control,
-        "planner_budget": fleet.planner_budget,
+        "planner_budget": planner_budget(program, len(fleet.robots), fleet.delta, fleet.planner_budget),
         "safety": fleet.safety,
         "monitors": fleet.monitors,
         "avoid": fleet.avoid,

@@ -41,6 +41,11 @@ class Curve:
     def end(self) -> Triple:
         return self._places[-1]
 
+    @property
+    def ends(self) -> list[Triple]:
+        """The poses where pieces end."""
+        return self._places[1:]
+
     def at(self, station: float) -> Triple:
         """The pose so many metres along; yaw runs on without jumps."""
         i = min(max(bisect_right(self._stations, station) - 1, 0), len(self.pieces) - 1)

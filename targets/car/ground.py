@@ -2,15 +2,21 @@
 
 A curve is looked at where it says how far no place of the outline can get into anything: from a pose with some slack,
 the car goes on until that slack may be used up, whichever way it turns. So a curve that is found clear is clear between
-the poses as well; the narrower it is, the more of them are looked at.
+the poses as well; the narrower it is, the more of them are looked at. A search checks many single poses first, at once
+(`Way.free`); that says nothing about the way between them.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
+from functools import cached_property
+
+import numpy as np
 
 from targets.car.curves import Curve, Triple
+from targets.car.field import Cells
+from targets.car.overlap import Floats, Mask, ShapeTable
 from targets.car.planner import Area
 from targets.car.shapes import Footprint, Shape, standing
 from targets.planning.world import World
@@ -21,6 +27,9 @@ LEAST_STEP = 0.004  # metres between two poses that are looked at
 PAD = 0.006  # metres kept besides on planned ways: the outline moves less than this in a least step
 LEAVING = 0.95  # of the distance that the start has from what is too near: so much is kept on the way out
 MARGIN = 0.05  # metres kept from the arena's edge, for tracking errors
+POINT = Footprint(0.02, 0.02, 0.01)  # metres: for distances around what stands there, which a search steers by
+WIDE = 0.17  # turning radii: the width of the cells of these distances
+DIP = 0.0015  # metres besides at samples of an arc, between which the outline may come nearer by 2 mm
 FENCE_STEP = 0.02  # metres between two looks at the fence: an arc bulges less than 0.1 mm in between
 
 Kept = tuple[float, float, float, float, float, Shape]  # west, south, east, north, distance kept, shape
@@ -59,9 +68,27 @@ class Ground:
         """`curvature` is the sharpest, 1/m; `clearance` is kept between the outline and all else."""
         self.body, self.area, self.clearance = body, area, clearance
         self.pace = body.pace(curvature)
+        self._radius = 1 / curvature
         self.middle = body.length / 2 - body.overhang
         self.round = math.hypot(body.length, body.width) / 2
         self.fixed = self.things((*shape.bounds, clearance, shape) for shape in fixed)
+        self.table = self.table_of([(shape, clearance) for *_, shape in self.fixed.kept])
+
+    @cached_property
+    def cells(self) -> Cells:
+        """The ground in cells."""
+        return Cells(self.area, WIDE * self._radius)
+
+    @cached_property
+    def passable(self) -> Mask:
+        """Which of the cells a point that keeps the car's distances may be in."""
+        return _passable(self.table, self.cells)
+
+    def table_of(self, kept: list[tuple[Shape, float]]) -> ShapeTable:
+        """Return shapes, each with the distance that is kept from it, for checks of many poses."""
+        area, out = self.area, self.body.reach
+        extent = (area.west - out, area.south - out, area.east + out, area.north + out)
+        return ShapeTable([shape for shape, _ in kept], [away for _, away in kept], self.body, extent)
 
     def things(self, kept: Iterable[Kept]) -> Things:
         return Things(list(kept), self.round + FAR)
@@ -81,9 +108,10 @@ class Way:
         self._area = ground.area.with_point(start[0], start[1]).with_point(*goal)
         self.inside = ""
         near = {id(shape): self._beginning(shape) for *_, shape in ground.fixed.around(*self._middle(*start))}
-        told = [(shape, self._beginning(shape)) for shape in seen]
-        own = [(*shape.bounds, kept, shape) for shape, kept in told if kept is not None]
+        told = [(shape, kept) for shape in seen if (kept := self._beginning(shape)) is not None]
+        own = [(*shape.bounds, kept, shape) for shape, kept in told]
         self._things = [ground.fixed]
+        self._told, self._near = told, near
         if any(kept != ground.clearance for kept in near.values()):
             own += [
                 (*shape.bounds, kept, shape)
@@ -94,6 +122,38 @@ class Way:
             self._things = []
         if own:
             self._things.append(ground.things(own))
+
+    @property
+    def area(self) -> Area:
+        """Where the reference point may be."""
+        return self._area
+
+    @cached_property
+    def _tables(self) -> list[ShapeTable]:
+        """For `free`, which not every question needs."""
+        ground, near = self._ground, self._near
+        away = [kept for *_, shape in ground.fixed.kept if (kept := near.get(id(shape), ground.clearance)) is not None]
+        changed = any(kept != ground.clearance for kept in away)
+        fixed = ground.table.lowered(away) if changed else ground.table
+        return [fixed, ground.table_of(self._told)] if self._told else [fixed]
+
+    @property
+    def cells(self) -> Cells:
+        """The ground in cells."""
+        return self._ground.cells
+
+    def passable(self) -> Mask:
+        """Return which of the cells a point that keeps the car's distances may be in."""
+        told = self._tables[1:]
+        return self._ground.passable & _passable(told[0], self.cells) if told else self._ground.passable
+
+    def free(self, x: Floats, y: Floats, yaw: Floats) -> Mask:
+        """Return for each of many poses whether the car keeps its distances there, and PAD more."""
+        area = self._area
+        free: Mask = (area.west <= x) & (x <= area.east) & (area.south <= y) & (y <= area.north)
+        for table in self._tables:
+            free &= table.free(self._ground.body, x, y, yaw, PAD + DIP)
+        return free
 
     def _beginning(self, shape: Shape) -> float | None:
         """The distance to keep from a shape; None: the car is in it."""
@@ -130,22 +190,6 @@ class Way:
                         return best
         return best
 
-    def beside(self, x: float, y: float) -> bool:
-        """Whether the reference point may be there, whatever the heading: half the outline's width is always around
-        it, if no end of the outline is nearer."""
-        body = self._ground.body
-        around = min(body.width / 2, body.overhang, body.front)
-        if around < 0 or not self._area.contains(x, y):
-            return around < 0
-        for things in self._things:
-            for west, south, east, north, kept, shape in things.around(x, y):
-                reach = around + kept
-                dx = west - x if x < west else x - east if x > east else 0.0
-                dy = south - y if y < south else y - north if y > north else 0.0
-                if dx < reach and dy < reach and dx * dx + dy * dy < reach * reach and shape.near(x, y) < reach:
-                    return False
-        return True
-
     def obstacle(self, x: float, y: float, yaw: float) -> str:
         """The name of what is too near at a pose; "" when nothing is."""
         for things in self._things:
@@ -155,8 +199,14 @@ class Way:
         return ""
 
     def clear(self, curve: Curve, pad: float = PAD) -> bool:
-        """Whether the car keeps its distances, and `pad` more, all along."""
-        return self.open(curve.at, curve.length, pad)
+        """Whether the car keeps its distances, and `pad` more, all along. The tip of a change of gear, which leads out
+        of the area and back between two poses that are looked at, is looked at, too."""
+        area = self._area
+        return all(area.contains(x, y) for x, y, _ in curve.ends) and self.open(curve.at, curve.length, pad)
+
+    def surely_clear(self, curve: Curve) -> bool:
+        """Return whether the car keeps its distances all along, also between the poses that are looked at."""
+        return self.clear(curve, min(PAD, self._ground.pace * LEAST_STEP))
 
     def open(self, at: Callable[[float], Triple], length: float, pad: float = PAD) -> bool:
         """The same of poses at stations from 0 to `length` metres. The middle first: what is in the way is met soon."""
@@ -176,6 +226,10 @@ class Way:
             if middle + step < end:
                 todo.append((middle + step, end))
         return True
+
+
+def _passable(table: ShapeTable, cells: Cells) -> Mask:
+    return table.free(POINT, cells.x, cells.y, np.zeros(len(cells.x)), 0.0)
 
 
 def area(world: World, margin: float = MARGIN) -> Area:

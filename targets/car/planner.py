@@ -108,16 +108,23 @@ def price(pieces: tuple[Piece, ...], gear: int = 0) -> float:
 
 
 def points(curve: Curve) -> list[Point2]:
-    """Few points, the first and the last of the curve among them, whose straight connections are nowhere farther from
-    it than NEAR_POINTS, nor it from them."""
-    steps = max(2, math.ceil(curve.length / SPACING))
-    places = [curve.at(curve.length * i / steps)[:2] for i in range(steps + 1)]
-    kept = [0, steps]
-    for begin, end in (todo := [(0, steps)]):
+    """Return few points, the first and the last of the curve among them, whose straight connections are nowhere farther
+    from it than NEAR_POINTS, nor it from them. The curve is sampled, and sampled where its pieces meet, too: the tip of
+    a change of gear is a point of the curve like any other. Between two samples an arc bulges by less than
+    SPACING ** 2 / 8 of its curvature, which is left of NEAR_POINTS."""
+    places = [curve.start[:2]]
+    at, bend = curve.start, 0.0
+    for curvature, way in curve.pieces:
+        steps = max(1, math.ceil(abs(way) / SPACING))
+        places += [along(at, curvature, way * i / steps)[:2] for i in range(1, steps + 1)]
+        at, bend = along(at, curvature, way), max(bend, abs(curvature))
+    last = len(places) - 1
+    kept = [0, last]
+    for begin, end in (todo := [(0, last)]):
         off, i = max(
             ((_off(places[begin], places[end], places[i]), i) for i in range(begin + 1, end)), default=(0.0, 0)
         )
-        if off > NEAR_POINTS:
+        if off > NEAR_POINTS - bend * SPACING**2 / 8:
             kept.append(i)
             todo += [(begin, i), (i, end)]
     return [places[i] for i in sorted(kept)]

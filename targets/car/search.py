@@ -1,12 +1,13 @@
-"""Looks for ways that a car can drive: a single curve, or OMPL's trees of curves, made short by short cuts.
+"""Anytime search for ways that a car can drive: a single curve, or a way of a lattice, made short by short cuts.
 
-OMPL samples poses, measures curves and grows trees; the curves themselves (`curves.py`), and whether one is clear
-(`ground.py`), are ours. In both gears, trees grow from start and goal (RRT-Connect on Reeds and Shepp's curves);
-forwards only, from the start alone: what leads from a to b leads from nowhere back, and RRT-Connect finds nothing. Of
-OMPL's Python binding only these calls are relied on (version 2.0.1, where out-parameters stay empty; a test holds
-that they work): those listed in `targets/planning/rrt.py` but those of vector spaces, and `ReedsSheppStateSpace`,
-`DubinsStateSpace`, `distance`, `setXY`, `setYaw`, `getX`, `getY`, `getYaw`, `GoalStates.addState`, `addStartState`,
-`setGoal`, `RRT`, `setRange`, `setGoalBias`.
+`Search.ways` is one sequence of small units of work. It depends on the question alone, and a budget only ends it: so a
+larger budget finds every way that a smaller one finds, and answers one that is at least as cheap.
+
+OMPL measures curves and grows the trees of RRT*; the curves themselves (`curves.py`), and whether one is clear
+(`ground.py`), are ours. Of OMPL's Python binding only these calls are relied on (version 2.0.1, where out-parameters
+stay empty; a test holds that they work): those listed in `targets/planning/rrt.py` but those of vector spaces, and
+`ReedsSheppStateSpace`, `DubinsStateSpace`, `distance`, `setXY`, `setYaw`, `getX`, `getY`, `getYaw`,
+`GoalStates.addState`, `addStartState`, `setGoal`, `setRange`, `setGoalBias`.
 """
 
 from __future__ import annotations
@@ -15,22 +16,28 @@ import math
 import random
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import count
 from typing import Any
 
 from ompl import base, geometric, util
 
 from targets.car.bicycle import wrap
 from targets.car.curves import Curve, Piece, Triple, dubins, reeds_shepp
+from targets.car.field import Field
 from targets.car.ground import PAD, Way
-from targets.car.lattice import COARSE, Aim, Field, Lattice
+from targets.car.lattice import Aim, Lattice
 from targets.car.planner import Area, Point2, price
 from targets.planning.limit import STARTS, Limit
 
 HEADINGS = 24  # candidates at the goal, besides those at which the shortest simple turns arrive
 DETOUR = 1.6  # a single curve that is so much longer than the shortest is not worth its time; and a turn more
 RANGE = 2.0  # metres: the longest edge of a tree
-GOAL_BIAS = 0.2  # of a forward tree's samples
-TRIES = 150  # short cuts of one path before another is looked for
+GOAL_BIAS = 0.2  # of the samples of a forward tree
+WAITS = 4.0, 1.5  # of two lattices: see Lattice
+ALONE = 40  # batches of the first one before the second takes turns with it
+UNIT = 8  # short cuts that are tried in one unit of work
+TRIES = 150  # short cuts of one way that are tried in vain before another way is looked for
+WORTH = 1.3  # a way that costs more than so many times the first one is not worth short cuts
 SHOTS = 3  # curves to a place that are tried from a pose of the lattice
 LEAST_CUT = 0.1  # metres: a way between two poses that is shorter is left alone
 GAIN = 1e-3  # metres of price that make a short cut one
@@ -114,11 +121,76 @@ class Search:
                 best, least = curve, cost
         return best
 
-    def connected(self, task: Task, way: Way, over: Limit, turn: int, star: bool = False) -> Curve | None:
-        """What one of OMPL's planners finds. `turn` numbers the searches of a question: each has random numbers of its
-        own."""
+    def ways(self, task: Task, way: Way) -> Iterator[Curve | None]:
+        """Yield after each unit of work: a way that is cheaper than all before, or None. End when nothing is left."""
+        least, dice = math.inf, random.Random(self._seed or 0)
+        most = math.inf
+        for found in self._explored(task, way):
+            if found is not None and (cost := price(found.pieces, task.gear)) < most and way.clear(found, 0.0):
+                most = min(most, WORTH * cost)
+                if cost < least:
+                    least = cost
+                    yield found
+                for curve in self._shortened(found, task, way, dice):
+                    cheaper = price(curve.pieces, task.gear) < least
+                    least = min(least, price(curve.pieces, task.gear))
+                    yield curve if cheaper else None
+            yield None
+
+    def _explored(self, task: Task, way: Way) -> Iterator[Curve | None]:
+        """Yield what lattices hold, after each batch. The first nearly always is the sooner one; where it looks at too
+        many coarse cells before it looks closer, the second one has a way."""
+        goals = [(*task.goal, heading) for heading in task.headings]
+        distance = self._space.distance
+
+        def shots(at: Triple) -> Iterator[Curve]:
+            for length, goal in sorted((distance(at, goal), goal) for goal in goals)[:SHOTS]:
+                yield self._space.curve(at, goal, length)
+
+        aim = Aim(task.goal, Field(task.goal, way.cells, way.passable()), shots)
+        reverse = self._space.reverse
+        lattices = [Lattice(task.start, self._radius, reverse, way, aim, wait).explore() for wait in WAITS]
+        for number in count():
+            lattice = lattices[0 if number < ALONE else number % 2]
+            try:
+                pieces = next(lattice)
+            except StopIteration:
+                return
+            yield None if pieces is None else Curve(task.start, merged(pieces))
+
+    def _shortened(self, curve: Curve, task: Task, way: Way, dice: random.Random) -> Iterator[Curve]:
+        """Yield the same way after each unit of short cuts, as far as they are clear and cheaper."""
+        vain = 0
+        while vain < TRIES:
+            for _ in range(UNIT):
+                cut = self._cut(curve, task, way, dice)
+                vain = 0 if cut is not None else vain + 1
+                curve = curve if cut is None else cut
+            yield curve
+
+    def _cut(self, curve: Curve, task: Task, way: Way, dice: random.Random) -> Curve | None:
+        """Return the way with one random short cut, if that is clear and cheaper."""
+        begin, end = sorted((dice.uniform(-0.2, 1.2), dice.uniform(-0.2, 1.2)))
+        begin, end = max(0.0, begin) * curve.length, min(1.0, end) * curve.length
+        if end - begin < LEAST_CUT:
+            return None
+        space = self._forwards if dice.random() < FORWARDS else self._space
+        a = curve.at(begin)
+        b = curve.at(end) if end < curve.length else (*task.goal, dice.choice(task.headings))
+        length, least = space.distance(a, b), price(curve.pieces, task.gear)
+        if length > end - begin + least - curve.length:
+            return None
+        cut = space.curve(a, b, length)
+        pieces = merged((*curve.between(0.0, begin), *cut.pieces, *curve.between(end, curve.length)))
+        if price(pieces, task.gear) > least - GAIN or not way.clear(cut):
+            return None
+        whole = Curve(curve.start, pieces)
+        return whole if way.clear(whole, 0.0) else None
+
+    def grown(self, task: Task, way: Way, over: Limit) -> Curve | None:
+        """Return what RRT* finds."""
         if self._seed is not None:
-            util.RNG.setSeed(self._seed * STARTS + turn + 1)
+            util.RNG.setSeed(self._seed * STARTS + 1)
         space = self._space
         information = base.SpaceInformation(space.ompl)
         information.setStateValidityChecker(lambda state: True)  # the ends of every curve are looked at with the curve
@@ -131,8 +203,7 @@ class Search:
         for heading in task.headings:
             goals.addState(space.state((*task.goal, heading)))
         problem.setGoal(goals)
-        kind = geometric.RRTstar if star else geometric.RRTConnect if space.reverse else geometric.RRT
-        planner = kind(information)
+        planner = geometric.RRTstar(information)
         planner.setRange(RANGE)
         if not space.reverse:
             planner.setGoalBias(GOAL_BIAS)
@@ -154,46 +225,6 @@ class Search:
             pieces += curve.pieces
             at = curve.end
         return Curve(start, merged(pieces))
-
-    def explored(self, task: Task, way: Way, over: Limit, width: float = COARSE) -> Curve | None:
-        """What a lattice holds, whose cells are so many metres wide."""
-        goals = [(*task.goal, heading) for heading in task.headings]
-        distance, single = self._space.distance, len(goals) == 1
-        field = Field(task.goal, way.beside)
-
-        def left(at: Triple) -> float:
-            return max(distance(at, goals[0]) if single else 0.0, field(at[0], at[1]))
-
-        def shots(at: Triple) -> Iterator[Curve]:
-            for length, goal in sorted((distance(at, goal), goal) for goal in goals)[:SHOTS]:
-                yield self._space.curve(at, goal, length)
-
-        lattice = Lattice(task.start, self._radius, self._space.reverse, way, width)
-        pieces = lattice.explored(Aim(task.goal, left, shots), over)
-        return None if pieces is None else Curve(task.start, merged(pieces))
-
-    def shortened(self, curve: Curve, task: Task, way: Way, dice: random.Random, over: Limit) -> Curve:
-        """The same way with short cuts, as far as they are clear and cheaper."""
-        least = price(curve.pieces, task.gear)
-        for _ in range(TRIES):
-            if over.late:
-                break
-            begin, end = sorted((dice.uniform(-0.2, 1.2), dice.uniform(-0.2, 1.2)))
-            begin, end = max(0.0, begin) * curve.length, min(1.0, end) * curve.length
-            if end - begin < LEAST_CUT:
-                continue
-            space = self._forwards if dice.random() < FORWARDS else self._space
-            a = curve.at(begin)
-            b = curve.at(end) if end < curve.length else (*task.goal, dice.choice(task.headings))
-            length = space.distance(a, b)
-            if length > end - begin + least - curve.length:
-                continue
-            cut = space.curve(a, b, length)
-            pieces = merged((*curve.between(0.0, begin), *cut.pieces, *curve.between(end, curve.length)))
-            cost = price(pieces, task.gear)
-            if cost < least - GAIN and way.clear(cut):
-                curve, least = Curve(curve.start, pieces), cost
-        return curve
 
 
 def merged(pieces: list[Piece] | tuple[Piece, ...]) -> tuple[Piece, ...]:

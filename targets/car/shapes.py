@@ -39,13 +39,6 @@ class Shape:
         xs, ys, r = [x for x, _ in self.core], [y for _, y in self.core], self.radius
         object.__setattr__(self, "bounds", (min(xs) - r, min(ys) - r, max(xs) + r, max(ys) + r))
 
-    def near(self, x: float, y: float) -> float:
-        """At most the distance from a place: exact for boxes and discs, infinite where it takes longer to tell."""
-        if self.upright:
-            west, south, east, north = self.bounds
-            return math.hypot(max(west - x, 0.0, x - east), max(south - y, 0.0, y - north))
-        return math.dist((x, y), self.core[0]) - self.radius if len(self.core) == 1 else math.inf
-
 
 @dataclass(frozen=True, slots=True)
 class Footprint:

@@ -19,9 +19,12 @@ class Limit:
         self._done += 1
         return time.perf_counter() > self._end if self._iterations is None else self._done > self._iterations
 
-    def anew(self, most: float) -> Limit:
-        """For another search: the same end, but at most so many seconds."""
-        return Limit(min(most, self._end - time.perf_counter()), self._iterations)
+    def later(self, seconds: float) -> Limit:
+        """Return another limit with the same beginning, after so many seconds if these are more."""
+        found = Limit(seconds, self._iterations)
+        found._begun = self._begun
+        found._end = max(self._end, self._begun + seconds)
+        return found
 
     @property
     def late(self) -> bool:

@@ -111,7 +111,7 @@ def test_drivers_and_the_planners_budget_in_a_fleet_file() -> None:
     assert read_.drivers == {"HVAC": Driver("drivers.hvac", "Hvac"), "Arm": Driver("arm", "Arm")}
     assert (read_.drivers["HVAC"].path, read_.planner_budget) == ("drivers/hvac.py", 0.02)
     usual, _ = fleet("")
-    assert usual is not None and (usual.drivers, usual.planner_budget) == ({}, 0.01)
+    assert usual is not None and (usual.drivers, usual.planner_budget) == ({}, None)
 
 
 @pytest.mark.parametrize(

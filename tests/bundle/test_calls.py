@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.bundle.calls import check_calls
+from koordgen.bundle.calls import check_calls, planner_budget
 from koordgen.cli import main
 from tests.emit.generated import MOTION, checked
 
@@ -73,6 +73,28 @@ def test_it_is_told_at_the_call_and_how_to_mend_it() -> None:
     )
     assert check_calls(checked(text), 4, 0.2, 0.01) == []
     assert check_calls(checked(text), 4, 0.1, 0.006) == []
+
+
+@pytest.mark.parametrize(
+    ("body", "delta", "given", "budget"),
+    [
+        (CALL, 0.1, None, 0.04),
+        (CALL, 0.15, None, 0.06),
+        (CALL, 5.0, None, 0.06),
+        (CALL, 0.02, None, 0.01),
+        (f"{CALL}\n{CALL}", 0.1, None, 0.02),
+        ("\n".join([CALL] * 6), 0.1, None, 0.01),
+        (f"while True: {CALL}", 0.1, None, 0.01),
+        ("Motion.path = []", 0.1, None, 0.04),
+        (CALL, 0.1, 0.005, 0.005),
+    ],
+)
+def test_the_default_budget_leaves_an_event_in_time_for_its_round(
+    body: str, delta: float, given: float | None, budget: float
+) -> None:
+    lines = "".join(f"    {line}\n" for line in body.split("\n"))
+    program = checked(f"{MOTION}E:\n  pre: True\n  eff:\n{lines}")
+    assert planner_budget(program, 4, delta, given) == pytest.approx(budget)
 
 
 @pytest.mark.parametrize("format", ["text", "json", "sarif"])
