@@ -141,11 +141,12 @@ class Reference:
     def pause(self, on: bool, now: float) -> None:
         """Stand as soon as can be, or go on."""
         state = self._run(now)
+        if on:
+            self._passed = self._behind()  # before `paused` is set: a paused reference passes no point
         self.paused = on
         if state is None:
             return
         if on:
-            self._passed = self._behind()
             self._pursuit.forget()
             state = State(self._halt(state))
         self._replan(state)
