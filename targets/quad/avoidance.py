@@ -5,14 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import msgspec
+
 from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.safety import clamp, inside
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.values import Point, transmissible
 from targets.planning.guard import Guard
 from targets.planning.process import Planning, made
+from targets.planning.room import Room, fixed
+from targets.planning.room import room as room_of
 from targets.planning.world import Path, Scene, World
 from targets.quad.motion import room
+
+LEG_SECONDS = 0.2  # that a leg back to the path may take to plan: the vehicle stands meanwhile
+LEG = 0.75  # of the clearance: a leg may begin a little beside the path, which keeps all of it
 
 MakePlanning = Callable[[str, World, float], Planning]
 
@@ -26,9 +33,12 @@ class Avoidance:
         self._fence, self._room = settings.geofence, room(settings.geofence, height)
         self._name = planner
         world = World(self._room, settings.obstacles, clearance, radius)
+        self._world, self._standing = world, fixed(settings.obstacles)
         self._planning = planning(planner, world, settings.planner_budget)
         self._guard = Guard(settings.obstacles, radius)
         self._others: tuple[Path, ...] = ()
+        self._named = Scene()  # what the program named when it called the planner last
+        self._asked = False  # for a leg
         self._admitted: Path | None = None  # what was commanded last and may be flown
         self._news: list[str] = []
         self.refusal = ""  # why what was commanded last is not flown, in words
@@ -56,6 +66,7 @@ class Avoidance:
         would be flown: a way to a goal below the flight height, say, ends above it."""
         if position is None or goal.z <= 0.0 or not inside(self._fence, goal):
             return ()
+        self._named, self._asked = Scene.of(named, ()), False
         path = self._planning.plan(position, self._lifted(goal), Scene.of(named, self._others))
         return (*path[:-1], goal) if path else ()
 
@@ -70,6 +81,31 @@ class Avoidance:
             self._news.append(f"not flown, holding instead: {trouble}")
         self.refusal, self._admitted = trouble, None if trouble else points
         return not trouble
+
+    def clear(self, start: Point, end: Point, margin: float) -> bool:
+        """See `rejoin.Ways`."""
+        here = Room(start)
+        here.keep(self._standing, self._world.radius + margin * self._world.clearance)
+        return here.clear(start, end)
+
+    def leg_clear(self, start: Point, end: Point) -> bool:
+        """See `rejoin.Ways`."""
+        world = msgspec.structs.replace(self._world, clearance=LEG * self._world.clearance)
+        return room_of(world, self._standing, self._named, start).clear(start, end)
+
+    def ask_leg(self, start: Point, end: Point) -> bool:
+        """See `rejoin.Ways`."""
+        scene = msgspec.structs.replace(self._named, others=self._others)
+        self._asked = self._planning.ask(start, end, scene, b"", LEG_SECONDS)
+        return self._asked
+
+    def leg(self) -> Path | None:
+        """See `rejoin.Ways`."""
+        answer = self._planning.answer() if self._asked else None
+        if answer is None:
+            return None
+        self._asked = False
+        return answer.path
 
     def _lifted(self, p: Point) -> Point:
         """Where the quad goes when it is told to go to p."""

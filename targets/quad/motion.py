@@ -11,6 +11,7 @@ from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point, distance, transmissible
 from targets.mavlink.link import Link
 from targets.quad.reference import STANDING, Reference
+from targets.quad.rejoin import OpenSpace, Rejoin, Ways
 from targets.quad.setpoint import ARDUPILOT, Aim, Shaping, aimed, setpoint
 from targets.quad.telemetry import Telemetry
 from targets.quad.trajectory import Limits
@@ -48,11 +49,13 @@ class Motion:
     def __init__(
         self, frame: LocalFrame, fence: Box, height: float, max_speed: float, acceleration: float, climb: float,
         radius: float, dwell: float, yaw: str | float = "keep", shaping: Shaping = ARDUPILOT,
+        ways: Ways | None = None,
     ) -> None:  # fmt: skip
         self._frame, self._fence = frame, fence
         self._radius, self._dwell, self._speed = radius, dwell, max_speed
         self._room = room(fence, height)
         self._reference = Reference(Limits(max_speed, climb, acceleration, self._room))
+        self._rejoin = Rejoin(self._reference, OpenSpace() if ways is None else ways)
         self._shaping = shaping
         self._policy, self._yaw = yaw, yaw if isinstance(yaw, float) else None
         self._commanded: tuple[Point, ...] = ()
@@ -65,9 +68,15 @@ class Motion:
         self.followed = False  # whether the autopilot was seen to follow the setpoints, and still does
         self.refused = 0  # targets that were not finite
 
-    def command(self, points: tuple[Point, ...], now: float) -> None:
+    @property
+    def stuck(self) -> str:
+        """Why the vehicle holds until the next command: it made no progress; "" when it does."""
+        return self._rejoin.stuck
+
+    def command(self, points: tuple[Point, ...], now: float, passed: int = 0) -> None:
         """Go there, straight from each point to the next; a target is a path of one point, none is: stay here. What
-        is being followed already changes nothing."""
+        is being followed already changes nothing. The first `passed` points are behind the vehicle; then nobody has
+        checked the leg to the next one."""
         if not transmissible(points):
             self.refused += 1
             return
@@ -76,12 +85,16 @@ class Motion:
             return
         self._commanded, self._goal = lifted, lifted[-1] if lifted else None
         self._near, self.reached = None, not lifted
-        self._reference.follow(lifted, now)
+        self._reference.follow(lifted[passed:], now)
+        self._rejoin.command(now, passed > 0)
 
     def hold(self, on: bool, now: float) -> None:
         """Pause where the vehicle can stop, or resume."""
-        if on != self._reference.paused:
-            self._reference.pause(on, now)
+        self._rejoin.hold(on, now)
+
+    def news(self) -> list[str]:
+        """Return what happened since the last call, for the log."""
+        return self._rejoin.news()
 
     def steer(self, link: Link, state: Telemetry, now: float) -> None:
         """Send the next setpoint when one is due, and look whether the autopilot follows the last ones. Raises
@@ -89,24 +102,27 @@ class Motion:
         position = state.position
         if position is None or link.vehicle is None or (self._sent is not None and now - self._sent < SPACING):
             return
-        if not self._reference.started:
-            self._reference.start(position, state.velocity, now)
-        self._reference.advance(position, now)
-        aim = aimed(self._reference, self._shaping)
+        self._attend(position, state.velocity, now)
+        aim = self._rejoin.bounded(aimed(self._reference, self._shaping), position, self._shaping.late[0])
         self._say(link, Aim(aim.position, aim.velocity, self._heading(state)), now)
         self._watch(link, state, aim, now)
         self._judge(position, state.velocity, now)
 
+    def _attend(self, position: Point, velocity: Point, now: float) -> None:
+        """Run the reference on, along legs that are clear."""
+        there = self.reached or self._goal is None or distance(position, self._goal) <= self._radius
+        self._rejoin.poll(position, velocity, there, now)
+
     def coast(self, now: float) -> None:
         """Not ours to steer, or not yet: nothing is sent, and nothing is guessed meanwhile."""
-        self._reference.drop(now)
+        self._rejoin.drop(now)
         self._halt = self._sent = self._doubted = self._near = None
         self.followed = False
 
     def halt(self, link: Link, now: float) -> None:
         """Ours, but without a fresh position: a position alone, so that the autopilot does not run on with the last
         velocity; told for a second, because some may be lost. Then as `coast`."""
-        halt = self._reference.drop(now)
+        halt = self._rejoin.drop(now)
         if halt is not None and self._sent is not None:
             self._halt = halt, now + HALTING
         if self._halt is None or now > self._halt[1] or link.vehicle is None:

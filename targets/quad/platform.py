@@ -102,9 +102,10 @@ class Quad:
             raise BadSettings(
                 f"settings of {settings.robot}: body: yaw {body.yaw!r} is not keep, forward or an angle"
             ) from None
+        self._avoidance = Avoidance(settings, body.flight_height, body.radius, body.clearance, body.planner, planning)
         self._motion = Motion(
             self._frame, fence, body.flight_height, body.max_speed, body.max_acceleration, body.max_climb,
-            body.reached_radius, body.reached_dwell, yaw,
+            body.reached_radius, body.reached_dwell, yaw, ways=self._avoidance,
         )  # fmt: skip
         self._connect, self._clock, self._sleep, self._wall = connect, clock, sleep, wall
         self._lidar = ScanPort(body.scans, settings.robot, key, scans)
@@ -115,7 +116,6 @@ class Quad:
             )
         self._link: Link | None = None
         self._flight: Flight | None = None
-        self._avoidance = Avoidance(settings, body.flight_height, body.radius, body.clearance, body.planner, planning)
         self._held = False
         self._now = 0.0
 
@@ -261,7 +261,7 @@ class Quad:
 
     def news(self) -> list[str]:
         """See Platform."""
-        return self._avoidance.news()
+        return [*self._avoidance.news(), *self._motion.news()]
 
     def hold(self, on: bool, now: float) -> None:
         """See Platform."""

@@ -97,6 +97,11 @@ class Reference:
         return self._behind() >= len(self._points) - 1
 
     @property
+    def ahead(self) -> tuple[Point, ...]:
+        """The points that are not behind; the last one stays. None before the first command or start."""
+        return self._points[min(self._behind(), len(self._points) - 1) :] if self._points else ()
+
+    @property
     def stood(self) -> float:
         """For how many seconds it has stood, and will unless something new comes; negative while it moves."""
         trajectory = self._trajectory
@@ -110,13 +115,13 @@ class Reference:
         return self._rate == 0.0
 
     def start(self, position: Point, velocity: Point, now: float) -> None:
-        """From where the vehicle is, towards what is still ahead; where nothing is, it stays."""
+        """From where the vehicle is, towards what is still ahead; where nothing is, or paused, it stays."""
         state = State(clamp(self.limits.box, position), self.limits.limited(velocity))
         if not self._points or norm(velocity) < STANDING or not self.limits.safe(state):
             state = State(state.position)
         self._time, self._rate = now, 1.0
         self._points = self._points or (state.position,)
-        self._replan(state)
+        self._replan(State(self._halt(state)) if self.paused else state)
 
     def drop(self, now: float) -> Point | None:
         """The vehicle goes its own ways; `start` begins anew. Where it would have stood if it had been paused
@@ -137,6 +142,10 @@ class Reference:
         self._points = points or (() if state is None else (self.limits.stop(state),))
         if state is not None:
             self._replan(state)
+
+    def detour(self, points: tuple[Point, ...]) -> None:
+        """Go by these points, the last of which is the next one ahead, and then on as before. Only while paused."""
+        self._points, self._passed = (*points, *self.ahead[1:]), 0
 
     def pause(self, on: bool, now: float) -> None:
         """Stand as soon as can be, or go on."""

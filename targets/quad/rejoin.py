@@ -1,0 +1,260 @@
+"""Return to the path: a leg that starts where the vehicle is, and not where its reference was, is checked first.
+
+Such legs begin after a hold, a take-over, a time in which the agent did not run, and when the vehicle has left its
+path. A leg must keep the planner's distance from the obstacles. Where it does not, the vehicle brakes and stands, and a
+leg to the next point is planned, beside the control loop. Without any clear leg the vehicle holds, says so, and asks
+again every RETRY seconds. Metres, seconds, local ENU.
+"""
+
+from __future__ import annotations
+
+import enum
+from typing import Protocol
+
+from koordgen.runtime.values import Point, distance
+from targets.planning.world import Path
+from targets.quad.check import coordinates
+from targets.quad.reference import STANDING, Reference
+from targets.quad.setpoint import RUN_ON, Aim
+from targets.quad.trajectory import norm
+
+LATE = 0.3  # s without a setpoint after which the vehicle may have run on past its reference
+OFF = 0.2  # m from its reference beyond which the straight line back to it is checked
+BRAKING = 3.0  # s that the vehicle may need to stand; after them a leg is looked for all the same
+RETRY = 1.0  # s between two attempts to find a leg
+PATIENCE = 2.0  # s that a planner may take; then it is asked again
+NO_PROGRESS = 8.0  # s without motion (longer than the autopilot may seem not to follow) after which a vehicle that should move is stuck
+MOVED = 0.1  # m that count as motion
+RUNNING = 0.5  # of the planner's clearance that is kept where a vehicle may be drawn to, or run on to
+BISECTIONS = 6  # of a distance that an obstacle limits
+
+
+class Ways(Protocol):
+    """Obstacles, and a planner. What is nearer to a line's start than the line must keep may stay as near."""
+
+    def clear(self, start: Point, end: Point, margin: float) -> bool:
+        """Return whether a straight line keeps the body's radius, and this part of the planner's clearance, from the
+        obstacles of the fleet file."""
+        ...
+
+    def leg_clear(self, start: Point, end: Point) -> bool:
+        """Return whether a leg may be flown as if the planner had answered it; obstacles that the program named count,
+        too."""
+        ...
+
+    def ask_leg(self, start: Point, end: Point) -> bool:
+        """Have a leg planned, for `leg`; False when that cannot be done now."""
+        ...
+
+    def leg(self) -> Path | None:
+        """Return the leg that was planned, once: () when there is none, None when no answer has come."""
+        ...
+
+
+class OpenSpace:
+    """Implements Ways where nothing stands."""
+
+    def clear(self, start: Point, end: Point, margin: float) -> bool:
+        return True
+
+    def leg_clear(self, start: Point, end: Point) -> bool:
+        return True
+
+    def ask_leg(self, start: Point, end: Point) -> bool:
+        return False
+
+    def leg(self) -> Path | None:
+        return None
+
+
+class Stage(enum.Enum):
+    """What the return to the path has come to."""
+
+    FLYING = enum.auto()  # along the reference
+    RESUMING = enum.auto()  # the next poll checks the leg from a place near the reference
+    BRAKING = enum.auto()
+    ASKING = enum.auto()  # the planner, while the vehicle stands
+    STANDING = enum.auto()  # no clear leg was found
+
+
+class Rejoin:
+    """Owns when the reference is paused. `held` is the wish of the safety layer; the reference is paused then, and
+    whenever a leg is looked for. `stuck` says why the vehicle made no progress, "" while it does."""
+
+    def __init__(self, reference: Reference, ways: Ways) -> None:
+        self._reference, self._ways = reference, ways
+        self._stage = Stage.FLYING
+        self._since = 0.0  # when the stage began
+        self._polled: float | None = None
+        self._moved: tuple[Point, float] | None = None  # where and when the vehicle moved last, or had no reason to
+        self._stuck_at: Point | None = None  # where it was stuck last
+        self._silent = False  # whether the log says already that there is no leg
+        self._news: list[str] = []
+        self.held = False
+        self.stuck = ""
+
+    def hold(self, on: bool, now: float) -> None:
+        """Pause, or check the leg and resume."""
+        if on == self.held:
+            return
+        self.held = on
+        if not on and self._stage is Stage.FLYING:
+            self._enter(Stage.RESUMING, now)
+        self._pause(now)
+
+    def command(self, now: float, unchecked: bool) -> None:
+        """The reference follows other points now. `unchecked` says that nobody checked the leg to the first of them."""
+        self.stuck, self._stuck_at, self._silent = "", None, False
+        if unchecked or self._stage is not Stage.FLYING:
+            self._enter(Stage.BRAKING, now)
+            self._pause(now)
+
+    def drop(self, now: float) -> Point | None:
+        """Another steers the vehicle, or its position is not known. See `Reference.drop`."""
+        halt = self._reference.drop(now)
+        self._polled = self._moved = None
+        return halt
+
+    def poll(self, position: Point, velocity: Point, arrived: bool, now: float) -> None:
+        """Start, check, and resume the reference. `arrived` says that the vehicle has no reason to move."""
+        late = self._polled is None or now - self._polled > LATE
+        self._polled = now
+        if late or not self._reference.started:
+            self._brake(position, velocity, now)
+        self._look(position, velocity, now)
+        self._reference.advance(position, now)
+        self._watch_progress(position, velocity, arrived, now)
+
+    def _look(self, position: Point, velocity: Point, now: float) -> None:
+        if self._stage is Stage.FLYING:
+            if not self.held and self._strayed(position):
+                self._brake(position, velocity, now)
+            return
+        if self.held:
+            return
+        if self._stage is Stage.RESUMING:
+            if distance(position, self._reference.at(0.0).position) <= OFF and self._clear(position):
+                self._enter(Stage.FLYING, now)
+                self._pause(now)
+                return
+            self._brake(position, velocity, now)
+        stands = norm(velocity) <= STANDING or now - self._since > BRAKING
+        if self._stage is Stage.BRAKING and stands:
+            self._choose(position, velocity, now)
+        elif self._stage is Stage.ASKING:
+            self._answered(position, velocity, now)
+        elif self._stage is Stage.STANDING and now - self._since > RETRY and not self.stuck:
+            self._choose(position, velocity, now)
+
+    def _clear(self, position: Point) -> bool:
+        """Return whether the leg to the next point is clear."""
+        return all(self._ways.leg_clear(position, p) for p in self._reference.ahead[:1])
+
+    def _strayed(self, position: Point) -> bool:
+        """Return whether the vehicle cannot safely be drawn back to the reference in a straight line."""
+        here = self._reference.at(0.0).position
+        if distance(position, here) <= OFF:
+            return False
+        return not self._ways.clear(position, here, RUNNING)
+
+    def _brake(self, position: Point, velocity: Point, now: float) -> None:
+        """Begin anew where the vehicle is, by standing."""
+        self._reference.drop(now)
+        self._enter(Stage.BRAKING, now)
+        self._pause(now)
+        self._reference.start(position, velocity, now)
+
+    def _choose(self, position: Point, velocity: Point, now: float) -> None:
+        """From a stand: fly to the next point if the leg is clear, else have one planned."""
+        if self._clear(position):
+            self._resume(position, velocity, now)
+        elif self._ways.ask_leg(position, self._reference.ahead[0]):
+            self._enter(Stage.ASKING, now)
+            self._answered(position, velocity, now)  # it may have come at once
+        else:
+            self._enter(Stage.STANDING, now)
+
+    def _answered(self, position: Point, velocity: Point, now: float) -> None:
+        leg = self._ways.leg()
+        if leg is None:
+            if now - self._since > PATIENCE:
+                self._enter(Stage.BRAKING, now)
+            return
+        if leg:
+            self._reference.detour(leg[1:])
+            self._resume(position, velocity, now)
+        elif self._ways.clear(position, self._reference.ahead[0], 0.0):  # as near as a command may lead
+            self._resume(position, velocity, now)
+        else:
+            self._enter(Stage.STANDING, now)
+            if not self._silent:
+                self._silent = True
+                goal = coordinates(self._reference.ahead[0])
+                self._news.append(f"no clear way from {coordinates(position)} back to {goal}: holding")
+
+    def _resume(self, position: Point, velocity: Point, now: float) -> None:
+        """Start the reference where the vehicle is."""
+        self._reference.drop(now)
+        self._enter(Stage.FLYING, now)
+        self._pause(now)
+        self._reference.start(position, velocity, now)
+        self._silent = False
+
+    def _enter(self, stage: Stage, now: float) -> None:
+        self._stage, self._since = stage, now
+
+    def _pause(self, now: float) -> None:
+        paused = self.held or self._stage is not Stage.FLYING
+        if paused != self._reference.paused:
+            self._reference.pause(paused, now)
+
+    def _watch_progress(self, position: Point, velocity: Point, arrived: bool, now: float) -> None:
+        """A vehicle that should move and does not for NO_PROGRESS seconds brakes, and looks for a leg anew; when that
+        does not bring it away from there, it holds until the next command."""
+        if self._stage is not Stage.FLYING or self.held or arrived or self._moved is None:
+            self._moved = position, now
+            return
+        if distance(position, self._moved[0]) > MOVED:
+            self._moved = position, now
+        elif now - self._moved[1] > NO_PROGRESS:
+            again = self._stuck_at is not None and distance(position, self._stuck_at) <= 2 * MOVED
+            self._stuck_at = position
+            goal = coordinates(self._reference.ahead[0])
+            line = f"no progress for {NO_PROGRESS:g} s at {coordinates(position)} on the way to {goal}"
+            self._brake(position, velocity, now)
+            if again:
+                self.stuck = f"{line}: holding until the next command"
+                self._enter(Stage.STANDING, now)
+            self._news.append(self.stuck or f"{line}: braking, and looking for another way")
+
+    def bounded(self, aim: Aim, position: Point, late: float) -> Aim:
+        """The same demand, with as much velocity as leads to no obstacle while the autopilot runs on without us. As in
+        `setpoint`, `late` seconds of velocity are exchanged for position. A position alone is not behind an
+        obstacle."""
+        if aim.velocity is None:
+            return Aim(self._free(position, aim.position), None, aim.yaw)
+        p, v = aim.position, aim.velocity
+        free = distance(p, self._free(p, p + v * RUN_ON))
+        speed = norm(v)
+        if free >= RUN_ON * speed - 1e-9:
+            return aim
+        kept = max(0.0, (free - late * speed) / (RUN_ON - late))
+        return Aim(p + v * (min(free, late * (speed - kept)) / speed), v * (kept / speed), aim.yaw)
+
+    def _free(self, start: Point, end: Point) -> Point:
+        """The farthest of some points on the line from `start` to `end` up to which the line is clear."""
+        if self._ways.clear(start, end, RUNNING):
+            return end
+        low, high = 0.0, 1.0
+        for _ in range(BISECTIONS):
+            middle = (low + high) / 2
+            if self._ways.clear(start, start + (end - start) * middle, RUNNING):
+                low = middle
+            else:
+                high = middle
+        return start + (end - start) * low
+
+    def news(self) -> list[str]:
+        """Return what happened since the last call, for the log."""
+        said, self._news = self._news, []
+        return said
