@@ -109,6 +109,10 @@ class Avoidance:
         self.refusal, self._admitted = trouble, None if trouble else points
         return not trouble
 
+    def resumes(self, points: Path) -> None:
+        """Admit points that an earlier life of this agent drove to: the way to each is planned."""
+        self.refusal, self._admitted = "", points
+
     def ask(self, state: State, target: Point2, gear: int, arrival: float | None) -> bool:
         """Have a way to a target planned, for `answer`; False when that cannot be done now."""
         wish = Wish(state.yaw, gear, arrival=arrival, patience=PATIENCE)

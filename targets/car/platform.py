@@ -19,7 +19,7 @@ from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.platform import Finding, Sensed, Unready
 from koordgen.runtime.scans import ScanPort
 from koordgen.runtime.settings import Settings
-from koordgen.runtime.values import Point, Pose
+from koordgen.runtime.values import Point, Pose, transmissible
 from targets.car.avoidance import Avoidance, MakePlanning
 from targets.car.diagnosis import STALE, drive_findings, feed_findings, fix_findings, limits, watchdog_finding
 from targets.car.drive import Drive, opened
@@ -30,7 +30,7 @@ from targets.car.mpc import STEP, Command
 from targets.car.navigator import STANDING, Navigator
 from targets.car.settings import FROM_DRIVE, decode
 from targets.planning.process import Beside
-from targets.planning.route import Route
+from targets.planning.route import Route, commanded, passed
 
 MODULES = ("Motion", "MotionWithScan")  # one body under two names; the second has a lidar
 WAIT_FOR_FEED = 60.0  # seconds until Unready: a base station may be started after the robots
@@ -280,11 +280,24 @@ class Car:
     def command(self, actuators: Mapping[str, Any], now: float) -> None:
         if self._navigator is None:
             return
-        for module in MODULES:
-            if f"{module}.target" in actuators:
-                self._go((actuators[f"{module}.target"],), self._navigator)
-            if f"{module}.path" in actuators:
-                self._go(actuators[f"{module}.path"], self._navigator)
+        for points in commanded(actuators, MODULES):
+            self._go(points, self._navigator)
+
+    def resume(self, actuators: Mapping[str, Any], now: float) -> None:
+        """See Resumes. The ways to the points that are ahead are planned one after another, as to single targets."""
+        if self._navigator is None:
+            return
+        state = self._estimator.state
+        for points in commanded(actuators, MODULES):
+            if not points or not transmissible(points):
+                self._go(points, self._navigator)
+                continue
+            flat = tuple(Point(p.x, p.y, 0.0) for p in points)
+            self._avoidance.resumes(points)
+            self._route.take(points)
+            self._route.skip(passed(flat, Point(state.x, state.y, 0.0)))
+            if (goal := self._route.goal) is not None:
+                self._navigator.go_to((goal.x, goal.y))
 
     def _go(self, points: tuple[Point, ...], navigator: Navigator) -> None:
         """Follow points: the way that they stand for when they are the planner's, else one that is planned to each; in

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -17,9 +18,11 @@ from targets.planning.room import Room, fixed
 from targets.planning.room import room as room_of
 from targets.planning.world import Path, Scene, World
 from targets.quad.motion import room
+from targets.quad.rejoin import LEG
 
 LEG_SECONDS = 0.2  # that a leg back to the path may take to plan: the vehicle stands meanwhile
-LEG = 0.75  # of the clearance: a leg may begin a little beside the path, which keeps all of it
+RETREATS = (0.1, 0.2, 0.3, 0.4)  # m, how far away from an obstacle places are looked for,
+DIRECTIONS = 16  # ... and in how many directions
 
 MakePlanning = Callable[[str, World, float], Planning]
 
@@ -82,11 +85,40 @@ class Avoidance:
         self.refusal, self._admitted = trouble, None if trouble else points
         return not trouble
 
+    def resumes(self, points: Path, passed: int) -> bool:
+        """As `admits`, of a path that an earlier life of this agent followed: of its points so many are behind, and the
+        leg to the next one is looked at later."""
+        self._admitted = None
+        if not self.admits(points[passed], points[passed + 1 :]):
+            return False
+        self._admitted = points
+        return True
+
     def clear(self, start: Point, end: Point, margin: float) -> bool:
         """See `rejoin.Ways`."""
         here = Room(start)
-        here.keep(self._standing, self._world.radius + margin * self._world.clearance)
+        here.keep(self._standing, self._kept(margin))
         return here.clear(start, end)
+
+    def apart(self, start: Point, end: Point, margin: float) -> bool:
+        """See `rejoin.Ways`."""
+        kept = self._kept(margin)
+        return all(thing.distance(start, end, kept) >= kept for thing in self._standing)
+
+    def _kept(self, margin: float) -> float:
+        return self._world.radius + margin * self._world.clearance
+
+    def retreat(self, position: Point) -> Point:
+        """See `rejoin.Ways`."""
+        if self.apart(position, position, LEG):
+            return position
+        for far in RETREATS:
+            for i in range(DIRECTIONS):
+                turn = math.tau * i / DIRECTIONS
+                place = position + Point(far * math.cos(turn), far * math.sin(turn))
+                if inside(self._room, place) and self.apart(place, place, LEG) and self.clear(position, place, LEG):
+                    return place
+        return position
 
     def leg_clear(self, start: Point, end: Point) -> bool:
         """See `rejoin.Ways`."""

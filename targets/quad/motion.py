@@ -73,9 +73,9 @@ class Motion:
         """Why the vehicle holds until the next command: it made no progress; "" when it does."""
         return self._rejoin.stuck
 
-    def command(self, points: tuple[Point, ...], now: float, passed: int = 0) -> None:
+    def command(self, points: tuple[Point, ...], now: float, passed: int | None = None) -> None:
         """Go there, straight from each point to the next; a target is a path of one point, none is: stay here. What
-        is being followed already changes nothing. The first `passed` points are behind the vehicle; then nobody has
+        is being followed already changes nothing. With `passed`, so many points are behind the vehicle, and nobody has
         checked the leg to the next one."""
         if not transmissible(points):
             self.refused += 1
@@ -85,8 +85,8 @@ class Motion:
             return
         self._commanded, self._goal = lifted, lifted[-1] if lifted else None
         self._near, self.reached = None, not lifted
-        self._reference.follow(lifted[passed:], now)
-        self._rejoin.command(now, passed > 0)
+        self._reference.follow(lifted[passed or 0 :], now)
+        self._rejoin.command(now, unchecked=passed is not None)
 
     def hold(self, on: bool, now: float) -> None:
         """Pause where the vehicle can stop, or resume."""
@@ -103,7 +103,7 @@ class Motion:
         if position is None or link.vehicle is None or (self._sent is not None and now - self._sent < SPACING):
             return
         self._attend(position, state.velocity, now)
-        aim = self._rejoin.bounded(aimed(self._reference, self._shaping), position, self._shaping.late[0])
+        aim = self._rejoin.bounded(aimed(self._reference, self._shaping), position, self._shaping)
         self._say(link, Aim(aim.position, aim.velocity, self._heading(state)), now)
         self._watch(link, state, aim, now)
         self._judge(position, state.velocity, now)

@@ -20,11 +20,12 @@ from koordgen.runtime.platform import Finding, Sensed, Unready
 from koordgen.runtime.safety import clamp
 from koordgen.runtime.scans import ScanPort, listen_for_scans
 from koordgen.runtime.settings import BadSettings, Settings
-from koordgen.runtime.values import Point
+from koordgen.runtime.values import Point, transmissible
 from targets.mavlink.framing import Message
 from targets.mavlink.link import Link
 from targets.mavlink.transport import Transport, opened
 from targets.planning.process import Beside
+from targets.planning.route import commanded, passed
 from targets.quad.avoidance import Avoidance, MakePlanning
 from targets.quad.check import listen
 from targets.quad.diagnosis import findings
@@ -238,16 +239,27 @@ class Quad:
     def command(self, actuators: Mapping[str, Any], now: float) -> None:
         """See Platform. What is not finite is refused, counted and shown in `progress`; instead of what leads into an
         obstacle of the fleet file the quad holds, and says so."""
-        for module in MODULES:
-            if f"{module}.target" in actuators:
-                self._command((actuators[f"{module}.target"],), now)
-            if f"{module}.path" in actuators:
-                self._command(actuators[f"{module}.path"], now)
+        for points in commanded(actuators, MODULES):
+            self._command(points, now)
 
-    def _command(self, points: tuple[Point, ...], now: float) -> None:
-        held = self._avoidance.refusal
-        if self._avoidance.admits(self._telemetry.position, points):
-            self._motion.command(points, now)
+    def resume(self, actuators: Mapping[str, Any], now: float) -> None:
+        """See Resumes. The leg to the next point is planned if it is not clear."""
+        position = self._telemetry.position
+        for points in commanded(actuators, MODULES):
+            if position is not None and points and transmissible(points):
+                self._command(points, now, passed(points, position))
+            else:
+                self._command(points, now)
+
+    def _command(self, points: tuple[Point, ...], now: float, behind: int | None = None) -> None:
+        """Fly by these points if they may be flown by; `behind` says how many a quad that resumes has passed."""
+        held, avoidance = self._avoidance.refusal, self._avoidance
+        if behind is None:
+            admitted = avoidance.admits(self._telemetry.position, points)
+        else:
+            admitted = avoidance.resumes(points, behind)
+        if admitted:
+            self._motion.command(points, now, behind)
         elif not held:
             self._motion.command((), now)
 

@@ -19,6 +19,7 @@ from targets.quad.trajectory import ZERO, Limits, State, Trajectory, norm, plan,
 LEASH_TIME, LEASH_LENGTH = 0.5, 0.5  # s, m: the leash is LEASH_LENGTH + LEASH_TIME * speed
 LONGEST_STEP = 0.5  # s; the reference runs on by no more than that at once
 CREEP = 0.05  # of its rate, below which it stands
+FASTER = 1.0  # 1/s, by which the rate grows again after the trajectory was slowed
 PAUSE = 0.5  # s of running on at most when it is paused: as far as an autopilot needs to brake
 STANDING = 0.25  # m/s, above what a hovering vehicle's estimate shows
 WINDOW = 0.4  # s of a target's last places from which its way is told
@@ -84,6 +85,7 @@ class Reference:
         self._elapsed = 0.0  # of the trajectory's time
         self._rate = 1.0  # of its time to ours
         self._time = 0.0
+        self._slowed = False  # by `most`, which the rate leaves slowly
         self.paused = False
         self.alone = True  # whether a position says all: it is at rest, to hold, or waits
 
@@ -108,6 +110,11 @@ class Reference:
         if trajectory is None or trajectory.peak == 0.0:
             return math.inf
         return -math.inf if trajectory.end.velocity != ZERO else self._elapsed - trajectory.seconds
+
+    @property
+    def rate(self) -> float:
+        """Of its time to ours."""
+        return self._rate
 
     @property
     def waits(self) -> bool:
@@ -160,13 +167,17 @@ class Reference:
             state = State(self._halt(state))
         self._replan(state)
 
-    def advance(self, position: Point, now: float) -> None:
-        """The vehicle is there now."""
+    def advance(self, position: Point, now: float, most: float = 1.0) -> None:
+        """The vehicle is there now. The trajectory runs on at `most` times its own pace, at most."""
+        since = max(0.0, now - self._time)
         state = self._run(now)
         if state is None:
             return
         behind = distance(position, state.position) / self._leash
-        rate = min(1.0, 2.0 - 2.0 * behind)
+        rate = min(1.0, 2.0 - 2.0 * behind, most)
+        if most < 1.0 or self._slowed:
+            rate = min(rate, self._rate + since * FASTER)
+        self._slowed = rate < min(1.0, 2.0 - 2.0 * behind)
         self._rate = rate if rate > CREEP else 0.0
         if now >= self._pursuit.until > -math.inf:
             self._pursuit.forget()

@@ -9,13 +9,14 @@ again every RETRY seconds. Metres, seconds, local ENU.
 from __future__ import annotations
 
 import enum
+import math
 from typing import Protocol
 
 from koordgen.runtime.values import Point, distance
 from targets.planning.world import Path
 from targets.quad.check import coordinates
 from targets.quad.reference import STANDING, Reference
-from targets.quad.setpoint import RUN_ON, Aim
+from targets.quad.setpoint import RUN_ON, Aim, Shaping
 from targets.quad.trajectory import norm
 
 LATE = 0.3  # s without a setpoint after which the vehicle may have run on past its reference
@@ -23,9 +24,15 @@ OFF = 0.2  # m from its reference beyond which the straight line back to it is c
 BRAKING = 3.0  # s that the vehicle may need to stand; after them a leg is looked for all the same
 RETRY = 1.0  # s between two attempts to find a leg
 PATIENCE = 2.0  # s that a planner may take; then it is asked again
-NO_PROGRESS = 8.0  # s without motion (longer than the autopilot may seem not to follow) after which a vehicle that should move is stuck
+# Seconds without motion after which a vehicle that should move is stuck: after `motion.UNFOLLOWED`, which blames the
+# autopilot.
+NO_PROGRESS = 8.0
 MOVED = 0.1  # m that count as motion
 RUNNING = 0.5  # of the planner's clearance that is kept where a vehicle may be drawn to, or run on to
+LEG = 0.75  # ... on a leg back to the path, which may begin a little beside it: the path itself keeps all
+TIGHT = 0.15  # m
+LOOK = 1.0  # s: a reference that heads for an obstacle is no faster than the distance from it over this time,
+SLOWEST = 0.15  # m/s, but always so fast
 BISECTIONS = 6  # of a distance that an obstacle limits
 
 
@@ -35,6 +42,15 @@ class Ways(Protocol):
     def clear(self, start: Point, end: Point, margin: float) -> bool:
         """Return whether a straight line keeps the body's radius, and this part of the planner's clearance, from the
         obstacles of the fleet file."""
+        ...
+
+    def apart(self, start: Point, end: Point, margin: float) -> bool:
+        """As `clear`, but what is nearer to the start must be kept away from as well."""
+        ...
+
+    def retreat(self, position: Point) -> Point:
+        """Return a place nearby that keeps the distance of a leg, from where the body may be nearer to an obstacle;
+        `position` where that is far enough away, or no such place is found."""
         ...
 
     def leg_clear(self, start: Point, end: Point) -> bool:
@@ -56,6 +72,12 @@ class OpenSpace:
 
     def clear(self, start: Point, end: Point, margin: float) -> bool:
         return True
+
+    def apart(self, start: Point, end: Point, margin: float) -> bool:
+        return True
+
+    def retreat(self, position: Point) -> Point:
+        return position
 
     def leg_clear(self, start: Point, end: Point) -> bool:
         return True
@@ -89,6 +111,7 @@ class Rejoin:
         self._moved: tuple[Point, float] | None = None  # where and when the vehicle moved last, or had no reason to
         self._stuck_at: Point | None = None  # where it was stuck last
         self._silent = False  # whether the log says already that there is no leg
+        self._from = Point()  # where the leg that is looked for begins: near the vehicle
         self._news: list[str] = []
         self.held = False
         self.stuck = ""
@@ -122,7 +145,7 @@ class Rejoin:
         if late or not self._reference.started:
             self._brake(position, velocity, now)
         self._look(position, velocity, now)
-        self._reference.advance(position, now)
+        self._reference.advance(position, now, self._most(position))
         self._watch_progress(position, velocity, arrived, now)
 
     def _look(self, position: Point, velocity: Point, now: float) -> None:
@@ -155,7 +178,7 @@ class Rejoin:
         here = self._reference.at(0.0).position
         if distance(position, here) <= OFF:
             return False
-        return not self._ways.clear(position, here, RUNNING)
+        return not self._ways.apart(position, here, LEG)
 
     def _brake(self, position: Point, velocity: Point, now: float) -> None:
         """Begin anew where the vehicle is, by standing."""
@@ -165,10 +188,13 @@ class Rejoin:
         self._reference.start(position, velocity, now)
 
     def _choose(self, position: Point, velocity: Point, now: float) -> None:
-        """From a stand: fly to the next point if the leg is clear, else have one planned."""
-        if self._clear(position):
-            self._resume(position, velocity, now)
-        elif self._ways.ask_leg(position, self._reference.ahead[0]):
+        """From a stand: fly to the next point if the leg is clear, else have one planned. A vehicle that is near to an
+        obstacle moves away from it first."""
+        self._from = self._ways.retreat(position)
+        goal = self._reference.ahead[0]
+        if self._ways.leg_clear(self._from, goal):
+            self._resume((goal,), position, velocity, now)
+        elif self._ways.ask_leg(self._from, goal):
             self._enter(Stage.ASKING, now)
             self._answered(position, velocity, now)  # it may have come at once
         else:
@@ -180,20 +206,23 @@ class Rejoin:
             if now - self._since > PATIENCE:
                 self._enter(Stage.BRAKING, now)
             return
+        goal = self._reference.ahead[0]
         if leg:
-            self._reference.detour(leg[1:])
-            self._resume(position, velocity, now)
-        elif self._ways.clear(position, self._reference.ahead[0], 0.0):  # as near as a command may lead
-            self._resume(position, velocity, now)
+            self._resume((*leg[1:-1], goal), position, velocity, now)
+        elif self._ways.clear(position, goal, 0.0):  # as near as a command may lead
+            self._resume((goal,), position, velocity, now)
         else:
             self._enter(Stage.STANDING, now)
             if not self._silent:
                 self._silent = True
-                goal = coordinates(self._reference.ahead[0])
-                self._news.append(f"no clear way from {coordinates(position)} back to {goal}: holding")
+                way = f"from {coordinates(position)} back to {coordinates(goal)}"
+                self._news.append(f"no clear way {way}: holding")
 
-    def _resume(self, position: Point, velocity: Point, now: float) -> None:
-        """Start the reference where the vehicle is."""
+    def _resume(self, leg: Path, position: Point, velocity: Point, now: float) -> None:
+        """Start the reference where the vehicle is, along the leg that was found."""
+        if self._from != position:
+            leg = (self._from, *leg)
+        self._reference.detour(leg)
         self._reference.drop(now)
         self._enter(Stage.FLYING, now)
         self._pause(now)
@@ -227,19 +256,36 @@ class Rejoin:
                 self._enter(Stage.STANDING, now)
             self._news.append(self.stuck or f"{line}: braking, and looking for another way")
 
-    def bounded(self, aim: Aim, position: Point, late: float) -> Aim:
+    def bounded(self, aim: Aim, position: Point, shaping: Shaping) -> Aim:
         """The same demand, with as much velocity as leads to no obstacle while the autopilot runs on without us. As in
-        `setpoint`, `late` seconds of velocity are exchanged for position. A position alone is not behind an
-        obstacle."""
+        `setpoint`, velocity is exchanged for position. A position alone is not behind an obstacle."""
         if aim.velocity is None:
             return Aim(self._free(position, aim.position), None, aim.yaw)
         p, v = aim.position, aim.velocity
-        free = distance(p, self._free(p, p + v * RUN_ON))
-        speed = norm(v)
+        level, free, speed = shaping.late[0], distance(p, self._free(p, p + v * RUN_ON)), norm(v)
         if free >= RUN_ON * speed - 1e-9:
             return aim
-        kept = max(0.0, (free - late * speed) / (RUN_ON - late))
-        return Aim(p + v * (min(free, late * (speed - kept)) / speed), v * (kept / speed), aim.yaw)
+        kept = v * (max(0.0, free - level * speed) / ((RUN_ON - level) * speed))
+        given = v - kept
+        ahead = Point(given.x * level, given.y * level, given.z * shaping.late[1])
+        return Aim(p + ahead * min(1.0, free / max(norm(ahead), 1e-9)), kept, aim.yaw)
+
+    def _most(self, position: Point) -> float:
+        """The rate of the reference at which `bounded` still demands all of its speed, and at which it can be braked
+        before what it heads for. Near obstacles it waits for a vehicle that is TIGHT behind, lest that one cuts
+        corners."""
+        reference, state = self._reference, self._reference.at(0.0)
+        speed, off = norm(state.velocity), distance(position, state.position)
+        tight = 1.0
+        if off > TIGHT and not self._ways.apart(position, state.position, 1.0):
+            tight = max(0.0, 2.0 - off / TIGHT)
+        if speed < SLOWEST:
+            return tight
+        u = state.velocity / speed
+        limits = reference.limits
+        free = distance(state.position, self._free(state.position, state.position + u * (LOOK * limits.speed)))
+        allowed = max(SLOWEST, min(free / LOOK, math.sqrt(2 * limits.acceleration * free)))
+        return min(tight, reference.rate * allowed / speed)
 
     def _free(self, start: Point, end: Point) -> Point:
         """The farthest of some points on the line from `start` to `end` up to which the line is clear."""
