@@ -97,6 +97,7 @@ class Navigator:
         self._stirred = 0.0  # when the car moved last, or had no reason to
         self._trail = Trail()
         self._curve: Curve | None = None  # the way that is driven
+        self.waits = False  # for another robot to leave its way
         self.reached = True
         self.progress = "standing: no target yet"
 
@@ -104,6 +105,11 @@ class Navigator:
     def steering(self) -> float:
         """The angle commanded last, radians."""
         return self._last.steering
+
+    @property
+    def target(self) -> tuple[float, float] | None:
+        """The place to drive to."""
+        return self._target
 
     @property
     def gear(self) -> int:
@@ -195,11 +201,13 @@ class Navigator:
     def _free(self, state: State, standing: bool, now: float) -> float:
         """How many metres of the way are free of the others', as far as it takes to stop. A car that stands before
         another's way has one around it planned again and again."""
+        self.waits = False
         if self._curve is None:
             return math.inf
         settings = self._settings
         ahead = state.speed**2 / (2 * BRAKING * settings.max_acceleration) + settings.max_speed * REACTION + CAUTION
         free = self._avoidance.free(self._curve, self._tracker.station, ahead)
+        self.waits = free < math.inf
         if free < math.inf:
             self.progress = f"another robot's path crosses this one in {free:.1f} m"
             self._stirred = now  # it knows why it stands

@@ -44,18 +44,18 @@ def room(fence: Box, height: float) -> Box:
 
 class Motion:
     """Lengths in m, fleet's ENU. Heights are raised to `height`, and everything is brought inside the fence, by a
-    margin. `climb` is the vertical speed limit; `yaw` is `heading`'s."""
+    margin. `climb` is the vertical speed limit; `yaw` is `heading`'s, `action` `Stall`'s."""
 
     def __init__(
         self, frame: LocalFrame, fence: Box, height: float, max_speed: float, acceleration: float, climb: float,
         radius: float, dwell: float, yaw: str | float = "keep", shaping: Shaping = ARDUPILOT,
-        ways: Ways | None = None,
+        ways: Ways | None = None, action: str = "hold",
     ) -> None:  # fmt: skip
         self._frame, self._fence = frame, fence
         self._radius, self._dwell, self._speed = radius, dwell, max_speed
         self._room = room(fence, height)
         self._reference = Reference(Limits(max_speed, climb, acceleration, self._room))
-        self._rejoin = Rejoin(self._reference, OpenSpace() if ways is None else ways)
+        self._rejoin = Rejoin(self._reference, OpenSpace() if ways is None else ways, action)
         self._shaping = shaping
         self._policy, self._yaw = yaw, yaw if isinstance(yaw, float) else None
         self._commanded: tuple[Point, ...] = ()
@@ -67,11 +67,6 @@ class Motion:
         self.reached = True
         self.followed = False  # whether the autopilot was seen to follow the setpoints, and still does
         self.refused = 0  # targets that were not finite
-
-    @property
-    def stuck(self) -> str:
-        """Why the vehicle holds until the next command: it made no progress; "" when it does."""
-        return self._rejoin.stuck
 
     def command(self, points: tuple[Point, ...], now: float, passed: int | None = None) -> None:
         """Go there, straight from each point to the next; a target is a path of one point, none is: stay here. What

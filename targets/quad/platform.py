@@ -106,7 +106,7 @@ class Quad:
         self._avoidance = Avoidance(settings, body.flight_height, body.radius, body.clearance, body.planner, planning)
         self._motion = Motion(
             self._frame, fence, body.flight_height, body.max_speed, body.max_acceleration, body.max_climb,
-            body.reached_radius, body.reached_dwell, yaw, ways=self._avoidance,
+            body.reached_radius, body.reached_dwell, yaw, ways=self._avoidance, action=settings.safety.missed_action,
         )  # fmt: skip
         self._connect, self._clock, self._sleep, self._wall = connect, clock, sleep, wall
         self._lidar = ScanPort(body.scans, settings.robot, key, scans)

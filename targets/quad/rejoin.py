@@ -13,6 +13,7 @@ import math
 from typing import Protocol
 
 from koordgen.runtime.values import Point, distance
+from targets.planning.stall import Stall
 from targets.planning.world import Path
 from targets.quad.check import coordinates
 from targets.quad.reference import STANDING, Reference
@@ -24,13 +25,11 @@ OFF = 0.2  # m from its reference beyond which the straight line back to it is c
 BRAKING = 3.0  # s that the vehicle may need to stand; after them a leg is looked for all the same
 RETRY = 1.0  # s between two attempts to find a leg
 PATIENCE = 2.0  # s that a planner may take; then it is asked again
-# Seconds without motion after which a vehicle that should move is stuck: after `motion.UNFOLLOWED`, which blames the
-# autopilot.
-NO_PROGRESS = 8.0
-MOVED = 0.1  # m that count as motion
 RUNNING = 0.5  # of the planner's clearance that is kept where a vehicle may be drawn to, or run on to
 LEG = 0.75  # ... on a leg back to the path, which may begin a little beside it: the path itself keeps all
-TIGHT = 0.15  # m
+# m that the vehicle may be behind its reference before that one waits, where obstacles are nearer than the radius and
+# this much of the clearance. (From a stand it is 0.3 m late: an autopilot begins anew with each kind of setpoint.)
+TIGHT, NEARBY = 0.15, 2.0
 LOOK = 1.0  # s: a reference that heads for an obstacle is no faster than the distance from it over this time,
 SLOWEST = 0.15  # m/s, but always so fast
 BISECTIONS = 6  # of a distance that an obstacle limits
@@ -101,20 +100,18 @@ class Stage(enum.Enum):
 
 class Rejoin:
     """Owns when the reference is paused. `held` is the wish of the safety layer; the reference is paused then, and
-    whenever a leg is looked for. `stuck` says why the vehicle made no progress, "" while it does."""
+    whenever a leg is looked for. `action` is `Stall`'s."""
 
-    def __init__(self, reference: Reference, ways: Ways) -> None:
+    def __init__(self, reference: Reference, ways: Ways, action: str = "hold") -> None:
         self._reference, self._ways = reference, ways
         self._stage = Stage.FLYING
         self._since = 0.0  # when the stage began
         self._polled: float | None = None
-        self._moved: tuple[Point, float] | None = None  # where and when the vehicle moved last, or had no reason to
-        self._stuck_at: Point | None = None  # where it was stuck last
+        self._stall = Stall(action)
         self._silent = False  # whether the log says already that there is no leg
         self._from = Point()  # where the leg that is looked for begins: near the vehicle
         self._news: list[str] = []
         self.held = False
-        self.stuck = ""
 
     def hold(self, on: bool, now: float) -> None:
         """Pause, or check the leg and resume."""
@@ -127,7 +124,8 @@ class Rejoin:
 
     def command(self, now: float, unchecked: bool) -> None:
         """The reference follows other points now. `unchecked` says that nobody checked the leg to the first of them."""
-        self.stuck, self._stuck_at, self._silent = "", None, False
+        self._stall.command()
+        self._silent = False
         if unchecked or self._stage is not Stage.FLYING:
             self._enter(Stage.BRAKING, now)
             self._pause(now)
@@ -135,7 +133,7 @@ class Rejoin:
     def drop(self, now: float) -> Point | None:
         """Another steers the vehicle, or its position is not known. See `Reference.drop`."""
         halt = self._reference.drop(now)
-        self._polled = self._moved = None
+        self._polled = None
         return halt
 
     def poll(self, position: Point, velocity: Point, arrived: bool, now: float) -> None:
@@ -146,14 +144,14 @@ class Rejoin:
             self._brake(position, velocity, now)
         self._look(position, velocity, now)
         self._reference.advance(position, now, self._most(position))
-        self._watch_progress(position, velocity, arrived, now)
+        moves = self._stage is Stage.FLYING and not self.held and not arrived
+        if self._stall.look(position, moves, coordinates(self._reference.ahead[0]), now):
+            self._brake(position, velocity, now)
 
     def _look(self, position: Point, velocity: Point, now: float) -> None:
-        if self._stage is Stage.FLYING:
-            if not self.held and self._strayed(position):
-                self._brake(position, velocity, now)
-            return
-        if self.held:
+        if self._strayed(position):
+            self._brake(position, velocity, now)
+        if self._stage is Stage.FLYING or self.held or self._stall.holding:
             return
         if self._stage is Stage.RESUMING:
             if distance(position, self._reference.at(0.0).position) <= OFF and self._clear(position):
@@ -166,7 +164,7 @@ class Rejoin:
             self._choose(position, velocity, now)
         elif self._stage is Stage.ASKING:
             self._answered(position, velocity, now)
-        elif self._stage is Stage.STANDING and now - self._since > RETRY and not self.stuck:
+        elif self._stage is Stage.STANDING and now - self._since > RETRY:
             self._choose(position, velocity, now)
 
     def _clear(self, position: Point) -> bool:
@@ -237,25 +235,6 @@ class Rejoin:
         if paused != self._reference.paused:
             self._reference.pause(paused, now)
 
-    def _watch_progress(self, position: Point, velocity: Point, arrived: bool, now: float) -> None:
-        """A vehicle that should move and does not for NO_PROGRESS seconds brakes, and looks for a leg anew; when that
-        does not bring it away from there, it holds until the next command."""
-        if self._stage is not Stage.FLYING or self.held or arrived or self._moved is None:
-            self._moved = position, now
-            return
-        if distance(position, self._moved[0]) > MOVED:
-            self._moved = position, now
-        elif now - self._moved[1] > NO_PROGRESS:
-            again = self._stuck_at is not None and distance(position, self._stuck_at) <= 2 * MOVED
-            self._stuck_at = position
-            goal = coordinates(self._reference.ahead[0])
-            line = f"no progress for {NO_PROGRESS:g} s at {coordinates(position)} on the way to {goal}"
-            self._brake(position, velocity, now)
-            if again:
-                self.stuck = f"{line}: holding until the next command"
-                self._enter(Stage.STANDING, now)
-            self._news.append(self.stuck or f"{line}: braking, and looking for another way")
-
     def bounded(self, aim: Aim, position: Point, shaping: Shaping) -> Aim:
         """The same demand, with as much velocity as leads to no obstacle while the autopilot runs on without us. As in
         `setpoint`, velocity is exchanged for position. A position alone is not behind an obstacle."""
@@ -277,7 +256,7 @@ class Rejoin:
         reference, state = self._reference, self._reference.at(0.0)
         speed, off = norm(state.velocity), distance(position, state.position)
         tight = 1.0
-        if off > TIGHT and not self._ways.apart(position, state.position, 1.0):
+        if off > TIGHT and not self._ways.apart(position, state.position, NEARBY):
             tight = max(0.0, 2.0 - off / TIGHT)
         if speed < SLOWEST:
             return tight
@@ -302,5 +281,5 @@ class Rejoin:
 
     def news(self) -> list[str]:
         """Return what happened since the last call, for the log."""
-        said, self._news = self._news, []
+        said, self._news = [*self._news, *self._stall.news()], []
         return said
