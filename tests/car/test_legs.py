@@ -1,0 +1,111 @@
+"""A car that was carried, restarted or blocked: its next way is planned from where it is; and no progress."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import msgspec
+import pytest
+
+from koordgen.runtime.obstacles import Block
+from koordgen.runtime.platform import Unready
+from koordgen.runtime.settings import Safety
+from koordgen.runtime.values import Point
+from targets.car.platform import Car
+from targets.planning.process import Inside
+from targets.planning.stall import NO_PROGRESS
+from tests.car.test_avoidance import BOX, drive, nearest
+from tests.car.world import KEY, World, robot_settings, standing
+
+GOAL = Point(3.0, 0.0, 0.0)
+
+
+def world_with(*obstacles: Block, safety: Safety | None = None, **settings: Any) -> World:
+    world = World(**settings)
+    world.car = agent(world, *obstacles, safety=safety)
+    return world.begin()
+
+
+def agent(world: World, *obstacles: Block, safety: Safety | None = None) -> Car:
+    made = msgspec.structs.replace(robot_settings({}), obstacles=obstacles, safety=safety or Safety())
+    return Car(made, KEY, world.wire, Inside)
+
+
+def planned(world: World) -> tuple[Point, ...]:
+    path: tuple[Point, ...] = world.car.call("Motion.planner", (GOAL,))
+    assert len(path) > 2
+    world.car.command({"Motion.path": path}, world.now)
+    return path
+
+
+def test_a_car_that_was_carried_on_hold_has_its_way_planned_anew() -> None:
+    world = world_with(BOX)
+    planned(world)
+    world.run(1.5)
+    world.car.hold(True, world.now)
+    world.run(2.0)
+    world.body.truth = replace(world.body.truth, x=1.5, y=-1.2, yaw=0.0, speed=0.0)
+    world.run(2.5)
+    world.car.hold(False, world.now)
+    assert drive(world, 15.0, BOX) > 0.05
+    assert world.value("reached") is True and world.distance(3.0, 0.0) < 0.1
+
+
+def test_a_new_agent_goes_on_amid_the_path() -> None:
+    world = world_with(BOX)
+    path = planned(world)
+    while world.body.truth.x < 1.9:
+        world.run(0.1)
+    world.car.close()
+    world.physics(1.0)
+    world.car = agent(world, BOX)
+    world.begin()
+    world.car.resume({"Motion.path": path}, world.now)
+    back: list[float] = []
+    world.run(12.0, lambda: back.append(world.body.truth.x))
+    assert world.value("reached") is True and world.distance(3.0, 0.0) < 0.1
+    assert min(back) > 1.2 and nearest(world, BOX) > 0.05, "it does not drive the path again"
+
+
+def blocked(**safety: Any) -> World:
+    """A car whose wheels turn, and which stays where it is."""
+    world = world_with(BOX, safety=Safety(**safety))
+    planned(world)
+    world.run(1.0)
+    truth = world.body.truth
+
+    def stays(seconds: float) -> None:
+        world.body.truth = replace(truth, speed=world.body.asked[0])
+
+    world.body.step = stays  # type: ignore[method-assign]
+    world.run(NO_PROGRESS + 1.0)
+    return world
+
+
+def test_a_car_that_makes_no_progress_says_so_and_holds() -> None:
+    world = blocked()
+    (line,) = world.car.news()
+    assert line.startswith("no progress for 8 s at (") and line.endswith("braking, and looking for another way")
+    world.run(NO_PROGRESS + 3.0)
+    (line,) = world.car.news()
+    assert line.endswith("twice: holding until the next command") and line == world.car.progress
+    world.run(2 * NO_PROGRESS)
+    assert world.car.news() == [] and standing(world)
+
+
+def test_a_car_that_makes_no_progress_comes_to_rest_where_the_fleet_file_says_so() -> None:
+    world = blocked(missed_action="rest")
+    with pytest.raises(Unready, match="no progress for 8 s"):
+        world.run(2 * NO_PROGRESS)
+
+
+def test_a_car_that_holds_or_stands_at_its_target_is_not_stalled() -> None:
+    world = world_with(BOX)
+    planned(world)
+    world.run(1.0)
+    world.car.hold(True, world.now)
+    world.run(2 * NO_PROGRESS)
+    world.car.hold(False, world.now)
+    world.run(15.0 + 2 * NO_PROGRESS)
+    assert world.value("reached") is True and world.car.news() == []
