@@ -135,6 +135,14 @@ class Avoidance:
         seen = named(Scene(others=self._others), ground.body, start[:2], ground.clearance)
         return ground.around(start, target, seen).clear(curve)
 
+    def strayed(self, state: State) -> bool:
+        """Return whether a car that has left its way is nearer to an obstacle of the fleet file than half the
+        clearance: there no way back is driven that was not planned."""
+        ground, middle = self._ground, self._ground.middle
+        x, y = state.x + middle * math.cos(state.yaw), state.y + middle * math.sin(state.yaw)
+        near = (ground.body.distance(state.x, state.y, state.yaw, shape) for *_, shape in ground.fixed.around(x, y))
+        return min(near, default=math.inf) < ground.clearance / 2
+
     def free(self, curve: Curve, station: float, ahead: float) -> float:
         """How many metres of a curve, from a station on, are out of the ways that the others have published, as far as
         `ahead` metres; infinite when all of these are. Where the car is in one already, it may get out, not deeper."""

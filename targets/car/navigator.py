@@ -24,6 +24,7 @@ ARC_REACH = 0.5  # metres: a target so near is first tried by a single arc
 STANDING_BY, FOLLOWING = 0.4, 1.5  # radii: as close as an arc has to come, from a stand and on the last stretch
 LOOKAHEAD = 0.4  # metres at which a moving target is steered for: pure pursuit of a nearer point sways
 TRAIL = 0.3  # metres of a target's way that tell where it is heading
+STRAYED = 0.08  # metres from the path beyond which the way back to it is not driven near to obstacles
 OFF_PATH = 0.25  # metres from the path that call for a new one
 BEHIND = 0.5  # metres that the car may have gone on from where an answer's way begins
 RETRY = 1.0  # seconds until a plan that failed is tried again
@@ -235,6 +236,10 @@ class Navigator:
         """Whether there is a way to follow; has one planned if needed."""
         target = self._target
         if target is None:
+            return False
+        if self._tracker.error > STRAYED and not self._tracker.done and self._avoidance.strayed(state):
+            self._tracker.stop()
+            self.progress = "braking: off its way, and near to an obstacle"
             return False
         self._answered(state, away, now)
         driving = not self._tracker.done and self._tracker.error <= OFF_PATH

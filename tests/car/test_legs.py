@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -12,10 +13,12 @@ from koordgen.runtime.obstacles import Block
 from koordgen.runtime.platform import Unready
 from koordgen.runtime.settings import Safety
 from koordgen.runtime.values import Point
+from targets.car.bicycle import advance
 from targets.car.platform import Car
 from targets.planning.process import Inside
 from targets.planning.stall import NO_PROGRESS
-from tests.car.test_avoidance import BOX, drive, nearest
+from tests.car.exact import gap, outline
+from tests.car.test_avoidance import BODY, BOX, drive, nearest
 from tests.car.world import KEY, World, robot_settings, standing
 
 GOAL = Point(3.0, 0.0, 0.0)
@@ -23,18 +26,19 @@ GOAL = Point(3.0, 0.0, 0.0)
 
 def world_with(*obstacles: Block, safety: Safety | None = None, **settings: Any) -> World:
     world = World(**settings)
-    world.car = agent(world, *obstacles, safety=safety)
+    world.car = agent(world, *obstacles, safety=safety, **settings)
     return world.begin()
 
 
-def agent(world: World, *obstacles: Block, safety: Safety | None = None) -> Car:
-    made = msgspec.structs.replace(robot_settings({}), obstacles=obstacles, safety=safety or Safety())
+def agent(world: World, *obstacles: Block, safety: Safety | None = None, **settings: Any) -> Car:
+    made = msgspec.structs.replace(robot_settings(settings), obstacles=obstacles, safety=safety or Safety())
     return Car(made, KEY, world.wire, Inside)
 
 
 def planned(world: World) -> tuple[Point, ...]:
-    path: tuple[Point, ...] = world.car.call("Motion.planner", (GOAL,))
-    assert len(path) > 2
+    path: tuple[Point, ...] = ()
+    while not path:  # the planner's time is the host's
+        path = world.car.call("Motion.planner", (GOAL,))
     world.car.command({"Motion.path": path}, world.now)
     return path
 
@@ -52,6 +56,26 @@ def test_a_car_that_was_carried_on_hold_has_its_way_planned_anew() -> None:
     assert world.value("reached") is True and world.distance(3.0, 0.0) < 0.1
 
 
+def test_a_car_that_was_pushed_towards_an_obstacle_brakes_and_has_its_way_planned_anew() -> None:
+    world = world_with(BOX)
+    planned(world)
+    said: list[str] = []
+    gaps: list[float] = []
+
+    def look() -> None:
+        said.append(world.car.progress)
+        gaps.append(nearest(world, BOX))
+
+    while world.body.truth.x < 1.4:
+        world.run(0.05)
+    truth = world.body.truth
+    pushed = math.copysign(nearest(world, BOX) - 0.015, -truth.y)
+    world.body.truth = replace(truth, y=truth.y + pushed)
+    world.run(15.0, look)
+    assert any("off its way, and near to an obstacle" in line for line in said)
+    assert min(gaps) > 0.005 and world.value("reached") is True
+
+
 def test_a_new_agent_goes_on_amid_the_path() -> None:
     world = world_with(BOX)
     path = planned(world)
@@ -66,6 +90,26 @@ def test_a_new_agent_goes_on_amid_the_path() -> None:
     world.run(12.0, lambda: back.append(world.body.truth.x))
     assert world.value("reached") is True and world.distance(3.0, 0.0) < 0.1
     assert min(back) > 1.2 and nearest(world, BOX) > 0.05, "it does not drive the path again"
+
+
+@pytest.mark.parametrize("speed", [1.0, 2.5])
+def test_a_car_whose_agent_stops_at_any_moment_is_braked_before_an_obstacle(speed: float) -> None:
+    """By the watchdog, after 0.15 s and the motor's lag of 0.1 s, with the steering that it has then."""
+    world = world_with(BOX, max_speed=speed)
+    planned(world)
+    least: list[float] = []
+
+    def stopped() -> None:
+        truth, (pace, steering) = world.body.truth, world.body.asked
+        way = abs(pace) * 0.25 + pace * pace / (2 * 3.0)
+        pieces = math.ceil(way / 0.02) + 1
+        end = replace(truth, speed=math.copysign(way / pieces, pace), steering=steering)
+        for _ in range(pieces):
+            end = advance(end, 1.0, 0.33)
+            least.append(gap(outline(BODY, end.x, end.y, end.yaw), BOX))
+
+    world.run(12.0, stopped)
+    assert min(least) > 0.0 and world.value("reached") is True
 
 
 def blocked(**safety: Any) -> World:

@@ -230,7 +230,7 @@ def simulated(folder: Path, fleet: dict[str, Any], faults: dict[str, Any], seed:
 
 
 def ran(seed: int, folder: Path, duration: float = DURATION) -> dict[str, Any]:
-    """Run one seed. `contacts` are those of the mission; a quad that lands at its end in a window stands on the sill."""
+    """Run one seed. `contacts` are those of the mission: a quad that lands in a window after it stands on a sill."""
     dice = Random(seed)
     scene = sorted(SCENES)[seed % len(SCENES)]
     began = time.process_time()
