@@ -31,7 +31,7 @@ from targets.car.navigator import STANDING, Navigator
 from targets.car.settings import FROM_DRIVE, decode
 from targets.planning.process import Beside
 from targets.planning.route import Route, commanded, passed
-from targets.planning.stall import Stall
+from targets.planning.standstill import Standstill
 
 MODULES = ("Motion", "MotionWithScan")  # one body under two names; the second has a lidar
 WAIT_FOR_FEED = 60.0  # seconds until Unready: a base station may be started after the robots
@@ -70,7 +70,7 @@ class Car:
         self._navigator: Navigator | None = None
         self._route = Route()
         self._avoidance = Avoidance(settings, own, planning)
-        self._stall = Stall(settings.safety.missed_action)
+        self._standstill = Standstill(settings.safety.missed_action)
         self._now = 0.0
         self._started = 0.0
         self._next_control = -math.inf
@@ -205,7 +205,7 @@ class Car:
         self._blocked = self._obstacle(drive, now)
         standing = self._still_since is not None
         if self._blocked:
-            self._stalled(navigator, False, now)
+            self._stands_still(navigator, False, now)
             navigator.pause()
             navigator.watch(self._estimator.state, standing and self._fresh(now), now)
             drive.brake(now)
@@ -213,23 +213,23 @@ class Car:
         self._follow(navigator)
         command = navigator.step(self._estimator.state, standing, now)
         if command is None:
-            self._stalled(navigator, False, now)
+            self._stands_still(navigator, False, now)
             drive.brake(now)
         elif not self._stops_inside(command):
             self._blocked = "braking: the geofence is ahead"
             navigator.pause()
             drive.brake(now)
-        elif self._stalled(navigator, True, now):
+        elif self._stands_still(navigator, True, now):
             navigator.pause()
             drive.brake(now)
         else:
             drive.go(command, self._estimator.speed(now), now)
 
-    def _stalled(self, navigator: Navigator, drives: bool, now: float) -> bool:
+    def _stands_still(self, navigator: Navigator, drives: bool, now: float) -> bool:
         """Return whether the car must brake because driving does not move it."""
         state, target = self._estimator.state, navigator.target
         goal = "no target" if target is None else f"({target[0]:.2f}, {target[1]:.2f})"
-        return self._stall.look(Point(state.x, state.y, 0.0), drives and not navigator.waits, goal, now)
+        return self._standstill.look(Point(state.x, state.y, 0.0), drives and not navigator.waits, goal, now)
 
     def _stops_inside(self, command: Command) -> bool:
         own = self._settings
@@ -255,7 +255,7 @@ class Car:
             if self._estimator.refused(now):
                 return f"braking: the position source jumped: {self._jump}"
             return f"braking: the position is {now - self._estimator.time:.1f} s old{self._feed.dropped}"
-        return "holding" if self._holding else self._stall.holding
+        return "holding" if self._holding else self._standstill.holding
 
     def _fresh(self, now: float) -> bool:
         time = self._estimator.time
@@ -308,7 +308,7 @@ class Car:
             flat = tuple(Point(p.x, p.y, 0.0) for p in points)
             self._avoidance.resumes(points)
             self._route.take(points)
-            self._stall.command()
+            self._standstill.command()
             self._route.skip(passed(flat, Point(state.x, state.y, 0.0)))
             if (goal := self._route.goal) is not None:
                 self._navigator.go_to((goal.x, goal.y))
@@ -323,7 +323,7 @@ class Car:
             points = ()
         if not self._route.take(points):
             return
-        self._stall.command()
+        self._standstill.command()
         state, goal = self._estimator.state, self._route.goal
         curve = self._avoidance.planned(state, points)
         if curve is None:
@@ -344,7 +344,7 @@ class Car:
 
     def news(self) -> list[str]:
         """See Platform."""
-        told, self._news = self._news + self._avoidance.news() + self._stall.news(), []
+        told, self._news = self._news + self._avoidance.news() + self._standstill.news(), []
         return told + (self._drive.news() if self._drive is not None else [])
 
     def hold(self, on: bool, now: float) -> None:

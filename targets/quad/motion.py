@@ -44,7 +44,7 @@ def room(fence: Box, height: float) -> Box:
 
 class Motion:
     """Lengths in m, fleet's ENU. Heights are raised to `height`, and everything is brought inside the fence, by a
-    margin. `climb` is the vertical speed limit; `yaw` is `heading`'s, `action` `Stall`'s."""
+    margin. `climb` is the vertical speed limit; `yaw` is `heading`'s, `action` `Standstill`'s."""
 
     def __init__(
         self, frame: LocalFrame, fence: Box, height: float, max_speed: float, acceleration: float, climb: float,

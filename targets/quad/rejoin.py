@@ -13,7 +13,7 @@ import math
 from typing import Protocol
 
 from koordgen.runtime.values import Point, distance
-from targets.planning.stall import Stall
+from targets.planning.standstill import Standstill
 from targets.planning.world import Path
 from targets.quad.check import coordinates
 from targets.quad.reference import STANDING, Reference
@@ -100,14 +100,14 @@ class Stage(enum.Enum):
 
 class Rejoin:
     """Owns when the reference is paused. `held` is the wish of the safety layer; the reference is paused then, and
-    whenever a leg is looked for. `action` is `Stall`'s."""
+    whenever a leg is looked for. `action` is `Standstill`'s."""
 
     def __init__(self, reference: Reference, ways: Ways, action: str = "hold") -> None:
         self._reference, self._ways = reference, ways
         self._stage = Stage.FLYING
         self._since = 0.0  # when the stage began
         self._polled: float | None = None
-        self._stall = Stall(action)
+        self._standstill = Standstill(action)
         self._silent = False  # whether the log says already that there is no leg
         self._from = Point()  # where the leg that is looked for begins: near the vehicle
         self._news: list[str] = []
@@ -124,7 +124,7 @@ class Rejoin:
 
     def command(self, now: float, unchecked: bool) -> None:
         """The reference follows other points now. `unchecked` says that nobody checked the leg to the first of them."""
-        self._stall.command()
+        self._standstill.command()
         self._silent = False
         if unchecked or self._stage is not Stage.FLYING:
             self._enter(Stage.BRAKING, now)
@@ -145,13 +145,13 @@ class Rejoin:
         self._look(position, velocity, now)
         self._reference.advance(position, now, self._most(position))
         moves = self._stage is Stage.FLYING and not self.held and not arrived
-        if self._stall.look(position, moves, coordinates(self._reference.ahead[0]), now):
+        if self._standstill.look(position, moves, coordinates(self._reference.ahead[0]), now):
             self._brake(position, velocity, now)
 
     def _look(self, position: Point, velocity: Point, now: float) -> None:
         if self._strayed(position):
             self._brake(position, velocity, now)
-        if self._stage is Stage.FLYING or self.held or self._stall.holding:
+        if self._stage is Stage.FLYING or self.held or self._standstill.holding:
             return
         if self._stage is Stage.RESUMING:
             if distance(position, self._reference.at(0.0).position) <= OFF and self._clear(position):
@@ -281,5 +281,5 @@ class Rejoin:
 
     def news(self) -> list[str]:
         """Return what happened since the last call, for the log."""
-        said, self._news = [*self._news, *self._stall.news()], []
+        said, self._news = [*self._news, *self._standstill.news()], []
         return said

@@ -13,10 +13,11 @@ from koordgen.runtime.obstacles import Block
 from koordgen.runtime.platform import Unready
 from koordgen.runtime.settings import Safety
 from koordgen.runtime.values import Point
-from targets.car.bicycle import advance
+from targets.car.bicycle import State, advance
+from targets.car.navigator import STRAYED
 from targets.car.platform import Car
 from targets.planning.process import Inside
-from targets.planning.stall import NO_PROGRESS
+from targets.planning.standstill import NO_PROGRESS
 from tests.car.exact import gap, outline
 from tests.car.test_avoidance import BODY, BOX, drive, nearest
 from tests.car.world import KEY, World, robot_settings, standing
@@ -56,24 +57,18 @@ def test_a_car_that_was_carried_on_hold_has_its_way_planned_anew() -> None:
     assert world.value("reached") is True and world.distance(3.0, 0.0) < 0.1
 
 
-def test_a_car_that_was_pushed_towards_an_obstacle_brakes_and_has_its_way_planned_anew() -> None:
+def test_a_car_off_its_way_and_near_to_an_obstacle_brakes_before_its_way_is_planned_anew() -> None:
     world = world_with(BOX)
     planned(world)
-    said: list[str] = []
-    gaps: list[float] = []
-
-    def look() -> None:
-        said.append(world.car.progress)
-        gaps.append(nearest(world, BOX))
-
-    while world.body.truth.x < 1.4:
-        world.run(0.05)
-    truth = world.body.truth
-    pushed = math.copysign(nearest(world, BOX) - 0.015, -truth.y)
-    world.body.truth = replace(truth, y=truth.y + pushed)
-    world.run(15.0, look)
-    assert any("off its way, and near to an obstacle" in line for line in said)
-    assert min(gaps) > 0.005 and world.value("reached") is True
+    world.run(1.5)
+    navigator = world.car._navigator
+    assert navigator is not None
+    near = State(1.3, 0.6 + 0.14 + 0.03, 0.0, 0.5)  # half of its width and 3 cm beside the box
+    assert world.car._avoidance.strayed(near) and not world.car._avoidance.strayed(replace(near, y=0.9))
+    navigator._tracker.step(near)
+    assert navigator._tracker.error > STRAYED
+    assert navigator.step(near, False, world.now) is None
+    assert navigator.progress == "braking: off its way, and near to an obstacle"
 
 
 def test_a_new_agent_goes_on_amid_the_path() -> None:

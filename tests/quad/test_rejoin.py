@@ -15,7 +15,7 @@ from koordgen.runtime.settings import Safety
 from koordgen.runtime.values import Point, distance
 from targets.planning.exact import solid_distance
 from targets.planning.process import Inside
-from targets.planning.stall import NO_PROGRESS
+from targets.planning.standstill import NO_PROGRESS
 from targets.quad.platform import Quad
 from targets.quad.simple import SimpleQuad
 from targets.sim.bodies import Vector

@@ -5,22 +5,22 @@ from __future__ import annotations
 from koordgen.runtime.platform import Unready
 from koordgen.runtime.values import Point, distance
 
-# Seconds without motion after which a vehicle is stalled: longer than an autopilot may seem not to follow setpoints
-# (`targets.quad.motion.UNFOLLOWED`), which has a message of its own.
+# Seconds without motion after which a vehicle counts as standing still: longer than an autopilot may seem not to follow
+# setpoints (`targets.quad.motion.UNFOLLOWED`), which has a message of its own.
 NO_PROGRESS = 8.0
 MOVED = 0.1  # m that count as motion
-SAME_PLACE = 0.3  # m from the place of one stall within which the next one is the same
+SAME_PLACE = 0.3  # m from where a vehicle stood still within which the next time is in the same place
 
 
-class Stall:
-    """Watches one vehicle. At the first stall the vehicle brakes and looks for another way. At a second one in the same
+class Standstill:
+    """Watches one vehicle. The first time the vehicle brakes and looks for another way. At a second time in the same
     place it takes the fleet file's `missed_action`: with "hold" it holds until the next command, `holding` says why;
     with "rest" it comes to rest for good."""
 
     def __init__(self, action: str) -> None:
         self._action = action
         self._moved: tuple[Point, float] | None = None  # where and when the vehicle moved last, or had no reason to
-        self._last: Point | None = None  # where the last stall was
+        self._last: Point | None = None  # where it stood still last
         self._news: list[str] = []
         self.holding = ""
 
