@@ -248,9 +248,16 @@ def ran(seed: int, folder: Path, duration: float = DURATION) -> dict[str, Any]:
         "targets": [robot["target"] for robot in summary["robots"]],
         "contacts": found[True],
         "others": found[False],
+        "held": [line for name in NAMES for line in told(folder / "run" / "robots" / name / "log.txt")],
         "arrived": [robot["events"].get("Arrive", 0) for robot in summary["robots"]],
         "seconds": round(time.process_time() - began, 2),
     }
+
+
+def told(log: Path) -> list[str]:
+    """The lines of a robot that holds because it finds no way or makes no progress."""
+    wanted = ("no clear way", "no progress", "holding instead")
+    return [line for line in log.read_text().splitlines() if any(words in line for words in wanted)]
 
 
 def slice_of(first: int, count: int, folder: Path) -> Iterator[dict[str, Any]]:
