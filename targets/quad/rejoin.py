@@ -155,7 +155,7 @@ class Rejoin:
         if self._stage is Stage.FLYING or self.held or self._standstill.holding:
             return
         if self._stage is Stage.RESUMING:
-            if distance(position, self._reference.at(0.0).position) <= OFF and self._clear(position):
+            if self._may_resume(position):
                 self._enter(Stage.FLYING, now)
                 self._pause(now)
                 return
@@ -168,9 +168,12 @@ class Rejoin:
         elif self._stage is Stage.STANDING and now - self._since > RETRY:
             self._choose(position, velocity, now)
 
-    def _clear(self, position: Point) -> bool:
-        """Return whether the leg to the next point is clear."""
-        return all(self._ways.leg_clear(position, p) for p in self._reference.ahead[:1])
+    def _may_resume(self, position: Point) -> bool:
+        """Return whether the reference may go on from where it was paused, at once."""
+        here, goal = self._reference.at(0.0).position, self._reference.ahead[0]
+        if distance(position, here) <= OFF:
+            return self._ways.leg_clear(position, goal)
+        return self._ways.apart(position, here, NEARBY) and self._ways.leg_clear(here, goal)
 
     def _strayed(self, position: Point) -> bool:
         """Return whether the vehicle cannot safely be drawn back to the reference in a straight line."""
@@ -189,8 +192,9 @@ class Rejoin:
     def _choose(self, position: Point, velocity: Point, now: float) -> None:
         """From a stand: fly to the next point if the leg is clear, else have one planned. A vehicle that is near to an
         obstacle moves away from it first."""
-        self._from = self._ways.retreat(position)
         goal = self._reference.ahead[0]
+        there = distance(position, goal) <= OFF
+        self._from = position if there else self._ways.retreat(position)
         if self._ways.leg_clear(self._from, goal):
             self._resume((goal,), position, velocity, now)
         elif self._ways.ask_leg(self._from, goal):
@@ -252,8 +256,8 @@ class Rejoin:
 
     def _most(self, position: Point) -> float:
         """The rate of the reference at which `bounded` still demands all of its speed, and at which it can be braked
-        before what it heads for. Near obstacles it waits for a vehicle that is TIGHT behind, lest that one cuts
-        corners."""
+        before what it heads for. Near obstacles it waits for a vehicle that is TIGHT behind: a vehicle that lags
+        cuts corners."""
         reference, state = self._reference, self._reference.at(0.0)
         speed, off = norm(state.velocity), distance(position, state.position)
         tight = 1.0
