@@ -54,6 +54,7 @@ class Moving:
     period = DELTA
     ready = rested = True
     progress = "moving"
+    stall = ""
 
     def __init__(self, ports: list[str], pid: int) -> None:
         self._ports = ports

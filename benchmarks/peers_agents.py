@@ -82,6 +82,7 @@ class Still:
     ready = True
     rested = True
     progress = "standing"
+    stall = ""
 
     def diagnose(self) -> list[Finding]:
         return []

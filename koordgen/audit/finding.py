@@ -58,12 +58,14 @@ class Span(NamedTuple):
 @dataclass
 class Finding:
     """`rounds` at which it was told, `unknown` at which not; of an assumption those of all robots together. `missing`:
-    what was not known, and why, with the number of rounds. `unchecked`: why it cannot be told at all."""
+    what was not known, and why, with the number of rounds. `unchecked`: why it cannot be told at all. `unseen`: a robot
+    may have broken this assumption, because it was in the model and its ports are unknown."""
 
     of: Of
     name: str
     line: int
     unchecked: str = ""
+    unseen: bool = False
     rounds: int = 0
     unknown: int = 0
     violated: int = 0
@@ -81,7 +83,7 @@ class Finding:
             return "no value" if self.first.why and self.of != "contract" else "violated"
         if self.unchecked:
             return "unchecked"
-        return "held" if self.rounds else "unknown"
+        return "held" if self.rounds and not self.unseen else "unknown"
 
     def at(self, round_: int) -> Outcome:
         """The outcome of a round; unknown where it was not looked at."""

@@ -121,7 +121,13 @@ class Judge:
             for assumption, finding in self._assumptions:
                 came = _UNTOLD if calls is None else asked(assumption.holds_of_calls, step)
                 whose = replace(came, robot=pid)
+                finding.unseen |= came.outcome == "unknown" and self._in_model(pid, round_)
                 self._note(finding, whose, moment, partial(self._broken, assumption, whose, moment))
+
+    def _in_model(self, pid: int, round_: int) -> bool:
+        """Whether a robot is in the model from a round's start to its end."""
+        story = self._mission.stories[pid]
+        return not (story.out_at(round_) or story.out_at(round_ + 1))
 
     def _missing(self, came: _Asked, moment: Moment) -> str:
         """What is not known, and whose trace would tell: of an assumption an unprimed sensor by the round's start."""

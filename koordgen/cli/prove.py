@@ -88,7 +88,6 @@ def asked(
 ) -> list[list[Verdict]]:
     """The verdicts for each number of robots, within so many seconds in all. Raises SolverMissing."""
     from koordgen.cli.alarm import alarm
-    from koordgen.prove.term import TooLarge
     from koordgen.prove.verdict import Question, prove
     from koordgen.semantics.deadline import OutOfTime
 
@@ -98,8 +97,6 @@ def asked(
         try:
             with alarm(max(0.0, until - time.monotonic())):
                 found.append(prove(Question(program, n, params), solver))
-        except TooLarge as error:
-            found.append(undecided(program, n, f"{error}: prove a part of it at a time"))
         except OutOfTime:
             reason = f"the command's {seconds:g} s are over: a longer --timeout makes them more"
             found.append(undecided(program, n, reason))

@@ -61,7 +61,7 @@ class Explainer:
     ) -> None:
         self.program, self.robots, self.params, self.solver, self.proved = program, robots, params, solver, proved
         self.dropped = dropped
-        self.made: dict[tuple[decl.Program, int, AtHead | None], list[Obligation]] = {}
+        self.made: dict[tuple[decl.Program, int, str, AtHead | None], list[Obligation]] = {}
 
     def explain(self, name: str, group: Iterable[Outcome], relied: decl.Program) -> Explanation:
         """Of the invariant `name`, some of whose obligations fail; `relied` has the invariants they relied upon."""
@@ -115,7 +115,7 @@ class Explainer:
         reasons: list[str] = []
         until = time.monotonic() + PATIENCE
         for robots in (self.robots,) if self.robots is not None else FLEETS:
-            for same in self.of(relied, robots, obligation.at):
+            for same in self.of(relied, robots, obligation):
                 if (same.name, same.kind) != (obligation.name, obligation.kind):
                     continue
                 reader = Reader(same)
@@ -145,11 +145,12 @@ class Explainer:
             if answer.result == "sat":
                 yield answer
 
-    def of(self, program: decl.Program, robots: int, at: AtHead | None) -> list[Obligation]:
-        """All obligations, with what fails at a loop's head where that is to be explained."""
-        key = (program, robots, at)
+    def of(self, program: decl.Program, robots: int, failed: Obligation) -> list[Obligation]:
+        """All obligations of one event, with what fails at a loop's head where that is to be explained."""
+        key = (program, robots, failed.event, failed.at)
         if key not in self.made:
-            self.made[key] = obligations(program, robots, self.params, "most", self.dropped - {at})
+            dropped = self.dropped - {failed.at}
+            self.made[key] = obligations(program, robots, self.params, "most", dropped, failed.event)
         return self.made[key]
 
     def lacking(self, proved: decl.Program, invariant: decl.Property) -> tuple[str, ...] | None:

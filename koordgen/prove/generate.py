@@ -7,10 +7,11 @@ in the round by then; and so does each moment of the environment's step. docs/pr
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Literal, NamedTuple
 
-from koordgen.ir import decl
+from koordgen.ir import decl, stmt
 from koordgen.ir import expr as ir
 from koordgen.ir.decl import Program
 from koordgen.node import replace
@@ -50,32 +51,96 @@ class Goal(NamedTuple):
 
 def obligations(
     program: Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None, told: Told = "usual",
-    dropped: frozenset[AtHead] = frozenset(),
+    dropped: frozenset[AtHead] = frozenset(), event: str | None = None,
 ) -> list[Obligation]:  # fmt: skip
     """Everything that is to be shown of a checked program: for `robots` robots, or for any number of them; with the
     values of `params`, the others being any. To leave an invariant out, or to add one, hand over a program without or
     with it; `dropped` are formulas that are not assumed at heads of loops. `told`: how much of what is known of
     distances and of the round; "most" is slower to solve, and what a counterexample must satisfy; with "little" there
-    are no cells."""
-    return [obligation for room in rooms(program, robots, params, told, dropped) for obligation in room]
+    are no cells. `event`: only those of one event, of "init", of "(environment)" or of a function."""
+    return [obligation for room in rooms(program, robots, params, told, dropped, event) for obligation in room]
 
 
 def rooms(
     program: Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None, told: Told = "usual",
-    dropped: frozenset[AtHead] = frozenset(),
+    dropped: frozenset[AtHead] = frozenset(), event: str | None = None,
 ) -> Iterator[list[Obligation]]:  # fmt: skip
     """The same, by and by: those that share their facts together."""
     t.forget()
     setting = Setting(program, robots, params, told, dropped)
-    yield from ([obligation] for obligation in consistency(setting))
+    if event is None:
+        yield from ([obligation] for obligation in consistency(setting))
+    for part in parts(setting):
+        if event is None or part.name == event:
+            yield written_down(setting, part)
+
+
+class Part(NamedTuple):
+    """A part of a program whose obligations share their facts. `write` encodes it. `invariants` are the names of those
+    that have an obligation in it, `block` the statements with its loops."""
+
+    kind: Kind
+    name: str
+    line: int
+    invariants: tuple[str, ...]
+    block: stmt.Block
+    write: Callable[[], list[Obligation]]
+
+
+def parts(setting: Setting) -> Iterator[Part]:
+    """The parts of a program in the order in which they are asked."""
+    program, names = setting.program, tuple([p.name for p in setting.invariants])
     for function in stating(program):
-        yield of_function(setting, function)
+        write = partial(of_function, setting, function)
+        yield Part("loop", function.name, function.span.line, (), function.block, write)
+    line = program.init[0].span.line if program.init else 1
     if program.init:
-        yield of_init(setting)
-    yield base(setting)
+        yield Part("base", "init", line, (WELL_DEFINED,), program.init, partial(of_init, setting))
+    yield Part("base", "init", line, names, (), partial(base, setting))
     for event in program.events:
-        yield of_event(setting, event)
-    yield environment(setting)
+        touched = tuple([p.name for p in setting.touched(setting.changed(event))])
+        write = partial(of_event, setting, event)
+        yield Part("event", event.name, event.span.line, (*touched, WELL_DEFINED), event.effect, write)
+    touched = tuple([p.name for p in setting.touched(setting.sensors)])
+    line = program.modules[0].span.line if program.modules else 1
+    yield Part("environment", "(environment)", line, touched, (), partial(environment, setting))
+
+
+def written_down(setting: Setting, part: Part) -> list[Obligation]:
+    """The obligations of a part. If its formulas are too large, its obligations are there without formulas."""
+    t.count_anew()
+    try:
+        return part.write()
+    except t.TooLarge as error:
+        reason = str(error)
+    found = []
+    for name in part.invariants:
+        kind: Kind = "well-defined" if name == WELL_DEFINED else part.kind
+        found.append(_unwritten(setting, _named(name, part.kind, part.name), name, kind, part, reason))
+    for loop in nodes(part.block):
+        if isinstance(loop, (stmt.For, stmt.While)):
+            for at, _ in setting.loops.stated(loop):
+                name = _named_at_head(at.invariant, part.kind, part.name, loop.span.line, "entry")
+                found.append(replace(_unwritten(setting, name, at.invariant, "loop", part, reason), at=at))
+    return found
+
+
+def _unwritten(setting: Setting, name: str, invariant: str, kind: Kind, part: Part, reason: str) -> Obligation:
+    """An obligation whose formulas are too large: its goal is false, so that no solver can prove it."""
+    path, robots = setting.program.path, setting.robots
+    goal = None if kind == "consistency" else Fact(invariant, t.FALSE, path, part.line)
+    expected: Literal["sat", "unsat"] = "sat" if goal is None else "unsat"
+    return Obligation(name, kind, invariant, part.name, path, part.line, "QF_UFLIA", (), goal, expected, (), (), False,
+                      robots, (reason,), None, reason)  # fmt: skip
+
+
+def _named(invariant: str, kind: Kind, event: str) -> str:
+    where = {"base": "init", "environment": "environment"}.get(kind, event)
+    return f"{'well-defined' if invariant == WELL_DEFINED else invariant}-{where}"
+
+
+def _named_at_head(invariant: str, kind: Kind, event: str, line: int, place: str) -> str:
+    return f"{_named(invariant.replace(' ', '-'), kind, event)}-loop-{line}-{place}"
 
 
 def assumptions(
@@ -88,11 +153,24 @@ def assumptions(
 
 def consistency(setting: Setting) -> list[Obligation]:
     """All that is asked of the assumptions, whatever the program does."""
-    found = [consistent(setting, name) for name in CONSISTENT]
+    asked = [(name, False) for name in CONSISTENT]
     assumed = [a.formula for module in setting.program.modules for a in module.assumptions]
     if setting.robots is None and any(isinstance(node, ir.Pid) for node in nodes(tuple(assumed))):
-        found.append(consistent(setting, "environment", of_two=True))
-    return found
+        asked.append(("environment", True))
+    return [_consistency(setting, name, of_two) for name, of_two in asked]
+
+
+def _consistency(setting: Setting, name: str, of_two: bool) -> Obligation:
+    t.count_anew()
+    try:
+        return consistent(setting, name, of_two)
+    except t.TooLarge as error:
+        part = Part("consistency", OF_TWO if of_two else "", 1, (), (), list)
+        return _unwritten(setting, _named_of_assumptions(name, of_two), "", "consistency", part, str(error))
+
+
+def _named_of_assumptions(name: str, of_two: bool) -> str:
+    return f"consistency-{name}{'-of-two' if of_two else ''}"
 
 
 def of_function(setting: Setting, function: decl.Function) -> list[Obligation]:
@@ -230,7 +308,7 @@ def consistent(setting: Setting, name: str, of_two: bool = False) -> Obligation:
         cells = stage.cells([("before", now), ("after", after)])
     event = OF_TWO if of_two else ""
     out = _Output(stage, "consistency", event, 1, stage.close(), cells)
-    return out.one(f"consistency-{name}{'-of-two' if of_two else ''}", Goal("", ()), None, ())
+    return out.one(_named_of_assumptions(name, of_two), Goal("", ()), None, ())
 
 
 def at_heads(stage: Stage, heads: Sequence[Head]) -> list[Goal]:
@@ -270,17 +348,17 @@ class _Output:
         """One for each goal, and one that every operation has a value. Goals assume that: an event in which an
         operation has none is discarded, and changes nothing. `ended`: that the effect has come to its end, which it has
         not at a loop's head."""
-        where = {"base": "init", "environment": "environment"}.get(self.kind, self.event)
         found = []
         for wanted in goals:
             if wanted.at is None:
-                found.append(self.one(f"{wanted.invariant}-{where}", wanted, None, ended))
+                found.append(self.one(_named(wanted.invariant, self.kind, self.event), wanted, None, ended))
             else:
-                name = f"{wanted.invariant.replace(' ', '-')}-{where}-loop-{wanted.line}-{wanted.place}"
+                name = _named_at_head(wanted.invariant, self.kind, self.event, wanted.line, wanted.place)
                 found.append(self.one(name, wanted, "loop", wanted.demands))
         parts = tuple([d for d in demands if d.term is not t.TRUE])
         if parts:
-            found.append(self.one(f"well-defined-{where}", Goal(WELL_DEFINED, parts), "well-defined", ()))
+            name = _named(WELL_DEFINED, self.kind, self.event)
+            found.append(self.one(name, Goal(WELL_DEFINED, parts), "well-defined", ()))
         return found
 
     def one(self, name: str, wanted: Goal, kind: Kind | None, assumed: tuple[Fact, ...]) -> Obligation:

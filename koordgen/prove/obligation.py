@@ -55,7 +55,8 @@ class Obligation(Node):
     counterexample can tell which of them fails. `robots`: None for every N_SYS. `complete`: what the solver finds is a
     counterexample of the formulas with quantifiers, too, so that no instance of a quantifier is missing. `notes`: each
     approximation that was made, and what is assumed without being in the program. `at`: of kind "loop", the head of a
-    loop and what is assumed there."""
+    loop and what is assumed there. `unwritten`: the reason why its formulas were not written down, where they are too
+    large: no solver is asked, and the answer is "unknown"."""
 
     name: str
     kind: Kind
@@ -73,3 +74,4 @@ class Obligation(Node):
     robots: int | None
     notes: tuple[str, ...]
     at: AtHead | None = None
+    unwritten: str = ""

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import os
-import re
 import sys
 import time
 from collections.abc import Iterable, Sequence
@@ -125,6 +124,8 @@ class Solver:
     ) -> Answer:
         """Whether the facts and the goal's negation can be true together; in `most` seconds, where that is less than
         the limit of a query. Raises SolverMissing."""
+        if obligation.unwritten:
+            return Answer("unknown", 0.0, obligation.unwritten)
         began = time.monotonic()
         left = self.limits.total - self.spent
         if left <= 0:
@@ -167,7 +168,8 @@ class Solver:
         found: list[Obligation] = []
         for room in rooms:
             found += room
-            if self.name == "z3" and room and all(o.logic in LINEAR for o in room) and self._process is not None:
+            apt = room and all(o.logic in LINEAR and not o.unwritten for o in room)
+            if self.name == "z3" and apt and self._process is not None:
                 try:
                     batch.add(room)
                 except Broken:
@@ -288,8 +290,7 @@ class Solver:
         stands. Raises Broken."""
         process = self._process
         assert process is not None
-        mark = re.compile(rb'(?:^|\n)"?%b"?\r?\n$' % end.encode())  # quoted by those that keep to the standard
-        while not (ended := mark.search(process.read, max(0, len(process.read) - len(end) - 8))):
+        while (ended := _ended(process.read, end.encode())) is None:
             left = until - time.monotonic()
             try:
                 going = left > 0 and process.exchange(left)
@@ -297,7 +298,7 @@ class Solver:
                 raise Broken(self._obituary()) from None
             if not going or len(process.read) > MOST_BYTES:
                 raise Broken(f"{self.name} did not answer in time and was killed; a longer --timeout may help")
-        return ended.start()
+        return ended
 
     def _obituary(self) -> str:
         assert self._process is not None
@@ -309,6 +310,14 @@ class Solver:
             f" (its memory is limited to {allowed(self.limits.memory)} MB)" if status in (-11, -9, -6, 101, 127) else ""
         )
         return f"{self.name} {how} in the midst of a query{f', saying: {words}' if words else ''}{hint}"
+
+
+def _ended(said: bytes, end: bytes) -> int | None:
+    """Return where the last line begins, if it is this word; solvers that keep to the standard quote it."""
+    if not said.endswith(b"\n"):
+        return None
+    start = said.rfind(b"\n", 0, len(said) - 1) + 1
+    return max(0, start - 1) if said[start:].strip(b"\r\n").strip(b'"') == end else None
 
 
 def _exhausted(said: str) -> str:

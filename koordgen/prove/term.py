@@ -68,15 +68,15 @@ Term = Value | Apply | Op
 REALS, NONLINEAR = 1, 2
 _NONLINEAR = frozenset(("*", "/", "div", "mod"))  # unless a factor, or the divisor, is a literal
 
-# Steps that one program's encoding may take, of terms and of expressions: more would take minutes, and no solver
-# decides what comes of it. A number that is computed while terms are made has at most so many bits.
-MOST_STEPS = 1_000_000
+# Steps that the encoding of one part of a program may take, of terms and of expressions: more would take minutes, and
+# no solver decides what comes of it. A number that is computed while terms are made has at most so many bits.
+MOST_STEPS = 200_000
 MOST_BITS = 1 << 16
 _steps = 0
 
 
 class TooLarge(Exception):
-    """The formulas of a program exceed a limit; the message says which."""
+    """The formulas of a part of a program exceed a limit; the message says which."""
 
 
 def step() -> None:
@@ -84,7 +84,10 @@ def step() -> None:
     global _steps
     _steps += 1
     if _steps > MOST_STEPS:
-        raise TooLarge(f"its formulas take more than {MOST_STEPS:,} steps to write down")
+        raise TooLarge(
+            f"its formulas take more than {MOST_STEPS:,} steps to write down, as each call of a function is written "
+            "out: split it, or call fewer functions"
+        )
 
 
 _TERMS: dict[object, Term] = {}  # an operator or symbol with its arguments -> the one term of it
@@ -94,10 +97,13 @@ TRUE, FALSE = Value(True, BOOL, 0), Value(False, BOOL, 0)
 
 
 def forget() -> None:
-    """Starts the count of steps again, and frees the terms that nobody holds; those built before and after are no
-    longer identical where they are equal."""
-    global _steps
+    """Free the terms that nobody holds. Terms built before and after are no longer identical where they are equal."""
     _TERMS.clear()
+
+
+def count_anew() -> None:
+    """Start the count of steps again, for the next part of a program."""
+    global _steps
     _steps = 0
 
 

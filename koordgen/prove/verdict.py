@@ -139,8 +139,8 @@ def _asked(
     robots, params = question.robots, question.params
     found = [Outcome(*each) for each in solver.ask_all(rooms(program, robots, params, "little", dropped))]
     for told in more:
-        if all(outcome.holds for outcome in found):
-            break
+        if all(outcome.holds or outcome.obligation.unwritten for outcome in found):
+            break  # with more told, formulas only grow
         others = {o.name: o for o in obligations(program, robots, params, told, dropped)}
         found = [outcome if outcome.holds else _again(outcome, others, solver) for outcome in found]
     return found

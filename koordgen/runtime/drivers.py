@@ -70,6 +70,10 @@ class Driven:
     def progress(self) -> str:
         return self._platform.progress if not self._platform.ready else self._trouble
 
+    @property
+    def stall(self) -> str:
+        return self._platform.stall
+
     def sense(self, now: float) -> Sensed:
         sensed = self._platform.sense(now)
         return Sensed({**sensed.values, **self._values}, sensed.time)

@@ -9,12 +9,18 @@ from typing import Any, TypeVar
 from koordgen.runtime.clock import Clock, FleetClock
 from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.program import Effects, Life
+from koordgen.runtime.stall import State
 from koordgen.runtime.trace import Calls, Observe, Record, Trace
 from koordgen.runtime.views import described
 from koordgen.runtime.watched import FOR_GOOD, Change
 from koordgen.runtime.wire import View
 
 _ACTING = {"off": "", "log": "", "hold": "; the robot holds", "land": "; it lands", "stop": "; it comes to rest"}
+_STALLED: dict[State, str] = {
+    "begins": "no way for {:.0f} s",
+    "goes on": "still no way after {:.0f} s",
+    "ends": "the stall is over after {:.0f} s",
+}
 MOST_CHANGES, OFTEN = 6, 10.0  # lines for people about one property within so many seconds
 MOST_UNTOLD = 8  # records of rounds that wait to be told
 METRICS_EVERY = 10.0  # seconds between two of them in the trace
@@ -75,6 +81,11 @@ class Journal:
 
     def error(self, text: str) -> None:
         self.log("error", text)
+
+    def stall(self, state: State, why: str, lasted: float) -> None:
+        """The body has had no way for `lasted` seconds, or has one again."""
+        self._trace.stall(self._clock.now(), state, why, lasted)
+        self.warn(f"{_STALLED[state].format(lasted)}: {why}")
 
     def monitor(self, change: Change) -> None:
         """A property has come to another outcome. People are told unless that is its first and as it should be, and of

@@ -29,6 +29,7 @@ from koordgen.runtime.rounds import Lost, Rounds
 from koordgen.runtime.runner import Limit, Runner, unlimited
 from koordgen.runtime.safety import Guard
 from koordgen.runtime.settings import Settings
+from koordgen.runtime.stall import Stalls
 from koordgen.runtime.store import Keeper
 from koordgen.runtime.trace import Observe, Trace
 from koordgen.runtime.transport import Transport
@@ -72,6 +73,7 @@ class Agent:
         self._journal = Journal(settings.robot, trace, emit, clock, self._fleet_clock, self.metrics, monitors)
         self.monitors = Monitors(properties, settings, self._journal.monitor, limit, cpu)
         self._journal.watch(self.monitors.hear)
+        self._stalls = Stalls(self._journal.stall)
         self._link = Link(
             program, settings, key, transport, clock, self._fleet_clock, boot, self._journal.error, self.metrics
         )
@@ -257,6 +259,7 @@ class Agent:
                     self._body.hold("alone", bool(self._joining.alone), now)
                     self._journal.progress(self._joining.waiting())
                 self._judge(now)
+                self._stalls.see(self._platform.stall, now)
             case "resting" if self._platform.rested:
                 self._enter("rested", "")
         self._end_when_rested()

@@ -83,6 +83,12 @@ class Platform(Protocol):
         """What the body is doing now, in a few words for the log: "waiting for a heartbeat on udp:...", "climbing"."""
         ...
 
+    @property
+    def stall(self) -> str:
+        """Why the body has no way to what was commanded last: what is wanted, then what is in the way. "" while it has
+        a way, needs none, or was told to hold or to come to rest."""
+        ...
+
     def sense(self, now: float) -> Sensed:
         """Sample all sensor ports the target offers."""
         ...

@@ -1,8 +1,8 @@
 """A robot's trace: JSON lines of format koord-trace/1, one a round, which the simulator and the replayer read.
 
 `time` is the agent's local monotonic clock in seconds. Points are [x, y, z], metres, local ENU. Kinds: header, phase,
-init, round, view, log, stream, monitor, metrics. What an event saw and did can be told from it alone: `replay` does. A
-disk that is full or gone ends the trace with one warning, never the robot.
+init, round, view, log, stall, stream, monitor, metrics. What an event saw and did can be told from it alone: `replay`
+does. A disk that is full or gone ends the trace with one warning, never the robot.
 """
 
 from __future__ import annotations
@@ -100,6 +100,10 @@ class Trace:
 
     def log(self, time: float, level: str, message: str) -> None:
         self._write({"kind": "log", "time": time, "level": level, "message": message})
+
+    def stall(self, time: float, state: str, why: str, lasted: float) -> None:
+        """A stall begins, goes on or ends (see `stall`); `lasted` is its length in seconds so far."""
+        self._write({"kind": "stall", "time": time, "state": state, "why": why, "lasted": round(lasted, 3)})
 
     def stream(self, time: float, round_: int, port: str, text: str) -> None:
         """A line that the program put out; round 0 is `init`."""

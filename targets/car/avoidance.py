@@ -16,10 +16,12 @@ from targets.car.bicycle import State, wrap
 from targets.car.curves import Curve, Triple
 from targets.car.ground import MARGIN, area, ground
 from targets.car.planner import JUDGE, Plan, Point2, Wish
+from targets.car.reasons import unreachable
 from targets.car.settings import CarSettings
 from targets.car.shapes import named
 from targets.planning.guard import Guard
 from targets.planning.process import Planning, made
+from targets.planning.unplanned import ANOTHERS
 from targets.planning.world import Path, Scene, World
 
 MakePlanning = Callable[[str, World, float, str], Planning]
@@ -48,11 +50,16 @@ class Avoidance:
         self._program = planning(own.planner, world, settings.planner_budget, JUDGE)
         self._driving = planning(OWN, world, settings.planner_budget, JUDGE)
         self._guard = Guard(settings.obstacles, world.radius)
+        self._names = dict(enumerate(peer.name for peer in settings.peers))
+        self._clearance = own.clearance
         self._others: tuple[Path, ...] = ()
+        self._paths: dict[str, Path] = {}  # the others' by their names
         self._plans: dict[Path, Curve] = {}
         self._admitted: Path | None = None
         self._news: list[str] = []
         self.refusal = ""  # why what was commanded last is not driven, in words
+        self.blocker = ""  # whose path `free` met last
+        self.unplanned = ""  # why the program's planner found no way last, in words
 
     def start(self) -> None:
         """Begin to make the planners. Raises Unready."""
@@ -72,6 +79,7 @@ class Avoidance:
     def others(self, paths: Mapping[int, Path]) -> None:
         """What the other robots have published."""
         self._others = tuple(paths.values())
+        self._paths = {self._names.get(pid, str(pid)): path for pid, path in paths.items()}
 
     def plan(self, state: State, gear: int, goal: Point, obstacles: Any) -> Path:
         """For the program: few points that stand for a way the car can drive; () when there is none. The way itself is
@@ -80,12 +88,16 @@ class Avoidance:
         wish = msgspec.msgpack.encode(Wish(state.yaw, gear))
         path = self._program.plan(start, goal, Scene.of(obstacles, self._others), wish)
         answer = self._program.answer()
+        self.unplanned = "" if path else self._unplanned((start.x, start.y), goal, answer.reason if answer else "")
         if path and answer is not None and (curve := _curve(answer.more)) is not None:
             self._plans.pop(path, None)
             self._plans[path] = curve
             while len(self._plans) > REMEMBERED:
                 del self._plans[next(iter(self._plans))]
         return path
+
+    def _unplanned(self, start: Point2, goal: Point, reason: str) -> str:
+        return reason if reason in ANOTHERS else self.explained(start, (goal.x, goal.y), reason)
 
     def planned(self, state: State, points: Path) -> Curve | None:
         """The way that these points stand for, if the planner has answered them and the car is where it begins."""
@@ -129,6 +141,11 @@ class Avoidance:
         answer = self._driving.answer()
         return None if answer is None else (_curve(answer.more) if answer.path else None, answer.reason)
 
+    def explained(self, start: Point2, target: Point2, reason: str) -> str:
+        """Why there is no way from `start` to `target`, to follow the target's name; `reason` as `answer` gave it."""
+        fixed = (shape for *_, shape in self._ground.fixed.kept)
+        return unreachable(start, target, reason, fixed, self._paths, self._clearance)
+
     def clear(self, start: Triple, target: Point2, curve: Curve) -> bool:
         """Whether a curve towards a target may be driven."""
         ground = self._ground
@@ -150,14 +167,18 @@ class Avoidance:
             return math.inf
         body, here = self._ground.body, curve.at(station)
         reach = body.reach
-        others = named(Scene(others=self._others), body, here[:2], self._ground.clearance)
-        least = [(shape, min(0.0, body.distance(*here, shape) - ROUGH)) for shape in others]
+        least = [
+            (shape, min(0.0, body.distance(*here, shape) - ROUGH), name)
+            for name, path in self._paths.items()
+            for shape in named(Scene(others=(path,)), body, here[:2], self._ground.clearance)
+        ]
         for i in range(1, math.ceil(min(ahead, curve.length - station) / LOOK) + 1):
             x, y, yaw = curve.at(min(station + i * LOOK, curve.length))
-            for shape, away in least:
+            for shape, away, name in least:
                 west, south, east, north = shape.bounds
                 near = west - reach <= x <= east + reach and south - reach <= y <= north + reach
                 if near and body.distance(x, y, yaw, shape) < away:
+                    self.blocker = f"robot {name}'s path"
                     return (i - 1) * LOOK
         return math.inf
 

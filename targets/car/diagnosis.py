@@ -12,7 +12,8 @@ from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.safety import inside
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point
-from targets.car.drive import opened
+from targets.car.drive import Drive, opened
+from targets.car.lag import LONGEST_LAG, is_long
 from targets.car.links import Links
 from targets.car.settings import CarSettings
 from targets.car.tracker import BRAKING
@@ -21,6 +22,7 @@ from targets.car.watchdog import LATE
 STALE = 0.3  # seconds without a sample of the position feed: brake
 _STEP, _STEPS = 0.05, 60  # seconds; the look ends earlier when all is there
 _DRIVE_STEPS = 110  # a drive that is silent for 5 s says so by itself
+_CHECK_STEPS = 100  # more, in which a drive that answers is asked for its settings
 _WATCHED = 1.0  # seconds for which a feed is watched
 LEAST_RATE = 10.0  # Hz
 LEAST_STEERING = 0.8  # of max_steering, that the servo's range must allow
@@ -51,18 +53,40 @@ def limits(settings: CarSettings, fence: Box) -> Finding:
     return Finding("limits", "ok", told)
 
 
+def slow(lag: float) -> str:
+    """A motor's lag (s) that is too long, and what to do about it, in words."""
+    return (
+        f"the motor follows its commands with a lag of {lag:.1f} s, the car is driven exactly up to {LONGEST_LAG:g} s: "
+        "it overshoots and may circle its targets; tune the motor controller's speed loop, raise a rover's "
+        "MOT_SLEWRATE, or lower max_speed and max_acceleration"
+    )
+
+
+def lag_findings(lag: float | None) -> list[Finding]:
+    """The motor's lag as the agent measured it when the car drove last; nothing where it never was too long."""
+    if lag is None:
+        return []
+    told = f"{lag:.1f} s when the car drove last"
+    if is_long(lag):
+        return [Finding("lag", "warn", told, f"{LONGEST_LAG:g} s or less", slow(lag))]
+    return [Finding("lag", "ok", told)]
+
+
 def drive_findings(settings: CarSettings, links: Links, frame: LocalFrame) -> list[Finding]:
     """Whether the drive answers, and what it says of itself; it is opened and closed."""
     try:
         drive = opened(settings, links, frame)
     except Unready as error:
         return [Finding.of("drive", error)]
+    checked: list[Finding] | None = None
     try:
-        for i in range(_DRIVE_STEPS):
+        for i in range(_DRIVE_STEPS + _CHECK_STEPS):
             drive.ask(i * _STEP)
             links.wait(_STEP)
             drive.read(i * _STEP)
-            if drive.heard:
+            if drive.heard and (checked := drive.checks(i * _STEP)) is not None:
+                break
+            if not drive.heard and i >= _DRIVE_STEPS:
                 break
     except Unready as error:
         return [Finding.of("drive", error)]
@@ -70,12 +94,16 @@ def drive_findings(settings: CarSettings, links: Links, frame: LocalFrame) -> li
         drive.close(standing=True)
     if not drive.heard:
         return [Finding("drive", "fail", drive.blocked, "an answer", "is it switched on, and `drive` right?")]
+    return [_answering(drive), *(checked or [])]
+
+
+def _answering(drive: Drive) -> Finding:
     if drive.fault:
         hint = "it brakes while this lasts; the VESC tool tells what the fault means"
-        return [Finding("drive", "fail", f"{drive.about}, {drive.fault}", "no fault", hint)]
+        return Finding("drive", "fail", f"{drive.about}, {drive.fault}", "no fault", hint)
     if drive.doubt:
-        return [Finding("drive", "warn", drive.about, why=drive.doubt)]
-    return [Finding("drive", "ok", drive.about)]
+        return Finding("drive", "warn", drive.about, why=drive.doubt)
+    return Finding("drive", "ok", drive.about)
 
 
 def watchdog_finding(links: Links) -> Finding:

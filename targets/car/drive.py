@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.platform import Unready
+from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.values import Pose
 from targets.car.links import Links
 from targets.car.mpc import Command
@@ -42,6 +42,11 @@ class Drive(Protocol):
         """What of that is not as it should be, and why; "" when all is."""
         ...
 
+    @property
+    def asked(self) -> float:
+        """The speed, m/s, that the motor was asked for last: of a rover that which its throttle should give."""
+        ...
+
     def read(self, now: float) -> float | None:
         """Take what arrived; a newly measured speed, or None. Raises Unready when it has been gone or silent for too
         long; it may come back, so go on calling it."""
@@ -49,6 +54,10 @@ class Drive(Protocol):
 
     def ask(self, now: float) -> None:
         """Ask for what it tells; moves nothing."""
+        ...
+
+    def checks(self, now: float) -> list[Finding] | None:
+        """For the doctor: look at the drive's own settings, in as many calls as it takes; None: not done yet."""
         ...
 
     def fixes(self) -> Sequence[tuple[Pose, float]]:

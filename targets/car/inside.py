@@ -56,6 +56,12 @@ class InsideLinks:
     def wait(self, seconds: float) -> None:
         """`diagnose` is not for simulators."""
 
+    def remember(self, lag: float) -> None:
+        """Nobody asks for it."""
+
+    def remembered(self) -> float | None:
+        return None
+
 
 class Watching:
     """Implements `watched.Watch` as watchdog.py does: brakes when no command has come for LATE seconds, until LAST

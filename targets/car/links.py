@@ -7,6 +7,7 @@ import os
 import select
 import termios
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from koordgen.runtime.datagrams import DatagramLink
@@ -50,6 +51,14 @@ class Links(Protocol):
 
     def wait(self, seconds: float) -> None:
         """Let time pass. Used by `diagnose` only, the one call that may."""
+        ...
+
+    def remember(self, lag: float) -> None:
+        """Keep the motor's lag (s) for the doctor, who moves nothing. Raises nothing."""
+        ...
+
+    def remembered(self) -> float | None:
+        """The lag that was kept last, here or by an earlier run; None: none was."""
         ...
 
 
@@ -107,7 +116,10 @@ class Nowhere:
 
 
 class RealLinks:
-    """Links to real devices."""
+    """Links to real devices. `notes` is the file in which the motor's lag is kept; None: nothing is kept."""
+
+    def __init__(self, notes: Path | None = None) -> None:
+        self._notes = notes
 
     def serial(self, device: str) -> ByteLink:
         return SerialLink(device)
@@ -128,3 +140,15 @@ class RealLinks:
 
     def wait(self, seconds: float) -> None:
         select.select([], [], [], seconds)
+
+    def remember(self, lag: float) -> None:
+        if self._notes is not None:
+            with suppress(OSError):
+                self._notes.parent.mkdir(exist_ok=True)
+                self._notes.write_text(f"{lag:.3f}\n", encoding="ascii")
+
+    def remembered(self) -> float | None:
+        try:
+            return float(self._notes.read_text(encoding="ascii")) if self._notes is not None else None
+        except (OSError, ValueError):
+            return None

@@ -7,13 +7,15 @@ import math
 import time
 from collections.abc import Callable
 
+from targets.car.approach import Approach
 from targets.car.avoidance import Avoidance
 from targets.car.bicycle import State
 from targets.car.curves import Curve
-from targets.car.mpc import BLIND_STEPS, Command, Limits, Mpc
+from targets.car.mpc import BLIND_STEPS, STEP, Command, Limits, Mpc
 from targets.car.planner import Area, arc, segments
+from targets.car.reasons import NoWay
 from targets.car.settings import CarSettings
-from targets.car.tracker import BRAKING, Tracker
+from targets.car.tracker import BRAKING, LATERAL, Tracker
 
 STANDING = 0.05  # m/s or slower is standing
 MOVED, MOVED_SHARE = 0.02, 0.05  # a target that moved by these metres and this share of its distance needs a new path
@@ -95,6 +97,9 @@ class Navigator:
         self._near_since: float | None = None
         self._near_target: tuple[float, float] | None = None
         self._last = Command(0.0, 0.0)
+        self._no_way = NoWay()
+        self._crossed = False  # whether another robot's path has met the way that is driven
+        self._approach = Approach(_cornering(limits, settings.planned_radius), settings.reached_radius)
         self._stirred = 0.0  # when the car moved last, or had no reason to
         self._trail = Trail()
         self._curve: Curve | None = None  # the way that is driven
@@ -117,11 +122,17 @@ class Navigator:
         """The direction in which it drives; 0: it stands."""
         return self._tracker.gear
 
+    @property
+    def stall(self) -> str:
+        """See koordgen.runtime.platform: why there is no way to the target now."""
+        return "" if self._arrived or self.reached else self._no_way.why
+
     def go_to(self, target: tuple[float, float]) -> None:
         """Take a target; it is brought inside the margin to the geofence, which is smaller than the radius."""
         area = self._area
         self._target = (max(area.west, min(area.east, target[0])), max(area.south, min(area.north, target[1])))
         self._trail.add(self._target)
+        self._approach.aim(self._target)
         if self._near_target is None or math.dist(self._near_target, self._target) > self._settings.reached_radius / 10:
             self.reached = False
             self._near_since = None
@@ -138,7 +149,10 @@ class Navigator:
         self._planned_for = self._considered = target
         self._failed_for, self._arrived = None, False
         self._arrival = curve.end[2]
-        self._tracker.take(segments(curve))
+        way = segments(curve)
+        self._approach.take(curve.length, len(way), self._crossed)
+        self._crossed = False
+        self._tracker.take(way)
 
     def pause(self) -> None:
         """The car is being braked by others: drop the path, keep the target."""
@@ -185,6 +199,10 @@ class Navigator:
         if self._tracker.done and away <= self._settings.reached_radius:
             self._arrived = True
             return None
+        if self._approach.failed:
+            self.progress = self._approach.why(away)
+            self._no_way.blocked(self._target, self.progress)
+            return None
         if not self._plan(state, away, now):
             return None
         self.progress = f"driving, {away:.1f} m to go"
@@ -196,7 +214,12 @@ class Navigator:
         command = self._tracker.step(State(x, y, state.yaw, speed, self._last.steering), free)
         if self._tracker.failures > BLIND_STEPS:
             self.progress = f"braking: {self._tracker.trouble}"
+            self._no_way.blocked(self._target, f"the controller has no plan: {self._tracker.trouble}")
             return None
+        if free == math.inf:
+            self._approach.drive(STEP)
+            if not standing:
+                self._no_way.found()
         return None if self._tracker.done else command
 
     def _free(self, state: State, standing: bool, now: float) -> float:
@@ -212,6 +235,9 @@ class Navigator:
         if free < math.inf:
             self.progress = f"another robot's path crosses this one in {free:.1f} m"
             self._stirred = now  # it knows why it stands
+            self._crossed = True
+            if standing and self._target is not None:
+                self._no_way.blocked(self._target, f"{self._avoidance.blocker} is {free:.1f} m ahead")
             if standing and now >= self._retry_at:
                 self._considered, self._retry_at = None, now + RETRY
         return free
@@ -288,6 +314,7 @@ class Navigator:
         if curve is None:
             why = reason or "no path inside the geofence leads there"
             self.progress = f"standing: {why}: ({target[0]:.2f}, {target[1]:.2f})"
+            self._no_way.failed(target, self._avoidance.explained((state.x, state.y), target, reason), now)
             self._failed_for, self._retry_at, self._arrival = target, now + RETRY, None
             self._tracker.stop()
             return
@@ -301,6 +328,11 @@ class Navigator:
             if _same(self._planned_for, target, within):
                 return
         self._take(curve, target)
+
+
+def _cornering(limits: Limits, radius: float) -> float:
+    """The speed, m/s, in a curve of this radius, metres."""
+    return min(limits.speed, math.sqrt(LATERAL * limits.acceleration * radius))
 
 
 def _same(before: tuple[float, float] | None, target: tuple[float, float], within: float) -> bool:

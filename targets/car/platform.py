@@ -11,6 +11,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from koordgen.runtime.datagrams import DatagramLink, waiting
@@ -21,10 +22,20 @@ from koordgen.runtime.scans import ScanPort
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.values import Point, Pose, transmissible
 from targets.car.avoidance import Avoidance, MakePlanning
-from targets.car.diagnosis import STALE, drive_findings, feed_findings, fix_findings, limits, watchdog_finding
+from targets.car.diagnosis import (
+    STALE,
+    drive_findings,
+    feed_findings,
+    fix_findings,
+    lag_findings,
+    limits,
+    slow,
+    watchdog_finding,
+)
 from targets.car.drive import Drive, opened
 from targets.car.estimator import Estimator
 from targets.car.fence import stops_inside
+from targets.car.lag import LONGEST_LAG, Lag, is_long
 from targets.car.links import Links, RealLinks
 from targets.car.mpc import STEP, Command
 from targets.car.navigator import STANDING, Navigator
@@ -32,6 +43,7 @@ from targets.car.settings import FROM_DRIVE, decode
 from targets.planning.process import Beside
 from targets.planning.route import Route, commanded, passed
 from targets.planning.standstill import Standstill
+from targets.planning.unplanned import Unplanned
 
 MODULES = ("Motion", "MotionWithScan")  # one body under two names; the second has a lidar
 WAIT_FOR_FEED = 60.0  # seconds until Unready: a base station may be started after the robots
@@ -58,7 +70,7 @@ class Car:
         """`clock` times the controller's solver."""
         self._settings = decode(settings.body)
         self._fence = settings.geofence
-        self._links: Links = links if links is not None else RealLinks()
+        self._links: Links = links if links is not None else RealLinks(_notes(settings))
         self._frame = LocalFrame(settings.origin.latitude, settings.origin.longitude, settings.origin.altitude)
         self._robot, self._key, self._clock = settings.robot, key, clock
         self._feed = Feed(settings.robot, key)
@@ -78,6 +90,9 @@ class Car:
         self._resting_since: float | None = None
         self._holding = False
         self._blocked = ""  # why the car brakes, in words; "" when it does not
+        self._unplanned = Unplanned()
+        self._lag = Lag()
+        self._slow: bool | None = None  # whether the lag is too long, as the log says; None: it is not known yet
         self._stood = False  # whether it stood when the position source began to jump
         self._news: list[str] = []
 
@@ -88,7 +103,12 @@ class Car:
             found += fix_findings(self._settings, self._fence, self._links, self._frame)
         else:
             found += feed_findings(self._settings, self._fence, Feed(self._robot, self._key), self._links)
-        found += [limits(self._settings, self._fence), self._loaded(), self._avoidance.diagnose(self._links.wait)]
+        found += [
+            limits(self._settings, self._fence),
+            *lag_findings(self._links.remembered()),
+            self._loaded(),
+            self._avoidance.diagnose(self._links.wait),
+        ]
         return [*found, *self._lidar.diagnose(self._links.wait)]
 
     def _loaded(self) -> Finding:
@@ -224,6 +244,22 @@ class Car:
             drive.brake(now)
         else:
             drive.go(command, self._estimator.speed(now), now)
+            self._lag.note(drive.asked, self._estimator.speed(now), now)
+            self._judge_lag()
+            return
+        self._lag.reset()
+
+    def _judge_lag(self) -> None:
+        """Say when the motor turns out to be slower than the controller was made for, and when it no longer is."""
+        lag = self._lag.seconds
+        if lag is None or self._slow == is_long(lag):
+            return
+        before, self._slow = self._slow, is_long(lag)
+        self._links.remember(lag)
+        if self._slow:
+            self._news.append(slow(lag))
+        elif before:
+            self._news.append(f"the motor follows its commands within {lag:.1f} s again")
 
     def _stands_still(self, navigator: Navigator, drives: bool, now: float) -> bool:
         """Return whether the car must brake because driving does not move it."""
@@ -274,6 +310,17 @@ class Car:
         waiting = self._lidar.waiting or self._avoidance.waiting
         return self._blocked or waiting or self._avoidance.refusal or self._navigator.progress
 
+    @property
+    def stall(self) -> str:
+        """See Platform."""
+        if self._navigator is None or self._resting_since is not None or self._holding:
+            return ""
+        idle = self._unplanned.why(self._now) if self._navigator.reached else ""
+        stall = self._navigator.stall
+        if stall and self._slow:
+            stall += f"; the motor's lag is {self._lag.seconds or 0.0:.1f} s, more than {LONGEST_LAG:g} s"
+        return self._blocked or self._avoidance.refusal or stall or idle
+
     def sense(self, now: float) -> Sensed:
         """The filtered pose, run on to `now`."""
         state = self._estimator.state
@@ -306,6 +353,7 @@ class Car:
                 self._go(points, self._navigator)
                 continue
             flat = tuple(Point(p.x, p.y, 0.0) for p in points)
+            self._unplanned.commanded()
             self._avoidance.resumes(points)
             self._route.take(points)
             self._standstill.command()
@@ -316,6 +364,8 @@ class Car:
     def _go(self, points: tuple[Point, ...], navigator: Navigator) -> None:
         """Follow points: the way that they stand for when they are the planner's, else one that is planned to each; in
         place of what leads into an obstacle of the fleet file the car holds, and says so."""
+        if points:
+            self._unplanned.commanded()
         held = self._avoidance.refusal
         if not self._avoidance.admits(points):
             if held:
@@ -336,7 +386,9 @@ class Car:
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
         """See Platform. The only one is `planner(goal, obstacles)`."""
         gear = self._navigator.gear if self._navigator is not None else 0
-        return self._avoidance.plan(self._estimator.state, gear, args[0], args[1] if len(args) > 1 else ())
+        path = self._avoidance.plan(self._estimator.state, gear, args[0], args[1] if len(args) > 1 else ())
+        self._unplanned.called(args[0], self._avoidance.unplanned, self._now)
+        return path
 
     def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
         """See Platform."""
@@ -372,3 +424,10 @@ class Car:
         self._drive = self._datagrams = None
         self._lidar.close()
         self._avoidance.close()
+
+
+def _notes(settings: Settings) -> Path | None:
+    """The file beside the bundle in which the motor's lag is kept."""
+    if settings.state is None:
+        return None
+    return Path(__file__).resolve().parents[3] / settings.state / f"{settings.robot}.lag"

@@ -13,21 +13,23 @@ from typing import Protocol
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.platform import Unready
+from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.values import Point, Pose
-from targets.car import battery
+from targets.car import battery, rover_parameters
 from targets.car.mpc import STEP, Command
 from targets.car.settings import CarSettings
 from targets.car.throttle import NEUTRAL, SpeedLoop, channel
 from targets.car.watched import Watch
 from targets.mavlink.framing import Message
 from targets.mavlink.link import GROUND_STATION, Link
+from targets.mavlink.parameters import Parameters
 from targets.mavlink.transport import Transport, Way
 
 MANUAL = 0
 STARTING = 60.0  # seconds until it must have been heard: an autopilot may be switched on after the agent
 SILENT, LOST = 1.5, 5.0  # seconds without a message after which the car is braked, and counts as lost
 RELEASE, LEAVE = 0, 65535  # overrides: give the channel back to the receiver; leave it as it is
+STAYS_ARMED = "a rover whose agent was killed stays armed: keep away from its wheels, and disarm it by a ground station"
 _RATES = {
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 20.0,
     mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 2.0,
@@ -56,6 +58,7 @@ class RoverDrive:
         self._armed = False
         self._ours = self._was_armed = False  # whether it has been in MANUAL, and armed in it, since we began
         self._taken = ""  # who has it instead of us, in words
+        self.asked = 0.0  # see Drive
         self._volts: float | None = None
         self._version = ""
         self._vouched = -math.inf  # when the EKF last said that it knows where it is
@@ -65,6 +68,9 @@ class RoverDrive:
         self._begun: float | None = None
         self._now = 0.0
         self._news: list[str] = []
+        self._parameters: Parameters | None = None  # the doctor asks for them
+        self._receiver: bool | None = None  # whether the rover hears a remote control
+        self._sticks_asked = -math.inf
 
     @property
     def heard(self) -> bool:
@@ -121,6 +127,8 @@ class RoverDrive:
             self._came[message.get_msgId()] = now
             speed = self._take(message, now) if message.get_msgId() in _RATES else speed
             self._note(message)
+            if self._parameters is not None:
+                self._parameters.take(message)
         self._link.greet(now)
         vehicle = self._link.vehicle
         if vehicle is not None and not self._is_rover:
@@ -137,6 +145,8 @@ class RoverDrive:
                 self._mode = message.custom_mode
                 self._armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
                 self._watch_pilot()
+            case mavlink.MAVLINK_MSG_ID_RC_CHANNELS:
+                self._receiver = message.chancount > 0
             case mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
                 number = message.flight_sw_version
                 self._version = f"{number >> 24}.{number >> 16 & 255}.{number >> 8 & 255}"
@@ -162,6 +172,20 @@ class RoverDrive:
         self._fixes.append((Pose(Point(x, y, 0.0), yaw), now))
         vx, vy, _ = self._frame.turned(latitude, longitude, message.vx * 0.01, message.vy * 0.01, 0.0)
         return vx * math.cos(yaw) + vy * math.sin(yaw)
+
+    def checks(self, now: float) -> list[Finding] | None:
+        """See Drive: reads the parameters that matter, and whether it is armed."""
+        if self._parameters is None:
+            asked = rover_parameters.rules(self._settings, receiver=False)
+            self._parameters = Parameters(tuple(rule.wanted for rule in asked), bytewise=False)
+        self._parameters.poll(self._link, now)
+        if self._receiver is None and now - self._sticks_asked >= 1.0 and self._link.vehicle is not None:
+            self._sticks_asked = now
+            self._link.tell(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_RC_CHANNELS)
+        if not self._parameters.done(now):
+            return None
+        armed = [Finding("state", "warn", "armed", "disarmed", STAYS_ARMED)] if self._armed else []
+        return [*armed, *rover_parameters.findings(self._settings, self._receiver, self._parameters.readings)]
 
     def fixes(self) -> list[tuple[Pose, float]]:
         """See Drive."""
@@ -225,12 +249,16 @@ class RoverDrive:
                 self._link.ask(now, mavlink.MAV_CMD_DO_SET_MODE, custom, MANUAL)
         elif not self._armed:
             self._link.ask(now, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, every=2.0)
-        self._was_armed = self._was_armed or (self._ours and self._armed)
+        elif not self._was_armed:
+            self._was_armed = True
+            self._news.append("the rover is armed; it stays armed if this agent is killed")
 
     def go(self, command: Command, speed: float | None, now: float) -> None:
         """See Drive."""
         steering = channel(-command.steering / self._settings.max_steering)  # more than 1500 is a right turn
-        self._send(steering, channel(self._loop.throttle(command.speed, speed, STEP)), now)
+        throttle = self._loop.throttle(command.speed, speed, STEP)
+        self.asked = throttle * self._settings.full_speed
+        self._send(steering, channel(throttle), now)
 
     def brake(self, now: float) -> None:
         """See Drive: neutral, wheels straight."""

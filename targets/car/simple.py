@@ -57,6 +57,7 @@ class BodyDrive:
 
     def __init__(self, body: Driver, braking: float) -> None:
         self._body, self._braking = body, braking
+        self.asked = 0.0  # see Drive
         self._fixes: list[tuple[Pose, float]] = []
 
     def read(self, now: float) -> float | None:
@@ -70,11 +71,16 @@ class BodyDrive:
     def ask(self, now: float) -> None:
         """It tells without being asked."""
 
+    def checks(self, now: float) -> list[Finding]:
+        """See Drive: it has no settings."""
+        return []
+
     def fixes(self) -> Sequence[tuple[Pose, float]]:
         told, self._fixes = self._fixes, []
         return told
 
     def go(self, command: Command, speed: float | None, now: float) -> None:
+        self.asked = command.speed
         self._body.drive(command.speed, command.steering)
 
     def brake(self, now: float) -> None:

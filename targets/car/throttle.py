@@ -6,7 +6,7 @@ import math
 
 NEUTRAL, SPAN, DEAD_ZONE = 1500, 500, 30  # microseconds: a channel's middle, half its range, what counts as the middle
 # Of the throttle, times the speed at full throttle: for an error in m/s, and for its integral. A car follows its
-# throttle with some tenths of a second; this closes the loop without an overshoot for up to 0.5 s.
+# throttle with some tenths of a second; this closes the loop without an overshoot for lags of up to lag.LONGEST_LAG.
 _PROPORTIONAL, _INTEGRAL = 0.5, 1.0
 _MOST = 0.3  # of the throttle, that the integral may add
 

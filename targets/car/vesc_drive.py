@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from koordgen.runtime.platform import Unready
+from koordgen.runtime.platform import Finding, Unready
 from targets.car import battery, vesc
 from targets.car.links import ByteLink, Links
 from targets.car.mpc import Command
@@ -34,6 +34,7 @@ class VescDrive:
         self._brake = vesc.encode(vesc.Brake(settings.brake_current))
         self._decoder = vesc.Decoder()
         self._unsent = b""
+        self.asked = 0.0  # see Drive
         self._values: vesc.Values | None = None  # what it said last, since its link was opened
         self._version: vesc.Version | None = None
         self._stuck_since: float | None = None
@@ -144,6 +145,10 @@ class VescDrive:
         """See Drive."""
         self._send(b"", now)
 
+    def checks(self, now: float) -> list[Finding]:
+        """See Drive: its settings cannot be asked for."""
+        return []
+
     def fixes(self) -> tuple[()]:
         """See Drive: it does not know."""
         return ()
@@ -154,6 +159,7 @@ class VescDrive:
         settings = self._settings
         servo = settings.steering_to_servo_offset + settings.steering_to_servo_gain * command.steering
         erpm = settings.speed_to_erpm_gain * command.speed
+        self.asked = command.speed
         self._send(vesc.encode(vesc.SetServo(servo)) + vesc.encode(vesc.SetErpm(erpm)), now)
 
     def brake(self, now: float) -> None:

@@ -39,12 +39,15 @@ class Avoidance:
         self._world, self._standing = world, fixed(settings.obstacles)
         self._planning = planning(planner, world, settings.planner_budget)
         self._guard = Guard(settings.obstacles, radius)
+        self._names = dict(enumerate(peer.name for peer in settings.peers))
+        self._publishers: set[str] = set()  # robots that have published paths
         self._others: tuple[Path, ...] = ()
         self._named = Scene()  # what the program named when it called the planner last
         self._asked = False  # for a leg
         self._admitted: Path | None = None  # what was commanded last and may be flown
         self._news: list[str] = []
         self.refusal = ""  # why what was commanded last is not flown, in words
+        self.unplanned = ""  # why the program's planner found no way last, in words
 
     def start(self) -> None:
         """Begin to make the planner. Raises Unready."""
@@ -62,16 +65,30 @@ class Avoidance:
     def others(self, paths: Mapping[int, Path]) -> None:
         """What the other robots have published."""
         self._others = tuple(paths.values())
+        self._publishers = {self._names.get(pid, str(pid)) for pid in paths}
 
     def plan(self, position: Point | None, goal: Point, named: Any) -> Path:
         """A way from `position` to `goal` around the fleet file's obstacles, those that the program names, and the
         others; () when there is none: a goal on the ground or outside the fence is infeasible. What is planned is what
         would be flown: a way to a goal below the flight height, say, ends above it."""
-        if position is None or goal.z <= 0.0 or not inside(self._fence, goal):
+        self.unplanned = ""
+        if position is None or goal.z <= 0.0:
+            return ()
+        if not inside(self._fence, goal):
+            self.unplanned = "is outside the geofence"
             return ()
         self._named, self._asked = Scene.of(named, ()), False
         path = self._planning.plan(position, self._lifted(goal), Scene.of(named, self._others))
+        answer = self._planning.answer()
+        if not path:
+            self.unplanned = self._explained(position, answer.reason if answer else "")
         return (*path[:-1], goal) if path else ()
+
+    def _explained(self, position: Point, reason: str) -> str:
+        """Why the planner found no way from here, to follow the goal."""
+        past = f", past the paths of {', '.join(sorted(self._publishers))}" if self._publishers else ""
+        here = f"({position.x:.2f}, {position.y:.2f}, {position.z:.2f})"
+        return f"has no path: {reason}" if reason else f"has no path from {here}{past}"
 
     def admits(self, position: Point | None, points: Path) -> bool:
         """Whether the way from `position` along commanded points may be flown; if not, `refusal` and `news` say why.

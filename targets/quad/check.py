@@ -15,8 +15,8 @@ from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point
 from targets.mavlink.framing import Message
 from targets.mavlink.link import GROUND_STATION, Link
+from targets.mavlink.parameters import Parameters, Wanted
 from targets.quad.firmware import Firmware
-from targets.quad.parameters import Parameters, Wanted
 from targets.quad.telemetry import Streams, Telemetry
 from targets.quad.vehicles import identified
 

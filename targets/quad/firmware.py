@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from targets.quad.parameters import Wanted
+from targets.mavlink.parameters import Wanted
 
 
 @dataclass(frozen=True, slots=True)

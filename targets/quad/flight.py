@@ -18,9 +18,9 @@ from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point
 from targets.mavlink.framing import Message
 from targets.mavlink.link import RESULTS, Link
+from targets.mavlink.parameters import Review, Wanted
 from targets.quad.check import RIVAL, misplaced, stranger, unheard
 from targets.quad.firmware import Firmware
-from targets.quad.parameters import Review, Wanted
 from targets.quad.telemetry import Streams, Telemetry
 from targets.quad.vehicles import identified
 

@@ -87,6 +87,11 @@ class Motion:
         """Pause where the vehicle can stop, or resume."""
         self._rejoin.hold(on, now)
 
+    @property
+    def stall(self) -> str:
+        """See koordgen.runtime.platform: why there is no way on from where the vehicle is."""
+        return self._rejoin.stall
+
     def news(self) -> list[str]:
         """Return what happened since the last call, for the log."""
         return self._rejoin.news()

@@ -23,16 +23,17 @@ from koordgen.runtime.settings import BadSettings, Settings
 from koordgen.runtime.values import Point, transmissible
 from targets.mavlink.framing import Message
 from targets.mavlink.link import Link
+from targets.mavlink.parameters import Wanted
 from targets.mavlink.transport import Transport, opened
 from targets.planning.process import Beside
 from targets.planning.route import commanded, passed
+from targets.planning.unplanned import Unplanned
 from targets.quad.avoidance import Avoidance, MakePlanning
 from targets.quad.check import listen
 from targets.quad.diagnosis import findings
 from targets.quad.firmware import Firmware
 from targets.quad.flight import Flight, Phase
 from targets.quad.motion import Motion, heading
-from targets.quad.parameters import Wanted
 from targets.quad.positioning import Positioning
 from targets.quad.setpoint import Aim, setpoint
 from targets.quad.telemetry import Telemetry
@@ -119,6 +120,7 @@ class Quad:
         self._flight: Flight | None = None
         self._held = False
         self._now = 0.0
+        self._unplanned = Unplanned()
 
     def diagnose(self) -> list[Finding]:
         """See Platform: hears the autopilot, and the feeds that there are; a position feed is passed on meanwhile."""
@@ -219,6 +221,14 @@ class Quad:
         doubt = f"; {self._positioning.doubt}" if self._positioning is not None and self._positioning.doubt else ""
         return self._flight.progress + doubt + waiting + refused
 
+    @property
+    def stall(self) -> str:
+        """See Platform."""
+        if self._held or self.rested:
+            return ""
+        idle = self._unplanned.why(self._now) if self._motion.reached else ""
+        return self._avoidance.refusal or self._motion.stall or idle
+
     def sense(self, now: float) -> Sensed:
         """See Platform. Before the first estimate the position is the origin, and `time` is None."""
         state = self._telemetry
@@ -253,6 +263,8 @@ class Quad:
 
     def _command(self, points: tuple[Point, ...], now: float, behind: int | None = None) -> None:
         """Fly by these points if they may be flown by; `behind` says how many a quad that resumes has passed."""
+        if points:
+            self._unplanned.commanded()
         held, avoidance = self._avoidance.refusal, self._avoidance
         if behind is None:
             admitted = avoidance.admits(self._telemetry.position, points)
@@ -265,7 +277,9 @@ class Quad:
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
         """See Platform. The only one is `planner(goal, obstacles)`."""
-        return self._avoidance.plan(self._telemetry.position, args[0], args[1] if len(args) > 1 else ())
+        path = self._avoidance.plan(self._telemetry.position, args[0], args[1] if len(args) > 1 else ())
+        self._unplanned.called(args[0], self._avoidance.unplanned, self._now)
+        return path
 
     def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
         """See Platform."""

@@ -18,12 +18,12 @@ from koordgen.runtime.settings import Settings
 from koordgen.runtime.values import Pose, distance
 from targets.mavlink.framing import Message
 from targets.mavlink.link import Link
+from targets.mavlink.parameters import Wanted
 from targets.quad.check import coordinates
 from targets.quad.external import gps_input, odometry, vision
 from targets.quad.firmware import Firmware
 from targets.quad.flight import Flight, Phase
 from targets.quad.origin import Origin
-from targets.quad.parameters import Wanted
 from targets.quad.telemetry import Telemetry
 from targets.quad.track import Track
 

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from targets.mavlink.parameters import Wanted
 from targets.quad.firmware import Firmware
-from targets.quad.parameters import Wanted
 
 
 def custom_mode(main: int, sub: int = 0) -> int:

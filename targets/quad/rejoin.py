@@ -109,9 +109,8 @@ class Rejoin:
         self._since = 0.0  # when the stage began
         self._polled: float | None = None
         self._standstill = Standstill(action)
-        self._silent = False  # whether the log says already that there is no leg
+        self._no_leg = ""  # why no leg is flown, in words
         self._from = Point()  # where the leg that is looked for begins: near the vehicle
-        self._news: list[str] = []
         self.held = False
 
     def hold(self, on: bool, now: float) -> None:
@@ -126,7 +125,7 @@ class Rejoin:
     def command(self, now: float, unchecked: bool) -> None:
         """The reference follows other points now. `unchecked` says that nobody checked the leg to the first of them."""
         self._standstill.command()
-        self._silent = False
+        self._no_leg = ""
         if unchecked or self._stage is not Stage.FLYING:
             self._enter(Stage.BRAKING, now)
             self._pause(now)
@@ -216,10 +215,7 @@ class Rejoin:
             self._resume((goal,), position, velocity, now)
         else:
             self._enter(Stage.STANDING, now)
-            if not self._silent:
-                self._silent = True
-                way = f"from {coordinates(position)} back to {coordinates(goal)}"
-                self._news.append(f"no clear way {way}: holding")
+            self._no_leg = f"no clear way from {coordinates(position)} back to {coordinates(goal)}: holding"
 
     def _resume(self, leg: Path, position: Point, velocity: Point, now: float) -> None:
         """Start the reference where the vehicle is, along the leg that was found."""
@@ -230,7 +226,7 @@ class Rejoin:
         self._enter(Stage.FLYING, now)
         self._pause(now)
         self._reference.start(position, velocity, now)
-        self._silent = False
+        self._no_leg = ""
 
     def _enter(self, stage: Stage, now: float) -> None:
         self._stage, self._since = stage, now
@@ -284,7 +280,11 @@ class Rejoin:
                 high = middle
         return start + (end - start) * low
 
+    @property
+    def stall(self) -> str:
+        """Why the vehicle does not go on, "" while it does: see koordgen.runtime.platform."""
+        return self._standstill.holding or self._no_leg
+
     def news(self) -> list[str]:
         """Return what happened since the last call, for the log."""
-        said, self._news = [*self._news, *self._standstill.news()], []
-        return said
+        return self._standstill.news()

@@ -2,8 +2,9 @@
 
 As was observed on ArduPilot 4.7: nothing but heartbeats comes until it is asked for; a mode set in the first second
 after boot is acknowledged and lost; overrides count only from system 255 (MAV_GCS_SYSID), 1000 to 2000 with a dead
-zone of 30 about 1500, more than 1500 is a right turn; it drives on for 3 s after the last one, then goes neutral. In
-other modes than MANUAL it stands here: GUIDED is not simulated.
+zone of 30 about 1500, more than 1500 is a right turn; it drives on for RC_OVERRIDE_TIME after the last one, then
+goes neutral; a parameter that it does not know it never answers. In other modes than MANUAL it stands here: GUIDED is
+not simulated.
 """
 
 from __future__ import annotations
@@ -17,17 +18,36 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from koordgen.runtime.geodesy import LocalFrame
 from targets.car.settings import decode
 from targets.sim.bodies import Car, DeviceContext
+from targets.sim.mavlink_params import BYTE, REAL, SHORT, Parameter, Parameters
 from targets.sim.mavlink_telemetry import Message, Telemetry
 from targets.sim.ports import Port
 
 MANUAL, HOLD, GUIDED = 0, 4, 15
 MODES = (MANUAL, HOLD, GUIDED)
 GROUND_STATION = 255
-OVERRIDE_TIME = 3.0  # seconds for which an override holds
 DEAD_ZONE, MIDDLE, END = 30, 1500, 2000
 MODE_LOST = 1.0  # seconds after boot in which a mode is acknowledged and forgotten
 SUPPLY = 11.1  # volts
 VERSION = 4 << 24 | 7 << 16 | 255  # 4.7.0, official
+_ENDS = {"MIN": 1000, "TRIM": 1500, "MAX": 2000, "DZ": 30, "REVERSED": 0}
+# Those of a rover that was prepared for a companion computer and has no remote control.
+PARAMETERS = (
+    Parameter("FS_ACTION", 2),
+    Parameter("FS_GCS_ENABLE", 1),
+    Parameter("FS_GCS_TIMEOUT", 2, REAL),
+    Parameter("FS_THR_ENABLE", 0),
+    Parameter("MANUAL_OPTIONS", 0, SHORT),
+    Parameter("MANUAL_STR_EXPO", 0, REAL),
+    Parameter("MAV_GCS_SYSID", 255, SHORT, (4, 7), "SYSID_MYGCS"),
+    Parameter("MOT_SLEWRATE", 0, SHORT),
+    Parameter("PILOT_STEER_TYPE", 0),
+    *(Parameter(f"RC{channel}_{end}", value, SHORT) for channel in (1, 3) for end, value in _ENDS.items()),
+    Parameter("RCMAP_ROLL", 1, BYTE),
+    Parameter("RCMAP_THROTTLE", 3, BYTE),
+    Parameter("RC_OPTIONS", 32, REAL),
+    Parameter("RC_OVERRIDE_TIME", 0.5, REAL),
+    Parameter("WP_SPEED", 2, REAL),
+)
 _KNOWS = mavlink.EKF_ATTITUDE | mavlink.EKF_POS_HORIZ_ABS | mavlink.EKF_VELOCITY_HORIZ
 
 
@@ -51,7 +71,9 @@ class SimulatedRover:
             mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: self._ekf,
             mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self._position,
             mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self._version,
+            mavlink.MAVLINK_MSG_ID_RC_CHANNELS: self._sticks,
         }
+        self.parameters = Parameters(table=PARAMETERS)
         self.said: list[tuple[int, str]] = []
         self._telemetry = Telemetry(makers, {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}, self.said, self._send)
         self.overrides: Mapping[str, Any] = {}
@@ -76,7 +98,7 @@ class SimulatedRover:
     def stick(self, channel: int, now: float) -> float:
         """What a channel asks for, -1 to 1: RC_Channel::pwm_to_angle_dz."""
         value, came = self._override.get(channel, (MIDDLE, now))
-        if now - came > OVERRIDE_TIME:
+        if now - came > self.parameters.of("RC_OVERRIDE_TIME"):
             return 0.0
         off = max(MIDDLE - END, min(END - MIDDLE, value - MIDDLE))
         beyond = max(0, abs(off) - DEAD_ZONE)
@@ -101,6 +123,9 @@ class SimulatedRover:
                         self._override.pop(channel, None)
                     elif value != 65535:
                         self._override[channel] = (value, now)
+            case mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ:
+                if (told := self.parameters.told(message.param_id, message.param_index)) is not None:
+                    self._send(told)  # an unknown one is never answered
             case mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
                 result = self._obey(message, now)
                 self._send(mavlink.MAVLink_command_ack_message(message.command, result))
@@ -163,3 +188,7 @@ class SimulatedRover:
     def _version(self, now: float) -> Message:
         nothing = bytes(8)
         return mavlink.MAVLink_autopilot_version_message(0, VERSION, 0, 0, 0, nothing, nothing, nothing, 0, 0, 0)
+
+    def _sticks(self, now: float) -> Message:
+        """No receiver: there are no channels."""
+        return mavlink.MAVLink_rc_channels_message(round(now * 1000), 0, *[0] * 18, 255)

@@ -13,10 +13,20 @@ from targets.sim.bodies import Vector
 from targets.sim.noticed import Monitored, Noticed
 from targets.sim.noticed import as_text as noticed_text
 from targets.sim.run import Outcome
-from targets.sim.trace import Cause, End, Header, Monitor, Pose, Record, Round, Violation, fault_text
+from targets.sim.trace import Cause, End, Header, Monitor, Pose, Record, Round, Stall, Violation, fault_text
 from targets.sim.trace import Verdict as Found
 
 Verdict = Literal["held", "violated", "interrupted", "not started"]
+
+
+class Stalled(msgspec.Struct):
+    """A time in which a robot had no way to what was commanded: `since` (s), how long (s), whether it was over when the
+    mission ended, and the last reason."""
+
+    since: float
+    seconds: float
+    over: bool
+    why: str
 
 
 class RobotSummary(msgspec.Struct):
@@ -39,6 +49,7 @@ class RobotSummary(msgspec.Struct):
     status: int | None = None
     waiting_for: str | None = None
     last_lines: list[str] = []
+    stalls: list[Stalled] = []
 
 
 class Separation(msgspec.Struct):
@@ -93,6 +104,8 @@ def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Su
                 tallies[pid].pose(record, ended)
             case Round(pid=pid) if pid in tallies and not ended:
                 tallies[pid].round(record)
+            case Stall(pid=pid) if pid in tallies and not ended:
+                tallies[pid].stall(record)
             case Violation():
                 violations.append(record)
             case Found():
@@ -101,6 +114,8 @@ def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Su
                 causes.append(record)
             case End():
                 ended = True
+                for tally in tallies.values():
+                    tally.end(record.t)
             case _:
                 pass
     robots = [tally.summary for tally in tallies.values()]
@@ -143,7 +158,7 @@ def _separation(outcome: Outcome, names: dict[int, str]) -> Separation | None:
 
 class _Tally:
     def __init__(self, summary: RobotSummary, delta: float) -> None:
-        summary.events, summary.skips = {}, {}
+        summary.events, summary.skips, summary.stalls = {}, {}, []
         self.summary = summary
         self._delta = delta
         self._last: Vector | None = None
@@ -158,6 +173,19 @@ class _Tally:
             if pose.t >= 0 and self._last is not None:
                 own.path_length += math.dist(self._last, pose.position)
         self._last = pose.position
+
+    def stall(self, record: Stall) -> None:
+        own = self.summary.stalls
+        if own and not own[-1].over:
+            own.pop()
+        since = round(record.t - record.lasted, 3)
+        own.append(Stalled(since, record.lasted, record.state == "ends", record.why))
+
+    def end(self, t: float) -> None:
+        """The mission is over: a stall that goes on has lasted until now."""
+        for stalled in self.summary.stalls:
+            if not stalled.over:
+                stalled.seconds = round(t - stalled.since, 3)
 
     def round(self, record: Round) -> None:
         own = self.summary
@@ -222,6 +250,11 @@ def told(violation: Violation) -> str:
     return f"{who}{verb}{violation.detail}"
 
 
+def _stalled(robot: str, stalled: Stalled) -> str:
+    until = f"for {stalled.seconds:.1f} s" if stalled.over else f"until the end ({stalled.seconds:.1f} s)"
+    return f"{robot} from {seconds(stalled.since)} s {until}: {stalled.why}"
+
+
 def _brought(cause: Cause) -> str:
     """A fault in one line."""
     told = f"at {seconds(cause.t)} s {cause.what} ({', '.join(cause.robots)})"
@@ -259,6 +292,9 @@ def as_text(summary: Summary) -> str:
     if summary.shares:
         parts = (f"{part} {share:.0%}" for part, share in summary.shares.items())
         lines.append(f"the processor's time: {', '.join(parts)}")
+    stalled = [_stalled(robot.name, each) for robot in summary.robots for each in robot.stalls]
+    if stalled:
+        lines += ["", "robots without a way:", *(f"  {line}" for line in stalled)]
     if len(summary.violations) > 1:
         lines += ["", f"all {len(summary.violations)} violations:", *(f"  {told(v)}" for v in summary.violations)]
     if summary.causes:

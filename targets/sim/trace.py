@@ -133,6 +133,18 @@ class Log(msgspec.Struct, frozen=True, tag_field="kind", tag="log"):
     pid: int = -1
 
 
+class Stall(msgspec.Struct, frozen=True, tag_field="kind", tag="stall"):
+    """A robot has had no way to what was commanded for `lasted` seconds, or has one again; `why` says what is wanted
+    and what is in the way (koordgen/runtime/stall.py). A `log` record has the same in words."""
+
+    state: Literal["begins", "goes on", "ends"]
+    why: str
+    lasted: float
+    time: float = 0.0
+    t: float = 0.0
+    pid: int = -1
+
+
 class Stream(msgspec.Struct, frozen=True, tag_field="kind", tag="stream"):
     """A line that the program put out; round 0 is `init`."""
 
@@ -237,7 +249,7 @@ class _Kind(msgspec.Struct):
 
 
 Mark = Violation | Verdict | Cause | End
-Record = Header | Pose | Phase | Init | Round | View | Log | Stream | Monitor | Metrics | Mark
+Record = Header | Pose | Phase | Init | Round | View | Log | Stall | Stream | Monitor | Metrics | Mark
 _KINDS = {kind.__struct_config__.tag for kind in Record.__args__}
 _decoder = msgspec.json.Decoder(Record)
 _kind_decoder = msgspec.json.Decoder(_Kind)

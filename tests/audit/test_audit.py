@@ -93,7 +93,27 @@ def test_without_a_robots_trace_its_own_is_unknown_and_the_store_is_not(home: Pa
     assert found["Near"]["verdict"] == found["Mine"]["verdict"] == "unknown"
     assert found["Mine"]["missing"] == {"mine of robot 1: there is no trace of robot 1": found["Mine"]["unknown"]}
     assert found["Sum"]["verdict"] == "held" and found["Sum"]["unknown"] < found["Sum"]["rounds"], "others saw it"
-    assert found["Motion"]["verdict"] == "held" and found["Motion"]["unknown"] == found["Motion"]["rounds"] / 2
+    motion = found["Motion"]
+    assert motion["verdict"] == "unknown" and motion["unknown"] == motion["rounds"] / 2, "bert may have broken it"
+
+
+def test_an_assumption_is_unknown_while_a_robot_may_have_broken_it(
+    home: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A robot that came to rest is out of the model; one whose trace is cut off is not."""
+    path = home / "bert.jsonl"
+    whole = path.read_text()
+    path.write_text(whole[: len(whole) // 2])
+    status, told = text_of(capsys, home)
+    row = next(line for line in told.splitlines() if "assume Motion" in line)
+    assert status == 4 and row.split()[0] == "unknown", told
+    records = [json.loads(line) for line in whole.splitlines()]
+    middle = [r["time"] for r in records if r["kind"] == "round"][4]
+    rest = {"kind": "phase", "time": middle, "phase": "resting", "detail": "landing"}
+    kept = [r for r in records if r.get("time", 0.0) <= middle]
+    path.write_text("".join(json.dumps(r) + "\n" for r in [*kept, rest]))
+    motion = by_name(audited(home)[1])["Motion"]
+    assert motion["verdict"] == "held" and motion["unknown"] > 0
 
 
 def test_what_is_false_without_a_robot_is_violated(tmp_path: Path) -> None:
@@ -224,7 +244,8 @@ def test_a_robot_that_died_and_came_back_is_judged_by_what_it_kept(tmp_path: Pat
     status, document = audited(folder / "robots")
     assert status in (0, 4) and document["robots"][1]["lives"] == 2
     found = by_name(document)
-    assert {p["verdict"] for p in found.values()} == {"held"}
+    assert {name for name, p in found.items() if p["verdict"] != "held"} == {"Motion"}
+    assert found["Motion"]["verdict"] == "unknown", "nobody saw what its body did before it came back"
     assert found["Mine"]["spans"][-1]["outcome"] == "held", "what it kept tells its own variables"
     assert audited(folder)[1]["properties"] == document["properties"], "the merged trace says the same"
     home = tmp_path / "home"

@@ -265,7 +265,9 @@ def test_the_geofence_brakes_a_rover_too(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_diagnosis_arms_nothing(position: str) -> None:
     world = World(position=position)
     found = {f.name: f for f in world.car.diagnose()}
-    assert list(found) == ["drive", "watchdog", "position", "place", "limits", "controller", "planner"], found
+    assert list(found) == ["drive", "parameters", "watchdog", "position", "place", "limits", "controller", "planner"], (
+        found
+    )
     assert {f.state for f in found.values()} == {"ok"}, found
     assert "ArduPilot rover 4.7.0 answers" in found["drive"].found and "11.1 V" in found["drive"].found
     assert world.rover is not None and not world.rover.armed and world.rover.mode == HOLD

@@ -71,6 +71,7 @@ class Wire:
         self.closed = 0
         self.unplugged = False
         self.idle: Callable[[float], None] = lambda seconds: None
+        self.lag: float | None = None  # what was remembered
 
     def serial(self, device: str) -> Wire:
         self._plugged()
@@ -97,6 +98,12 @@ class Wire:
 
     def wait(self, seconds: float) -> None:
         self.idle(seconds)
+
+    def remember(self, lag: float) -> None:
+        self.lag = lag
+
+    def remembered(self) -> float | None:
+        return self.lag
 
     def read(self) -> bytes:
         self._plugged()

@@ -28,6 +28,7 @@ class Still:
     ready = True
     rested = True
     progress = "standing"
+    stall = ""
 
     def __init__(self, settings: Settings, key: bytes | None) -> None:
         """Nothing to open."""

@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from targets.mavlink.framing import Framer
 from targets.mavlink.link import Link
-from targets.quad.parameters import Parameters, Wanted
+from targets.mavlink.parameters import Parameters, Wanted
 from tests.quad.rig import Rig, Wire, commands, sent
 from tests.quad.test_link import heartbeat
 

@@ -144,11 +144,12 @@ def test_a_vehicle_without_a_clear_way_back_holds_and_says_so() -> None:
     quad.run(2.0)
     quad.carry(3.2, -1.0)
     quad.run(10.0)
-    (line,) = quad.quad.news()
-    assert line.startswith("no clear way from (3.2") and line.endswith("back to (1.00, 1.00, 1.50): holding")
+    assert quad.quad.stall.startswith("no clear way from (3.2")
+    assert quad.quad.stall.endswith("back to (1.00, 1.00, 1.50): holding")
     assert distance(Point(*quad.position), Point(3.2, -1.0, 1.5)) < 0.3
     quad.position = (1.0, -1.0, 1.5)
     assert quad.run(20.0, quad.reached), "there is a way again"
+    assert quad.quad.stall == ""
 
 
 def test_a_new_agent_goes_on_amid_the_path() -> None:
@@ -182,7 +183,7 @@ def test_a_vehicle_that_makes_no_progress_says_so_and_holds() -> None:
     assert line.startswith("no progress for 8 s at (1.") and line.endswith("braking, and looking for another way")
     flight.rig.run(NO_PROGRESS + 3.0)
     (line,) = flight.rig.quad.news()
-    assert line.endswith("twice: holding until the next command")
+    assert line.endswith("twice: holding until the next command") and line == flight.rig.quad.stall
     flight.rig.run(2 * NO_PROGRESS)
     assert flight.rig.quad.news() == []
 

@@ -105,6 +105,7 @@ class FakePlatform:
         self.goal_reached = True
         self.seen_paths: list[dict[int, tuple[Point, ...]]] = []
         self.told: list[str] = []
+        self.stall = ""
 
     def diagnose(self) -> list[Finding]:
         return [Finding("fake", "ok", "a fake body")]

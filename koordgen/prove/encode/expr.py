@@ -332,9 +332,14 @@ class Encoder:
 
     def parts(self, node: ir.Expr, scope: Scope) -> tuple[Term, Term]:
         """Return two terms: that a formula has a value, and that it is true if it has one."""
-        with self.room.outermost(), self.room.aside() as demands:
+        room = self.room
+        kept = room.path, room.demands
+        room.path, room.demands = (), []  # as `outermost` and `aside` do; this runs for each instance of a formula
+        try:
             formula = self.term(node, scope)
-        return t.all_of([demand.term for demand in demands]), formula
+            return t.all_of([demand.term for demand in room.demands]), formula
+        finally:
+            room.path, room.demands = kept
 
 
 def _between(x: Term, a: Term, b: Term) -> Term:

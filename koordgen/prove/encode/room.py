@@ -311,8 +311,10 @@ class Room:
             self.partial = self.partial or (universal.inner and len(outer) < len(robots))
         if universal.places:
             terms += places
+        terms = [index for index in terms if index not in universal.done]
+        if not terms:
+            return
         with self.about(universal.label, universal.line), self.known_at(universal.known_from):
             for index in terms:
-                if index not in universal.done:
-                    universal.done.add(index)
-                    self.fact(universal.instance(index))
+                universal.done.add(index)
+                self.fact(universal.instance(index))

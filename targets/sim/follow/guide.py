@@ -240,7 +240,7 @@ class FollowedBody:
         self._guide, self._pid, self._round = guide, pid, round_
         self._types = {p.name: p.type for p in program.ports if p.direction == "sensor"}
         self._answers = {p.name: p.type for p in program.ports if p.direction == "callable"}
-        self.ready, self.rested, self.progress = True, False, ""
+        self.ready, self.rested, self.progress, self.stall = True, False, "", ""
 
     def sense(self, now: float) -> Sensed:
         """See Platform."""
