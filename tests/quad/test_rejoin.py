@@ -29,8 +29,8 @@ RADIUS = 0.2  # m, of the body
 class Flight:
     """A quad among obstacles that is ready to be commanded; `gap` is how near it came to any of them."""
 
-    def __init__(self, *obstacles: Block, safety: Safety | None = None) -> None:
-        self.rig = Rig()
+    def __init__(self, *obstacles: Block, safety: Safety | None = None, position: Vector = (1.0, -2.0, 0.0)) -> None:
+        self.rig = Rig(position=position)
         self._obstacles: tuple[Obstacle, ...] = obstacles
         self._safety = safety or Safety()
         self.rig.quad = self.agent()
@@ -150,6 +150,25 @@ def test_a_vehicle_without_a_clear_way_back_holds_and_says_so() -> None:
     quad.position = (1.0, -1.0, 1.5)
     assert quad.run(20.0, quad.reached), "there is a way again"
     assert quad.quad.stall == ""
+
+
+def test_a_vehicle_that_takes_off_near_a_wall_hovers_there() -> None:
+    flight = Flight(WALL, position=(1.68, -2.0, 0.0))
+    flight.rig.run(5.0)
+    assert distance(at(flight.rig), Point(1.68, -2.0, 1.5)) < 0.1
+
+
+def test_a_short_hold_far_from_obstacles_is_no_stop() -> None:
+    flight = Flight()
+    flight.follow(Point(1.0, -2.0, 1.5), Point(1.0, 4.0, 1.5))
+    flight.rig.run(3.0)
+    flight.rig.quad.hold(True, flight.rig.now)
+    flight.rig.run(0.1)
+    flight.rig.quad.hold(False, flight.rig.now)
+    slowest: list[float] = []
+    flight.rig.watch = lambda: slowest.append(flight.rig.body.velocity[1])
+    flight.rig.run(2.0)
+    assert min(slowest) > 0.3
 
 
 def test_a_new_agent_goes_on_amid_the_path() -> None:
