@@ -13,9 +13,9 @@ SAME_PLACE = 0.3  # m from where a vehicle stood still within which the next tim
 
 
 class Standstill:
-    """Watches one vehicle. The first time the vehicle brakes and looks for another way. At a second time in the same
-    place it takes the fleet file's `missed_action`: with "hold" it holds until the next command, `holding` says why;
-    with "rest" it comes to rest for good."""
+    """Watches one vehicle, which takes the fleet file's `missed_action` when it stands still: with "rest" it comes to
+    rest for good. With "hold" it brakes and looks for another way; a second time in the same place it holds until the
+    next command, and `holding` says why."""
 
     def __init__(self, action: str) -> None:
         self._action = action
@@ -41,10 +41,10 @@ class Standstill:
         self._last, self._moved = position, None
         place = f"({position.x:.2f}, {position.y:.2f}, {position.z:.2f})"
         line = f"no progress for {NO_PROGRESS:g} s at {place} on the way to {goal}"
+        if self._action == "rest":
+            raise Unready(line, "see what blocks it; it comes to rest because missed_action is rest")
         if not again:
             self._news.append(f"{line}: braking, and looking for another way")
-        elif self._action == "rest":
-            raise Unready(f"{line}, twice", "see what blocks it; it comes to rest because missed_action is rest")
         else:
             self.holding = f"{line}, twice: holding until the next command"
             self._news.append(self.holding)
