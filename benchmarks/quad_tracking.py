@@ -38,6 +38,7 @@ from targets.quad.setpoint import ARDUPILOT, Aim, Shaping, setpoint
 from targets.quad.telemetry import Telemetry
 
 HEIGHT, ROOM = 2.0, 12.0
+CLIMB = 0.7  # m/s
 TICK = 0.05
 RADIUS, SPEED = 2.0, 0.8
 Way = Callable[[float], tuple[Point, Point]]  # time to position and velocity, about where the vehicle took off
@@ -114,13 +115,13 @@ class Pilot:
         self.fence = Box(Point(-ROOM, -ROOM, -3.0), Point(ROOM, ROOM, HEIGHT + 6.0))
         self.telemetry = Telemetry(self.frame)
         self.flight = Flight(
-            url, self.link, self.telemetry, self.fence, HEIGHT, lambda p: self.send(Aim(p)),
+            url, self.link, self.telemetry, self.fence, HEIGHT, CLIMB, lambda p: self.send(Aim(p)),
             lambda firmware: tuple(replace(w, vital=False) for w in firmware.parameters), world.now(),
         )  # fmt: skip
         self.cpu = self.flown = 0.0
 
     def motion(self, shaping: Shaping = ARDUPILOT, speed: float = 1.0) -> Motion:
-        return Motion(self.frame, self.fence, HEIGHT, speed, 1.0, 0.7, 0.15, 0.3, shaping=shaping)
+        return Motion(self.frame, self.fence, HEIGHT, speed, 1.0, CLIMB, 0.15, 0.3, shaping=shaping)
 
     def send(self, aim: Aim) -> None:
         if self.link.vehicle is not None:

@@ -37,13 +37,16 @@ _INTEGERS = {
 @dataclass(frozen=True, slots=True)
 class Wanted:
     """A parameter, its names in older versions, the values that are right, and why. `vital`: with any other value the
-    vehicle must not take off."""
+    vehicle must not take off. `bits`: the values are bits, each of which must be set. `versions`: only where
+    AUTOPILOT_VERSION.flight_sw_version is from the first to the last of them; None: in all versions."""
 
     name: str
     older: tuple[str, ...]
     values: tuple[float, ...]
     why: str
     vital: bool = False
+    bits: bool = False
+    versions: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,11 +59,15 @@ class Reading:
 
     @property
     def right(self) -> bool:
+        if self.wanted.bits and self.found is not None:
+            return all(int(self.found) & int(bit) for bit in self.wanted.values)
         return self.found is not None and any(math.isclose(self.found, v, rel_tol=1e-6) for v in self.wanted.values)
 
     @property
     def expected(self) -> str:
         """The values that are right, in words."""
+        if self.wanted.bits:
+            return f"{sum(self.wanted.values):g}, or any number with that bit set"
         return " or ".join(f"{v:g}" for v in self.wanted.values)
 
     def __str__(self) -> str:
@@ -85,13 +92,14 @@ class Parameters:
         self._asked = {w: _Asked() for w in wanted}
         self._names = {name: w for w in wanted for name in (w.name, *w.older)}
         self._bytewise = bytewise
-        self._versioned = False  # the autopilot has said what it is capable of
+        self._version: int | None = None  # AUTOPILOT_VERSION.flight_sw_version
+        self._asked_version = 0  # how often it was asked for
 
     def take(self, message: Message) -> None:
         """Take one of the vehicle's messages."""
         match message.get_msgId():
             case mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
-                self._versioned = True
+                self._version = message.flight_sw_version
                 if message.capabilities & mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE:
                     self._bytewise = True
                 elif message.capabilities & mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST:
@@ -107,10 +115,11 @@ class Parameters:
         """Ask for what has not answered yet."""
         if link.vehicle is None:
             return
-        if not self._versioned:
-            link.ask(now, mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+        if self._version is None:
+            number = mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION
+            self._asked_version = link.ask(now, mavlink.MAV_CMD_REQUEST_MESSAGE, number).times
         for wanted, asked in self._asked.items():
-            if not asked.name and asked.times < TURNS and now - asked.at >= EVERY:
+            if self._matters(wanted) and not asked.name and asked.times < TURNS and now - asked.at >= EVERY:
                 names = (wanted.name, *wanted.older)
                 name = names[asked.times % len(names)]
                 asked.times, asked.at = asked.times + 1, now
@@ -121,8 +130,18 @@ class Parameters:
                 )
 
     def done(self, now: float) -> bool:
-        """Whether each has answered, or was asked for often enough."""
-        return all(a.name or (a.times >= TURNS and now - a.at >= EVERY) for a in self._asked.values())
+        """Whether each that matters in this version has answered, or was asked for often enough."""
+        if self._version is None and self._asked_version < TURNS and any(w.versions for w in self._asked):
+            return False
+        return all(
+            a.name or (a.times >= TURNS and now - a.at >= EVERY) for w, a in self._asked.items() if self._matters(w)
+        )
+
+    def _matters(self, wanted: Wanted) -> bool:
+        if wanted.versions is None:
+            return True
+        first, last = wanted.versions
+        return self._version is not None and first <= self._version <= last
 
     def again(self) -> None:
         """Ask anew for what is not right."""
@@ -132,9 +151,11 @@ class Parameters:
 
     @property
     def readings(self) -> tuple[Reading, ...]:
-        """All parameters, as far as they have answered."""
+        """All parameters that matter in this version, as far as they have answered."""
         return tuple(
-            Reading(w, a.name, self._value(a)) if a.name else Reading(w, w.name, None) for w, a in self._asked.items()
+            Reading(w, a.name, self._value(a)) if a.name else Reading(w, w.name, None)
+            for w, a in self._asked.items()
+            if self._matters(w)
         )
 
     @property

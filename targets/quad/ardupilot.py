@@ -11,6 +11,11 @@ MODES = {
     0: "STABILIZE", 1: "ACRO", 2: "ALT_HOLD", 3: "AUTO", 4: "GUIDED", 5: "LOITER", 6: "RTL", 7: "CIRCLE", 9: "LAND",
     11: "DRIFT", 13: "SPORT", 16: "POSHOLD", 17: "BRAKE", 18: "THROW", 20: "GUIDED_NOGPS", 21: "SMART_RTL",
 }  # fmt: skip
+# flight_sw_version is major, minor, patch and type (0: development, 64: alpha, 128: beta, 192: candidate, 255:
+# release). It does not tell which builds before the release of 4.7.0 have the fix:
+# github.com/ArduPilot/ardupilot/pull/31351
+SPINNING = (4 << 24 | 7 << 16, 4 << 24 | 7 << 16 | 254)
+SPINS = "else a build of this version may spin in flight without a receiver (ArduPilot issue 31353)"
 PARAMETERS = (
     Wanted("FS_GCS_ENABLE", (), (5,), "else it does not land when the agent dies", vital=True),
     Wanted("MAV_GCS_SYSID", ("SYSID_MYGCS",), (255,), "else the agent's heartbeats do not count", vital=True),
@@ -18,6 +23,7 @@ PARAMETERS = (
     Wanted("FS_THR_ENABLE", (), (0,), "else it does not fly without a remote control"),
     Wanted("LAND_REPOSITION", (), (0,), "else it waits for a pilot after landing, and does not disarm"),
     Wanted("GUID_TIMEOUT", (), (3,), "seconds for which it runs on when setpoints with a velocity cease"),
+    Wanted("GUID_OPTIONS", (), (4,), SPINS, bits=True, versions=SPINNING),
 )
 _NO_OWN = (
     Wanted("GPS1_TYPE", ("GPS_TYPE",), (0,), "else it looks for a GPS"),

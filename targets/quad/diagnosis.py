@@ -19,12 +19,14 @@ FAR_ORIGIN = 1000.0  # metres
 CLOCKS = 1.0  # seconds between the autopilot's wall clock and ours
 VARIANCE = 0.8  # at which ArduPilot's EKF failsafe acts (FS_EKF_THRESH)
 SLOW = 0.7  # of the rate that was asked for
+STARTING = 30.0  # seconds since its boot in which an autopilot sends more slowly than asked
 _FLAGS = {
     mavlink.EKF_ATTITUDE: "attitude",
     mavlink.EKF_VELOCITY_HORIZ: "horizontal velocity",
     mavlink.EKF_VELOCITY_VERT: "vertical velocity",
     mavlink.EKF_POS_VERT_ABS: "height",
 }
+RELEASE, _TYPES = 255, {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc"}  # FIRMWARE_VERSION_TYPE
 _REFUSALS = ("PreArm:", "Arm:", "Preflight Fail:")
 # Not the remote control, which may be absent, nor the motors, which a safety switch holds.
 _SENSORS = {
@@ -83,6 +85,8 @@ def _version(what: str, heard: Heard) -> Finding:
             "firmware", "warn", f"{what} of unknown version", "an answer", "is the link overloaded or lossy?"
         )
     version = ".".join(str(message.flight_sw_version >> shift & 0xFF) for shift in (24, 16, 8))
+    kind = message.flight_sw_version & 0xFF
+    version += "" if kind == RELEASE else _TYPES[kind & 0xC0]
     return Finding("firmware", "ok", f"{what} {version}, in {heard.telemetry.mode_name}")
 
 
@@ -179,6 +183,9 @@ def _streams(heard: Heard) -> Finding:
     asked = {number: rate for number, rate in firmware.rates.items() if number not in firmware.occasional}
     told = ", ".join(f"{_name(n)} {heard.rate(n):.0f} of {rate:.0f}" for n, rate in asked.items())
     hint = "raise the link's baud rate, or end other programs that ask this autopilot for streams"
+    clock = heard.newest.get(mavlink.MAVLINK_MSG_ID_SYSTEM_TIME)
+    if clock is not None and clock.time_boot_ms < STARTING * 1e3:
+        hint = f"it is up for {clock.time_boot_ms / 1e3:.0f} s and still starting: ask again {STARTING:g} s after boot"
     if any(heard.rate(number) < SLOW * rate for number, rate in asked.items()):
         return Finding("streams", "warn", f"{told} Hz", "what was asked for", hint)
     return Finding("streams", "ok", f"{told} Hz")

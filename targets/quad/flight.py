@@ -31,8 +31,14 @@ BLIND = 3.0  # seconds without a position after which a climb is given up
 STILL = 0.1  # m/s; in LAND mode a vehicle that is slower has touched down
 QUIET = 0.4  # seconds without any message, in flight, after which the link is said to be silent
 CALLING = 1.0  # seconds for which setpoints flow before a mode is asked for that lasts as long as they do
-CLIMB = 0.5  # m/s, of setpoints that rise
+CLIMB, RISING = 0.5, 0.8  # m/s, and part of the climb's limit: setpoints rise no faster
+CLIMB_SPEED = 2  # SPEED_TYPE_CLIMB_SPEED of DO_CHANGE_SPEED
+ASKED = 4  # times that a limit of the climb is asked for; then the vehicle takes off without
 PATIENCE = 5.0  # seconds on the ground after which we disarm, where the autopilot's own landing does not
+COMMANDS = (
+    mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, mavlink.MAV_CMD_DO_CHANGE_SPEED,
+    mavlink.MAV_CMD_NAV_TAKEOFF,
+)  # fmt: skip
 _ON_GROUND = mavlink.MAV_LANDED_STATE_ON_GROUND
 
 
@@ -50,15 +56,16 @@ class Phase(enum.Enum):
 
 
 class Flight:
-    """Brings the vehicle to `height` (m, fleet's ENU) and back to the ground. `go_to` sends a position setpoint;
-    `wanted` are the parameters that matter on a firmware."""
+    """Brings the vehicle to `height` (m, fleet's ENU), at `climb` (m/s) or less, and back to the ground. `go_to` sends
+    a position setpoint; `wanted` are the parameters that matter on a firmware."""
 
     def __init__(
-        self, url: str, link: Link, telemetry: Telemetry, fence: Box, height: float,
+        self, url: str, link: Link, telemetry: Telemetry, fence: Box, height: float, climb: float,
         go_to: Callable[[Point], None], wanted: Callable[[Firmware], tuple[Wanted, ...]], now: float,
     ) -> None:  # fmt: skip
         self._url, self._link, self._telemetry = url, link, telemetry
-        self._fence, self._height, self._go_to, self._wanted = fence, height, go_to, wanted
+        self._fence, self._height, self._climbing = fence, height, climb
+        self._go_to, self._wanted = go_to, wanted
         self._firmware = telemetry.firmware
         self._review = Review((), bytewise=False)
         self._rivalled = False  # it was told that another ground station speaks under our system id
@@ -71,6 +78,7 @@ class Flight:
         self._begun = self._now = self._polled = now
         self._restarts = 0
         self._climb_from = 0.0
+        self._unlimited = ""  # that the autopilot did not accept the limit of its climb, in words
         self._airborne = False  # it has left the ground: what goes wrong now is not simply begun again
         self._landing_seen = False  # LAND, asked for by us, was seen in a heartbeat
         self._grounded: float | None = None  # since when the vehicle seems to be on the ground, while landing
@@ -121,7 +129,7 @@ class Flight:
 
     def _enter(self, phase: Phase, now: float, progress: str) -> None:
         self.phase, self._since, self._doing = phase, now, progress
-        for command in (mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, mavlink.MAV_CMD_NAV_TAKEOFF):
+        for command in COMMANDS:
             self._link.forget(command)
 
     def _watch(self, now: float) -> None:
@@ -154,7 +162,8 @@ class Flight:
     def _estimate(self, now: float) -> None:
         state = self._telemetry
         self._review.poll(self._link, now)
-        if state.position is None or not state.fresh(now) or state.landed is None or state.mode is None:
+        told = None not in (state.yaw, state.landed, state.mode)
+        if state.position is None or not state.fresh(now) or not told:
             if differing := self._review.news():  # it may be why there is no estimate
                 self._doing = f"waiting for its position estimate; {differing}"
             return
@@ -216,8 +225,8 @@ class Flight:
     def _lift(self, seconds: float) -> None:
         """... and rise, as far as the position is known."""
         if self._setpoint is not None and self._telemetry.fresh(self._now):
-            p = self._setpoint
-            self._setpoint = Point(p.x, p.y, max(p.z, min(p.z + CLIMB * seconds, self._height)))
+            p, rate = self._setpoint, min(CLIMB, RISING * self._climbing)
+            self._setpoint = Point(p.x, p.y, max(p.z, min(p.z + rate * seconds, self._height)))
             self._go_to(self._setpoint)
 
     def _arm(self, now: float) -> None:
@@ -250,17 +259,27 @@ class Flight:
         elif self._firmware.rises:
             self._climb_from = state.position.z
             self._doing = "taking off"
-        else:
+        elif self._climb_limited(now):
             self._climb_from = state.position.z
             # Height above home: home's own is what the two heights of one message differ by.
             above_home = self._height - state.position.z + state.relative
             self._link.ask(now, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, above_home, every=2.0)
             self._doing = self._explained("taking off", mavlink.MAV_CMD_NAV_TAKEOFF, now)
 
+    def _climb_limited(self, now: float) -> bool:
+        """Ask an ArduPilot to climb within the limit; by itself it takes WP_SPD_UP (2.5 m/s) and as much as the height
+        allows. Return whether it does, or was asked for often enough. The limit holds for this take-off only."""
+        asked = self._link.ask(now, mavlink.MAV_CMD_DO_CHANGE_SPEED, CLIMB_SPEED, self._climbing, -1.0, every=0.5)
+        if asked.result == mavlink.MAV_RESULT_ACCEPTED:
+            self._unlimited = ""
+            return True
+        self._unlimited = f"; the autopilot does not limit its climb to {self._climbing:g} m/s"
+        return asked.times >= ASKED
+
     def _rise(self, now: float) -> None:
         state = self._telemetry
         self._keep(now)
-        self._doing = f"climbing to {self._height:g} m"
+        self._doing = f"climbing to {self._height:g} m{self._unlimited}"
         if state.position is None or not state.fresh(now):
             lost = now - (state.time or self._since)
             if lost > BLIND:

@@ -14,24 +14,16 @@ from targets.quad.reference import STANDING, Reference
 from targets.quad.rejoin import OpenSpace, Rejoin, Ways
 from targets.quad.setpoint import ARDUPILOT, Aim, Shaping, aimed, setpoint
 from targets.quad.telemetry import Telemetry
-from targets.quad.trajectory import Limits
+from targets.quad.trajectory import Limits, State, norm
+from targets.quad.yaw import Yaw
 
 UNFOLLOWED = 5.0  # seconds for which the autopilot may show no sign of following the setpoints
 SPACING = 0.04  # seconds between two setpoints at least
 NEAR = 0.3  # metres by which the target that the autopilot tells may differ from what was sent
 HALTING = 1.0  # seconds for which a halt is told
+PLANNED = 0.97  # of the limits of speed, for the reference: the rest is room for the vehicle to catch up
+SETTLED = 0.1  # m: a vehicle that is so near, and slow, stands where it is to wait
 MARGIN = 0.15  # m from the fence's faces within which nothing is made for: room for the vehicle's own wavering
-TURNING = 0.2  # m/s below which a direction of motion is no heading
-
-
-def heading(text: str) -> str | float:
-    """The setting `yaw`: "keep", "forward", or an angle in radians from east. Raises ValueError."""
-    if text in ("keep", "forward"):
-        return text
-    angle = float(text)
-    if not math.isfinite(angle):
-        raise ValueError(text)
-    return angle
 
 
 def room(fence: Box, height: float) -> Box:
@@ -44,7 +36,8 @@ def room(fence: Box, height: float) -> Box:
 
 class Motion:
     """Lengths in m, fleet's ENU. Heights are raised to `height`, and everything is brought inside the fence, by a
-    margin. `climb` is the vertical speed limit; `yaw` is `heading`'s, `action` `Standstill`'s."""
+    margin. `max_speed` and `climb` (vertical) are limits of the vehicle's own speed, m/s; `yaw` is `yaw.heading`'s,
+    `action` is `Standstill`'s."""
 
     def __init__(
         self, frame: LocalFrame, fence: Box, height: float, max_speed: float, acceleration: float, climb: float,
@@ -54,10 +47,11 @@ class Motion:
         self._frame, self._fence = frame, fence
         self._radius, self._dwell, self._speed = radius, dwell, max_speed
         self._room = room(fence, height)
-        self._reference = Reference(Limits(max_speed, climb, acceleration, self._room))
+        self._limits = Limits(max_speed, climb, acceleration, self._room)
+        self._reference = Reference(Limits(PLANNED * max_speed, PLANNED * climb, acceleration, self._room))
         self._rejoin = Rejoin(self._reference, OpenSpace() if ways is None else ways, action)
         self._shaping = shaping
-        self._policy, self._yaw = yaw, yaw if isinstance(yaw, float) else None
+        self._yaw = Yaw(yaw)
         self._commanded: tuple[Point, ...] = ()
         self._goal: Point | None = None  # what `reached` is about
         self._near: float | None = None  # since when the vehicle stands at the goal
@@ -66,6 +60,7 @@ class Motion:
         self._halt: tuple[Point, float] | None = None  # where to, and until when it is told
         self.reached = True
         self.followed = False  # whether the autopilot was seen to follow the setpoints, and still does
+        self.settled = False  # whether the vehicle was seen to stand where it is to wait, since it is steered
         self.refused = 0  # targets that were not finite
 
     def command(self, points: tuple[Point, ...], now: float, passed: int | None = None) -> None:
@@ -103,8 +98,13 @@ class Motion:
         if position is None or link.vehicle is None or (self._sent is not None and now - self._sent < SPACING):
             return
         self._attend(position, state.velocity, now)
-        aim = self._rejoin.bounded(aimed(self._reference, self._shaping), position, self._shaping)
-        self._say(link, Aim(aim.position, aim.velocity, self._heading(state)), now)
+        age = 0.0 if state.time is None else now - state.time
+        here = State(position + state.velocity * (age + self._shaping.delay), state.velocity)
+        aim = aimed(self._reference, here, self._shaping, self._limits)
+        aim = self._rejoin.bounded(aim, position, self._shaping)
+        yaw = self._yaw.command(state, self._reference.at(0.0).velocity, now)
+        self._say(link, Aim(aim.position, aim.velocity, yaw), now)
+        self._yaw.watch(state)
         self._watch(link, state, aim, now)
         self._judge(position, state.velocity, now)
 
@@ -115,35 +115,37 @@ class Motion:
 
     def coast(self, now: float) -> None:
         """Not ours to steer, or not yet: nothing is sent, and nothing is guessed meanwhile."""
+        self._drop(now)
+        self._yaw.forget()
+
+    def rise(self, state: Telemetry, now: float) -> None:
+        """The take-off climbs: only the yaw is watched, which is to stay as it is. Raises Unready."""
+        self._drop(now)
+        if state.fresh(now):
+            self._yaw.keep(state, now)
+            self._yaw.watch(state)
+
+    def _drop(self, now: float) -> None:
         self._rejoin.drop(now)
         self._halt = self._sent = self._doubted = self._near = None
-        self.followed = False
+        self.followed = self.settled = False
 
     def halt(self, link: Link, now: float) -> None:
         """Ours, but without a fresh position: a position alone, so that the autopilot does not run on with the last
-        velocity; told for a second, because some may be lost. Then as `coast`."""
+        velocity; told for a second, because some may be lost. Then nothing is sent."""
         halt = self._rejoin.drop(now)
+        self._yaw.pause()
         if halt is not None and self._sent is not None:
             self._halt = halt, now + HALTING
         if self._halt is None or now > self._halt[1] or link.vehicle is None:
-            self.coast(now)
+            self._drop(now)
         elif self._sent is None or now - self._sent >= SPACING:
-            self._say(link, Aim(clamp(self._room, self._halt[0]), yaw=self._yaw), now)
+            self._say(link, Aim(clamp(self._room, self._halt[0]), yaw=self._yaw.commanded), now)
 
     def _say(self, link: Link, aim: Aim, now: float) -> None:
         if link.vehicle is not None:
             link.send(setpoint(link.vehicle, self._frame, self._fence, aim))
             self._sent = now
-
-    def _heading(self, state: Telemetry) -> float | None:
-        """The yaw to send: without one ArduPilot turns to wherever it flies (WP_YAW_BEHAVIOR)."""
-        if self._yaw is None:
-            self._yaw = state.yaw
-        if self._policy == "forward":
-            velocity = self._reference.at(0.0).velocity
-            if math.hypot(velocity.x, velocity.y) > TURNING:
-                self._yaw = math.atan2(velocity.y, velocity.x)
-        return self._yaw
 
     def _watch(self, link: Link, state: Telemetry, aim: Aim, now: float) -> None:
         # The autopilot tells its target at 5 Hz; of a second's worth, all but one may be lost. ArduPilot tells it only
@@ -167,6 +169,9 @@ class Motion:
 
     def _judge(self, position: Point, velocity: Point, now: float) -> None:
         """`reached`: within the radius and standing still for the dwell; from then on, until a new target comes."""
+        waiting = self._reference.at(0.0)
+        stands = norm(waiting.velocity) == 0.0 and norm(velocity) < STANDING
+        self.settled |= stands and distance(position, waiting.position) < SETTLED
         goal = self._goal
         if self.reached or goal is None or not self._reference.final:
             return

@@ -33,10 +33,11 @@ from targets.quad.check import listen
 from targets.quad.diagnosis import findings
 from targets.quad.firmware import Firmware
 from targets.quad.flight import Flight, Phase
-from targets.quad.motion import Motion, heading
+from targets.quad.motion import Motion
 from targets.quad.positioning import Positioning
 from targets.quad.setpoint import Aim, setpoint
 from targets.quad.telemetry import Telemetry
+from targets.quad.yaw import heading
 
 MODULES = ("Motion", "MotionWithScan")  # one body under two names; the second has a lidar
 
@@ -163,8 +164,9 @@ class Quad:
             self._positioning.open(now)
         self._link = Link(self._connect(url), self._body.system)
         self._flight = Flight(
-            url, self._link, self._telemetry, self._fence, self._body.flight_height, self._go_to, self._wanted, now
-        )
+            url, self._link, self._telemetry, self._fence, self._body.flight_height, self._body.max_climb, self._go_to,
+            self._wanted, now,
+        )  # fmt: skip
         self._flight.grounded = self._held
 
     def _go_to(self, p: Point) -> None:
@@ -189,7 +191,9 @@ class Quad:
         if self._positioning is not None:
             self._positioning.poll(self._link, self._flight, self._telemetry, now)
             self._motion.hold(self._held or self._positioning.held, now)
-        if self._flight.phase is not Phase.FLYING:
+        if self._flight.phase is Phase.CLIMBING:
+            self._motion.rise(self._telemetry, now)
+        elif self._flight.phase is not Phase.FLYING:
             self._motion.coast(now)
         elif self._telemetry.fresh(now):
             self._motion.steer(self._link, self._telemetry, now)
@@ -198,7 +202,8 @@ class Quad:
 
     @property
     def ready(self) -> bool:
-        """At flight height, position fresh, the autopilot seen to follow setpoints, and a scan seen of a lidar."""
+        """Standing at flight height, position fresh, the autopilot seen to follow setpoints, and a scan seen of a
+        lidar."""
         return (
             self._flight is not None
             and self._flight.phase is Phase.FLYING
@@ -206,6 +211,7 @@ class Quad:
             and self._link.alive(self._now)
             and self._telemetry.fresh(self._now)
             and self._motion.followed
+            and self._motion.settled
             and not self._lidar.waiting
             and not self._avoidance.waiting
             and (self._positioning is None or not self._positioning.held)

@@ -32,6 +32,7 @@ STALE = 0.3  # seconds; an older sample is not passed on, and the vehicle holds
 CLIMBING = 0.5  # seconds of doubt that end a climb
 JUMPED = 1.0  # seconds of nothing but jumps after which the source is no longer waited for
 APART, LAG = 0.5, 0.2  # metres and seconds: the estimate may be off by APART and by what is flown in LAG
+HEIGHT = 0.1  # metres by which the heights of estimate and source may differ before a take-off
 PATIENCE = 60.0  # seconds for the first sample: a base station may be started after the robots
 _JITTER = 0.005  # seconds by which a poll may come early
 LEAST_RATE = 15.0  # Hz
@@ -104,7 +105,9 @@ class Positioning:
                 self._track.take(self._feed.pose, self._feed.time)
         track = self._track
         if self._mode != "gps_input":
-            self._origin.poll(link, now)
+            self._origin.poll(link, track.pose, now)
+            if not self._origin.known:
+                return
         fresh = track.time > self._sent and now - track.time <= STALE
         if link.vehicle is None or track.pose is None or not fresh or now < self._next - _JITTER:
             return
@@ -130,14 +133,14 @@ class Positioning:
         if grounded and self._track.refused(now) > JUMPED:
             self._track.forget()
             self._carried += 1
-        self._judge(state, now)
+        self._judge(state, grounded and not state.flying, now)
         flight.withheld = self.doubt or ("" if self.vouched is not None else "estimate and source are not compared yet")
         if flight.phase in _IN_FLIGHT:
             self._give_up(flight.phase, now)
         elif grounded and self._feed.time is None and now - self._began > PATIENCE:
             raise Unready(*self._feed.silent(self._setting, now - self._began))
 
-    def _judge(self, state: Telemetry, now: float) -> None:
+    def _judge(self, state: Telemetry, grounded: bool, now: float) -> None:
         track = self._track
         self.doubt = self._waiting() if track.pose is None else ""
         if track.refused(now) > 0.0:
@@ -148,6 +151,8 @@ class Positioning:
             v = track.velocity
             if off > APART + LAG * math.hypot(v.x, v.y, v.z):
                 self.doubt = f"the autopilot's estimate is {off:.1f} m from the position source"
+            elif grounded and (differing := self._heights(state)):
+                self.doubt = differing
             else:
                 self.vouched = track.time
         self.held = self.vouched is None or now - self.vouched > STALE
@@ -156,6 +161,17 @@ class Positioning:
         """Metres from the estimate to where the source was then; None when that is not known."""
         there = self._track.at(state.time) if state.time is not None else None
         return distance(state.position, there) if state.position is not None and there is not None else None
+
+    def _heights(self, state: Telemetry) -> str:
+        """The difference of the heights of estimate and source, in words, when it is too large for a take-off."""
+        there = self._track.at(state.time) if state.time is not None else None
+        if state.position is None or there is None or abs(up := state.position.z - there.z) <= HEIGHT:
+            return ""
+        side = "above" if up > 0 else "below"
+        return (
+            f"the autopilot's height is {abs(up):.2f} m {side} the position source's, more than {HEIGHT:g} m: "
+            "restart the autopilot, so that the agent can set its origin anew"
+        )
 
     def _give_up(self, phase: Phase, now: float) -> None:
         jumped = self._track.refused(now)
@@ -202,4 +218,7 @@ class Positioning:
         if off > APART:
             why = "it would not take off: the fleet's origin, or the autopilot's parameters for its source, are wrong"
             return [Finding("followed", "fail", told, f"within {APART:g} m", why)]
+        if not state.flying and (differing := self._heights(state)):
+            why = "it would fly as much too low or too high"
+            return [Finding("followed", "fail", differing, f"heights within {HEIGHT:g} m", why)]
         return [Finding("followed", "ok", told)]

@@ -122,12 +122,14 @@ class Reference:
         return self._rate == 0.0
 
     def start(self, position: Point, velocity: Point, now: float) -> None:
-        """From where the vehicle is, towards what is still ahead; where nothing is, or paused, it stays."""
-        state = State(clamp(self.limits.box, position), self.limits.limited(velocity))
-        if not self._points or norm(velocity) < STANDING or not self.limits.safe(state):
+        """From where the vehicle is and as it moves, towards what is ahead; where nothing is, or paused, to a stop."""
+        at = clamp(self.limits.box, position)
+        climb = velocity.z if at.z == position.z else 0.0  # below the box, as when a climb ends, it comes up by itself
+        state = State(at, self.limits.limited(Point(velocity.x, velocity.y, climb)))
+        if norm(state.velocity) < STANDING or not self.limits.safe(state):
             state = State(state.position)
         self._time, self._rate = now, 1.0
-        self._points = self._points or (state.position,)
+        self._points = self._points or (self.limits.stop(state),)
         self._replan(State(self._halt(state)) if self.paused else state)
 
     def drop(self, now: float) -> Point | None:

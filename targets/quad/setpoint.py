@@ -12,12 +12,16 @@ next third of a second, because p'' jumps; and position and velocity both for th
 
 KPv p + v is all that counts. So near the fence, velocity is exchanged for position: 1/KPv metres for each m/s. PX4's
 gains come to much the same (MPC_XY_P 0.95/s, MPC_XY_VEL_P_ACC 1.8/s).
+
+The demand KPv (p - x) + v is what the vehicle's velocity goes to. Nothing else limits it, neither for a position alone
+nor with a velocity (WP_SPD is 5 m/s or more). So p is brought so near to the vehicle that the demand keeps the speed
+within the limits (`bounded`).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -28,12 +32,14 @@ from koordgen.runtime.values import Point
 from targets.mavlink.framing import Message
 from targets.mavlink.link import Vehicle
 from targets.quad.reference import Reference
+from targets.quad.trajectory import ZERO, Limits, State
 
 # Bits of the type mask say what to ignore; position, velocity and acceleration are each used whole or not at all.
 POSITION = 0xDF8
 POSITION_VELOCITY = 0xDC0
 YAW = 0x400  # taken away when a yaw is given
 
+OBEYED = 0.5  # the part of a demanded change of velocity that is there a third of a second later: 1 - exp(-KPa t)
 RUN_ON = 3.0  # s for which an autopilot keeps the last velocity (GUID_TIMEOUT)
 
 
@@ -65,17 +71,44 @@ class Aim:
     yaw: float | None = None
 
 
-def aimed(reference: Reference, shaping: Shaping) -> Aim:
-    """What to send now, within the limits and in their box for as long as it may be obeyed. A position alone on hold,
-    at rest and for ways so short that they are none: ArduPilot's controller starts anew when the kind of setpoint
-    changes, so that is done while the vehicle stands."""
-    limits, state = reference.limits, reference.at(shaping.delay)
+def aimed(reference: Reference, here: State, shaping: Shaping, limits: Limits) -> Aim:
+    """Return the aim to send now, within the limits and in their box for as long as it may be obeyed; where the vehicle
+    is outside the box, between both. `here` is the vehicle's state when the aim arrives.
+
+    The aim is a position alone on hold, at rest and for ways so short that they are none: ArduPilot's controller starts
+    anew when the kind of setpoint changes, so that is done while the vehicle stands."""
+    state = reference.at(shaping.delay)
     if reference.alone:
-        return Aim(clamp(limits.box, state.position))
+        return bounded(Aim(clamp(limits.box, state.position)), here, shaping, limits)
     push = (reference.at(shaping.delay + shaping.ahead).velocity - state.velocity) / shaping.ahead
-    level, climb = shaping.lead
-    velocity = limits.limited(state.velocity + Point(push.x * level, push.y * level, push.z * climb))
-    return _exchanged(state.position, velocity, shaping, limits.box)
+    wanted = state.velocity + _scaled(push, shaping.lead)
+    velocity = limits.limited(wanted)
+    # The position makes up for what the limit takes from the velocity.
+    position = state.position + _scaled(wanted - velocity, shaping.late)
+    return bounded(_exchanged(position, velocity, shaping, limits.box), here, shaping, limits)
+
+
+def bounded(aim: Aim, here: State, shaping: Shaping, limits: Limits) -> Aim:
+    """Return the aim, brought so near to the vehicle that the velocity that it leads to is within the limits. It leaves
+    the box no farther than the vehicle has."""
+    velocity, (level, up) = aim.velocity or ZERO, shaping.late
+    demand = velocity + _scaled(aim.position - here.position, (1 / level, 1 / up))
+    soon = here.velocity + (demand - here.velocity) * OBEYED
+    allowed = limits.limited(soon)
+    if allowed == soon:
+        return aim
+    demand = here.velocity + (allowed - here.velocity) / OBEYED
+    at, lo, hi = here.position, limits.box.lo, limits.box.hi
+    reach = Box(
+        Point(min(lo.x, at.x), min(lo.y, at.y), min(lo.z, at.z)),
+        Point(max(hi.x, at.x), max(hi.y, at.y), max(hi.z, at.z)),
+    )
+    return replace(aim, position=clamp(reach, at + _scaled(demand - velocity, shaping.late)))
+
+
+def _scaled(p: Point, by: tuple[float, float]) -> Point:
+    """The vector times a factor for its horizontal and one for its vertical part."""
+    return Point(p.x * by[0], p.y * by[0], p.z * by[1])
 
 
 def _exchanged(position: Point, velocity: Point, shaping: Shaping, box: Box) -> Aim:

@@ -20,10 +20,10 @@ from koordgen.runtime.settings import Settings
 from koordgen.runtime.values import Point
 from targets.planning.process import Beside, bounded
 from targets.quad.avoidance import MakePlanning
-from targets.quad.motion import Motion, heading
+from targets.quad.motion import Motion
 from targets.quad.platform import Quad
 from targets.quad.telemetry import Telemetry
-from targets.quad.trajectory import norm
+from targets.quad.yaw import heading
 
 LAG = 0.15  # s in which the body follows a velocity
 GAIN = 2.0  # 1/s: velocity by distance from the reference
@@ -81,8 +81,9 @@ class SimpleMotion(Motion):
         self.followed = True
         # Asked for as much earlier as it will be late.
         velocity = self._reference.at(LAG).velocity + (self._reference.at(0.0).position - position) * GAIN
-        v = velocity * min(1.0, 1.5 * self._speed / max(norm(velocity), 1e-9))
-        body.fly((v.x, v.y, v.z), turning(state.yaw, self._heading(state)))
+        v = self._limits.limited(velocity)
+        yaw = self._yaw.command(state, self._reference.at(0.0).velocity, now)
+        body.fly((v.x, v.y, v.z), turning(state.yaw, yaw))
         self._judge(position, state.velocity, now)
 
 

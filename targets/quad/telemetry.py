@@ -68,7 +68,7 @@ class Telemetry:
         self.landed: int | None = None  # MAV_LANDED_STATE
         self.position: Point | None = None
         self.velocity = Point()  # m/s, ENU
-        self.yaw: float | None = None  # rad from east
+        self.yaw: float | None = None  # rad from east; None where the autopilot does not know it
         self.time: float | None = None  # when `position` came
         self.amsl = 0.0  # m
         self.relative = 0.0  # m above home
@@ -119,8 +119,8 @@ class Telemetry:
         self.velocity = Point(
             *self._frame.turned(latitude, longitude, message.vx * 0.01, message.vy * 0.01, message.vz * 0.01)
         )
-        if message.hdg < 36000:  # else it is unknown
-            self.yaw = math.remainder(math.pi / 2 - math.radians(message.hdg / 100), math.tau)
+        known = message.hdg < 36000
+        self.yaw = math.remainder(math.pi / 2 - math.radians(message.hdg / 100), math.tau) if known else None
         # When it came, not when it was sent: a simulated autopilot's clock may run slower than ours, so that the lag
         # of a single message cannot be told from their drift.
         self.time = now

@@ -11,9 +11,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.geodesy import LocalFrame
 from targets.sim.bodies import DeviceContext, Quadrotor
-from targets.sim.mavlink_copter import ACCEPTED, UNSUPPORTED, Copter
+from targets.sim.mavlink_copter import ACCEPTED, SPOOL_UP, UNSUPPORTED, Copter
 from targets.sim.mavlink_estimate import Estimator
-from targets.sim.mavlink_params import VERSION, Parameters
+from targets.sim.mavlink_params import DEVELOPMENT, VERSION, Parameters
 from targets.sim.mavlink_px4 import STREAMS, Px4, Px4Parameters, Px4Reports
 from targets.sim.mavlink_reports import Reports
 from targets.sim.mavlink_setpoints import reposition, take_setpoint
@@ -23,6 +23,7 @@ from targets.sim.scenario import BadScenario
 from targets.sim.upset import Upset
 
 REAL_BOOT = 42.0  # seconds of a cold start, as observed
+SPIN = math.radians(60)  # rad/s, as observed on a build with the fault that `Copter.spins` describes
 _SETPOINTS = (
     mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
     mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
@@ -31,10 +32,11 @@ _HEARTBEATS = {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}  # Hz
 
 
 class SimulatedAutopilot:
-    """A device of the sim harness. Its settings there: `boot` (seconds, or "real"), `firmware`, `version` (of
-    ArduPilot: how the parameters are called), `position_noise` (m, standard deviation of an error that wanders, as that
-    of a real estimate does). The robot's own `positioning` says what its parameters were set for: without a GPS of its
-    own it believes what it is told. `copter` is its inner state, for tests and scenarios to upset."""
+    """A device of the sim harness. Its settings there: `boot` (seconds, or "real"), `spool_up` (s, of an ArduPilot),
+    `firmware`, `version` (of ArduPilot: how the parameters are called), `position_noise` (m, standard deviation of an
+    error that wanders, as that of a real estimate does). The robot's own `positioning` says what its parameters were
+    set for: without a GPS of its own it believes what it is told. `copter` is its inner state, for tests and scenarios
+    to upset."""
 
     def __init__(self, body: Quadrotor, context: DeviceContext, port: Port | None = None) -> None:
         self._body = body
@@ -45,14 +47,16 @@ class SimulatedAutopilot:
         self._dead = False  # its process has aborted: silence, and no thrust
         self.dropped = 0  # datagrams and messages that were damaged or not for us
         harness = context.harness
-        boot = _seconds(harness.get("boot", 3.0))
+        boot = harness.get("boot", 3.0)
+        boot = REAL_BOOT if boot == "real" else _seconds("boot", boot, 600.0, ", or `real`")
         positioning = str(context.settings.get("positioning", ""))
         params = Parameters(_version(str(harness.get("version", VERSION))), positioning=positioning)
         firmware = str(harness.get("firmware", "ardupilot"))
-        self.copter, self._reports, streams = self._firmware(firmware, boot, params, context.upset)
+        spool_up = _seconds("spool_up", harness.get("spool_up", SPOOL_UP), 10.0)
+        self.copter, self._reports, streams = self._firmware(firmware, boot, spool_up, params, context.upset)
         noise, seed = float(harness.get("position_noise", 0.0)), f"{context.seed}/{context.robot}/autopilot"
         self.copter.estimator = self._estimator = Estimator(
-            params, self._frame, boot, noise, seed, self.copter.say, context.upset
+            params, self._frame, boot, noise, seed, self.copter.say, context.upset, self.copter.resets_datum
         )
         self._listed: deque[str] = deque()  # parameters that PARAM_REQUEST_LIST asked for
         self._telemetry = Telemetry(self._reports.makers, streams, self.copter.said, self._send)
@@ -63,11 +67,11 @@ class SimulatedAutopilot:
         self._port = port
 
     def _firmware(
-        self, name: str, boot: float, params: Parameters, upset: Upset
+        self, name: str, boot: float, spool_up: float, params: Parameters, upset: Upset
     ) -> tuple[Copter, Reports, Mapping[int, float]]:
         """The state machine of a firmware, its reports, and what it streams unasked. Raises BadScenario."""
         if name == "ardupilot":
-            copter = Copter(boot, params)
+            copter = Copter(boot, params, spool_up)
             return copter, Reports(copter, self._frame, upset), _HEARTBEATS
         if name == "px4":
             px4 = Px4(boot, Px4Parameters(params.positioning), self._frame)
@@ -112,7 +116,8 @@ class SimulatedAutopilot:
             self._body.accelerate((0.0, 0.0, -1.0), 0.0)  # idling
         elif dt > 0.0:
             acceleration = guidance.acceleration(estimate.position, estimate.velocity, now, dt)
-            self._body.accelerate(acceleration, guidance.turning(estimate.yaw, dt))
+            turning = guidance.turning(estimate.yaw, dt)
+            self._body.accelerate(acceleration, SPIN if copter.spins else turning)
 
     def _decoded(self, datagram: bytes) -> list[Message]:
         self._mavlink.buf.clear()
@@ -204,20 +209,18 @@ class SimulatedAutopilot:
 
 def _version(text: str) -> str:
     """What the setting `version` says. Raises BadScenario."""
-    major, _, minor = text.partition(".")
+    major, _, minor = text.removesuffix(DEVELOPMENT).partition(".")
     if not (major.isdecimal() and minor.isdecimal()):
-        raise BadScenario(f"version is {text!r}", "give ArduPilot's major and minor version, such as 4.7")
+        raise BadScenario(f"version is {text!r}", "give ArduPilot's major and minor version, such as 4.7 or 4.7-dev")
     return text
 
 
-def _seconds(boot: Any) -> float:
-    """What the setting `boot` says. Raises BadScenario."""
-    if boot == "real":
-        return REAL_BOOT
+def _seconds(name: str, value: Any, most: float, words: str = "") -> float:
+    """What a setting says that takes seconds, 0 to `most`. Raises BadScenario."""
     try:
-        seconds = float(boot)
+        seconds = float(value)
     except ValueError:
         seconds = -1.0
-    if not 0.0 <= seconds <= 600.0:
-        raise BadScenario(f"boot is {boot!r}", "give seconds, 0 to 600, or `real`")
+    if not 0.0 <= seconds <= most:
+        raise BadScenario(f"{name} is {value!r}", f"give seconds, 0 to {most:g}{words}")
     return seconds

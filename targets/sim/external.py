@@ -1,12 +1,15 @@
 """The device of a quad whose autopilot is a real ArduPilot, run by the user: gives it the body as its vehicle.
 
-ArduPilot's own time is that of the states which it gets, so this is for real time only. It wants more states a second
-(its SIM_RATE_HZ) than the world makes steps: those in between are on the way from one to the next.
+ArduPilot's own time is that of the states which it gets, so this is for real time only. ArduPilot adopts the rate at
+which states come (SIM_JSON.cpp), asks for 1 Hz more until it gets its SIM_RATE_HZ, and refuses to arm when its gyro is
+slower than 1.8 x SCHED_LOOP_RATE. So each step of the world gives it at least `LEAST_STATES` states, interpolated, and
+waits until it has answered the states of the step before.
 """
 
 from __future__ import annotations
 
 import math
+import select
 import socket
 from collections.abc import Mapping
 from typing import Any, Protocol
@@ -18,8 +21,9 @@ from targets.sim.ports import Port
 from targets.sim.world import GRAVITY, STEP, Motion
 
 LOOPBACK = "127.0.0.1"
-MOST_AT_ONCE = 64  # frames in one step
-MOST_STATES = 16  # in one step: a rate of 3840 a second
+MOST_AT_ONCE = 64  # frames that are read, or states that are sent, at once
+LEAST_STATES, MOST_STATES = 5, 16  # in one step of the world: rates of 1200 and 3840 a second
+PATIENCE = 0.1  # seconds, on the host's clock, that the world waits for a frame
 SILENT = 0.1  # seconds without a frame after which the state is told unasked: one of both was lost
 DEAD = 0.5  # seconds without a frame after which motors stop
 FULL, EMPTY = 12.6, 10.5  # volts, three cells
@@ -42,6 +46,14 @@ class Body(Protocol):
     def thrusts(self, shares: tuple[float, float, float, float]) -> None: ...
 
 
+class Link(Port, Protocol):
+    """A Port that can be waited for."""
+
+    def wait(self, seconds: float) -> bool:
+        """Return as soon as there is something to receive, after so many seconds at most; whether there is."""
+        ...
+
+
 class ExternalAutopilot:
     """targets.sim.bodies.Device. Its agent talks to the autopilot itself, as its settings say. `resets` counts how
     often it started anew, `lost` and `dropped` frames that never came or were none.
@@ -50,7 +62,7 @@ class ExternalAutopilot:
     answered with the present state, and nothing else comes of it, for ArduPilot repeats itself when it got no answer; a
     count that is lower than the last tells that it has started anew: motors stop, and its time begins again."""
 
-    def __init__(self, body: Body, context: DeviceContext, instance: int, link: Port | None = None) -> None:
+    def __init__(self, body: Body, context: DeviceContext, instance: int, link: Link | None = None) -> None:
         """`instance` is ArduPilot's (-I). Raises OSError when its port is taken."""
         self._body, self._upset = body, context.upset
         self._link = link or Socket(json_link.PORT + json_link.PORT_STEP * instance)
@@ -58,6 +70,7 @@ class ExternalAutopilot:
         self._last: Servos | None = None
         self._heard = self._told = self._began = -math.inf
         self._ahead = 0  # states that it has not yet answered
+        self._answers = False  # it answered when it was last waited for
         self._before: Vehicle | None = None  # what it was told last
         self._velocity = body.motion().velocity
         self._thrust = 0.0  # of all motors, a share
@@ -65,7 +78,7 @@ class ExternalAutopilot:
 
     def step(self, now: float) -> None:
         """See Device."""
-        asked = self._receive(now)
+        asked = self._answered(now)
         if self._last is None:
             return
         motion = self._body.motion()
@@ -79,19 +92,29 @@ class ExternalAutopilot:
             self._ahead = 0
             self._tell([present], now)
         elif asked:
-            self._advance(present, now)
+            self._tell(self._states(self._last.rate, present), now)
 
-    def _advance(self, present: Vehicle, now: float) -> None:
-        """As many states as make its rate; fewer, and so with longer steps, for one that is too slow for them."""
-        assert self._last is not None
-        due = max(1, min(MOST_STATES, round(self._last.rate * STEP)))
-        count = min(due, 2 * due - self._ahead)
-        if count <= 0:  # it has just asked for a lower rate
-            return
-        states = [present]
-        if self._before is not None:
-            states[:0] = [json_link.between(self._before, present, k / count) for k in range(1, count)]
-        self._tell(states, now)
+    def _answered(self, now: float) -> str:
+        """As `_receive`, once it has answered all that it was told. A process that does not answer within `PATIENCE`
+        is not waited for again until it does."""
+        found = self._receive(now)
+        while self._ahead and self._answers:
+            self._answers = self._link.wait(PATIENCE)
+            if self._answers:
+                found = self._receive(now) or found
+            else:
+                self._ahead = 0
+        return found
+
+    def _states(self, wanted: int, present: Vehicle) -> list[Vehicle]:
+        """The present state, and those between the last one that it was told and this. `wanted` (Hz) is 1 more than it
+        got, or what it got: rounded up, the rate rises until that is enough."""
+        if self._before is None:
+            return [present]
+        in_step = max(LEAST_STATES, min(MOST_STATES, math.ceil(wanted * STEP)))
+        steps = max(1, round((present.time - self._before.time) / STEP))
+        count = min(MOST_AT_ONCE, in_step * steps)
+        return [*(json_link.between(self._before, present, k / count) for k in range(1, count)), present]
 
     def _tell(self, states: list[Vehicle], now: float) -> None:
         volts = EMPTY + (FULL - EMPTY) * self._upset.battery
@@ -108,7 +131,7 @@ class ExternalAutopilot:
             if frame is None:
                 self.dropped += 1
                 continue
-            self._heard = now
+            self._heard, self._answers = now, True
             if self._last is not None and frame.count == self._last.count:
                 found = found or "again"
                 continue
@@ -172,6 +195,10 @@ class Socket:
                 break
             found.append(datagram)
         return found
+
+    def wait(self, seconds: float) -> bool:
+        """See Link."""
+        return bool(select.select([self._socket], [], [], seconds)[0])
 
     def send(self, data: bytes) -> None:
         """See Port."""

@@ -60,7 +60,7 @@ def servos(datagram: bytes) -> Servos | None:
 def line(vehicle: Vehicle, volts: float, amperes: float) -> bytes:
     """The state as the autopilot reads it. Angles go along with the quaternion, which older versions do not know."""
     told = {
-        "timestamp": round(vehicle.time, 6),
+        "timestamp": round(vehicle.time, 12),  # of whose differences it makes a rate, in single precision
         "imu": {"gyro": _rounded(vehicle.gyro), "accel_body": _rounded(vehicle.force)},
         "position": _rounded(vehicle.position),
         "attitude": _rounded(angles(vehicle.attitude)),

@@ -2,7 +2,8 @@
 
 Behaves as was observed on ArduPilot 4.7: a mode set in the first second after boot is acknowledged and lost; arming is
 refused in words; it disarms 10 s after an arming that no take-off followed; GUIDED leaves the ground by NAV_TAKEOFF
-only; it lands 5 s after the last heartbeat of its ground station, and when it has lost its position.
+only, some seconds later, for its motors spin up first; it lands 5 s after the last heartbeat of its ground station,
+and when it has lost its position: a failsafe's LAND hovers for 4 s before it descends.
 """
 
 from __future__ import annotations
@@ -23,6 +24,13 @@ DENIED: int = mavlink.MAV_RESULT_DENIED
 FAILED: int = mavlink.MAV_RESULT_FAILED
 UNSUPPORTED: int = mavlink.MAV_RESULT_UNSUPPORTED
 MODE_LOST = 1.0  # seconds after boot in which a mode is acknowledged and forgotten
+FAILSAFE_PAUSE = 4.0  # seconds for which a failsafe's LAND hovers first (LAND_WITH_DELAY_MS)
+# Seconds from the take-off command until it leaves the ground, as observed: what is left of ARMING_DELAY (2 s), the
+# motors' spin-up (MOT_SPOOL_TIME) and the ramp of the thrust (TKOFF_SLEW_TIME).
+SPOOL_UP = 3.3
+LIFTS = 0.3  # of these, the last ones, in which it begins to rise
+IGNORE_PILOT_YAW = 4  # of GUID_OPTIONS
+SPINNING_RELEASE = (4, 7)
 COMPLAINS = 30.0  # seconds from one telling of what hinders arming to the next
 WARNING, CRITICAL, INFO = mavlink.MAV_SEVERITY_WARNING, mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_INFO
 
@@ -33,10 +41,11 @@ class Copter:
     autopilot: int = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
     refusal = "PreArm"  # how the words begin in which it tells what hinders arming
     fragile = True  # a position that is not finite aborts it
+    resets_datum = True  # the EKF resets its height datum after an origin from outside
     odometry_frames: tuple[int, ...] = (mavlink.MAV_FRAME_LOCAL_FRD,)  # that it takes an ODOMETRY in
 
-    def __init__(self, boot: float, params: Parameters) -> None:
-        self._boot = boot
+    def __init__(self, boot: float, params: Parameters, spool_up: float = SPOOL_UP) -> None:
+        self._boot, self._spool_up = boot, spool_up
         self.params = params
         self.guidance = Guidance()
         self.estimator: Estimator  # which tells us what it has to say
@@ -50,6 +59,7 @@ class Copter:
         self.volts = math.inf  # of the battery
         self._charged = -math.inf  # when these were last enough
         self._armed_at = 0.0
+        self._rise: tuple[float, float] | None = None  # when a take-off begins that was commanded, and to what height
         self._still: float | None = None
         self._complained: float | None = None
 
@@ -62,6 +72,19 @@ class Copter:
     def following(self) -> bool:
         """Whether setpoints are obeyed: in GUIDED, and off the ground; else they are dropped in silence."""
         return self.mode == GUIDED and self.armed and not self.landed
+
+    @property
+    def spins(self) -> bool:
+        """Whether GUIDED takes the missing receiver's yaw stick for one that is pushed to its end, as development
+        builds of 4.7.0 did where FS_THR_ENABLE is 0 (github.com/ArduPilot/ardupilot/issues/31353)."""
+        params = self.params
+        return (
+            self.mode == GUIDED
+            and params.development
+            and params.release == SPINNING_RELEASE
+            and not params.of("FS_THR_ENABLE")
+            and not int(params.of("GUID_OPTIONS")) & IGNORE_PILOT_YAW
+        )
 
     @property
     def shows_target(self) -> bool:
@@ -120,11 +143,23 @@ class Copter:
             case mavlink.MAV_CMD_NAV_LAND:
                 return self.set_mode(LAND, now)
             case mavlink.MAV_CMD_DO_CHANGE_SPEED:
-                if not 0.1 <= p2 <= 20 or int(p1) not in (0, 1):
-                    return DENIED
-                self.guidance.speed = p2
-                return ACCEPTED
+                return self._change_speed(int(p1), p2)
         return None
+
+    def _change_speed(self, kind: int, speed: float) -> int:
+        """DO_CHANGE_SPEED: airspeed, ground speed, climb or descent, until the aim is another. A MAV_RESULT."""
+        if not 0.1 <= speed <= 20:
+            return DENIED
+        match kind:
+            case 0 | 1:
+                self.guidance.speed = speed
+            case 2:
+                self.guidance.up = speed
+            case 3:
+                self.guidance.down = speed
+            case _:
+                return DENIED
+        return ACCEPTED
 
     def set_mode(self, mode: int, now: float) -> int:
         """A MAV_RESULT."""
@@ -137,16 +172,16 @@ class Copter:
             self.enter(mode, now)
         return ACCEPTED
 
-    def enter(self, mode: int, now: float) -> None:
-        """Change the mode, without asking: as a remote control or a failsafe does."""
+    def enter(self, mode: int, now: float, pause: float = 0.0) -> None:
+        """Change the mode, without asking: as a remote control or a failsafe does. LAND descends after a pause (s)."""
         if mode == self.mode:
             return
         self.mode = mode
-        self._still = None
+        self._still = self._rise = None
         x, y, z = self.position
         match mode:
             case _ if mode == LAND:
-                self.guidance.go(Aim.LAND, now, (x, y, z if self.home is None else self.home[2]))
+                self.guidance.land(now, (x, y, z if self.home is None else self.home[2]), pause)
             case _ if mode == STABILIZE:
                 self.guidance.go(Aim.FALL, now, (x, y, z))
             case _:
@@ -172,7 +207,10 @@ class Copter:
             self.say(CRITICAL, "Arm: LAND mode not armable")
             return FAILED
         self.armed, self._armed_at, self.home = True, now, self.position
-        self.guidance.default_speed = self.params.of("WP_SPD")
+        guidance, of = self.guidance, self.params.of
+        guidance.default_speed = of("WP_SPD")
+        guidance.default_up, guidance.default_down = of("WP_SPD_UP"), of("WP_SPD_DN")
+        guidance.take_default_speeds()
         self.guidance.timeout = self.params.of("GUID_TIMEOUT")
         self.guidance.looks_ahead = self.params.of("WP_YAW_BEHAVIOR") != 0
         self.guidance.stop(now, self.position)
@@ -194,7 +232,7 @@ class Copter:
         if not self.landed and not force:
             return FAILED
         if self.armed:
-            self.armed, self.landed = False, True
+            self.armed, self.landed, self._rise = False, True, None
             self.say(INFO, "Disarming motors")
         return ACCEPTED
 
@@ -202,12 +240,20 @@ class Copter:
         """A MAV_RESULT."""
         if self.mode != GUIDED or not self.armed or not self.landed or self.home is None:
             return FAILED
-        x, y, z = self.position
-        if not self.home[2] + above_home > z:
+        height = self.home[2] + above_home
+        if not height > self.position[2]:
             return FAILED
-        self.landed = False
-        self.guidance.go(Aim.TAKEOFF, now, (x, y, self.home[2] + above_home))
+        begins = now + max(0.0, self._spool_up - LIFTS) if self._rise is None else self._rise[0]
+        self._rise = begins, height
         return ACCEPTED
+
+    def _lift_off(self, now: float) -> None:
+        """Rise, when the motors have spun up for it."""
+        if self._rise is not None and now >= self._rise[0]:
+            x, y, _ = self.position
+            self.landed = False
+            self.guidance.go(Aim.TAKEOFF, now, (x, y, self._rise[1]))
+            self._rise = None
 
     def reposition(self, place: Vector, changes_mode: bool, now: float) -> int:
         """DO_REPOSITION. A MAV_RESULT."""
@@ -222,6 +268,8 @@ class Copter:
         """What happens by itself: complaints, auto-disarm, touch-down, failsafes."""
         if not self.armed:
             self._complain(now)
+        elif self._rise is not None:
+            self._lift_off(now)
         elif self.landed:
             delay = 1.0 if self.mode == LAND else self.params.of("DISARM_DELAY")
             if (
@@ -261,10 +309,10 @@ class Copter:
             self.say(CRITICAL, f"Battery 1 is critical {self.volts:.2f}V: landing")
         else:
             return
-        self.enter(LAND, now)
+        self.enter(LAND, now, FAILSAFE_PAUSE)
 
     def _touch_down(self, now: float) -> None:
-        if now - self.guidance.since < 1.0 or abs(self.estimator.estimate.velocity[2]) > 0.1:
+        if now - self.guidance.descends < 1.0 or abs(self.estimator.estimate.velocity[2]) > 0.1:
             self._still = None
             return
         self._still = now if self._still is None else self._still

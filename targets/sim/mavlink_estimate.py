@@ -3,7 +3,10 @@
 Of ArduPilot's EKF3 as much as shows: when it is ready, in which words it says so, how its error goes with the noise and
 the delay of what it is fed, what becomes of it when the feed ends. Observed on 4.7: with GPS_INPUT slower than 4 Hz the
 GPS counts as not healthy; a time that does not increase is no new fix; vision needs an origin from outside, after "EKF3
-IMU0 initialised"; a feed that ends is missed only after 7 to 8 s, and meanwhile the estimate drifts off.
+IMU0 initialised"; a feed that ends is missed only after 7 to 8 s, and meanwhile the estimate drifts off. After the
+origin from outside, ArduPilot resets its height datum: the EKF's own origin rises to the vehicle, but the origin that
+it reports and that poses are sent about does not. From then on the vehicle's height at the reset counts twice
+(NavEKF3_core::resetHeightDatum, and common_EKF_origin in getPosD).
 """
 
 from __future__ import annotations
@@ -22,14 +25,18 @@ from targets.sim.mavlink_params import Parameters
 from targets.sim.own_gps import OwnGps
 from targets.sim.upset import Upset
 
-LOST = 7.5  # seconds without a measurement until the EKF gives up its position
+LOST = 7.5  # seconds without a measurement from outside until the EKF gives up its position
+OWN_LOST = 7.9  # ... without a fix of its own GPS
 HEALTHY_PERIOD = 0.245  # seconds: GPS_MAX_DELTA_MS
 DEFAULT_GPS_DELAY = 0.22  # seconds, for GPS1_DELAY_MS = 0
 VISION_PERIOD = 0.3  # seconds after which visual odometry is not healthy
-BIAS = 0.04  # m/s^2, of the accelerometers: how the estimate drifts when nothing corrects it
+# m/s^2, of the accelerometers: how the estimate drifts when nothing corrects it. So a vehicle that has lost its feed
+# comes down 2.9 m off, as observed.
+BIAS = 0.021
 POSITION_SHARE, VELOCITY_SHARE = 0.3, 0.05  # of an innovation, that correct the estimate
 # Shares of the boot, as observed: of 42 s in all.
 INITIALISED, VISION_READY, CHECKS = 0.2, 0.55, 0.24
+IMUS_SETTLE = 25 / 42  # at most, from the first position on: so long its IMUs disagree too much for an arming
 GPS, VISION = 3, 6  # of EK3_SRC1_POSXY
 GPS_YAW, GPS_OR_COMPASS_YAW = 2, 3  # of EK3_SRC1_YAW
 _READY = (
@@ -49,7 +56,8 @@ class Estimate:
 
 
 class Estimator:
-    """`boot` in seconds; `noise` (m) is that of its own GPS. `say(severity, text)` is told what it tells people."""
+    """`boot` in seconds; `noise` (m) is that of its own GPS. `say(severity, text)` is told what it tells people.
+    `resets_datum`: the first pose after the origin resets the height datum."""
 
     def __init__(
         self,
@@ -60,11 +68,16 @@ class Estimator:
         seed: str,
         say: Callable[[int, str], None],
         upset: Upset | None = None,
+        resets_datum: bool = True,
     ) -> None:
+        self._resets_datum = resets_datum
+        self._datum: float | None = None  # m: the vehicle's height above the origin when the height datum was reset
         self._params, self._frame, self._boot, self._say = params, frame, boot, say
         self._random = random.Random(seed)
         self._own = OwnGps(noise, upset or Upset(), self._random)
         turn = self._random.uniform(0.0, math.tau)
+        self._settle = random.Random(f"{seed}/imus").uniform(0.0, IMUS_SETTLE * boot)
+        self._settled = math.inf  # from when on its IMUs agree
         self._bias: Vector = (BIAS * math.cos(turn), BIAS * math.sin(turn), 0.0)
         self._error: Vector = (0.0, 0.0, 0.0)
         self._drift: Vector = (0.0, 0.0, 0.0)  # m/s, the error's rate
@@ -108,7 +121,9 @@ class Estimator:
                 return "GPS 1: not healthy"
         if source == "vision" and self.initialised and now - self._measured > VISION_PERIOD:
             return "VisOdom: not healthy"
-        return "" if self.ready else "Need Position Estimate"
+        if not self.ready:
+            return "Need Position Estimate"
+        return "" if now >= self._settled else "Accels inconsistent"
 
     def step(self, truth: BodyState, now: float, dt: float) -> None:
         """The estimate goes with the truth, as gyros and accelerometers make it go, and its error with it."""
@@ -136,7 +151,7 @@ class Estimator:
                 return
             self.initialised = True
             self._say(mavlink.MAV_SEVERITY_INFO, "EKF3 IMU0 initialised")
-        lost = now - (self._own.fixed if source == "own" else self._measured) > LOST
+        lost = now - self._own.fixed > OWN_LOST if source == "own" else now - self._measured > LOST
         if self.ready:
             self.ready = not lost
             return
@@ -149,6 +164,7 @@ class Estimator:
             case "vision":
                 self.ready = age >= VISION_READY * self._boot and fed >= 0.5 and self.origin is not None
         if self.ready:
+            self._settled = min(self._settled, now + self._settle)
             self._say(
                 mavlink.MAV_SEVERITY_INFO,
                 "EKF3 IMU0 is using external nav data" if source == "vision" else "EKF3 IMU0 is using GPS",
@@ -189,7 +205,9 @@ class Estimator:
         if self.source != "vision" or self.origin is None or not all(map(math.isfinite, (*position, yaw))):
             return
         north, east, down = position
-        place = self._frame.enu(*self.origin.geodetic(east, north, -down))
+        if self._datum is None:
+            self._datum = -down if self._resets_datum else 0.0
+        place = self._frame.enu(*self.origin.geodetic(east, north, self._datum - down))
         heading = math.pi / 2 - yaw if self._params.of("EK3_SRC1_YAW") == VISION else None
         self._take(place, heading, self._params.of("VISO_DELAY_MS") / 1000, VISION_PERIOD, now)
 

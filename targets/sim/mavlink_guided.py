@@ -39,12 +39,14 @@ FOLLOWING = (Aim.POSITION, Aim.VELOCITY, Aim.POSITION_VELOCITY)
 
 
 class Guidance:
-    """The current aim. `speed` is the horizontal limit; `position` is the target, for LAND home's height. `yaw` (rad,
-    ENU) is kept; where `looks_ahead`, and no setpoint says otherwise, it turns to the direction of flight."""
+    """The current aim. `speed` is the horizontal limit, `up` and `down` are the vertical ones; `position` is the
+    target, for LAND home's height. `yaw` (rad, ENU) is kept; where `looks_ahead`, and no setpoint says otherwise, it
+    turns to the direction of flight."""
 
     def __init__(self) -> None:
         self.speed = SPEED
         self.default_speed = SPEED
+        self.up, self.down = self.default_up, self.default_down = SPEED_UP, SPEED_DOWN
         self.timeout = TIMEOUT
         self.looks_ahead = True
         self.aim = Aim.HOLD
@@ -52,6 +54,7 @@ class Guidance:
         self.velocity: Vector = STILL
         self.push: Vector = STILL  # m/s^2, that goes with the velocity
         self.since = 0.0
+        self.descends = 0.0  # when a LAND begins to go down
         self.yaw = 0.0
         self.yaw_rate = 0.0
         self._yaw_told = False
@@ -61,10 +64,21 @@ class Guidance:
     def go(self, aim: Aim, now: float, position: Vector, velocity: Vector = STILL, push: Vector = STILL) -> None:
         """A new aim, or the same with other numbers."""
         if aim is not self.aim:
-            self.speed, self._begun = self.default_speed, False
+            self._begun = False
+            if aim is not Aim.TAKEOFF:  # the only change of submode that keeps the speeds
+                self.take_default_speeds()
         self.aim, self.since = aim, now
         self.position, self.velocity, self.push = position, velocity, push
         self.turn(None, 0.0)
+
+    def take_default_speeds(self) -> None:
+        """Forget the limits that commands have set."""
+        self.speed, self.up, self.down = self.default_speed, self.default_up, self.default_down
+
+    def land(self, now: float, position: Vector, pause: float) -> None:
+        """Go down after a pause (s)."""
+        self.go(Aim.LAND, now, position)
+        self.descends = now + pause
 
     def turn(self, yaw: float | None, rate: float) -> None:
         """What the last setpoint says of the yaw: nothing, an angle, a rate, or both."""
@@ -106,12 +120,12 @@ class Guidance:
             self.velocity, self.push, self.yaw_rate = STILL, STILL, 0.0
         self._level.path.advance(dt)
         self._height.path.advance(dt)
-        self._shape(position[2], dt)
+        self._shape(position[2], now, dt)
         level = self._level.acceleration(at, moving, self.speed, dt)
-        rising = SPEED_UP if self._height.path.position > position[2] else SPEED_DOWN
+        rising = self.up if self._height.path.position > position[2] else self.down
         return level.real, level.imag, self._height.acceleration(position[2], velocity[2], rising, dt)
 
-    def _shape(self, height: float, dt: float) -> None:
+    def _shape(self, height: float, now: float, dt: float) -> None:
         """Bend the path towards the aim."""
         level, up = self._level.path, self._height.path
         (x, y, z), (vx, vy, vz), (ax, ay, az) = self.position, self.velocity, self.push
@@ -122,11 +136,12 @@ class Guidance:
                 up.seek(z, 0.0, 0.0, rising, dt)
             case Aim.POSITION_VELOCITY:
                 level.seek(complex(x, y), complex(vx, vy), complex(ax, ay), self.speed, dt)
-                up.seek(z, vz, az, SPEED_UP if z > up.position else SPEED_DOWN, dt)
+                up.seek(z, vz, az, self.up if z > up.position else self.down, dt)
                 self.position = (x + vx * dt, y + vy * dt, z + vz * dt)
             case Aim.LAND:
                 level.match(0j, 0j, dt)
-                up.match(-(LAND_SLOW if height < z + LAND_SLOWLY_BELOW else LAND_FAST), 0.0, dt)
+                fast = LAND_SLOW if height < z + LAND_SLOWLY_BELOW else LAND_FAST
+                up.match(-fast if now >= self.descends else 0.0, 0.0, dt)
             case _:
                 level.match(complex(vx, vy), complex(ax, ay), dt)
                 up.match(vz, az, dt)
@@ -136,8 +151,8 @@ class Guidance:
         """The horizontal and the vertical speed of a straight way there, within both limits (kinematic_limit)."""
         length = math.hypot(far, up)
         if length <= 0.0:
-            return self.speed, SPEED_UP
+            return self.speed, self.up
         level, steep = far / length, abs(up) / length
-        vertical_limit = SPEED_UP if up > 0 else SPEED_DOWN
+        vertical_limit = self.up if up > 0 else self.down
         along = min(self.speed / max(level, 1e-9), vertical_limit / max(steep, 1e-9))
         return along * level, along * steep

@@ -14,6 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 REAL, BYTE, SHORT = mavlink.MAV_PARAM_TYPE_REAL32, mavlink.MAV_PARAM_TYPE_INT8, mavlink.MAV_PARAM_TYPE_INT16
 VERSION = "4.7"
+DEVELOPMENT = "-dev"
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +46,7 @@ PARAMETERS = (
     Parameter("FS_THR_ENABLE", 0),
     Parameter("GPS1_DELAY_MS", 0, SHORT, (4, 6), "GPS_DELAY_MS"),
     Parameter("GPS1_TYPE", 1, BYTE, (4, 6), "GPS_TYPE"),
+    Parameter("GUID_OPTIONS", 0, mavlink.MAV_PARAM_TYPE_INT32),
     Parameter("GUID_TIMEOUT", 3, REAL),
     Parameter("LAND_REPOSITION", 0),
     Parameter("MAV_GCS_SYSID", 255, SHORT, (4, 7), "SYSID_MYGCS"),
@@ -52,6 +54,8 @@ PARAMETERS = (
     Parameter("VISO_DELAY_MS", 10, SHORT),
     Parameter("VISO_TYPE", 0),
     Parameter("WP_SPD", 5, REAL, (4, 7), "WPNAV_SPEED", 100),
+    Parameter("WP_SPD_DN", 1.5, REAL, (4, 7), "WPNAV_SPEED_DN", 100),
+    Parameter("WP_SPD_UP", 2.5, REAL, (4, 7), "WPNAV_SPEED_UP", 100),
     Parameter("WP_YAW_BEHAVIOR", 2),
 )
 _GPS = {"EK3_SRC1_POSXY": 3, "EK3_SRC1_POSZ": 3, "EK3_SRC1_VELXY": 3, "EK3_SRC1_VELZ": 3, "EK3_SRC1_YAW": 2}
@@ -66,13 +70,15 @@ PREPARED: Mapping[str, Mapping[str, float]] = {
 
 
 class Parameters(dict[str, float]):
-    """Values by the names that they have outside, in `version`; `of` reads them by their present ones."""
+    """Values by the names that they have outside, in `version`; `of` reads them by their present ones. A version that
+    ends in DEVELOPMENT is that of a build before the release."""
 
     def __init__(
         self, version: str = VERSION, table: tuple[Parameter, ...] = PARAMETERS, positioning: str = ""
     ) -> None:
-        major, _, minor = version.partition(".")
-        known = int(major), int(minor)
+        self.development = version.endswith(DEVELOPMENT)
+        major, _, minor = version.removesuffix(DEVELOPMENT).partition(".")
+        self.release = known = int(major), int(minor)
         self.positioning = positioning  # that they were set for
         prepared = PREPARED.get(positioning, {})
         self._table = {p.name: p for p in table}

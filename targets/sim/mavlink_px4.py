@@ -98,6 +98,7 @@ class Px4(Copter):
     autopilot: int = mavlink.MAV_AUTOPILOT_PX4
     refusal = "Preflight Fail"
     fragile = False
+    resets_datum = False
     odometry_frames = (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_LOCAL_FRD)
 
     def __init__(self, boot: float, params: Parameters, frame: LocalFrame) -> None:
@@ -175,15 +176,15 @@ class Px4(Copter):
             return False
         return now - self._setpoint <= GAP and now - self._streaming >= STREAM
 
-    def enter(self, mode: int, now: float) -> None:
-        """Change the mode, without asking: as a remote control or a failsafe does."""
+    def enter(self, mode: int, now: float, pause: float = 0.0) -> None:
+        """Change the mode, without asking: as a remote control or a failsafe does. LAND descends after a pause (s)."""
         if mode == self.mode:
             return
         self.mode = mode
         self._still = None
         x, y, z = self.position
         if mode == LAND:
-            self.guidance.go(Aim.LAND, now, (x, y, z if self.home is None else self.home[2]))
+            self.guidance.land(now, (x, y, z if self.home is None else self.home[2]), pause)
         elif mode == TAKEOFF:
             self.guidance.go(Aim.TAKEOFF, now, (x, y, z + self.params["MIS_TAKEOFF_ALT"]))
         else:

@@ -16,7 +16,7 @@ from targets.sim.mavlink_guided import STILL, Aim, Vector
 from targets.sim.mavlink_telemetry import Maker, Message
 from targets.sim.upset import Upset
 
-VERSION = 4 << 24 | 7 << 16 | 255  # 4.7.0, official
+OFFICIAL, DEVELOPMENT = 255, 0  # FIRMWARE_VERSION_TYPE
 CAPABILITIES = (
     mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
     | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
@@ -245,6 +245,8 @@ class Reports:
 
     def version(self, now: float) -> Message:
         nothing = [0] * 8
+        major, minor = self.copter.params.release
+        kind = DEVELOPMENT if self.copter.params.development else OFFICIAL
         return mavlink.MAVLink_autopilot_version_message(
-            CAPABILITIES, VERSION, 0, 0, 0, nothing, nothing, nothing, 0, 0, 1
+            CAPABILITIES, major << 24 | minor << 16 | kind, 0, 0, 0, nothing, nothing, nothing, 0, 0, 1
         )

@@ -8,11 +8,13 @@ MOST_BEHIND = 0.25  # seconds; a world that is further behind lets its clock sta
 
 class Pace:
     """Step k is due at start + k * step (host seconds) + `slip`, the time that the world stood still. `late` counts
-    steps that began more than one step after they were due."""
+    steps that began more than one step after they were due. With `most_behind` infinite the world never stands still:
+    it makes up for all that it is behind."""
 
-    def __init__(self, start: float, step: float) -> None:
+    def __init__(self, start: float, step: float, most_behind: float = MOST_BEHIND) -> None:
         self._step = step
         self._start = start
+        self._most_behind = most_behind
         self.done = 0
         self.late = 0
         self.slip = 0.0
@@ -20,8 +22,8 @@ class Pace:
     def due(self, now: float) -> int:
         """How many steps to make at host time `now`, at most BURST; they count as done."""
         behind = now - self.tick(self.done)
-        if behind > MOST_BEHIND:
-            self.slip += behind - MOST_BEHIND
+        if behind > self._most_behind:
+            self.slip += behind - self._most_behind
         number = int((now - self.tick(self.done)) // self._step) + 1
         number = max(0, min(BURST, number))
         self.late += sum(now - self.tick(k) > self._step for k in range(self.done, self.done + number))

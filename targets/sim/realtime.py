@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import secrets
 import time
@@ -11,7 +12,7 @@ import msgspec
 
 from targets.sim.crew import Step
 from targets.sim.medium import Medium
-from targets.sim.pace import Pace
+from targets.sim.pace import MOST_BEHIND, Pace
 from targets.sim.ports import NUMBERS
 from targets.sim.relay import Relay
 from targets.sim.scenario import Robot, Scenario
@@ -34,7 +35,10 @@ class RealTime:
             own = folder / "robots" / robot.name
             own.mkdir(parents=True)
             self._agents.append(Process(robot, root / robot.bundle, own, scenario.delta))
-        self._pace = Pace(time.monotonic(), STEP)
+        # An external autopilot's clock is the world's: where that stood still, it would be late for good.
+        external = any(robot.external for robot in scenario.robots)
+        self._most_behind = math.inf if external else MOST_BEHIND
+        self._pace = self._started()
         self._medium: Medium | None = None
         self._relay: Relay | None = None
         self._numbers: list[int] = []
@@ -57,7 +61,10 @@ class RealTime:
             seen = [*others[:pid], ports[pid], *others[pid + 1 :]]  # it listens on its own
             laid_over = overrides(self._scenario.robots, seen, controls[pid], actor.overrides, self._key_file, agent)
             agent.launch(laid_over, *self._simple(agent.robot, actor))
-        self._pace = Pace(time.monotonic(), STEP)
+        self._pace = self._started()
+
+    def _started(self) -> Pace:
+        return Pace(time.monotonic(), STEP, self._most_behind)
 
     def _simple(self, robot: Robot, actor: Actor) -> tuple[list[str] | None, str]:
         """What is run instead of a bundle, and the PYTHONPATH for it, for a robot that has no devices."""
@@ -78,10 +85,11 @@ class RealTime:
         return time.monotonic()
 
     def go_on(self, step: Step) -> None:
-        """The steps that are due, then sleep until the next."""
+        """The steps that are due, then sleep until the next. A step that is made late has the time of its making, as
+        far as it is later than `MOST_BEHIND`: that is when agents learn of it."""
         first = self._pace.done
         for k in range(first, first + self._pace.due(time.monotonic())):
-            step(self._pace.tick(k))
+            step(max(self._pace.tick(k), time.monotonic() - MOST_BEHIND))
         time.sleep(max(0.0, self._pace.tick(self._pace.done) - time.monotonic()))
 
     @property

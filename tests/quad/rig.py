@@ -26,10 +26,13 @@ SETPOINT = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT
 
 
 class PointMass:
-    """A Quadrotor that takes 0.15 s to follow an acceleration, with the air's drag, and stands on the ground z = 0."""
+    """A Quadrotor that takes 0.15 s to follow an acceleration, with the air's drag, and 0.1 s to follow a yaw rate. The
+    ground is at the height at which it starts."""
 
     def __init__(self, position: Vector = (1.0, -2.0, 0.0)) -> None:
         self.position, self.velocity = list(position), [0.0, 0.0, 0.0]
+        self.yaw = self.yaw_rate = 0.0
+        self._ground, self._asked_rate = position[2], 0.0
         self._asked: Vector = (0.0, 0.0, 0.0)
         self._actual = [0.0, 0.0, 0.0]
         self._on = False
@@ -37,11 +40,11 @@ class PointMass:
     def state(self) -> BodyState:
         x, y, z = self.position
         vx, vy, vz = self.velocity
-        return BodyState((x, y, z), (vx, vy, vz), 0.0, 0.0)
+        return BodyState((x, y, z), (vx, vy, vz), self.yaw, self.yaw_rate)
 
     def accelerate(self, acceleration: Vector, yaw_rate: float) -> None:
         assert all(map(math.isfinite, (*acceleration, yaw_rate)))
-        self._asked = acceleration
+        self._asked, self._asked_rate = acceleration, yaw_rate
 
     def motors(self, on: bool) -> None:
         self._on = on
@@ -52,8 +55,10 @@ class PointMass:
             a = (self._actual[i] if self._on else (0.0, 0.0, -9.8)[i]) - DRAG * self.velocity[i]
             self.velocity[i] += a * dt
             self.position[i] += self.velocity[i] * dt
-        if self.position[2] <= 0:
-            self.position[2] = 0.0
+        self.yaw_rate += (self._asked_rate * self._on - self.yaw_rate) * dt / 0.1
+        self.yaw = math.remainder(self.yaw + self.yaw_rate * dt, math.tau)
+        if self.position[2] <= self._ground:
+            self.position[2], self.yaw_rate = self._ground, 0.0
             self.velocity = [0.0, 0.0, max(0.0, self.velocity[2])]
 
 
@@ -117,25 +122,30 @@ def settings(**body: Any) -> Settings:
 
 
 class Rig:
-    """The pair, and the clock. `now` begins at 1000 s: no code may take 0 for the beginning of time. `prepared` is
-    the `positioning` that the autopilot's parameters were set for, where that is not the agent's own."""
+    """The pair, and the clock. `now` begins at 1000 s: no code may take 0 for the beginning of time. The autopilot
+    takes off at once, unless `harness` says otherwise. `prepared` is the `positioning` that the autopilot's parameters
+    were set for, where that is not the agent's own."""
 
     def __init__(
         self, boot: float | str = 1.0, noise: float = 0.0, autopilot: bool = True,
         position: Vector = (1.0, -2.0, 0.0), harness: dict[str, Any] | None = None,
-        prepared: str = "", **body: Any,
+        prepared: str = "", seed: int = 7, **body: Any,
     ) -> None:  # fmt: skip
         self.now = 1000.0
-        self.body = PointMass(position)
+        self.body = self.vehicle(position)
         self.wire = Wire()
         self.upset = Upset()
         told = {"positioning": prepared or body.get("positioning", "own")}
-        setup = {"boot": boot, "position_noise": noise, **(harness or {})}
-        context = DeviceContext("alice", told, setup, ORIGIN, 7, b"", upset=self.upset)
+        setup = {"boot": boot, "spool_up": 0.3, "position_noise": noise, **(harness or {})}
+        context = DeviceContext("alice", told, setup, ORIGIN, seed, b"", upset=self.upset)
         self.autopilot = SimulatedAutopilot(self.body, context, self.wire.autopilot_end) if autopilot else None
         self.quad = self.agent(**body)
         self.progress: list[str] = []
         self.watch: Callable[[], None] = lambda: None
+
+    def vehicle(self, position: Vector) -> PointMass:
+        """The body that the autopilot flies."""
+        return PointMass(position)
 
     def agent(self, **body: Any) -> Quad:
         """A new agent process on the same wire."""

@@ -79,7 +79,7 @@ class Fed:
 
     def fly(self) -> None:
         assert self.wait(60.0, lambda: self.bench.copter.estimator.ready)
-        self.wait(1.2)
+        self.wait(2.6)
         assert self.bench.command(MODE, 1, 4) == 0 and self.bench.copter.mode == 4
         assert self.bench.command(ARM, 1) == 0
         assert self.bench.command(TAKEOFF, 0, 0, 0, 0, 0, 0, 2.0) == 0

@@ -29,6 +29,8 @@ def write(bench: Bench, name: str, value: float) -> list[tuple[str, float]]:
         ("boot", "soon"),
         ("boot", "nan"),
         ("boot", -1.0),
+        ("spool_up", "late"),
+        ("spool_up", 11.0),
         ("version", "four"),
         ("version", "4"),
         ("firmware", "betaflight"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -32,6 +34,7 @@ def diagnosed(rig: Rig) -> dict[str, Finding]:
 
 def test_all_is_well_and_nothing_moves() -> None:
     rig = Rig()
+    rig.pass_time(2.0)
     began = rig.now
     found = diagnosed(rig)
     assert rig.now - began <= 15.0
@@ -41,6 +44,38 @@ def test_all_is_well_and_nothing_moves() -> None:
     assert "GLOBAL_POSITION_INT 20 of 20" in found["streams"].found
     assert {m.command for m in sent(rig, mavlink.MAVLINK_MSG_ID_COMMAND_LONG)} <= HARMLESS
     assert not commands(rig, mavlink.MAV_CMD_COMPONENT_ARM_DISARM)
+
+
+@pytest.mark.parametrize(("up", "advice"), [(5.0, "still starting: ask again 30 s after boot"), (40.0, "baud rate")])
+def test_streams_that_are_slow_while_the_autopilot_starts_are_not_the_links_fault(up: float, advice: str) -> None:
+    rig = Rig()
+    rig.pass_time(up)
+    seen = itertools.count()
+
+    def slow(data: bytes, down: bool) -> bytes | None:
+        return None if down and told(data) == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT and next(seen) % 2 else data
+
+    rig.wire.meddle = slow
+    streams = diagnosed(rig)["streams"]
+    assert streams.state == "warn" and advice in streams.why and "GLOBAL_POSITION_INT 10 of 20" in streams.found
+
+
+def test_a_build_that_may_spin_and_the_parameter_that_helps() -> None:
+    rig = Rig(harness={"version": "4.7-dev"})
+    found = diagnosed(rig)
+    assert "ArduPilot quadrotor 4.7.0-dev" in found["firmware"].found
+    spins = found["GUID_OPTIONS"]
+    assert (spins.state, spins.found) == ("warn", "0") and "spin in flight without a receiver" in spins.why
+    assert spins.wanted == "4, or any number with that bit set"
+    assert rig.autopilot is not None
+    rig.autopilot.copter.params["GUID_OPTIONS"] = 6.0
+    rig.quad = rig.agent()
+    assert "parameters" in diagnosed(rig)
+
+
+@pytest.mark.parametrize("version", ["4.6", "4.6-dev", "4.7", "4.8-dev"])
+def test_a_build_that_does_not_spin(version: str) -> None:
+    assert "GUID_OPTIONS" not in diagnosed(Rig(harness={"version": version}))
 
 
 def test_a_silent_link() -> None:

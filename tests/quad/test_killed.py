@@ -35,7 +35,8 @@ class World:
 
     def __init__(self, folder: Path) -> None:
         self.body = PointMass()
-        self.autopilot = SimulatedAutopilot(self.body, DeviceContext("alice", {}, {"boot": 0.2}, ORIGIN, 1, b""))
+        harness = {"boot": 0.2, "spool_up": 0.3}
+        self.autopilot = SimulatedAutopilot(self.body, DeviceContext("alice", {}, harness, ORIGIN, 1, b""))
         self.copter = self.autopilot.copter
         self.now = 1000.0
         self.running: list[subprocess.Popen[bytes]] = []

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.values import Point
+from koordgen.runtime.values import Point, Pose
 from targets.mavlink.framing import Framer, Message
 from targets.mavlink.link import Link, Vehicle
 from targets.quad.origin import Origin
@@ -33,12 +34,12 @@ class Bench:
             (received,) = Framer().datagram(message.pack(packer))
             self.origin.take(received)
 
-    def run(self, seconds: float) -> list[Message]:
-        """What is sent meanwhile."""
+    def run(self, seconds: float, height: float = 0.0) -> list[Message]:
+        """Return what is sent meanwhile, for a robot at that height (m)."""
         self.wire.up.clear()
         for _ in range(round(seconds / 0.05)):
             self.now += 0.05
-            self.origin.poll(self.link, self.now)
+            self.origin.poll(self.link, Pose(Point(1.0, 2.0, height), 0.0), self.now)
         return Framer().stream(b"".join(self.wire.up))
 
 
@@ -61,6 +62,25 @@ def test_it_is_set_once_the_ekf_is_initialised_and_until_positions_are_told() ->
     assert sent[0].target_system == 7
     bench.hear(position(2000, 473_977_420))
     assert not of(bench.run(5.0), SET)
+
+
+def test_it_is_set_at_the_robots_own_altitude() -> None:
+    """Also when the robot is lifted before the autopilot has taken it."""
+    bench = Bench()
+    bench.hear(EKF_WORDS, position(1000))
+    assert {m.altitude for m in of(bench.run(3.0, height=0.3), SET)} == {488_300}
+    assert {m.altitude for m in of(bench.run(3.0, height=1.0), SET)} == {489_000}
+    assert bench.origin.ned.position(Point(0.0, 0.0, 1.0))[2] == pytest.approx(0.0, abs=1e-3)
+
+
+def test_poses_wait_for_the_origin_of_an_autopilot_that_has_one() -> None:
+    """An agent that begins in flight must not send poses about another origin than the autopilot's."""
+    bench = Bench()
+    bench.hear(position(60_000, 1))
+    assert not of(bench.run(5.0, height=1.5), SET)
+    known = [bench.origin.known]
+    bench.hear(ELSEWHERE)
+    assert [*known, bench.origin.known] == [False, True] and bench.origin.ned.origin[2] == 490.0
 
 
 def test_an_agent_that_missed_the_words_sees_it_by_the_status() -> None:

@@ -19,7 +19,7 @@ from targets.quad.platform import Quad
 from targets.quad.positioning import JUMPED, PATIENCE, STALE
 from targets.quad.track import Track
 from tests.quad.fed import KEY, WALL, Cable, FedRig, sample
-from tests.quad.rig import FENCE, Rig, at, sent, settings
+from tests.quad.rig import FENCE, ORIGIN, Rig, at, sent, settings
 
 NUMBERS = {
     "gps_input": mavlink.MAVLINK_MSG_ID_GPS_INPUT,
@@ -43,6 +43,48 @@ def test_it_takes_off_and_reaches_a_target(mode: str) -> None:
     assert distance(at(rig), Point(-2.0, 1.0, 1.5)) < 0.2
     rig.quad.rest(rig.now)
     assert rig.run(20.0, lambda: rig.quad.rested) and rig.body.position[2] == 0.0
+
+
+@pytest.mark.parametrize("ground", [0.3, -0.25])
+@MODES
+def test_it_flies_at_its_height_where_the_ground_is_not_at_the_origins(mode: str, ground: float) -> None:
+    """The simulated autopilot resets its height datum as the real one does: the ground's height must count once."""
+    rig = FedRig(mode, noise=0.0, position=(1.0, -2.0, ground))
+    rig.fly()
+    rig.run(5.0)
+    assert at(rig).z == pytest.approx(1.5, abs=0.03)
+    assert rig.quad.sense(rig.now).values["Motion.position"].z == pytest.approx(at(rig).z, abs=0.03)
+
+
+def test_an_agent_that_begins_in_flight_asks_for_the_origin_before_it_sends_poses() -> None:
+    """The autopilot's origin is at the ground, 0.3 m above the fleet's: other poses would lift or drop the vehicle."""
+    rig = FedRig("vision", noise=0.0, position=(1.0, -2.0, 0.3))
+    rig.fly()
+    rig.run(3.0)
+    rig.quad = rig.agent(positioning="vision")
+    rig.quad.start(rig.now)
+    heights: list[float] = []
+    rig.watch = lambda: heights.append(at(rig).z)
+    assert rig.run(5.0, lambda: rig.quad.ready)
+    rig.run(3.0)
+    assert min(heights) > 1.45 and max(heights) < 1.55
+
+
+@pytest.mark.parametrize(("below", "flies"), [(0.12, False), (0.08, True)])
+def test_heights_that_differ_by_more_than_a_tenth_of_a_metre_forbid_the_take_off(below: float, flies: bool) -> None:
+    """Another program set the autopilot's origin below the robot, which then counts the difference twice."""
+    rig = FedRig("vision", noise=0.0)
+    assert rig.autopilot is not None
+    rig.pass_time(0.5)
+    there = mavlink.MAVLink_set_gps_global_origin_message(
+        1, round(ORIGIN[0] * 1e7), round(ORIGIN[1] * 1e7), round((ORIGIN[2] - below) * 1e3)
+    )
+    rig.wire.send(bytes(there.pack(mavlink.MAVLink(None, 250, 190))))
+    rig.quad.start(rig.now)
+    assert rig.run(20.0, lambda: rig.quad.ready) is flies
+    assert rig.autopilot.copter.armed is flies
+    if not flies:
+        assert "the autopilot's height is 0.12 m above the position source's, more than 0.1 m" in rig.quad.progress
 
 
 @MODES
@@ -343,6 +385,12 @@ def test_the_doctor_tells_of_a_feed_that_is_wrong(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(Track, "at", lambda track, time: Point(1.6, -2.0, 0.0))
     found = findings(apart)["followed"]
     assert found.state == "fail" and re.match(r"0\.\d+ m from the position source", found.found)
+
+
+def test_the_doctor_compares_the_heights_of_feed_and_autopilot(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Track, "at", lambda track, time: Point(1.0, -2.0, 0.15))
+    found = {f.name: f for f in FedRig("gps_input", noise=0.0).quad.diagnose()}["followed"]
+    assert found.state == "fail" and "the autopilot's height is 0.15 m below the position source's" in found.found
 
 
 def test_the_doctor_of_a_feed_whose_port_is_taken() -> None:

@@ -150,7 +150,7 @@ class UdpLine:
 def test_a_flight_over_a_link_that_breaks_and_heals(kind: type[Line], tmp_path: Path) -> None:
     line = kind(tmp_path)  # type: ignore[call-arg]
     rig = Rig(autopilot=False)
-    context = DeviceContext("alice", {}, {"boot": 1.0}, ORIGIN, 1, b"")
+    context = DeviceContext("alice", {}, {"boot": 1.0, "spool_up": 0.3}, ORIGIN, 1, b"")
     rig.autopilot = SimulatedAutopilot(rig.body, context, line)
     rig.quad = Quad(settings(autopilot=line.url), None, clock=lambda: rig.now, sleep=rig.pass_time, planning=Inside)
     try:

@@ -18,11 +18,12 @@ from koordgen.runtime.values import Point, distance
 from targets.mavlink.framing import Message
 from targets.mavlink.link import Link, Vehicle
 from targets.quad import setpoint as setpoints
-from targets.quad.motion import MARGIN, Motion, heading, room
+from targets.quad.motion import MARGIN, Motion, room
 from targets.quad.reference import Reference
 from targets.quad.setpoint import Aim, NotSendable, Shaping, aimed, setpoint
 from targets.quad.telemetry import Telemetry
 from targets.quad.trajectory import Limits, norm
+from targets.quad.yaw import heading
 from tests.quad.rig import FENCE, ORIGIN, SETPOINT, Wire
 
 VEHICLE = Vehicle(3, 1, 3, 2)
@@ -130,7 +131,8 @@ def test_an_aim_keeps_to_the_room_and_is_worth_the_same(ways: list[tuple[Point, 
         for i in range(ticks):
             now += 0.05
             reference.advance(vehicle if i % 7 == 6 else reference.at(0.0).position, now)
-            aim = aimed(reference, shaping)
+            here = reference.at(shaping.delay)
+            aim = aimed(reference, here, shaping, limits)
             assert inside(wider(ROOM, 1e-9), aim.position)
             if aim.velocity is None:
                 continue

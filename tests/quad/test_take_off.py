@@ -169,3 +169,11 @@ def test_an_autopilot_that_does_not_follow_is_not_silently_accepted() -> None:
     with pytest.raises(Unready, match="does not follow"):
         rig.run(30.0)
     assert not rig.quad.ready
+
+
+@pytest.mark.parametrize("height", [0.5, 1.1, 3.0])
+def test_it_is_ready_when_it_stands_at_its_height(height: float) -> None:
+    """The program's first event must not see a vehicle that still climbs."""
+    rig = Rig(flight_height=height)
+    rig.fly()
+    assert at(rig).z == pytest.approx(height, abs=0.1) and abs(rig.body.velocity[2]) < 0.3

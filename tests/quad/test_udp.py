@@ -23,7 +23,7 @@ PACE = 4.0  # times faster than real time
 
 def test_a_flight_over_loopback() -> None:
     body = PointMass()
-    harness = {"boot": 0.2, "position_noise": 0.005}
+    harness = {"boot": 0.2, "spool_up": 0.3, "position_noise": 0.005}
     autopilot = SimulatedAutopilot(body, DeviceContext("alice", {}, harness, ORIGIN, 1, b""))
     quad = Quad(settings(**autopilot.overrides, flight_height=0.5), None)
     try:

@@ -14,12 +14,14 @@ import socket
 import struct
 import sys
 import time
+from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
 Vector = tuple[float, float, float]
 GRAVITY = 9.80665
 RATE = 1200  # SIM_RATE_HZ
+LOOP_RATE = 400  # SCHED_LOOP_RATE
 # What SIM_JSON.cpp looks for: the text of a key, and how many numbers stand behind it.
 KEYS = {"timestamp": 1, "gyro": 3, "accel_body": 3, "position": 3, "attitude": 3, "quaternion": 4, "velocity": 3}
 REQUIRED = {"timestamp", "gyro", "accel_body", "position", "velocity"}
@@ -107,29 +109,64 @@ def outputs(seen: State, acceleration: Vector, yaw_rate: float) -> list[int]:
     return [round(1000 + 1000 * command) for command in commands] + [0] * 12
 
 
-class StandIn:
-    """The process without its sockets. `armed` flies to `target` (m, NED), else its motors stand still."""
+def single(value: float) -> float:
+    """The nearest number of single precision, in which ArduPilot keeps its rate."""
+    return float(struct.unpack("<f", struct.pack("<f", value))[0])
 
-    def __init__(self, channels: int = 16) -> None:
+
+class StandIn:
+    """The process without its sockets. `armed` flies to `target` (m, NED), else its motors stand still.
+
+    As SIM_JSON.cpp, it adopts the rate at which states come, by the time from one to the next, and asks for 1 Hz more
+    until that is `wanted`. Its gyro gives one sample for each state, and it does not arm by a slow one."""
+
+    def __init__(self, channels: int = 16, wanted: int = RATE) -> None:
         self.count = 0
+        self.wanted = wanted
+        self.rate = float(wanted)
         self.armed = False
         self.target: Vector = (0.0, 0.0, -2.0)
         self.seen: State | None = None
         self.times: list[float] = []  # of all states
+        self._second: deque[float] = deque()  # those of the last second
         self._channels = channels
         self._pwm = [1000] * 4 + [0] * 12
 
     def output(self) -> bytes:
         """The frame that it sends, and sends again when nothing comes."""
         pwm = self._pwm + [0] * (self._channels - 16)
-        return frame(self.count, pwm, magic=18458 if self._channels == 16 else 29569)
+        return frame(self.count, pwm, int(self.rate), magic=18458 if self._channels == 16 else 29569)
+
+    @property
+    def gyro_rate(self) -> float:
+        """The gyro's samples a second, over the last second of its own clock."""
+        return len(self._second) / min(1.0, max(self.times[-1] - self.times[0], 1e-3))
+
+    @property
+    def fault(self) -> str:
+        """The pre-arm check that fails, in ArduPilot's words (AP_Arming::ins_checks); "" when none does."""
+        least = 1.8 * LOOP_RATE
+        return "" if self.gyro_rate >= least else f"Gyro 0 rate {self.gyro_rate:.0f}Hz < loop ratex1.8 {least:.0f}Hz"
+
+    def arm(self) -> None:
+        """Arm, unless a check fails."""
+        assert not self.fault, self.fault
+        self.armed = True
 
     def take(self, datagram: bytes) -> bytes:
         """One state, and the frame that follows it."""
         told = sensors(datagram)
         assert told is not None, datagram
-        self.seen = seen = state(told)
+        before, self.seen = self.seen, state(told)
+        seen = self.seen
+        step = seen.time - before.time if before is not None else 0.0
+        if 0.0 < step < 0.1:
+            self.rate = single(1.0 / step)
+        self.rate = single(max(self.rate - 1, min(self.rate + 1, float(self.wanted))))
         self.times.append(seen.time)
+        self._second.append(seen.time)
+        while self._second[0] <= seen.time - 1.0:
+            self._second.popleft()
         self.count += 1
         self._pwm = self.fly(seen) if self.armed else [1000] * 4 + [0] * 12
         return self.output()
@@ -222,6 +259,7 @@ def main(instance: int, mavlink: int, origin: tuple[float, float, float]) -> Non
         last = time.monotonic()
         answer = stand_in.take(datagram)
         assert stand_in.seen is not None
+        autopilot.copter.failing_check = stand_in.fault
         autopilot.step(stand_in.seen.time)
         link.sendto(answer, place)
 

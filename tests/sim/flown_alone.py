@@ -16,7 +16,7 @@ from tests.quad.rig import ORIGIN, STEP, PointMass
 def main(firmware: str, speed: float) -> None:
     port = UdpPort()
     body = PointMass((0.0, 0.0, 0.0))
-    context = DeviceContext("alice", {}, {"boot": 1.0, "firmware": firmware}, ORIGIN, 7, b"")
+    context = DeviceContext("alice", {}, {"boot": 1.0, "spool_up": 0.5, "firmware": firmware}, ORIGIN, 7, b"")
     autopilot = SimulatedAutopilot(body, context, port)
     print(port.number, flush=True)
     begun, steps, ahead = time.monotonic(), 0, 0.0

@@ -25,7 +25,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 def built(folder: Path, app: str, fleet: str | None = None) -> Path:
-    """The sim bundle of an example, whose autopilots boot at once; `fleet` is YAML instead of the example's own."""
+    """The sim bundle of an example, whose autopilots boot and take off at once; `fleet` is YAML instead of its own."""
     source = EXAMPLES / app / f"{app}.koord"
     file = EXAMPLES / app / "fleet.yaml"
     if fleet is not None:
@@ -35,7 +35,7 @@ def built(folder: Path, app: str, fleet: str | None = None) -> Path:
     assert main(arguments) == 0
     bundle = folder / "build" / app / "sim"
     scenario = json.loads((bundle / "scenario.json").read_text())
-    scenario["harness"]["boot"] = 0.5
+    scenario["harness"].update(boot=0.5, spool_up=0.5)
     (bundle / "scenario.json").write_text(json.dumps(scenario))
     return bundle
 

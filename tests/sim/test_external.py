@@ -118,11 +118,12 @@ def test_states_between_two() -> None:
 
 
 class Link:
-    """Both ends in memory: a Port for the device; `meddle` may drop what passes."""
+    """Both ends in memory, for the device. `work` is what the stand-in does while the device waits for it."""
 
     def __init__(self) -> None:
         self.up: list[bytes] = []  # to the device
         self.down: list[bytes] = []
+        self.work: Callable[[], None] = lambda: None
 
     def receive(self) -> list[bytes]:
         taken, self.up = self.up, []
@@ -131,11 +132,16 @@ class Link:
     def send(self, data: bytes) -> None:
         self.down.append(data)
 
+    def wait(self, seconds: float) -> bool:
+        self.work()
+        return bool(self.up)
+
     def close(self) -> None: ...
 
 
 class Bench:
-    """A world with one quadrotor, and the stand-in that flies it; `slow` is how many states it takes in a step."""
+    """A world with one quadrotor, and the stand-in that flies it. `slow` is how many states it takes in a step without
+    being waited for; with `stopped` it takes none, as a process that does not run."""
 
     def __init__(self, channels: int = 16) -> None:
         self.world = World()
@@ -145,20 +151,25 @@ class Bench:
         self.device = ExternalAutopilot(self.body, context, 0, self.link)
         self.stand_in = StandIn(channels)
         self.link.up.append(self.stand_in.output())
-        self.slow = 1000
+        self.slow, self.stopped = 1000, False
+        self.link.work = lambda: self.work(1)
         self.lossy: Callable[[bytes], bytes] = lambda data: data
         self.now = 50.0
 
     def run(self, seconds: float) -> None:
         for _ in range(round(seconds / STEP)):
             self.device.step(self.now)
-            for _ in range(min(self.slow, len(self.link.down))):
-                told = self.lossy(self.link.down.pop(0))
-                answer = self.lossy(self.stand_in.take(told)) if told else b""
-                if answer:
-                    self.link.up.append(answer)
+            self.work(self.slow)
             self.world.step()
             self.now += STEP
+
+    def work(self, states: int) -> None:
+        """Let the stand-in take so many states, and answer."""
+        for _ in range(0 if self.stopped else min(states, len(self.link.down))):
+            told = self.lossy(self.link.down.pop(0))
+            answer = self.lossy(self.stand_in.take(told)) if told else b""
+            if answer:
+                self.link.up.append(answer)
 
     @property
     def height(self) -> float:
@@ -257,23 +268,60 @@ def test_what_is_no_frame_is_dropped(bench: Bench) -> None:
 
 def test_without_an_autopilot_motors_stop(bench: Bench) -> None:
     flying(bench)
-    bench.slow = 0
+    bench.stopped = True
     bench.run(3.0)
     assert bench.height == pytest.approx(0.0, abs=0.02)
 
 
-def test_one_that_is_too_slow_is_waited_for(bench: Bench) -> None:
-    bench.slow = 2  # of five in a step
-    bench.run(2.0)
-    assert len(bench.link.down) < 20
+@pytest.mark.parametrize("slow", [0, 2])
+def test_one_that_is_too_slow_is_waited_for(bench: Bench, slow: int) -> None:
+    """It takes fewer than the five states of a step in time, as on a computer that does other work."""
+    bench.slow = slow
+    bench.run(1.0)
+    assert bench.stand_in.gyro_rate == pytest.approx(1200, abs=10)
+    bench.stand_in.arm()
+    bench.run(4.0)
+    assert bench.height == pytest.approx(2.0, abs=0.15)
     seen = bench.stand_in.seen
-    assert seen is not None and seen.time == pytest.approx(2.0, abs=0.05)  # with longer steps, but on time
+    assert seen is not None and seen.time == pytest.approx(5.0, abs=0.02)
+
+
+@pytest.mark.parametrize("seconds", [0.02, 0.09, 1.0])
+def test_a_pause_does_not_leave_it_with_a_low_rate(bench: Bench, seconds: float) -> None:
+    """It adopts a low rate at the pause, and asks for 1 Hz more than that: its arming check wants 720 Hz."""
+    bench.run(0.2)
+    bench.stopped = True
+    bench.run(seconds)
+    bench.stopped = False
+    bench.run(1.2)
+    assert bench.stand_in.gyro_rate == pytest.approx(1200, abs=10)
+    bench.stand_in.arm()
+
+
+@pytest.mark.parametrize(("wanted", "given"), [(240, 1200), (400, 1200), (1200, 1200), (2400, 2400), (8000, 3840)])
+def test_the_rate_rises_to_the_wanted_one_and_never_falls_below_1200(wanted: int, given: int) -> None:
+    bench = Bench()
+    bench.stand_in = StandIn(wanted=wanted)
+    bench.stand_in.rate = 240.0
+    bench.link.up = [bench.stand_in.output()]
+    bench.run(1.2)
+    assert bench.stand_in.gyro_rate == pytest.approx(given, rel=0.01)
+    bench.world.close()
+
+
+def test_a_pause_in_flight_is_no_fall(bench: Bench) -> None:
+    flying(bench)
+    bench.stopped = True
+    bench.run(0.2)
+    bench.stopped = False
+    bench.run(2.0)
+    assert bench.height == pytest.approx(2.0, abs=0.15)
 
 
 def test_its_battery_and_its_motors_are_upset(bench: Bench) -> None:
     bench.upset.battery = 0.5
     bench.run(0.1)
-    bench.slow = 0
+    bench.stopped = True
     bench.run(0.01)
     assert b'"voltage":11.55' in bench.link.down[-1]
 
@@ -327,8 +375,10 @@ robots:
 
 
 @pytest.mark.slow
-def test_an_agent_flies_with_an_external_autopilot(tmp_path: Path) -> None:
-    """End to end: the agent's own bundle, the simulator, and the stand-in as a process of its own."""
+@pytest.mark.parametrize("busy", [0, 2])
+def test_an_agent_flies_with_an_external_autopilot(tmp_path: Path, busy: int) -> None:
+    """End to end: the agent's own bundle, the simulator, and the stand-in as a process of its own; beside so many
+    processes that never rest."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = str(probe.getsockname()[1])
@@ -336,15 +386,19 @@ def test_an_agent_flies_with_an_external_autopilot(tmp_path: Path) -> None:
     (tmp_path / "fleet.yaml").write_text(FLEET.replace("PORT", port))
     origin = "47.397742,8.545594,488.0"
     stand_in = subprocess.Popen([sys.executable, "-m", "tests.sim.ardupilot", "1", port, origin])
+    load = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(busy)]
     out = tmp_path / "out"
-    words = [str(tmp_path / "go.koord"), "--fleet", str(tmp_path / "fleet.yaml"), "--duration", "14", "--out", str(out)]
+    words = [str(tmp_path / "go.koord"), "--fleet", str(tmp_path / "fleet.yaml"), "--out", str(out)]
+    words += ["--duration", str(14 + 8 * busy)]
     try:
         done = subprocess.run([sys.executable, "-m", "koordgen", "sim", *words], capture_output=True, text=True)
         assert stand_in.poll() is None
     finally:
-        stand_in.kill()
-        stand_in.wait()
-    assert done.returncode == 0, done.stdout + done.stderr
+        for process in (stand_in, *load):
+            process.kill()
+            process.wait()
+    # On a busy computer an event of an agent may be late, which fails the run; the flight is as it was.
+    assert done.returncode in ((0, 3) if busy else (0,)), done.stdout + done.stderr
     robots = {robot["name"]: robot for robot in json.loads((out / "summary.json").read_text())["robots"]}
     assert math.dist(robots["ext"]["final"], (2.0, 3.0, 2.0)) < 0.3
     assert robots["ext"]["rest"][2] == pytest.approx(0.0, abs=0.05)  # it has landed

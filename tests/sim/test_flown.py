@@ -11,6 +11,7 @@ from targets.sim.quadrotor import SimulatedQuadrotor
 from targets.sim.world import World
 from tests.quad import rig
 from tests.quad.bench import Bench
+from tests.quad.test_autopilot_timing import REAL, lifted
 from tests.quad.test_autopilot_tracking import carrot, circle, followed, mean
 
 
@@ -48,6 +49,11 @@ def test_at_one_setpoint_a_second_it_falls_further_behind() -> None:
 
 def test_a_circle_of_positions_and_velocities_is_left_by_a_quarter_of_a_metre() -> None:
     assert mean(followed(0xDC0, circle, 20, 32)) == pytest.approx(0.26, rel=0.15)
+
+
+def test_it_leaves_the_ground_3_3_s_after_the_command_and_climbs_at_1_2_m_s() -> None:
+    left, fastest = lifted(Bench(harness=REAL))
+    assert left == pytest.approx(3.3, abs=0.3) and fastest == pytest.approx(1.22, rel=0.15)
 
 
 def test_it_hovers_without_swinging() -> None:

@@ -50,13 +50,26 @@ def test_a_crashed_car_is_braked_by_its_watchdog_and_a_crashed_quad_lands_by_its
     lineform: Path, tmp_path: Path
 ) -> None:
     plan = Plan((2, "cleo", CRASH), (2, "bert", CRASH))
-    outcome = played(lineform, tmp_path / "out", 10.5, plan)
+    outcome = played(lineform, tmp_path / "out", 15.0, plan)
     assert plan.speed(CAR, 2.0) > 0.5 and plan.speed(CAR, 2.5) < 0.01
     height = {t: states[QUAD].position[2] for t, states in plan.states}
-    assert min(z for t, z in height.items() if t < 6) > 1.3, "ArduPilot waits 5 s for its ground station"
+    still = min(z for t, z in height.items() if t < 10)
+    assert still > 1.3, "ArduPilot waits 5 s for its ground station, and hovers for 4 s before it descends"
     assert height[max(height)] < 0.01
     assert outcome.ended == "completed" and not outcome.violations
     assert (outcome.statuses["cleo"], outcome.statuses["alice"]) == (-9, 0)
+
+
+@pytest.mark.slow
+def test_a_quad_that_has_landed_meanwhile_takes_off_again_and_rejoins(lineform: Path, tmp_path: Path) -> None:
+    plan = Plan((2, "cleo", CRASH), (12, "cleo", RESTART))
+    outcome = played(lineform, tmp_path / "out", 30.0, plan)
+    assert outcome.ended == "completed" and not outcome.violations
+    said = (tmp_path / "out" / "robots" / "cleo" / "log.txt").read_text()
+    assert "already flying in LAND: waiting until it has landed" in said and "cleo is back" in said
+    height = {t: states[QUAD].position[2] for t, states in plan.states}
+    assert min(height.values()) < 0.01 and height[max(height)] < 0.01
+    assert max(z for t, z in height.items() if t > 22) > 1.3
 
 
 def test_a_frozen_robot_does_nothing_for_so_long_and_goes_on(lineform: Path, tmp_path: Path) -> None:

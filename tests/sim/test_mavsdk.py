@@ -17,7 +17,7 @@ from tests.quad.rig import ORIGIN
 pytest.importorskip("mavsdk")
 
 from mavsdk import ComponentType, Configuration, Mavsdk
-from mavsdk.plugins.action import Action
+from mavsdk.plugins.action import Action, ActionError
 from mavsdk.plugins.offboard import Offboard, OffboardError, PositionNedYaw, VelocityNedYaw
 from mavsdk.plugins.telemetry import LandedState, Telemetry
 
@@ -40,6 +40,15 @@ def started(offboard: Offboard) -> bool:
     try:
         offboard.start()
     except OffboardError:
+        return False
+    return True
+
+
+def armed(action: Action) -> bool:
+    """ArduPilot refuses as long as its IMUs disagree."""
+    try:
+        action.arm()
+    except ActionError:
         return False
     return True
 
@@ -75,7 +84,7 @@ def test_a_whole_flight(client: tuple[Telemetry, Action, Offboard]) -> None:
         return math.dist(here, (east, north, up))
 
     action.set_takeoff_altitude(2.0)
-    action.arm()
+    assert eventually(lambda: armed(action))
     assert eventually(telemetry.armed)
     action.takeoff()
     assert eventually(lambda: away(0.0, 0.0, 2.0) < 0.15)

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from targets.sim import realtime
 from targets.sim.pace import BURST, MOST_BEHIND, Pace
 from targets.sim.run import Run
+from targets.sim.scenario import load
+from targets.sim.world import STEP
 from tests.sim.fake_fleet import bundle, enlist
 from tests.sim.test_harness import sim, summary
 
@@ -26,6 +31,29 @@ def test_the_pace_catches_up_what_is_little_and_slips_what_is_much() -> None:
     assert pace.due(10.0) == BURST
     assert pace.slip == pytest.approx(10.0 - 11 / 128 - MOST_BEHIND)
     assert pace.factor(10.0) < 0.1
+
+
+@pytest.mark.parametrize(("autopilot", "steps"), [("simulated", MOST_BEHIND / STEP), ("external", 2.0 / STEP)])
+def test_an_external_autopilots_clock_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, autopilot: str, steps: float
+) -> None:
+    """The host takes the processor away for 2 s; the world is the only clock that an external autopilot has."""
+    enlist()
+    root = bundle(tmp_path / "sim", ["good"])
+    scenario = json.loads((root / "scenario.json").read_text())
+    scenario["robots"][0]["sim"] = {"autopilot": autopilot}
+    (root / "scenario.json").write_text(json.dumps(scenario))
+    host = [100.0]
+    clock = SimpleNamespace(monotonic=lambda: host[0], sleep=lambda seconds: None)
+    monkeypatch.setattr(realtime, "time", clock)
+    conduct = realtime.RealTime(load(root), root, tmp_path, 0)
+    made: list[float] = []
+    host[0] += 2.0
+    for _ in range(100):
+        conduct.go_on(made.append)
+    conduct.close()
+    assert len(made) == pytest.approx(steps, abs=2)
+    assert made == sorted(made) and made[0] >= host[0] - MOST_BEHIND  # the trace tells when agents saw them
 
 
 def test_late_steps_are_told_of_all_the_run_and_of_the_mission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -111,6 +111,7 @@ def test_tasks_that_nobody_can_do_are_told_and_not_waited_for(tmp_path: Path) ->
 @pytest.mark.slow
 @pytest.mark.parametrize("app", ["lineform", "task", "atomicsum", "election", "delivery", "hvac", "formation"])
 def test_runs_of_the_examples_are_as_their_programs_mean(tmp_path: Path, app: str) -> None:
-    assert ran(built(tmp_path, app), tmp_path / "out", 12.0) == 0
+    seconds = 14.0 if app == "task" else 12.0  # at 12 s a quad is above a car, and a run's end lands it there
+    assert ran(built(tmp_path, app), tmp_path / "out", seconds) == 0
     assert main(["replay", str(tmp_path / "out")]) == 0
     assert main(["replay", str(next((tmp_path / "out/robots").iterdir()) / "trace.jsonl")]) == 0
