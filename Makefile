@@ -6,7 +6,7 @@ PY := $(VENV)/bin/python
 STAMP := $(VENV)/.ready
 QUIET := PIP_DISABLE_PIP_VERSION_CHECK=1
 
-.PHONY: demo test lint slow prover-campaign bench generated lock clean
+.PHONY: demo test lint slow prover-campaign clearance-campaign bench generated lock clean
 
 demo: $(STAMP)
 	$(PY) -m koordgen sim examples/lineform/lineform.koord --fleet examples/lineform/fleet.yaml \
@@ -31,6 +31,11 @@ slow: $(STAMP)
 # Random programs against the prover: 20,000 take two hours or more. Run again, it goes on where it ended.
 prover-campaign: $(STAMP)
 	$(PY) -m tests.prove.campaign --from 0 --count 20000 --folder build/prover-campaign
+
+# Flights and drives through doors, windows and pillars while everything else goes wrong: 500 take half an hour. Run
+# again, it goes on where it ended.
+clearance-campaign: $(STAMP)
+	$(PY) -m tests.sim.clearance_campaign --from 0 --count 500 --folder build/clearance-campaign
 
 bench: $(STAMP)
 	$(PY) benchmarks/compile.py

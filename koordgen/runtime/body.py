@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from koordgen.runtime.platform import Platform, Sensed, Unready
+from koordgen.runtime.platform import Platform, Resumes, Sensed, Unready
 from koordgen.runtime.program import Program
 from koordgen.runtime.safety import clamped
 from koordgen.runtime.settings import Box
@@ -117,6 +117,9 @@ class Body:
 
     def command(self, written: Mapping[str, Any], now: float) -> None:
         """Take what an event wrote to actuators; Points go to the platform moved into the geofence."""
+        self._hand_on(written, now, self._platform.command)
+
+    def _hand_on(self, written: Mapping[str, Any], now: float, to: Callable[[Mapping[str, Any], float], None]) -> None:
         if not written or self._retired:
             return
         self.actuators = {**self.actuators, **written}  # frames of earlier rounds keep theirs
@@ -128,12 +131,14 @@ class Body:
         if moved and tuple(moved) != self._fenced:
             self._warn("; ".join(f"{n} = {written[n]} is outside the geofence, commanding {inside[n]}" for n in moved))
         self._fenced = tuple(moved)
-        self._platform.command(inside, now)
+        to(inside, now)
 
     def restore(self, actuators: Mapping[str, Any], now: float) -> None:
         """Go on with what an earlier life of this robot had commanded, where that differs."""
         nothing = object()
-        self.command({n: v for n, v in actuators.items() if self.actuators.get(n, nothing) != v}, now)
+        differing = {n: v for n, v in actuators.items() if self.actuators.get(n, nothing) != v}
+        platform = self._platform
+        self._hand_on(differing, now, platform.resume if isinstance(platform, Resumes) else platform.command)
 
     def hold(self, reason: str, on: bool, now: float) -> bool:
         """Hold for a reason, or no longer for that one; the robot moves when no reason is left. True on a change."""

@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 
 from koordgen.runtime.extern import ESCAPES
-from koordgen.runtime.platform import Finding, Platform, Sensed, Unready
+from koordgen.runtime.platform import Finding, Platform, Resumes, Sensed, Unready
 from koordgen.runtime.program import Program
 from koordgen.runtime.values import Point, transmissible
 
@@ -79,6 +79,16 @@ class Driven:
         return Sensed({**sensed.values, **self._values}, sensed.time)
 
     def command(self, actuators: Mapping[str, Any], now: float) -> None:
+        self._hand_on(actuators, now, self._platform.command)
+
+    def resume(self, actuators: Mapping[str, Any], now: float) -> None:
+        """See Resumes; drivers are commanded anew."""
+        platform = self._platform
+        self._hand_on(actuators, now, platform.resume if isinstance(platform, Resumes) else platform.command)
+
+    def _hand_on(
+        self, actuators: Mapping[str, Any], now: float, to: Callable[[Mapping[str, Any], float], None]
+    ) -> None:
         own: dict[str, Any] = {}
         served: dict[str, dict[str, Any]] = {}
         for name, value in actuators.items():
@@ -88,7 +98,7 @@ class Driven:
             else:
                 own[name] = value
         if own:
-            self._platform.command(own, now)
+            to(own, now)
         for module, written in served.items():
             try:
                 self._drivers[module].command(written)

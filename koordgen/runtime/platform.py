@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
 
 if TYPE_CHECKING:  # what is found must be told even where no package is installed
     from koordgen.runtime.values import Point
@@ -128,4 +128,14 @@ class Platform(Protocol):
 
     def close(self) -> None:
         """Give back links and devices; the body has been left at rest or in its own failsafe. Idempotent."""
+        ...
+
+
+@runtime_checkable
+class Resumes(Protocol):
+    """A platform that can go on amid a path. One that cannot is commanded anew after a restart."""
+
+    def resume(self, actuators: Mapping[str, Any], now: float) -> None:
+        """As `command`, with what an earlier life of this robot had commanded: of a path, the points before the leg
+        that is nearest to the robot are behind it. The way to the next point has not been checked by anybody."""
         ...

@@ -121,6 +121,10 @@ class Avoidance:
         self.refusal, self._admitted = trouble, None if trouble else points
         return not trouble
 
+    def resumes(self, points: Path) -> None:
+        """Admit points that an earlier life of this agent drove to: the way to each is planned."""
+        self.refusal, self._admitted = "", points
+
     def ask(self, state: State, target: Point2, gear: int, arrival: float | None) -> bool:
         """Have a way to a target planned, for `answer`; False when that cannot be done now."""
         wish = Wish(state.yaw, gear, arrival=arrival, patience=PATIENCE)
@@ -147,6 +151,14 @@ class Avoidance:
         ground = self._ground
         seen = named(Scene(others=self._others), ground.body, start[:2], ground.clearance)
         return ground.around(start, target, seen).clear(curve)
+
+    def strayed(self, state: State) -> bool:
+        """Return whether a car that has left its way is nearer to an obstacle of the fleet file than half the
+        clearance: there no way back is driven that was not planned."""
+        ground, middle = self._ground, self._ground.middle
+        x, y = state.x + middle * math.cos(state.yaw), state.y + middle * math.sin(state.yaw)
+        near = (ground.body.distance(state.x, state.y, state.yaw, shape) for *_, shape in ground.fixed.around(x, y))
+        return min(near, default=math.inf) < ground.clearance / 2
 
     def free(self, curve: Curve, station: float, ahead: float) -> float:
         """How many metres of a curve, from a station on, are out of the ways that the others have published, as far as

@@ -26,6 +26,7 @@ ARC_REACH = 0.5  # metres: a target so near is first tried by a single arc
 STANDING_BY, FOLLOWING = 0.4, 1.5  # radii: as close as an arc has to come, from a stand and on the last stretch
 LOOKAHEAD = 0.4  # metres at which a moving target is steered for: pure pursuit of a nearer point sways
 TRAIL = 0.3  # metres of a target's way that tell where it is heading
+STRAYED = 0.08  # metres from the path beyond which the way back to it is not driven near to obstacles
 OFF_PATH = 0.25  # metres from the path that call for a new one
 BEHIND = 0.5  # metres that the car may have gone on from where an answer's way begins
 RETRY = 1.0  # seconds until a plan that failed is tried again
@@ -102,6 +103,7 @@ class Navigator:
         self._stirred = 0.0  # when the car moved last, or had no reason to
         self._trail = Trail()
         self._curve: Curve | None = None  # the way that is driven
+        self.waits = False  # for another robot to leave its way
         self.reached = True
         self.progress = "standing: no target yet"
 
@@ -109,6 +111,11 @@ class Navigator:
     def steering(self) -> float:
         """The angle commanded last, radians."""
         return self._last.steering
+
+    @property
+    def target(self) -> tuple[float, float] | None:
+        """The place to drive to."""
+        return self._target
 
     @property
     def gear(self) -> int:
@@ -218,11 +225,13 @@ class Navigator:
     def _free(self, state: State, standing: bool, now: float) -> float:
         """How many metres of the way are free of the others', as far as it takes to stop. A car that stands before
         another's way has one around it planned again and again."""
+        self.waits = False
         if self._curve is None:
             return math.inf
         settings = self._settings
         ahead = state.speed**2 / (2 * BRAKING * settings.max_acceleration) + settings.max_speed * REACTION + CAUTION
         free = self._avoidance.free(self._curve, self._tracker.station, ahead)
+        self.waits = free < math.inf
         if free < math.inf:
             self.progress = f"another robot's path crosses this one in {free:.1f} m"
             self._stirred = now  # it knows why it stands
@@ -253,6 +262,10 @@ class Navigator:
         """Whether there is a way to follow; has one planned if needed."""
         target = self._target
         if target is None:
+            return False
+        if self._tracker.error > STRAYED and not self._tracker.done and self._avoidance.strayed(state):
+            self._tracker.stop()
+            self.progress = "braking: off its way, and near to an obstacle"
             return False
         self._answered(state, away, now)
         driving = not self._tracker.done and self._tracker.error <= OFF_PATH

@@ -20,7 +20,7 @@ from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.platform import Finding, Sensed, Unready
 from koordgen.runtime.scans import ScanPort
 from koordgen.runtime.settings import Settings
-from koordgen.runtime.values import Point, Pose
+from koordgen.runtime.values import Point, Pose, transmissible
 from targets.car.avoidance import Avoidance, MakePlanning
 from targets.car.diagnosis import (
     STALE,
@@ -41,7 +41,8 @@ from targets.car.mpc import STEP, Command
 from targets.car.navigator import STANDING, Navigator
 from targets.car.settings import FROM_DRIVE, decode
 from targets.planning.process import Beside
-from targets.planning.route import Route
+from targets.planning.route import Route, commanded, passed
+from targets.planning.standstill import Standstill
 from targets.planning.unplanned import Unplanned
 
 MODULES = ("Motion", "MotionWithScan")  # one body under two names; the second has a lidar
@@ -82,6 +83,7 @@ class Car:
         self._navigator: Navigator | None = None
         self._route = Route()
         self._avoidance = Avoidance(settings, own, planning)
+        self._standstill = Standstill(settings.safety.missed_action)
         self._now = 0.0
         self._started = 0.0
         self._next_control = -math.inf
@@ -226,6 +228,7 @@ class Car:
         self._blocked = self._obstacle(drive, now)
         standing = self._still_since is not None
         if self._blocked:
+            self._stands_still(navigator, False, now)
             navigator.pause()
             navigator.watch(self._estimator.state, standing and self._fresh(now), now)
             drive.brake(now)
@@ -233,9 +236,13 @@ class Car:
         self._follow(navigator)
         command = navigator.step(self._estimator.state, standing, now)
         if command is None:
+            self._stands_still(navigator, False, now)
             drive.brake(now)
         elif not self._stops_inside(command):
             self._blocked = "braking: the geofence is ahead"
+            navigator.pause()
+            drive.brake(now)
+        elif self._stands_still(navigator, True, now):
             navigator.pause()
             drive.brake(now)
         else:
@@ -256,6 +263,12 @@ class Car:
             self._news.append(slow(lag))
         elif before:
             self._news.append(f"the motor follows its commands within {lag:.1f} s again")
+
+    def _stands_still(self, navigator: Navigator, drives: bool, now: float) -> bool:
+        """Return whether the car must brake because driving does not move it."""
+        state, target = self._estimator.state, navigator.target
+        goal = "no target" if target is None else f"({target[0]:.2f}, {target[1]:.2f})"
+        return self._standstill.look(Point(state.x, state.y, 0.0), drives and not navigator.waits, goal, now)
 
     def _stops_inside(self, command: Command) -> bool:
         own = self._settings
@@ -281,7 +294,7 @@ class Car:
             if self._estimator.refused(now):
                 return f"braking: the position source jumped: {self._jump}"
             return f"braking: the position is {now - self._estimator.time:.1f} s old{self._feed.dropped}"
-        return "holding" if self._holding else ""
+        return "holding" if self._holding else self._standstill.holding
 
     def _fresh(self, now: float) -> bool:
         time = self._estimator.time
@@ -330,11 +343,26 @@ class Car:
     def command(self, actuators: Mapping[str, Any], now: float) -> None:
         if self._navigator is None:
             return
-        for module in MODULES:
-            if f"{module}.target" in actuators:
-                self._go((actuators[f"{module}.target"],), self._navigator)
-            if f"{module}.path" in actuators:
-                self._go(actuators[f"{module}.path"], self._navigator)
+        for points in commanded(actuators, MODULES):
+            self._go(points, self._navigator)
+
+    def resume(self, actuators: Mapping[str, Any], now: float) -> None:
+        """See Resumes. The ways to the points that are ahead are planned one after another, as to single targets."""
+        if self._navigator is None:
+            return
+        state = self._estimator.state
+        for points in commanded(actuators, MODULES):
+            if not points or not transmissible(points):
+                self._go(points, self._navigator)
+                continue
+            flat = tuple(Point(p.x, p.y, 0.0) for p in points)
+            self._unplanned.commanded()
+            self._avoidance.resumes(points)
+            self._route.take(points)
+            self._standstill.command()
+            self._route.skip(passed(flat, Point(state.x, state.y, 0.0)))
+            if (goal := self._route.goal) is not None:
+                self._navigator.go_to((goal.x, goal.y))
 
     def _go(self, points: tuple[Point, ...], navigator: Navigator) -> None:
         """Follow points: the way that they stand for when they are the planner's, else one that is planned to each; in
@@ -348,6 +376,7 @@ class Car:
             points = ()
         if not self._route.take(points):
             return
+        self._standstill.command()
         state, goal = self._estimator.state, self._route.goal
         curve = self._avoidance.planned(state, points)
         if curve is None:
@@ -370,7 +399,7 @@ class Car:
 
     def news(self) -> list[str]:
         """See Platform."""
-        told, self._news = self._news + self._avoidance.news() + self._feed.news(), []
+        told, self._news = [*self._news, *self._avoidance.news(), *self._feed.news(), *self._standstill.news()], []
         return told + (self._drive.news() if self._drive is not None else [])
 
     def hold(self, on: bool, now: float) -> None:

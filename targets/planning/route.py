@@ -2,7 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+from itertools import pairwise
+from typing import Any
+
+from koordgen.runtime.geometry import segment_distance
 from koordgen.runtime.values import Point
+
+AS_NEAR = 0.05  # metres by which a later leg must be nearer to a robot than an earlier one
+
+
+def commanded(actuators: Mapping[str, Any], modules: Iterable[str]) -> list[tuple[Point, ...]]:
+    """The paths among written actuators of these modules; a target is a path of one point."""
+    found: list[tuple[Point, ...]] = []
+    for module in modules:
+        if (name := f"{module}.target") in actuators:
+            found.append((actuators[name],))
+        if (name := f"{module}.path") in actuators:
+            found.append(actuators[name])
+    return found
+
+
+def passed(points: tuple[Point, ...], position: Point) -> int:
+    """How many points of a path are behind a robot that was somewhere on the path: those before the nearest leg's end.
+    Of legs that are as near, the earliest."""
+    away = [segment_distance(position, position, a, b) for a, b in pairwise(points)]
+    return 1 + next(i for i, d in enumerate(away) if d <= min(away) + AS_NEAR) if away else 0
 
 
 class Route:
@@ -25,6 +50,11 @@ class Route:
     def last(self) -> bool:
         """Whether nothing comes behind the present goal."""
         return not self._ahead
+
+    def skip(self, count: int) -> None:
+        """So many goals are behind the robot; the last one stays."""
+        for _ in range(count):
+            self.passed()
 
     def passed(self) -> Point | None:
         """The present goal is behind the robot: make for the next, which is returned; the last one stays."""

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
+
+import msgspec
 
 from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.safety import clamp, inside
@@ -11,8 +14,15 @@ from koordgen.runtime.settings import Settings
 from koordgen.runtime.values import Point, transmissible
 from targets.planning.guard import Guard
 from targets.planning.process import Planning, made
+from targets.planning.room import Room, fixed
+from targets.planning.room import room as room_of
 from targets.planning.world import Path, Scene, World
 from targets.quad.motion import room
+from targets.quad.rejoin import LEG
+
+LEG_SECONDS = 0.2  # that a leg back to the path may take to plan: the vehicle stands meanwhile
+RETREATS = (0.1, 0.2, 0.3, 0.4)  # m, how far away from an obstacle places are looked for,
+DIRECTIONS = 16  # ... and in how many directions
 
 MakePlanning = Callable[[str, World, float], Planning]
 
@@ -26,11 +36,14 @@ class Avoidance:
         self._fence, self._room = settings.geofence, room(settings.geofence, height)
         self._name = planner
         world = World(self._room, settings.obstacles, clearance, radius)
+        self._world, self._standing = world, fixed(settings.obstacles)
         self._planning = planning(planner, world, settings.planner_budget)
         self._guard = Guard(settings.obstacles, radius)
         self._names = dict(enumerate(peer.name for peer in settings.peers))
         self._publishers: set[str] = set()  # robots that have published paths
         self._others: tuple[Path, ...] = ()
+        self._named = Scene()  # what the program named when it called the planner last
+        self._asked = False  # for a leg
         self._admitted: Path | None = None  # what was commanded last and may be flown
         self._news: list[str] = []
         self.refusal = ""  # why what was commanded last is not flown, in words
@@ -64,6 +77,7 @@ class Avoidance:
         if not inside(self._fence, goal):
             self.unplanned = "is outside the geofence"
             return ()
+        self._named, self._asked = Scene.of(named, ()), False
         path = self._planning.plan(position, self._lifted(goal), Scene.of(named, self._others))
         answer = self._planning.answer()
         if not path:
@@ -87,6 +101,60 @@ class Avoidance:
             self._news.append(f"not flown, holding instead: {trouble}")
         self.refusal, self._admitted = trouble, None if trouble else points
         return not trouble
+
+    def resumes(self, points: Path, passed: int) -> bool:
+        """As `admits`, of a path that an earlier life of this agent followed: of its points so many are behind, and the
+        leg to the next one is looked at later."""
+        self._admitted = None
+        if not self.admits(points[passed], points[passed + 1 :]):
+            return False
+        self._admitted = points
+        return True
+
+    def clear(self, start: Point, end: Point, margin: float) -> bool:
+        """See `rejoin.Ways`."""
+        here = Room(start)
+        here.keep(self._standing, self._kept(margin))
+        return here.clear(start, end)
+
+    def apart(self, start: Point, end: Point, margin: float) -> bool:
+        """See `rejoin.Ways`."""
+        kept = self._kept(margin)
+        return all(thing.distance(start, end, kept) >= kept for thing in self._standing)
+
+    def _kept(self, margin: float) -> float:
+        return self._world.radius + margin * self._world.clearance
+
+    def retreat(self, position: Point) -> Point:
+        """See `rejoin.Ways`."""
+        if self.apart(position, position, LEG):
+            return position
+        for far in RETREATS:
+            for i in range(DIRECTIONS):
+                turn = math.tau * i / DIRECTIONS
+                place = position + Point(far * math.cos(turn), far * math.sin(turn))
+                if inside(self._room, place) and self.apart(place, place, LEG) and self.clear(position, place, LEG):
+                    return place
+        return position
+
+    def leg_clear(self, start: Point, end: Point) -> bool:
+        """See `rejoin.Ways`."""
+        world = msgspec.structs.replace(self._world, clearance=LEG * self._world.clearance)
+        return room_of(world, self._standing, self._named, start).clear(start, end)
+
+    def ask_leg(self, start: Point, end: Point) -> bool:
+        """See `rejoin.Ways`."""
+        scene = msgspec.structs.replace(self._named, others=self._others)
+        self._asked = self._planning.ask(start, end, scene, b"", LEG_SECONDS)
+        return self._asked
+
+    def leg(self) -> Path | None:
+        """See `rejoin.Ways`."""
+        answer = self._planning.answer() if self._asked else None
+        if answer is None:
+            return None
+        self._asked = False
+        return answer.path
 
     def _lifted(self, p: Point) -> Point:
         """Where the quad goes when it is told to go to p."""

@@ -11,6 +11,7 @@ from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point, distance, transmissible
 from targets.mavlink.link import Link
 from targets.quad.reference import STANDING, Reference
+from targets.quad.rejoin import OpenSpace, Rejoin, Ways
 from targets.quad.setpoint import ARDUPILOT, Aim, Shaping, aimed, setpoint
 from targets.quad.telemetry import Telemetry
 from targets.quad.trajectory import Limits, State, norm
@@ -35,17 +36,20 @@ def room(fence: Box, height: float) -> Box:
 
 class Motion:
     """Lengths in m, fleet's ENU. Heights are raised to `height`, and everything is brought inside the fence, by a
-    margin. `max_speed` and `climb` (vertical) are limits of the vehicle's own speed, m/s; `yaw` is `yaw.heading`'s."""
+    margin. `max_speed` and `climb` (vertical) are limits of the vehicle's own speed, m/s; `yaw` is `yaw.heading`'s,
+    `action` is `Standstill`'s."""
 
     def __init__(
         self, frame: LocalFrame, fence: Box, height: float, max_speed: float, acceleration: float, climb: float,
         radius: float, dwell: float, yaw: str | float = "keep", shaping: Shaping = ARDUPILOT,
+        ways: Ways | None = None, action: str = "hold",
     ) -> None:  # fmt: skip
         self._frame, self._fence = frame, fence
         self._radius, self._dwell, self._speed = radius, dwell, max_speed
         self._room = room(fence, height)
         self._limits = Limits(max_speed, climb, acceleration, self._room)
         self._reference = Reference(Limits(PLANNED * max_speed, PLANNED * climb, acceleration, self._room))
+        self._rejoin = Rejoin(self._reference, OpenSpace() if ways is None else ways, action)
         self._shaping = shaping
         self._yaw = Yaw(yaw)
         self._commanded: tuple[Point, ...] = ()
@@ -59,9 +63,10 @@ class Motion:
         self.settled = False  # whether the vehicle was seen to stand where it is to wait, since it is steered
         self.refused = 0  # targets that were not finite
 
-    def command(self, points: tuple[Point, ...], now: float) -> None:
+    def command(self, points: tuple[Point, ...], now: float, passed: int | None = None) -> None:
         """Go there, straight from each point to the next; a target is a path of one point, none is: stay here. What
-        is being followed already changes nothing."""
+        is being followed already changes nothing. With `passed`, so many points are behind the vehicle, and nobody has
+        checked the leg to the next one."""
         if not transmissible(points):
             self.refused += 1
             return
@@ -70,12 +75,21 @@ class Motion:
             return
         self._commanded, self._goal = lifted, lifted[-1] if lifted else None
         self._near, self.reached = None, not lifted
-        self._reference.follow(lifted, now)
+        self._reference.follow(lifted[passed or 0 :], now)
+        self._rejoin.command(now, unchecked=passed is not None)
 
     def hold(self, on: bool, now: float) -> None:
         """Pause where the vehicle can stop, or resume."""
-        if on != self._reference.paused:
-            self._reference.pause(on, now)
+        self._rejoin.hold(on, now)
+
+    @property
+    def stall(self) -> str:
+        """See koordgen.runtime.platform: why there is no way on from where the vehicle is."""
+        return self._rejoin.stall
+
+    def news(self) -> list[str]:
+        """Return what happened since the last call, for the log."""
+        return self._rejoin.news()
 
     def steer(self, link: Link, state: Telemetry, now: float) -> None:
         """Send the next setpoint when one is due, and look whether the autopilot follows the last ones. Raises
@@ -83,17 +97,21 @@ class Motion:
         position = state.position
         if position is None or link.vehicle is None or (self._sent is not None and now - self._sent < SPACING):
             return
-        if not self._reference.started:
-            self._reference.start(position, state.velocity, now)
-        self._reference.advance(position, now)
+        self._attend(position, state.velocity, now)
         age = 0.0 if state.time is None else now - state.time
         here = State(position + state.velocity * (age + self._shaping.delay), state.velocity)
         aim = aimed(self._reference, here, self._shaping, self._limits)
+        aim = self._rejoin.bounded(aim, position, self._shaping)
         yaw = self._yaw.command(state, self._reference.at(0.0).velocity, now)
         self._say(link, Aim(aim.position, aim.velocity, yaw), now)
         self._yaw.watch(state)
         self._watch(link, state, aim, now)
         self._judge(position, state.velocity, now)
+
+    def _attend(self, position: Point, velocity: Point, now: float) -> None:
+        """Run the reference on, along legs that are clear."""
+        there = self.reached or self._goal is None or distance(position, self._goal) <= self._radius
+        self._rejoin.poll(position, velocity, there, now)
 
     def coast(self, now: float) -> None:
         """Not ours to steer, or not yet: nothing is sent, and nothing is guessed meanwhile."""
@@ -108,14 +126,14 @@ class Motion:
             self._yaw.watch(state)
 
     def _drop(self, now: float) -> None:
-        self._reference.drop(now)
+        self._rejoin.drop(now)
         self._halt = self._sent = self._doubted = self._near = None
         self.followed = self.settled = False
 
     def halt(self, link: Link, now: float) -> None:
         """Ours, but without a fresh position: a position alone, so that the autopilot does not run on with the last
         velocity; told for a second, because some may be lost. Then nothing is sent."""
-        halt = self._reference.drop(now)
+        halt = self._rejoin.drop(now)
         self._yaw.pause()
         if halt is not None and self._sent is not None:
             self._halt = halt, now + HALTING

@@ -20,12 +20,13 @@ from koordgen.runtime.platform import Finding, Sensed, Unready
 from koordgen.runtime.safety import clamp
 from koordgen.runtime.scans import ScanPort, listen_for_scans
 from koordgen.runtime.settings import BadSettings, Settings
-from koordgen.runtime.values import Point
+from koordgen.runtime.values import Point, transmissible
 from targets.mavlink.framing import Message
 from targets.mavlink.link import Link
 from targets.mavlink.parameters import Wanted
 from targets.mavlink.transport import Transport, opened
 from targets.planning.process import Beside
+from targets.planning.route import commanded, passed
 from targets.planning.unplanned import Unplanned
 from targets.quad.avoidance import Avoidance, MakePlanning
 from targets.quad.check import listen
@@ -104,9 +105,10 @@ class Quad:
             raise BadSettings(
                 f"settings of {settings.robot}: body: yaw {body.yaw!r} is not keep, forward or an angle"
             ) from None
+        self._avoidance = Avoidance(settings, body.flight_height, body.radius, body.clearance, body.planner, planning)
         self._motion = Motion(
             self._frame, fence, body.flight_height, body.max_speed, body.max_acceleration, body.max_climb,
-            body.reached_radius, body.reached_dwell, yaw,
+            body.reached_radius, body.reached_dwell, yaw, ways=self._avoidance, action=settings.safety.missed_action,
         )  # fmt: skip
         self._connect, self._clock, self._sleep, self._wall = connect, clock, sleep, wall
         self._lidar = ScanPort(body.scans, settings.robot, key, scans)
@@ -117,7 +119,6 @@ class Quad:
             )
         self._link: Link | None = None
         self._flight: Flight | None = None
-        self._avoidance = Avoidance(settings, body.flight_height, body.radius, body.clearance, body.planner, planning)
         self._held = False
         self._now = 0.0
         self._unplanned = Unplanned()
@@ -231,7 +232,8 @@ class Quad:
         """See Platform."""
         if self._held or self.rested:
             return ""
-        return self._avoidance.refusal or (self._unplanned.why(self._now) if self._motion.reached else "")
+        idle = self._unplanned.why(self._now) if self._motion.reached else ""
+        return self._avoidance.refusal or self._motion.stall or idle
 
     def sense(self, now: float) -> Sensed:
         """See Platform. Before the first estimate the position is the origin, and `time` is None."""
@@ -253,18 +255,29 @@ class Quad:
     def command(self, actuators: Mapping[str, Any], now: float) -> None:
         """See Platform. What is not finite is refused, counted and shown in `progress`; instead of what leads into an
         obstacle of the fleet file the quad holds, and says so."""
-        for module in MODULES:
-            if f"{module}.target" in actuators:
-                self._command((actuators[f"{module}.target"],), now)
-            if f"{module}.path" in actuators:
-                self._command(actuators[f"{module}.path"], now)
+        for points in commanded(actuators, MODULES):
+            self._command(points, now)
 
-    def _command(self, points: tuple[Point, ...], now: float) -> None:
+    def resume(self, actuators: Mapping[str, Any], now: float) -> None:
+        """See Resumes. The leg to the next point is planned if it is not clear."""
+        position = self._telemetry.position
+        for points in commanded(actuators, MODULES):
+            if position is not None and points and transmissible(points):
+                self._command(points, now, passed(points, position))
+            else:
+                self._command(points, now)
+
+    def _command(self, points: tuple[Point, ...], now: float, behind: int | None = None) -> None:
+        """Fly by these points if they may be flown by; `behind` says how many a quad that resumes has passed."""
         if points:
             self._unplanned.commanded()
-        held = self._avoidance.refusal
-        if self._avoidance.admits(self._telemetry.position, points):
-            self._motion.command(points, now)
+        held, avoidance = self._avoidance.refusal, self._avoidance
+        if behind is None:
+            admitted = avoidance.admits(self._telemetry.position, points)
+        else:
+            admitted = avoidance.resumes(points, behind)
+        if admitted:
+            self._motion.command(points, now, behind)
         elif not held:
             self._motion.command((), now)
 
@@ -281,7 +294,7 @@ class Quad:
     def news(self) -> list[str]:
         """See Platform."""
         told = self._positioning.news() if self._positioning is not None else []
-        return told + self._avoidance.news()
+        return [*told, *self._avoidance.news(), *self._motion.news()]
 
     def hold(self, on: bool, now: float) -> None:
         """See Platform."""

@@ -19,6 +19,7 @@ from targets.quad.trajectory import ZERO, Limits, State, Trajectory, norm, plan,
 LEASH_TIME, LEASH_LENGTH = 0.5, 0.5  # s, m: the leash is LEASH_LENGTH + LEASH_TIME * speed
 LONGEST_STEP = 0.5  # s; the reference runs on by no more than that at once
 CREEP = 0.05  # of its rate, below which it stands
+FASTER = 1.0  # 1/s, by which the rate grows again after the trajectory was slowed
 PAUSE = 0.5  # s of running on at most when it is paused: as far as an autopilot needs to brake
 STANDING = 0.25  # m/s, above what a hovering vehicle's estimate shows
 WINDOW = 0.4  # s of a target's last places from which its way is told
@@ -84,6 +85,7 @@ class Reference:
         self._elapsed = 0.0  # of the trajectory's time
         self._rate = 1.0  # of its time to ours
         self._time = 0.0
+        self._slowed = False  # by `most`, which the rate leaves slowly
         self.paused = False
         self.alone = True  # whether a position says all: it is at rest, to hold, or waits
 
@@ -97,6 +99,11 @@ class Reference:
         return self._behind() >= len(self._points) - 1
 
     @property
+    def ahead(self) -> tuple[Point, ...]:
+        """The points that are not behind; the last one stays. None before the first command or start."""
+        return self._points[min(self._behind(), len(self._points) - 1) :] if self._points else ()
+
+    @property
     def stood(self) -> float:
         """For how many seconds it has stood, and will unless something new comes; negative while it moves."""
         trajectory = self._trajectory
@@ -105,12 +112,17 @@ class Reference:
         return -math.inf if trajectory.end.velocity != ZERO else self._elapsed - trajectory.seconds
 
     @property
+    def rate(self) -> float:
+        """Of its time to ours."""
+        return self._rate
+
+    @property
     def waits(self) -> bool:
         """Whether the vehicle is too far away for it to move."""
         return self._rate == 0.0
 
     def start(self, position: Point, velocity: Point, now: float) -> None:
-        """From where the vehicle is and as it moves, towards what is still ahead; where nothing is, to a stop."""
+        """From where the vehicle is and as it moves, towards what is ahead; where nothing is, or paused, to a stop."""
         at = clamp(self.limits.box, position)
         climb = velocity.z if at.z == position.z else 0.0  # below the box, as when a climb ends, it comes up by itself
         state = State(at, self.limits.limited(Point(velocity.x, velocity.y, climb)))
@@ -118,7 +130,7 @@ class Reference:
             state = State(state.position)
         self._time, self._rate = now, 1.0
         self._points = self._points or (self.limits.stop(state),)
-        self._replan(state)
+        self._replan(State(self._halt(state)) if self.paused else state)
 
     def drop(self, now: float) -> Point | None:
         """The vehicle goes its own ways; `start` begins anew. Where it would have stood if it had been paused
@@ -140,25 +152,34 @@ class Reference:
         if state is not None:
             self._replan(state)
 
+    def detour(self, points: tuple[Point, ...]) -> None:
+        """Go by these points, the last of which is the next one ahead, and then on as before. Only while paused."""
+        self._points, self._passed = (*points, *self.ahead[1:]), 0
+
     def pause(self, on: bool, now: float) -> None:
         """Stand as soon as can be, or go on."""
         state = self._run(now)
+        if on:
+            self._passed = self._behind()  # before `paused` is set: a paused reference passes no point
         self.paused = on
         if state is None:
             return
         if on:
-            self._passed = self._behind()
             self._pursuit.forget()
             state = State(self._halt(state))
         self._replan(state)
 
-    def advance(self, position: Point, now: float) -> None:
-        """The vehicle is there now."""
+    def advance(self, position: Point, now: float, most: float = 1.0) -> None:
+        """The vehicle is there now. The trajectory runs on at `most` times its own pace, at most."""
+        since = max(0.0, now - self._time)
         state = self._run(now)
         if state is None:
             return
         behind = distance(position, state.position) / self._leash
-        rate = min(1.0, 2.0 - 2.0 * behind)
+        rate = min(1.0, 2.0 - 2.0 * behind, most)
+        if most < 1.0 or self._slowed:
+            rate = min(rate, self._rate + since * FASTER)
+        self._slowed = rate < min(1.0, 2.0 - 2.0 * behind)
         self._rate = rate if rate > CREEP else 0.0
         if now >= self._pursuit.until > -math.inf:
             self._pursuit.forget()

@@ -77,9 +77,7 @@ class SimpleMotion(Motion):
         position = state.position
         if position is None:
             return
-        if not self._reference.started:
-            self._reference.start(position, state.velocity, now)
-        self._reference.advance(position, now)
+        self._attend(position, state.velocity, now)
         self.followed = True
         # Asked for as much earlier as it will be late.
         velocity = self._reference.at(LAG).velocity + (self._reference.at(0.0).position - position) * GAIN
@@ -110,7 +108,8 @@ class SimpleQuad(Quad):
         own = self._body
         self._motion = self._direct = SimpleMotion(
             self._frame, settings.geofence, own.flight_height, own.max_speed, own.max_acceleration, own.max_climb,
-            own.reached_radius, own.reached_dwell, heading(own.yaw),
+            own.reached_radius, own.reached_dwell, heading(own.yaw), ways=self._avoidance,
+            action=settings.safety.missed_action,
         )  # fmt: skip
         self._phase = Phase.GROUNDED
         self._started = False

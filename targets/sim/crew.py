@@ -85,6 +85,11 @@ class Agent(ABC):
     def look(self) -> list[Record]:
         """Take what it traced since the last look."""
 
+    def note(self, line: str) -> None:
+        """Write a line of the simulator's into the robot's log. Raises OSError."""
+        with self.log_file.open("ab") as log:
+            log.write(f"{line}\n".encode())
+
     def failure(self) -> str | None:
         """Why its end was not a good one, or None: it runs on, ended well, was told to before it traced anything, or
         was crashed on purpose."""

@@ -71,6 +71,7 @@ class Run:
         self._marks: list[Mark] = []  # with times of the run's clock
         self._next_look = 0.0
         self._left: set[str] = set()  # robots that came to rest unasked
+        self._noted: set[tuple[int, str]] = set()  # contacts in logs: the pid, and what it touched
         self._failed: dict[str, tuple[float, str]] = {}  # robot -> when and how its agent failed
         try:
             self.stage = conduct.stage()
@@ -170,7 +171,20 @@ class Run:
         for companion in self.companions:
             companion.step(at, states)
 
+    def _note_contacts(self) -> None:
+        """Write each first contact into the logs of the robots that touched: a real robot would not know of it."""
+        agents, watch = self.conduct.agents, self.stage.watch
+        found = [(pid, f"obstacle {number}", at) for (pid, number), at in watch.bumps.items()]
+        for (i, j), at in watch.collisions.items():
+            found += [(i, agents[j].robot.name, at), (j, agents[i].robot.name, at)]
+        for pid, what, at in found:
+            if (pid, what) not in self._noted:
+                self._noted.add((pid, what))
+                when = "" if self.zero is None else f" at {at - self.zero:.2f} s"
+                agents[pid].note(f"simulator: {agents[pid].robot.name} touched {what}{when}")
+
     def _look(self, now: float) -> None:
+        self._note_contacts()
         for agent in self.conduct.agents:
             self._hear(agent)
             name = agent.robot.name

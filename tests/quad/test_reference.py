@@ -137,6 +137,39 @@ def test_the_waypoints_of_a_path_are_passed_in_order_and_a_pause_changes_nothing
         assert min(distance(s.position, p) for s in run.track) < CORNER + TICK
 
 
+def test_points_passed_before_a_pause_stay_passed() -> None:
+    """After a pause on the last leg the reference goes on along that leg, and not to the first point again."""
+    path = (Point(2.0), Point(2.0, 2.0), Point(0.0, 2.0))
+    run = Run()
+    run.reference.follow(path, run.now)
+    while not run.reference.final:
+        run.tick()
+    run.tick(0.5)
+    run.reference.pause(True, run.now)
+    run.tick(2.0)
+    before = len(run.track)
+    run.reference.pause(False, run.now)
+    assert run.reference.final
+    run.tick(10.0)
+    assert run.at == path[-1]
+    assert all(abs(s.position.y - 2.0) < CORNER for s in run.track[before:])
+
+
+def test_a_pause_before_the_start_and_another_pause_do_not_lose_the_passed_points() -> None:
+    run = Run()
+    run.reference.follow((Point(2.0), Point(2.0, 2.0), Point(0.0, 2.0)), run.now)
+    while not run.reference.final:
+        run.tick()
+    run.reference.pause(True, run.now)
+    run.tick(1.0)
+    run.reference.drop(run.now)
+    run.reference.pause(False, run.now)
+    run.reference.pause(True, run.now)
+    run.reference.start(run.at, Point(), run.now)
+    run.reference.pause(False, run.now)
+    assert run.reference.final
+
+
 def test_a_pause_ahead_of_everything_and_a_target_meanwhile() -> None:
     run = Run()
     run.reference.pause(True, run.now)

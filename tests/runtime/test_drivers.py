@@ -150,6 +150,21 @@ def test_the_rest_of_a_platform() -> None:
     assert body.closed and driver.closed
 
 
+def test_what_an_earlier_life_commanded_is_resumed_by_a_platform_that_can() -> None:
+    class Amid(FakePlatform):
+        def resume(self, actuators: Mapping[str, Any], now: float) -> None:
+            self.resumed = dict(actuators)
+
+    body, driver = Amid(Point(0, 0, 0)), Hvac()
+    driven = Driven(body, HEATING, {"HVAC": lambda: driver})
+    driven.resume({"Motion.target": Point(1), "HVAC.heat": True}, 1.0)
+    assert body.resumed == {"Motion.target": Point(1)} and body.commands == []
+    assert driver.taken == [{"heat": True}]
+    plain = FakePlatform(Point(0, 0, 0))
+    Driven(plain, HEATING, {"HVAC": lambda: driver}).resume({"Motion.target": Point(1)}, 1.0)
+    assert plain.commands == [(1.0, {"Motion.target": Point(1)})]
+
+
 def test_a_driver_that_cannot_be_made() -> None:
     def make() -> Hvac:
         raise OSError("no bus")

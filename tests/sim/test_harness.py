@@ -110,6 +110,9 @@ def test_robots_that_are_too_close_or_touch_fail_the_run(tmp_path: Path) -> None
     assert all(v["robots"] == ["r0", "r1"] for v in found["violations"])
     assert found["collisions"] == 1
     assert found["min_separation"]["distance"] == pytest.approx(0.36, abs=0.03)
+    for robot, other in (("r0", "r1"), ("r1", "r0")):
+        said = (out / "robots" / robot / "log.txt").read_text()
+        assert said.count(f"simulator: {robot} touched {other} at ") == 1
 
 
 def with_obstacles(root: Path, *boxes: tuple[list[float], list[float]]) -> Path:
@@ -128,6 +131,8 @@ def test_a_robot_that_touches_an_obstacle_fails_the_run(tmp_path: Path) -> None:
     (violation,) = summary(out)["violations"]
     assert (violation["what"], violation["robots"]) == ("collision", ["r1"])
     assert violation["detail"] == "touched obstacle 1"
+    assert "simulator: r1 touched obstacle 1" in (out / "robots" / "r1" / "log.txt").read_text()
+    assert "simulator:" not in (out / "robots" / "r0" / "log.txt").read_text()
     assert summary(out)["collisions"] == 1
     assert read(out / "trace.jsonl")[0].obstacles[1] == Block(Point(2.17, -1.0, 0.0), Point(3.0, 1.0, 0.15))
 

@@ -238,6 +238,10 @@ class Resident(Agent):
         with suppress(OSError):  # a full disk
             self._log.write(line + "\n")
 
+    def note(self, line: str) -> None:
+        """See Agent: between the agent's own lines."""
+        self._emit("warning", line)
+
     def _warn(self, text: str) -> None:
         self._emit("warning", f"warning: {text}")
 

@@ -1,0 +1,47 @@
+"""Whole fleets that hold and resume amid obstacles, in lockstep: nothing touches, and all arrive."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.sim.clearance_campaign import ran, simulated, wall_with
+
+HALF = 0.65  # metres: half of the door's width
+
+
+def tour(**event: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+    """A fleet whose quad bob flies through a door to the north while ann hovers, and what happens meanwhile."""
+    robots = [
+        {
+            "name": name, "target": "quad", "address": f"127.0.0.1:{47100 + pid}", "start": {"position": [x, 1.0, 0.0]}
+        }
+        for pid, (name, x) in enumerate((("bob", 6.0), ("ann", 1.0)))
+    ]  # fmt: skip
+    fleet = {
+        "delta": 0.1,
+        "origin": {"latitude": 47.4, "longitude": 8.5, "altitude": 488.0},
+        "geofence": {"lo": [0.0, 0.0, -0.5], "hi": [8.0, 8.0, 3.0]},
+        "avoid": "ways",
+        "params": {"goals": [[6.0, 6.5, 1.5], [1.0, 1.0, 1.5]], "startles": [-1, -1], "each": 1},
+        "robots": robots,
+        "sim": {"boot": 0.5, "fidelity": "simple"},
+        "obstacles": wall_with(3.5 - HALF, 3.5 + HALF),
+    }
+    return fleet, {"events": [event]}
+
+
+@pytest.mark.parametrize("event", [{"at": 6.0, "freeze": "ann", "for": 2.0}, {"at": 6.0, "crash": "bob", "for": 1.0}])
+def test_a_quad_goes_on_behind_the_door_that_it_has_passed(tmp_path: Path, event: dict[str, Any]) -> None:
+    """It holds while another robot is frozen, or its own agent begins anew, and does not fly its path again."""
+    summary = simulated(tmp_path, *tour(**event), seed=0, duration=16.0)
+    bob = summary["robots"][0]
+    assert summary["violations"] == []
+    assert bob["events"]["Arrive"] == 1 and bob["path_length"] < 10.5
+
+
+def test_a_run_of_the_campaign_without_contacts(tmp_path: Path) -> None:
+    """A quad is frozen before a door. `make clearance-campaign` runs many seeds, and for longer."""
+    assert ran(18, tmp_path, duration=6.0)["contacts"] == []
