@@ -181,7 +181,7 @@ def test_a_feed_that_comes_back_goes_on() -> None:
     rig.go(-2.0, 1.0)
     rig.run(1.0)
     station, rig.station = rig.station, None
-    rig.run(1.4)
+    rig.run(1.7)
     assert rig.body.velocity[0] > -0.3, "it holds"
     rig.station = station
     assert rig.run(20.0, rig.reached)
