@@ -58,7 +58,7 @@ class Reader:
         sizes: list[tuple[str | None, int]] = [(None, 0)]  # of the collections around: anchor, values so far
         anchors: dict[str, int] = {}
         for event in yaml.parse(self._source.text, Loader=_LOADER):
-            anchor, size = getattr(event, "anchor", None), 0
+            anchor, size, what = getattr(event, "anchor", None), 0, ""
             if isinstance(event, yaml.CollectionStartEvent):
                 sizes.append((anchor, 1))
             elif isinstance(event, yaml.CollectionEndEvent):
@@ -66,11 +66,12 @@ class Reader:
             elif isinstance(event, yaml.ScalarEvent):
                 size = 1
             elif isinstance(event, yaml.AliasEvent):
-                size = anchors.get(str(event.anchor), MOST_VALUES)  # one within its own value has no end
+                size, anchor = anchors.get(str(event.anchor), 0), None  # that of an unknown one is told when composing
+                if event.anchor in [around for around, _ in sizes]:
+                    what = f"*{event.anchor} stands within its own value"
             if anchor is not None and size:
                 anchors[anchor] = size
             sizes[-1] = sizes[-1][0], sizes[-1][1] + size
-            what = ""
             if len(sizes) > DEEPEST + 1:
                 what = f"collections stand within one another more than {DEEPEST} deep"
             elif sizes[-1][1] > MOST_VALUES:

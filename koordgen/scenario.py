@@ -42,12 +42,9 @@ def read(source: Source, check: Callable[[Any], Sequence[Mistake]], report: Repo
     root = reader.document()
     plain = None
     if root is not None:
-        try:
-            for key in _repeated(root):
-                reader.report("F006", f"{key.value!r} stands twice", key)
-            plain = reader.plain(root, "a value")
-        except RecursionError:
-            reader.report("F001", "it is nested too deeply", root)
+        for key in _repeated(root):
+            reader.report("F006", f"{key.value!r} stands twice", key)
+        plain = reader.plain(root, "a value")
         if not mistakes:
             for found in check(plain):
                 reader.report(found.code, found.message, _place(root, found.path, found.at_key), found.hint)

@@ -59,7 +59,9 @@ def test_a_right_one_is_plain_values() -> None:
         ("- 1", "F004", 1, 1, "the scenario must be a mapping"),
         ("events: ]", "F001", 1, 9, "not YAML"),
         ("", "F001", 1, 1, "empty"),
-        ("events: &e [*e]", "F001", 1, 1, "nested too deeply"),
+        ("events: &e [*e]", "F001", 1, 13, "*e stands within its own value"),
+        ("events: [*e]", "F001", 1, 10, "undefined alias"),
+        ("events: " + "[" * 3000 + "]" * 3000, "F001", 1, 108, "more than 100 deep"),
     ],
 )
 def test_each_mistake_at_its_place(text: str, code: str, line: int, column: int, said: str) -> None:
