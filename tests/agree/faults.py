@@ -187,6 +187,8 @@ COMMON = [
     Fault("a loop invariant without a value discards", spoil=library("claim", lambda line, holds: holds() or True)),
     Fault("a loop ends at its last value", spoil=library("behind", lambda turns: turns[-1] if turns else turns.start)),
 ]
+# Random programs seldom compare a number that is NaN: this one is shown by an effect that does.
+NAN_COMPARED = Fault("NaN is compared", spoil=library("no_nan", lambda x: x))
 RARE = [
     Fault("// truncates", patch=truncation),
     Fault("< is <=", rewriting(operator("<", "<="))),
@@ -205,7 +207,6 @@ RARE = [
     Fault("a Set takes twice", spoil=library("set_with", lambda xs, v: tuple(sorted((*xs, v))))),
     Fault("a Map is not ordered", spoil=library("map_with", lambda m, k, v: (*(p for p in m if p[0] != k), (k, v)))),
     Fault("get finds nothing", spoil=library("map_get", lambda m, k, v: v)),
-    Fault("NaN is compared", spoil=library("no_nan", lambda x: x)),
     Fault("NaN within a value is compared", spoil=library("no_nan_in", lambda value: value)),
     Fault("NaN and infinity are kept", patch=any_number),
     Fault("** as Python", spoil=library("power", lambda a, b: a**b)),

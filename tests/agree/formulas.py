@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from random import Random
 from typing import Literal
 
 from koordgen.ir import decl as d
 from koordgen.ir import expr as e
 from koordgen.ir.types import BOOL, INT, PLANNER, POINT, PerRobot, Type, list_of
-from koordgen.node import replace
+from koordgen.node import nodes, replace
 from tests.agree.expressions import Expressions
 from tests.agree.general import PATH, Maker, Temp, compare
 from tests.agree.kinds import AT, whole
@@ -88,13 +89,23 @@ class Formulas(Expressions):
         return e.PortCall(MODULE, "planner", (goal if self.rng.random() < 0.7 else self.expr(POINT, n),), PATH, AT)
 
 
+def _drawn(make: Callable[[], e.Expr]) -> e.Expr:
+    """Return the first formula in which no quantifier stands twice: an update within a value repeats its place."""
+    while True:
+        found = make()
+        names = [node.name for node in nodes(found) if isinstance(node, e.Quantified)]
+        if len(names) == len(set(names)):
+            return found
+
+
 def with_formulas(seed: int) -> d.Program:
     """A random program with random properties and assumptions."""
     rng = Random(-seed)
     program = random_program(seed)
-    formulas = [Formulas(rng, program, "property").quantified(4) for _ in range(6)]
+    formulas = [_drawn(lambda: Formulas(rng, program, "property").quantified(4)) for _ in range(6)]
     properties = [d.Property("invariant", f"P{k}", formula, AT) for k, formula in enumerate(formulas)]
-    assumed = [Formulas(rng, program, "assume").expr(BOOL, 4) for _ in range(3)] + [_ends(rng, program)]
+    assumed = [_drawn(lambda: Formulas(rng, program, "assume").expr(BOOL, 4)) for _ in range(3)]
+    assumed.append(_ends(rng, program))
     modules = [
         replace(m, assumptions=tuple([d.Assumption(f, AT) for f in assumed])) if m.name == MODULE else m
         for m in program.modules

@@ -6,7 +6,7 @@ A difference names its program: `random_program(seed)`.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import pytest
 
@@ -16,7 +16,7 @@ from koordgen.ir.builtins import FUNCTIONS, METHODS, UPDATE_SIGNATURES
 from koordgen.ir.verify import verify
 from koordgen.semantics.step import initial, round_
 from tests.agree.both import Difference, Generated, Meant, Outcome, agree
-from tests.agree.faults import COMMON, RARE, Fault
+from tests.agree.faults import COMMON, NAN_COMPARED, RARE, Fault
 from tests.agree.programs import N_SYS, nodes, random_program
 from tests.semantics.programs import compiled
 
@@ -131,11 +131,17 @@ E:
 """
 
 
-def outcomes(effect: str) -> tuple[Outcome, Outcome]:
+def outcomes(effect: str, spoil: Callable[[Generated], None] = lambda generated: None) -> tuple[Outcome, Outcome]:
     """Run an effect by the semantics and as generated code; return both results."""
     program = compiled(HEAD + "".join(f"    {line}\n" for line in effect.split("\n")))
-    state = initial(program, N_SYS)
-    return Meant(program).event(state, 0)[2], Generated(program, program_text(program)).event(state, 0)[2]
+    state, generated = initial(program, N_SYS), Generated(program, program_text(program))
+    spoil(generated)
+    return Meant(program).event(state, 0)[2], generated.event(state, 0)[2]
+
+
+def test_a_comparison_that_does_not_look_for_nan_is_seen() -> None:
+    meant, found = outcomes("on = nan != 1.0", NAN_COMPARED.spoil)
+    assert meant == "discarded" and found != meant
 
 
 @pytest.mark.parametrize(
