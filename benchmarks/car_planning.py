@@ -53,7 +53,7 @@ BUDGET, PATIENCE = 0.036, 2.0  # seconds: for a short way, so that 40 ms pass; u
 ITERATIONS = 200
 RUNS = 5  # of ours with 40 ms in each scene
 BUDGETS = (0.01, 0.04, 0.06, 0.3, 0.6, 0.9)  # seconds, in rooms with walls
-QUICK_STEP = 6  # with --quick: every so many queries
+QUICK_STEP = 12  # with --quick: every so many queries
 
 
 @dataclass
