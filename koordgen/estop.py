@@ -58,7 +58,7 @@ class CannotStop(Exception):
 
 
 class Fleet(Node):
-    """`key` is the name of the key's file, empty without one; `folder` is where it is looked for first."""
+    """`key` is the name of the key file, empty for a fleet without a key. `folder` is searched for that file first."""
 
     places: tuple[Place, ...]
     application: int

@@ -125,7 +125,7 @@ class Judge:
                 self._note(finding, whose, moment, partial(self._broken, assumption, whose, moment))
 
     def _in_model(self, pid: int, round_: int) -> bool:
-        """Whether a robot is in the model from a round's start to its end."""
+        """Return whether the model knows a robot from a round's start to its end."""
         story = self._mission.stories[pid]
         return not (story.out_at(round_) or story.out_at(round_ + 1))
 

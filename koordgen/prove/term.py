@@ -68,8 +68,8 @@ Term = Value | Apply | Op
 REALS, NONLINEAR = 1, 2
 _NONLINEAR = frozenset(("*", "/", "div", "mod"))  # unless a factor, or the divisor, is a literal
 
-# Steps that the encoding of one part of a program may take, of terms and of expressions: more would take minutes, and
-# no solver decides what comes of it. A number that is computed while terms are made has at most so many bits.
+# The limit of steps (terms and expressions) for the encoding of one part of a program. Encoding more takes minutes, and
+# no solver decides the result. MOST_BITS limits the numbers that are computed while terms are made.
 MOST_STEPS = 200_000
 MOST_BITS = 1 << 16
 _steps = 0

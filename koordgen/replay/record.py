@@ -1,4 +1,4 @@
-"""Records of a trace: whether what stands in one is of the right form, and within limits.
+"""Records of a trace: checks of their form and of their limits.
 
 A trace comes from outside: whatever reads it calls `flaw_of` first, and may then use the record's fields.
 """
@@ -93,7 +93,7 @@ def _stream(record: Mapping[str, Any]) -> bool:
     return _int(record.get("round")) and all(isinstance(record.get(name), str) for name in ("port", "text"))
 
 
-# Whether a record of the kind is whole.
+# For each kind, a function that returns whether a record has all fields in the right form.
 _SOUND: dict[str, Callable[[Mapping[str, Any]], bool]] = {
     "header": lambda record: True,
     "init": _init,

@@ -81,7 +81,7 @@ class Feed:
         self.time: float | None = None
 
     def hear(self, link: DatagramLink) -> None:
-        """Samples come by this link from now on."""
+        """Stamp the samples that this link brings: by the raw clock for a real socket."""
         self._even = even_clock(link)
 
     def take(self, datagram: bytes, now: float) -> bool:
@@ -115,7 +115,7 @@ class Feed:
         return True
 
     def news(self) -> list[str]:
-        """What the robot's people should know, once: that a base station is refused for its session."""
+        """Return log lines since the last call: a base station whose session is older than one heard before."""
         if self._overtaken < OVERTAKEN:
             return []
         self._overtaken = -(10 * OVERTAKEN)  # it is said again after as many more

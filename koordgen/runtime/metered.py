@@ -17,13 +17,13 @@ Path = tuple[Point, ...]
 
 
 def path_distance(a: Path, b: Path) -> float:
-    """As in geometry.py. Raises TooMuch."""
+    """Do what the function of this name in geometry.py does, within the limit. Raises TooMuch."""
     spend((len(a) + 1) * (len(b) + 1) // PAIRS_A_TURN)
     return geometry.path_distance(a, b)
 
 
 def clear(path: Path, paths: tuple[Path, ...], eps: float) -> bool:
-    """As in geometry.py. Raises TooMuch."""
+    """Do what the function of this name in geometry.py does, within the limit. Raises TooMuch."""
     spend((len(path) + 1) * (sum(map(len, paths)) + len(paths)) // PAIRS_A_TURN)
     return geometry.clear(path, paths, eps)
 

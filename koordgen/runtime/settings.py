@@ -19,7 +19,8 @@ class BadSettings(Exception):
     """A settings file that cannot be used; the message names the file and the key."""
 
 
-# Ranges, as the fleet file's reader has them (tests compare both): settings may be edited on the robot, too.
+# The ranges are those of the fleet file (a test compares them). They are checked here as well, because somebody may
+# edit the settings on the robot.
 Port = Annotated[int, msgspec.Meta(ge=1, le=65535)]
 Seconds = Annotated[float, msgspec.Meta(ge=0.05, le=10000.0)]
 

@@ -33,10 +33,10 @@ class Approach:
             self._most = self._driven + AT_LEAST + length / self._pace + MANOEUVRE * segments
 
     def drive(self, seconds: float) -> None:
-        """The car was driven for so long."""
+        """Add a time (s) during which the car was driven."""
         self._driven += seconds
         self.failed = self.failed or 0.0 < self._most < self._driven
 
     def why(self, away: float) -> str:
-        """Why the target is given up, `away` metres from it."""
+        """Return the reason why the target is given up, `away` metres from it."""
         return f"given up after {self._driven:.0f} s of driving, {away:.1f} m away; holding until another target comes"

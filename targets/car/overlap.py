@@ -25,7 +25,7 @@ MOST_PAD = 0.05  # metres: the largest `pad` of a check
 
 
 class ShapeTable:
-    """Shapes in arrays, each with the distance that an outline keeps from it."""
+    """Obstacles as arrays of shapes. Each shape has a distance (m) that the car's outline must keep from it."""
 
     def __init__(self, shapes: Sequence[Shape], kept: Sequence[float], body: Footprint, extent: Bounds) -> None:
         """`extent` covers all poses that are checked; `body` is the largest outline."""
@@ -108,7 +108,7 @@ def _middle(body: Footprint) -> float:
 
 
 def _near_box(body: Footprint, boxes: Floats, poses: Poses, away: Floats) -> Mask:
-    """As `_near_polygon`, for boxes along the axes, given by their bounds: most of the time is spent here."""
+    """Do what `_near_polygon` does, for axis-parallel boxes given by their bounds. Most of the time is spent here."""
     front, back, half = body.front, -body.overhang, body.width / 2
     x, y, c, s = (of[:, None] for of in poses)
     dx, dy = boxes[:, (0, 2, 2, 0)] - x, boxes[:, (1, 1, 3, 3)] - y

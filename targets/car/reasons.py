@@ -1,4 +1,4 @@
-"""Why a car has no way to its target: what the planner answered, or what is in the way that was planned."""
+"""Reasons why a car has no way to its target: the planner's answer, or an obstacle on the planned way."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class NoWay:
         self._since = 0.0
 
     def failed(self, target: Point2, reason: str, now: float) -> None:
-        """No way was found to a target."""
+        """Record that no way was found to a target."""
         if self._target is None or math.dist(self._target, target) > SAME:
             self._target, self._tries, self._since = target, 0, now
         self._tries += 1
@@ -34,11 +34,11 @@ class NoWay:
         self.why = f"{_named(target)} {reason}{tries}"
 
     def blocked(self, target: Point2, reason: str) -> None:
-        """The way to the target cannot be driven on."""
+        """Record that the way to the target is blocked."""
         self.why, self._target = f"{_named(target)} is not approached: {reason}", None
 
     def found(self) -> None:
-        """The car drives along a way to its target."""
+        """Record that the car drives along a way to its target."""
         self.why, self._target = "", None
 
 

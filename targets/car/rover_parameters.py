@@ -39,11 +39,11 @@ class Rule:
 
     @property
     def wanted(self) -> Wanted:
-        """What to ask for."""
+        """Return the parameters to ask for."""
         return Wanted(self.name, self.older, (), self.why, self.vital)
 
     def judged(self, reading: Reading) -> Finding | None:
-        """What is wrong with the value that was found; None: nothing is."""
+        """Return a description of what is wrong with the value; None if it is right."""
         if reading.found is None and self.optional:
             return None
         if reading.found is not None and self.right(reading.found):
@@ -80,7 +80,7 @@ def rules(settings: CarSettings, receiver: bool | None) -> tuple[Rule, ...]:
 
 
 def findings(settings: CarSettings, receiver: bool | None, readings: tuple[Reading, ...]) -> list[Finding]:
-    """What differs, a line each and the vital first; `readings` are of all rules."""
+    """Return one line for each parameter that differs, the vital ones first; `readings` has a value for every rule."""
     by_name = {reading.wanted.name: reading for reading in readings}
     checked = [rule for rule in rules(settings, receiver) if rule.name in by_name]
     wrong = [found for rule in checked if (found := rule.judged(by_name[rule.name]))]

@@ -1,4 +1,4 @@
-"""The autopilot's parameters that a flight depends on: read back and compared, never written.
+"""Parameters of an autopilot that a flight or a drive depends on: read back and compared, never written.
 
 Each is asked for by PARAM_REQUEST_READ, in turns under its present and its older names: an unknown parameter never
 answers. PARAM_VALUE carries an integer either as a float of that value (ArduPilot) or as the integer's own bytes (PX4);

@@ -25,7 +25,7 @@ class Standstill:
         self.holding = ""
 
     def command(self) -> None:
-        """The vehicle has a new command."""
+        """Begin anew: the vehicle has a new command."""
         self._moved = self._last = None
         self.holding = ""
 

@@ -18,16 +18,16 @@ class Unplanned:
         self._why, self._at = "", -math.inf
 
     def called(self, goal: Point, reason: str, now: float) -> None:
-        """The planner was asked for a way to `goal`; `reason` is empty when it found one."""
+        """Record a call of the planner for a way to `goal`; `reason` is empty when it found one."""
         found = not reason or reason in ANOTHERS
         self._why, self._at = "" if found else f"the planner's goal {_placed(goal)} {reason}", now
 
     def commanded(self) -> None:
-        """The program commanded a target or a path."""
+        """Record that the program commanded a target or a path."""
         self._why = ""
 
     def why(self, now: float) -> str:
-        """Why the robot was given no way, in words; "" when it was, or no longer asks."""
+        """Return the reason why the robot has no way; "" when it has one, or no longer asks."""
         return self._why if now - self._at <= FORGOTTEN else ""
 
 

@@ -48,7 +48,7 @@ class Ways(Protocol):
         ...
 
     def apart(self, start: Point, end: Point, margin: float) -> bool:
-        """As `clear`, but what is nearer to the start must be kept away from as well."""
+        """Return what `clear` does, but obstacles that are near to the start must be kept away from as well."""
         ...
 
     def retreat(self, position: Point) -> Point:
@@ -93,7 +93,7 @@ class OpenSpace:
 
 
 class Stage(enum.Enum):
-    """What the return to the path has come to."""
+    """Stage of the return to the path."""
 
     FLYING = enum.auto()  # along the reference
     RESUMING = enum.auto()  # the next poll checks the leg from a place near the reference

@@ -92,7 +92,8 @@ def disagreements(verdicts: Mapping[str, Any], properties: Mapping[str, Any], de
         elif outcome == "out of model":
             fits = at is None
         else:
-            unseen = mine["of"] == "assume" and mine["unknown"] > 0  # traces end a round or two before one another
+            # The traces of a fleet do not all end in the same round.
+            unseen = mine["of"] == "assume" and mine["unknown"] > 0
             fits = mine["verdict"] == outcome or (mine["verdict"] == "unknown" and (unseen or outcome == "unchecked"))
         if not fits:
             found.append(f"{name}: {outcome} since {since}, audit {mine['verdict']} at {at}")

@@ -74,7 +74,7 @@ def planted(mutant: Mutant) -> Iterator[None]:
 
 
 def proved(program: Program, solver: Solver) -> frozenset[str]:
-    """What is PROVED. Nothing else is explained, which would take longer."""
+    """Return the names of the invariants that are PROVED. Failures are not explained, because that takes long."""
     with patch.object(verdict, "_explained", lambda *_: {}):
         return frozenset(v.invariant for v in prove(Question(program), solver) if v.verdict == "PROVED")
 

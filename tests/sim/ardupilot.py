@@ -139,7 +139,7 @@ class StandIn:
 
     @property
     def gyro_rate(self) -> float:
-        """The gyro's samples a second, over the last second of its own clock."""
+        """Return the gyro's sample rate (Hz) over the last second of the autopilot's own clock."""
         return len(self._second) / min(1.0, max(self.times[-1] - self.times[0], 1e-3))
 
     @property
