@@ -105,11 +105,12 @@ def test_refuses_to_replace_a_link_to_a_folder(tmp_path: Path) -> None:
         write({"alice": code("2")}, tmp_path)
 
 
-def test_refuses_a_folder_with_sums_of_the_users(tmp_path: Path) -> None:
+@pytest.mark.parametrize("head", [b"", b"# sums of my data\n"])
+def test_refuses_a_folder_with_sums_of_the_users(tmp_path: Path, head: bytes) -> None:
     (tmp_path / "alice").mkdir()
     (tmp_path / "alice/data.csv").write_text("years")
     summed = subprocess.run(["sha256sum", "data.csv"], cwd=tmp_path / "alice", check=True, capture_output=True)
-    (tmp_path / "alice" / SUMS).write_bytes(summed.stdout)
+    (tmp_path / "alice" / SUMS).write_bytes(head + summed.stdout)
     with pytest.raises(Foreign, match="not written by koordgen"):
         write({"alice": bundle(a="1")}, tmp_path)
     assert (tmp_path / "alice/data.csv").read_text() == "years"

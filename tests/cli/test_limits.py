@@ -158,6 +158,8 @@ def test_prove_decides_what_does_not_depend_on_an_event_that_is_too_large(tmp_pa
     assert verdicts.pop("Wrong") in ("FALSIFIED", "NOT INDUCTIVE")
     assert verdicts == {"Kept": "UNKNOWN", "Other": "PROVED", "(well-defined)": "UNKNOWN"}
     assert done.returncode == 3, done.stderr
+    (large,) = [each for each in found["Kept"]["obligations"] if each["name"] == "Kept-Go"]
+    assert large["result"] == "unknown", "no solver was asked"
     assert "Kept-Go" in found["Kept"]["suggestion"]
     assert "its formulas take more than 200,000 steps to write down" in found["Kept"]["suggestion"]
     written = (tmp_path / "smt" / "Kept-Go.smt2").read_text()
