@@ -374,8 +374,12 @@ def _record(record: decl.Record, node: ast.Call, c: Context) -> ir.Expr:
         poisoned = not _field(type_.name, type_, name, value, span, given, takes, c) or poisoned
     if poisoned:
         return c.poison(node.span)
-    parts = zip(names, record.defaults, strict=True)
-    return ir.Make(tuple([given.get(name, value) for name, value in parts]), type_, node.span)
+    missing = [name for name in names if name not in given]
+    if missing and not record.defaults:  # this stands in a record's field, and is checked before `record`'s own fields
+        message = f"{type_.name} lacks {', '.join(missing)}: in the first value of a field it has no first values yet"
+        return c.error("K014", message, node.span, f"give each field of {type_.name} a value here")
+    first = dict(zip(names, record.defaults, strict=False))
+    return ir.Make(tuple([given[name] if name in given else first[name] for name in names]), type_, node.span)
 
 
 def _field(
