@@ -17,7 +17,7 @@ OUTCOMES = ("passed", "failed", "error", "skipped")
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    """Print, for the slow tests, each group's outcomes and the seconds that its tests took; a group is a folder of tests/."""
+    """Print each group's outcomes and the seconds that its slow tests took; a group is a folder of tests/."""
     if config.option.markexpr != "slow":
         return
     counts: defaultdict[str, Counter[str]] = defaultdict(Counter)

@@ -110,7 +110,7 @@ def store_bytes(shared: tuple[Shared, ...], robots: int) -> int:
 
 def most_init(robots: int) -> int:
     """The most bytes of the closing that tells what `init` wrote: it goes in one datagram, a Hello."""
-    return DATAGRAM - (128 + 20 * min(robots, 8) + _head(robots, 16, 0) + robots)
+    return DATAGRAM - (146 + 20 * min(robots, 8) + _head(robots, 16, 0) + robots)
 
 
 class Traffic(Node):
@@ -308,9 +308,10 @@ def most_bytes(type_: Type) -> int:
 
 
 def overhead(robots: int) -> int:
-    """The most bytes of a datagram beside its closings: head, clock echoes of up to 8 robots, what is held of each."""
+    """The most bytes of a datagram beside its closings: head, clock echoes of up to 8 robots, what is held of each.
+    With one or two robots a Hello has more."""
     echoes = 20 * min(robots, 8)
-    return 141 + echoes + 5 * robots + (2 if robots >= 16 else 0)
+    return echoes + max(152 + robots, 141 + 5 * robots + (2 if robots >= 16 else 0))
 
 
 def _head(count: int, shortest: int, short: int) -> int:

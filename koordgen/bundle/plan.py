@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
+from hashlib import sha256
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -23,6 +24,8 @@ if TYPE_CHECKING:  # reading YAML costs too much for builds that have no fleet
     from koordgen.robots import Robot
 
 Files = dict[str, bytes]
+# In each bundle of a fleet, the name of what was built together: agents of other releases are not listened to.
+RELEASE, RELEASE_SIZE = "RELEASE", 16  # bytes of the digest
 ZENOH = "eclipse-zenoh>=1.10"
 # In a harness's bundle and in what its run leaves: all that tells what a trace is of, so that it can be replayed.
 SOURCE, PARAMS = "source", "params.json"
@@ -50,12 +53,15 @@ def plan(these: Ingredients, wanted: Iterable[str]) -> dict[str, Files]:
     agents = {t.name: t for t in these.targets if t.kind == "agent"}
     harnesses = [t for t in these.targets if t.kind == "harness" and t.name in wanted]
     if these.fleet is None:
-        built = {t.name: _agent(these, t, text, None) for t in agents.values() if t.name in wanted}
+        built = {t.name: _finished(_agent(these, t, text, None)) for t in agents.values() if t.name in wanted}
         bundles = dict(built)
     else:
-        built = {r.name: _agent(these, agents[r.target], text, r) for r in these.fleet.robots}
+        parts = {r.name: _agent(these, agents[r.target], text, r) for r in these.fleet.robots}
+        facts: Files = {"fleet.json": _json(_facts(these.program, these.fleet, _functions(these)))}
+        release = {RELEASE: _release(parts)}
+        built = {name: _finished(files | release) for name, files in parts.items()}
         bundles = {r.name: built[r.name] for r in these.fleet.robots if r.target in wanted}
-        bundles["fleet"] = _finished({"fleet.json": _json(_facts(these.program, these.fleet, _functions(these)))})
+        bundles["fleet"] = _finished(facts | release)
     for harness in harnesses:
         bundles[harness.name] = _harness(these, harness, text, built)
     return bundles
@@ -89,7 +95,16 @@ def _agent(these: Ingredients, target: Target, text: bytes, robot: Robot | None)
     }
     if robot is not None and fleet is not None:
         files["settings.json"] = _json(settings(program, fleet, robot))
-    return _finished(files)
+    return files
+
+
+def _release(parts: Mapping[str, Files]) -> bytes:
+    """The name of what is built together: a digest of the files of all robots, whichever of them are asked for, so that
+    a fleet's robots have equal names just when they come from the same program, fleet file, params and version."""
+    digest = sha256()
+    for name, files in sorted(parts.items()):
+        digest.update(f"{name}\n".encode() + sums(files))
+    return f"{digest.hexdigest()[: 2 * RELEASE_SIZE]}\n".encode()
 
 
 def _functions(these: Ingredients) -> bytes:

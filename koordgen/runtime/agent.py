@@ -197,6 +197,7 @@ def _report(settings: Settings, agent: Agent, control: Control, now: float) -> d
     dropped = {k.removeprefix("dropped: "): v for k, v in counters.items() if k.startswith("dropped: ")}
     return {
         "app": settings.app,
+        "release": settings.release,
         "robot": settings.robot,
         "pid": settings.pid,
         "names": [peer.name for peer in settings.peers],

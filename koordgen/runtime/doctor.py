@@ -62,7 +62,10 @@ def _program(program: Program, settings: Settings) -> Finding:
             program.library.load()
     except (TooLarge, BadExtern) as error:
         return Finding("program", "fail", str(error))
-    return Finding("program", "ok", f"{program.name} {program.program_hash}, interface {program.interface_hash}")
+    release = f", release {settings.release}" if settings.release else ""
+    return Finding(
+        "program", "ok", f"{program.name} {program.program_hash}, interface {program.interface_hash}{release}"
+    )
 
 
 def _compiled() -> Finding:

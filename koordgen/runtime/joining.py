@@ -31,6 +31,7 @@ _UNHEARD = {
     "another format version": "datagrams come from the bundle of another koordgen version",
     "another interface": "a robot runs another program",
     "another program": "a robot runs another program",
+    "another release": "a robot runs another release of this program",
 }
 LONGEST_LEAD = 60.0  # seconds; a start further ahead was never proposed by one of ours
 

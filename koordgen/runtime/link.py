@@ -69,6 +69,7 @@ class Link:
         self._application = settings.application_id
         self._interface = bytes.fromhex(program.interface_hash)
         self._program = bytes.fromhex(program.program_hash)
+        self._release = bytes.fromhex(settings.release)
         self._key = key
         found = gate.COMPILED.library() if native else None
         columns = {**self.sessions.columns(), **metrics.columns()}
@@ -232,6 +233,8 @@ class Link:
         if reason is not None:
             return reason
         if isinstance(message, Hello):
+            if message.release != self._release:
+                return self._tell(head.pid, "another release", message.release, self._release)
             return None if message.to == self.pid else "for another robot"
         if not self.epoch or head.epoch != self.epoch:
             return "another mission"
@@ -255,8 +258,8 @@ class Link:
         if (pid, what) not in self._reported:
             self._reported.add((pid, what))
             self._report(
-                f"robot {self._names[pid]} runs {what} ({theirs.hex()}, here {ours.hex()}) and is not listened to: "
-                "build all bundles from the same source and fleet file"
+                f"robot {self._names[pid]} runs {what} ({theirs.hex() or 'none'}, here {ours.hex() or 'none'}) "
+                "and is not listened to: build all bundles from the same source and fleet file"
             )
         return what
 

@@ -14,6 +14,8 @@ from koordgen.runtime.values import Point
 
 Action = Literal["off", "log", "hold", "land", "stop"]  # when a property is violated; off: it is not looked at
 
+RELEASE = "RELEASE"  # the file of a bundle that names what was built together
+
 
 class BadSettings(Exception):
     """A settings file that cannot be used; the message names the file and the key."""
@@ -99,6 +101,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     avoid: str = ""  # the allread variable in which robots publish their paths; empty: planners do not look at others
     bind: str = ""  # the address to listen on, when it is not the one that peers send to
     control: Port | None = None  # UDP port of orders; None: `control_port`
+    release: Annotated[str, msgspec.Meta(pattern=r"\A([0-9a-f]{32})?\Z")] = ""  # from the bundle's file RELEASE
     state: str | None = "state"  # folder of what survives a crash, beside the bundle; None: none
 
     @property
@@ -119,6 +122,9 @@ def load(path: Path, overrides: Path | None = None, pid: int | None = None) -> S
         merged = _merge(merged, over)
     if pid is not None:
         merged["pid"] = pid
+    if "release" in merged:
+        raise BadSettings(f"{overrides or path}: a release is not set, it is read from the bundle's file {RELEASE}")
+    merged["release"] = _release(path.parent / RELEASE)
     try:
         settings = msgspec.convert(merged, Settings)
     except msgspec.ValidationError as error:
@@ -128,6 +134,16 @@ def load(path: Path, overrides: Path | None = None, pid: int | None = None) -> S
     if settings.key_file is not None:
         settings = msgspec.structs.replace(settings, key_file=str(base / settings.key_file))
     return settings
+
+
+def _release(path: Path) -> str:
+    """The name in a bundle's file RELEASE; empty where there is none: the bundle was built without a fleet file."""
+    try:
+        return path.read_text(encoding="ascii").strip()
+    except FileNotFoundError:
+        return ""
+    except (OSError, UnicodeError) as error:
+        raise BadSettings(f"{path}: {error}; copy the bundle again") from None
 
 
 def _read(path: Path) -> dict[str, Any]:

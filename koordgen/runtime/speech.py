@@ -79,6 +79,7 @@ class Speech:
         self._pid = settings.pid
         hashes = bytes.fromhex(program.interface_hash), bytes.fromhex(program.program_hash)
         self._own = settings.application_id, *hashes, settings.pid, boot  # what stays of a head
+        self._release = bytes.fromhex(settings.release)
         self._key = key
         self._transport = transport
         self._clock = clock
@@ -95,7 +96,7 @@ class Speech:
 
     def hello(self, to: int, challenge: bytes, answer: bytes, holds: tuple[int, ...], init: Closing | None,
               start: int | None) -> None:  # fmt: skip
-        self._send([to], Hello(self._head([to], 0.0), to, challenge, answer, holds, init, start))
+        self._send([to], Hello(self._head([to], 0.0), to, challenge, answer, holds, init, start, self._release))
 
     def say(self, to: Collection[int], kind: type[Message], *fields: Any) -> None:
         """One message of this kind, with its fields behind the head."""

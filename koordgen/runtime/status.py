@@ -82,6 +82,7 @@ def show(report: Mapping[str, Any]) -> str:
     lines = [
         f"{report['robot']}  pid {report['pid']} of {len(names)}, {report['app']}: {report['phase']}, "
         f"round {report['round']}",
+        f"release   {report['release'] or 'none: built without a fleet file'}",
         f"rounds    {report['rounds']}, current in {share:.1f} %, {report['events']} events",
         f"lateness  {_durations(late)} ms",
         "",

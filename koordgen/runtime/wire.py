@@ -14,16 +14,18 @@ import msgspec
 
 from koordgen.runtime.seal import MAC_SIZE, MEMORY, seal, unseal
 
-WIRE_FORMAT = 3  # raised whenever the meaning of a datagram changes; part of every interface hash
+WIRE_FORMAT = 4  # raised whenever the meaning of a datagram changes; part of every interface hash
 LIMIT = 1200  # bytes of a sealed datagram: what every path carries without IP fragments
 MOST_PAYLOAD = LIMIT - MAC_SIZE
 MAX_ROBOTS = 128
 MAX_ECHOES = 8
+RELEASE_SIZE = 16  # bytes of the digest that names a release
 MOST_PIECES = 256  # of one blob
 
 _TOP = 2**53
 Token = Annotated[bytes, msgspec.Meta(min_length=8, max_length=8)]
 MaybeToken = Annotated[bytes, msgspec.Meta(max_length=8)]  # empty: not known yet
+Release = Annotated[bytes, msgspec.Meta(max_length=RELEASE_SIZE)]  # empty: of a bundle that was built without a fleet
 Natural = Annotated[int, msgspec.Meta(ge=0, le=_TOP)]
 MaybeNatural = Annotated[int, msgspec.Meta(ge=-1, le=_TOP)]  # -1: none
 Shift = Annotated[int, msgspec.Meta(ge=-_TOP, le=_TOP)]
@@ -105,7 +107,8 @@ class View(Wired, frozen=True):
 
 class Hello(Wired, frozen=True, tag=0):
     """Joining, from one robot to another. A boot is taken for live only when `answer` repeats the `challenge` that
-    the receiver has open for it, and a challenge opens once. `holds`: those whose init result the sender holds."""
+    the receiver has open for it, and a challenge opens once. `holds`: those whose init result the sender holds.
+    `release` names the bundles that were built together (see RELEASE in a bundle): a robot listens to its own only."""
 
     head: Head
     to: Pid
@@ -114,6 +117,7 @@ class Hello(Wired, frozen=True, tag=0):
     holds: Annotated[tuple[Pid, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
     init: Closing | None
     start: Natural | None  # of round 1, in fleet time
+    release: Release = b""
 
 
 class Round(Wired, frozen=True, tag=1):
@@ -315,6 +319,6 @@ def overhead(n_sys: int) -> int:
     head = Head(_TOP, token, token, MAX_ROBOTS - 1, token, token, _TOP, _TOP, _TOP, echoes)
     held = (2**32 - 1,) * n_sys
     piece = Piece(head, MAX_ROBOTS - 1, _TOP, _TOP, token, MOST_PIECES - 1, MOST_PIECES, b"")
-    hello = Hello(head, MAX_ROBOTS - 1, token, token, tuple(range(n_sys)), None, _TOP)
+    hello = Hello(head, MAX_ROBOTS - 1, token, token, tuple(range(n_sys)), None, _TOP, bytes(RELEASE_SIZE))
     round_ = Round(head, _TOP, _TOP, _TOP, _TOP, True, held, ())
     return MAC_SIZE + 1 + max(len(encoder.encode(m)) for m in (piece, hello, round_)) + 4

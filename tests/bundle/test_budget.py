@@ -140,7 +140,7 @@ def test_the_room_for_it_is_a_hellos(n_sys: int) -> None:
     top, token = 2**53, bytes(8)
     echoes = (wire.Echo(127, top, top),) * min(wire.MAX_ECHOES, n_sys)
     head = wire.Head(top, token, token, 127, token, token, top, top, top, echoes)
-    hello = wire.Hello(head, 127, token, token, tuple(range(n_sys)), None, top)
+    hello = wire.Hello(head, 127, token, token, tuple(range(n_sys)), None, top, bytes(wire.RELEASE_SIZE))
     nothing = len(wire.encoder.encode(None))
     assert len(wire.encode(hello, bytes(32))) - nothing + most_init(n_sys) == wire.LIMIT
 

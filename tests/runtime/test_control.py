@@ -392,7 +392,7 @@ def test_a_report_is_shown_as_a_table() -> None:
     metrics.heard(0, 3, 0.002, 1.5)
     metrics.round(1, 0.001, "Move", None, True)
     metrics.round(2, 0.001, None, "waits for cleo", False)
-    head: dict[str, Any] = {"robot": "bert", "pid": 1, "app": "line", "phase": "running", "round": 2}
+    head: dict[str, Any] = {"robot": "bert", "pid": 1, "app": "line", "release": "", "phase": "running", "round": 2}
     near = {"of": "invariant", "name": "Near", "line": "line.koord:7", "since": 12, "why": "x[1] = 3"}
     head["monitors"] = {"counts": {"violated": 1, "held": 2}, "violated": [near]}
     report = {**head, "names": ["alice", "bert", "cleo"], **metrics.snapshot(2.0, {"not authentic": 4})}

@@ -117,9 +117,36 @@ def test_a_robot_with_another_program_is_named() -> None:
         assert len(said) == 1
 
 
+def test_a_robot_with_another_release_is_named_and_the_mission_does_not_begin() -> None:
+    fleet = Fleet(n=3)
+    fleet.boot(0, release="a" * 32)
+    fleet.boot(2, release="a" * 32)
+    fleet.boot(1, release="b" * 32)
+    fleet.run(3.0)
+    assert all(r.agent.round == 0 for r in fleet.robots.values())
+    for pid in (0, 2):
+        said = [line for line in fleet.robots[pid].lines if f"robot bert runs another release ({'b' * 32}, " in line]
+        assert len(said) == 1
+
+
+def test_a_robot_that_restarts_with_another_release_does_not_come_back() -> None:
+    fleet = Fleet(n=3)
+    for pid in range(3):
+        fleet.boot(pid, release="a" * 32)
+    fleet.run_rounds(5)
+    fleet.boot(1, release="b" * 32)
+    fleet.run(3.0)
+    assert fleet.robots[1].agent.phase == "joining"
+    assert any("robot bert runs another release" in line for line in fleet.robots[0].lines)
+    fleet.boot(1, release="a" * 32)
+    fleet.run_rounds(30)
+    assert fleet.robots[1].agent.phase == "running"
+
+
 @pytest.mark.parametrize(
     ("change", "told"),
     [
+        ({"release": "b" * 32}, "another release of this program"),
         ({"key": bytes(32)}, "sealed with another key"),
         ({"key": None, "insecure": True}, "sealed with another key"),
         ({"application_id": 7}, "another application_id"),

@@ -263,7 +263,7 @@ PROGRAM = Program(
     name="kitchen",
     source="kitchen.koord",
     program_hash="3315572f65966cb3",
-    interface_hash="b1f61fc5e4735cea",
+    interface_hash="4eaa313236b36138",
     locals=(
         Variable("count", "local", int, Fixed(9), lambda: 0),  # kitchen.koord:66
         Variable("level", "local", float, Fixed(9), lambda: PARAM_MARGIN * 2.0),  # kitchen.koord:67

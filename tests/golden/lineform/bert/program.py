@@ -43,7 +43,7 @@ PROGRAM = Program(
     name="lineform",
     source="lineform.koord",
     program_hash="966de5957a9fc560",
-    interface_hash="9d6360299e59b87d",
+    interface_hash="26ab2d59d73bcc45",
     locals=(
     ),
     shared=(
