@@ -31,6 +31,7 @@ from koordgen.runtime.extern import BadExtern
 from koordgen.runtime.findings import tell, tell_shortly
 from koordgen.runtime.layout import Layout, TooLarge
 from koordgen.runtime.machine import INTERNAL, OK, SURROUNDINGS, WRONG_PROGRAM, Agent
+from koordgen.runtime.notify import Notifier
 from koordgen.runtime.opening import open_key, open_settings, open_transport
 from koordgen.runtime.platform import Platform, Unready
 from koordgen.runtime.program import Program, wrong_first_value
@@ -167,13 +168,17 @@ def _run(
         def report() -> dict[str, Any]:
             return _report(settings, agent, control, clock.now())
 
+        notifier = Notifier(os.environ, os.getpid())
+        opened.callback(notifier.close)
         signals = opened.enter_context(_Signals())
         seen = 0
         stopped = False
         agent.poll(clock.now())  # the body opens, and imports, what it needs
         gc.collect()
         gc.freeze()  # it stays: a collection amid a round, 6 ms with CasADi's and OMPL's modules, need not look at it
+        notifier.ready()
         while not agent.done:
+            notifier.alive(clock.now(), f"{agent.phase}, round {agent.round // 100 * 100}")
             if control.poll(clock.now(), agent.phase, report) and not stopped:
                 stopped = True
                 agent.stop_all("emergency stop")
@@ -181,6 +186,7 @@ def _run(
             if signals.count > seen:
                 seen += 1
                 if seen == 1:
+                    notifier.stopping()
                     agent.end(f"{signals.name}: coming to rest")
                 else:
                     _say("warning", "still coming to rest; one more signal ends the process at once")

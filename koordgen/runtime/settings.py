@@ -122,7 +122,7 @@ def load(path: Path, overrides: Path | None = None, pid: int | None = None) -> S
         merged = _merge(merged, over)
     if pid is not None:
         merged["pid"] = pid
-    if "release" in merged:
+    if merged.get("release"):
         raise BadSettings(f"{overrides or path}: a release is not set, it is read from the bundle's file {RELEASE}")
     merged["release"] = _release(path.parent / RELEASE)
     try:
