@@ -165,12 +165,15 @@ def _explain(options: Namespace) -> int:
 
 
 def _estop(options: Namespace) -> int:
-    from koordgen.estop import BY_HAND, CannotStop, show, stop_fleet
+    from koordgen.estop import BY_HAND, BadAddress, CannotStop, show, stop_fleet
 
+    if options.fleet is None and not options.address:
+        raise Failure(USAGE, "no fleet file is named, and no --address", f"nobody was called; {BY_HAND}")
     try:
         results = stop_fleet(options.fleet, options.key, _say, options.address, options.application)
     except CannotStop as error:
-        raise Failure(WRONG, str(error), f"{error.help}nobody was called; {BY_HAND}") from None
+        status = USAGE if isinstance(error, BadAddress) else WRONG
+        raise Failure(status, str(error), f"{error.help}nobody was called; {BY_HAND}") from None
     print(show(results, options.format), flush=True)
     if silent := sum(not result.phase for result in results):
         raise Failure(SURROUNDINGS, f"{silent} of {len(results)} robots did not answer", BY_HAND)
@@ -180,7 +183,7 @@ def _estop(options: Namespace) -> int:
 def _basestation(options: Namespace) -> int:
     import os
 
-    from koordgen.basestation import CannotServe, all_targets, station
+    from koordgen.basestation import CannotServe, WrongFiles, all_targets, station
     from koordgen.cli.terminal import Line
     from koordgen.pipeline import read_fleet
 
@@ -198,17 +201,19 @@ def _basestation(options: Namespace) -> int:
             raise
     except CannotServe as error:
         line.end()
-        raise Failure(SURROUNDINGS, str(error), error.help) from None
+        status = WRONG if isinstance(error, WrongFiles) else SURROUNDINGS
+        raise Failure(status, str(error), error.help) from None
     return HOLDS
 
 
 def _doctor(options: Namespace) -> int:
-    from koordgen.doctor import CannotExamine, examine
+    from koordgen.doctor import CannotExamine, NoBundle, examine
 
     try:
         return examine(options.bundle, options.settings, options.format)
     except CannotExamine as error:
-        raise Failure(SURROUNDINGS, str(error), error.help) from None
+        status = WRONG if isinstance(error, NoBundle) else SURROUNDINGS
+        raise Failure(status, str(error), error.help) from None
 
 
 def _key(options: Namespace) -> int:
