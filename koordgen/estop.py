@@ -187,6 +187,16 @@ def _place(pid: int, robot: dict[str, Any]) -> Place:
     return Place(str(robot.get("name", f"robot {pid}")), host, port)
 
 
+def find_key(fleet: Fleet, path: str | None, key_path: str | None, warn: Callable[[str], None]) -> bytes | None:
+    """The key in `key_path`, else the one beside the fleet file `path`, else in the working directory; None for a fleet
+    without one. Raises CannotStop."""
+    if not key_path and not fleet.key:
+        return None
+    beside = [folder / fleet.key for folder in (fleet.folder, Path(path).parent if path else Path())]
+    usual = next((place for place in beside if place.exists()), Path(fleet.key))
+    return read_key(Path(key_path) if key_path else usual, warn)
+
+
 def read_key(path: Path, warn: Callable[[str], None]) -> bytes:
     """The fleet's key. One that is not kept well is warned of, but is no reason not to stop. Raises CannotStop."""
     try:
@@ -251,11 +261,7 @@ def stop_fleet(
             warn(f"warning: {error}; calling only those that --address names")
     known = {(place.host, place.port) for place in places}
     places += tuple([place for place in fleet.places if (place.host, place.port) not in known])
-    key = None
-    if key_path or fleet.key:
-        beside = [folder / fleet.key for folder in (fleet.folder, Path(path).parent if path else Path())]
-        usual = next((place for place in beside if place.exists()), Path(fleet.key))
-        key = read_key(Path(key_path) if key_path else usual, warn)
+    key = find_key(fleet, path, key_path, warn)
     return stop_all(places, fleet.application if application is None else application, key, PATIENCE)
 
 

@@ -47,6 +47,7 @@ FLOORS = {
     "fleet": BASE | {"located", "manifest", "medium", "obstacles", "mocap", "offered", "robots", "starts", "world"},
     "bundle": BASE | {"ir", "emit", "manifest", "medium", "fleet", "offered", "robots"},
     "estop": BASE | {"fleet", "robots", "runtime"},  # what people and agents say to one another
+    "operate": BASE | {"estop", "runtime"},
     "basestation": BASE | {"fleet", "manifest", "mocap", "robots", "runtime"},
     "doctor": BASE,
     "campaign": BASE,
@@ -71,6 +72,7 @@ FLOORS = {
         "sarif",
         "format",
         "estop",
+        "operate",
         "basestation",
         "doctor",
         "campaign",

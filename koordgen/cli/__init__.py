@@ -180,6 +180,12 @@ def _estop(options: Namespace) -> int:
     return HOLDS
 
 
+def _status(options: Namespace) -> int:
+    from koordgen.cli.status import status
+
+    return status(options)
+
+
 def _basestation(options: Namespace) -> int:
     import os
 
@@ -272,8 +278,8 @@ def _afterwards(options: Namespace) -> int:
 
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "help": _help, "check": _check, "dump": _dump, "build": _build, "prove": _prove, "explore": _explore, "fmt": _fmt,
-    "explain": _explain, "estop": _estop, "basestation": _basestation, "doctor": _doctor, "key": _key,
-    "report": _afterwards, "export": _afterwards, "campaign": _campaign, "replay": _replay,
+    "explain": _explain, "estop": _estop, "status": _status, "basestation": _basestation, "doctor": _doctor,
+    "key": _key, "report": _afterwards, "export": _afterwards, "campaign": _campaign, "replay": _replay,
     "validate": _validate, "audit": _audit,
 }  # fmt: skip
 

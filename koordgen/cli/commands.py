@@ -66,6 +66,8 @@ COMMANDS: dict[str, Command] = {
     "estop": Command(ROBOTS, "emergency stop: stop all robots of a fleet at once", options.estop,
         "docs/cli.md#estop", ("koordgen estop fleet.yaml",
         "koordgen estop --address 192.168.1.20:47100 --key fleet.key")),
+    "status": Command(ROBOTS, "show how each robot of a fleet does, as one table", options.status,
+        "docs/cli.md#status-of-a-fleet", ("koordgen status fleet.yaml", "koordgen status fleet.yaml --watch")),
     "help": Command(MORE, "list the commands, or explain one", options.help_, "docs/cli.md", (
         "koordgen help", "koordgen help build")),
 }  # fmt: skip

@@ -117,6 +117,16 @@ def estop(command: Parser) -> None:
     _format(command.add_argument_group("output"))
 
 
+def status(command: Parser) -> None:
+    """Options of `koordgen status`."""
+    fleet = "the fleet file (YAML), or a folder that `koordgen build` wrote"
+    command.positional.add_argument("fleet", metavar="FLEET", help=fleet)
+    asking = command.add_argument_group("asking")
+    _key(asking)
+    asking.add_argument("--watch", action="store_true", help="ask again every second, until Ctrl-C")
+    _format(command.add_argument_group("output"))
+
+
 def basestation(command: Parser) -> None:
     """Options of `koordgen basestation`."""
     command.positional.add_argument("fleet", metavar="FLEET", help="the fleet file (YAML)")

@@ -12,6 +12,7 @@ import gc
 import json
 import os
 import select
+import shutil
 import signal
 import sys
 import time
@@ -29,6 +30,7 @@ from koordgen.runtime.doctor import PlatformType, examine
 from koordgen.runtime.drivers import Drivers, with_drivers
 from koordgen.runtime.extern import BadExtern
 from koordgen.runtime.findings import tell, tell_shortly
+from koordgen.runtime.host import temperature
 from koordgen.runtime.layout import Layout, TooLarge
 from koordgen.runtime.machine import INTERNAL, OK, SURROUNDINGS, WRONG_PROGRAM, Agent
 from koordgen.runtime.notify import Notifier
@@ -166,7 +168,7 @@ def _run(
         )  # fmt: skip
 
         def report() -> dict[str, Any]:
-            return _report(settings, agent, control, clock.now())
+            return _report(settings, agent, control, root, clock.now())
 
         notifier = Notifier(os.environ, os.getpid())
         opened.callback(notifier.close)
@@ -198,8 +200,8 @@ def _run(
         return agent.status
 
 
-def _report(settings: Settings, agent: Agent, control: Control, now: float) -> dict[str, Any]:
-    counters = agent.counters()
+def _report(settings: Settings, agent: Agent, control: Control, root: Path, now: float) -> dict[str, Any]:
+    counters, error = agent.counters(), agent.clock_error(now)
     dropped = {k.removeprefix("dropped: "): v for k, v in counters.items() if k.startswith("dropped: ")}
     return {
         "app": settings.app,
@@ -210,6 +212,11 @@ def _report(settings: Settings, agent: Agent, control: Control, now: float) -> d
         "phase": agent.phase,
         "round": agent.round,
         "monitors": agent.monitors.report(),
+        "host": {
+            "clock_ms": None if error is None else round(error * 1e3, 3),
+            "disk_gb": round(shutil.disk_usage(root).free / 1e9, 3),
+            "temperature": temperature(),
+        },
         "counters": {k: v for k, v in counters.items() if not k.startswith("dropped: ")},
         **agent.metrics.snapshot(now, dropped | {f"order: {k}": v for k, v in control.rejected.items()}),
     }

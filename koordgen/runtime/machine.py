@@ -116,6 +116,11 @@ class Agent:
         counters = None if self._rounds is None else self._rounds.counters
         return tally(self._link.rejected, self._transport.troubles, self._body.slow_calls, counters)
 
+    def clock_error(self, now: float) -> float | None:
+        """How far fleet time may be off at local time `now`, in seconds; None while nothing is known of it."""
+        bound = self._fleet_clock.bound(now)
+        return bound if bound < math.inf else None
+
     def end(self, why: str) -> None:
         """Bring the robot to rest and be done then."""
         self._asked_to_end = True

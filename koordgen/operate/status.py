@@ -1,0 +1,155 @@
+"""Status of a whole fleet: each robot's agent is asked over its control port, and one table shows the answers.
+
+A robot that does not answer has a row of its own that says why. Nothing is changed on any robot.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import threading
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from typing import Any
+
+from koordgen.estop import Fleet, Place
+from koordgen.node import Node
+from koordgen.runtime.orders import LONG, NONCE
+from koordgen.runtime.status import Asking
+
+PATIENCE = 2.0  # seconds for all robots together
+_REPEAT = 0.05  # seconds between two questions to one robot
+_COLUMNS = ("robot", "release", "phase", "round", "current", "loss", "late ms", "clock ms", "disk", "temp", "notes")
+
+
+class Asked(Node):
+    """One robot's answer. `report` is None without one, and `note` says why, or what is odd about it; `after` in
+    seconds."""
+
+    place: Place
+    report: Mapping[str, Any] | None
+    after: float
+    note: str
+
+
+def ask_all(fleet: Fleet, key: bytes | None, patience: float = PATIENCE) -> list[Asked]:
+    """Ask all robots at once, for `patience` seconds at most; the answers stand in the order of the fleet file."""
+    answers = [Asked(place, None, patience, "no answer") for place in fleet.places]
+    began = time.monotonic()
+
+    def ask(index: int) -> None:
+        answers[index] = _ask(fleet.places[index], fleet.application, key, began, patience)
+
+    threads = [threading.Thread(target=ask, args=(i,), daemon=True) for i in range(len(answers))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(max(0.0, began + patience + 0.2 - time.monotonic()))
+    return list(answers)
+
+
+def _ask(place: Place, application: int, key: bytes | None, began: float, patience: float) -> Asked:
+    if not place.port:
+        return Asked(place, None, 0.0, "the fleet file has no address for it")
+    try:
+        family, *_, address = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_DGRAM)[0]
+    except (OSError, UnicodeError) as error:
+        return Asked(place, None, 0.0, f"no address: {error}")
+    asking, note = Asking(application, key, os.urandom(NONCE)), "no answer"
+    with socket.socket(family, socket.SOCK_DGRAM) as asker:
+        with suppress(OSError):
+            asker.connect(address)
+        while asking.answer is None and (now := time.monotonic()) < began + patience:
+            try:
+                for datagram in asking.datagrams():
+                    asker.send(datagram)
+                _listen(asker, asking, now + _REPEAT)
+            except TimeoutError:
+                continue
+            except ConnectionRefusedError:
+                note = "no answer: no agent runs there"
+                time.sleep(_REPEAT)
+            except OSError as error:
+                note = f"no answer: {error.strerror or error}"
+                time.sleep(_REPEAT)
+    after = time.monotonic() - began
+    if asking.answer is None:
+        return Asked(place, None, after, note)
+    name = asking.answer.get("robot")
+    return Asked(place, asking.answer, after, "" if name == place.name else f"it says that it is {name}")
+
+
+def _listen(asker: socket.socket, asking: Asking, until: float) -> None:
+    """Return when there is something else to ask, or the answer; raises TimeoutError at `until`."""
+    while (left := until - time.monotonic()) > 0:
+        asker.settimeout(left)
+        if asking.take(asker.recv(LONG + 1)):
+            return
+
+
+def odd_releases(answers: Sequence[Asked]) -> dict[str, str]:
+    """Return robot -> release for those whose release is not the one that most robots run; empty when all are equal. A
+    fleet of several releases cannot begin a mission."""
+    releases = {a.place.name: str(a.report.get("release", "")) for a in answers if a.report is not None}
+    counted = Counter(releases.values()).most_common()
+    return {name: release for name, release in releases.items() if release != counted[0][0]}
+
+
+def to_json(answers: Sequence[Asked]) -> str:
+    """Return all answers as one JSON document."""
+    robots = [
+        {
+            "robot": a.place.name,
+            "address": f"{a.place.host}:{a.place.port}",
+            "answered": a.report is not None,
+            "after_ms": round(a.after * 1e3, 1) if a.report is not None else None,
+            "note": a.note,
+            "report": a.report,
+        }
+        for a in answers
+    ]
+    return json.dumps({"robots": robots, "odd_releases": odd_releases(answers)}, indent=2)
+
+
+def table(answers: Sequence[Asked]) -> str:
+    """Return one line a robot, and a last one for robots of another release than the others."""
+    rows = [_COLUMNS, *(_row(a) for a in answers)]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(_COLUMNS))]
+    lines = ["  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    if odd := odd_releases(answers):
+        named = ", ".join(f"{name} ({release[:8] or 'none'})" for name, release in odd.items())
+        lines.append(f"other releases than the rest: {named}; a mission begins only among robots of one release")
+    return "\n".join(lines)
+
+
+def _row(asked: Asked) -> tuple[str, ...]:
+    report = asked.report
+    if report is None:
+        return (
+            asked.place.name,
+            *("-",) * (len(_COLUMNS) - 2),
+            f"{asked.note} ({asked.place.host}:{asked.place.port})",
+        )
+    host = report.get("host", {})
+    losses = [peer["loss"] for peer in report["peers"].values() if peer["loss"] is not None]
+    violated = [f"violated: {each['of']} {each['name']}".strip() for each in report["monitors"]["violated"]]
+    return (
+        asked.place.name,
+        str(report.get("release", ""))[:8] or "none",
+        report["phase"],
+        str(report["round"]),
+        f"{100 * report['current'] / report['rounds']:.1f} %" if report["rounds"] else "-",
+        f"{100 * max(losses):.1f} %" if losses else "-",
+        f"{report['late_ms']['p99']:.1f}" if report["late_ms"] else "-",
+        _number(host.get("clock_ms"), "{:.2f}"),
+        _number(host.get("disk_gb"), "{:.1f} GB"),
+        _number(host.get("temperature"), "{:.0f} °C"),
+        "; ".join([asked.note] * bool(asked.note) + violated),
+    )
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else form.format(value)
