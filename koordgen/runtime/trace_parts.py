@@ -29,6 +29,12 @@ def numbered(path: Path) -> list[tuple[int, Path]]:
     return sorted((int(match[1]), each) for match, each in named if match and each.is_file())
 
 
+def size_of(path: Path) -> int:
+    """Return the bytes that the trace at `path` takes with its older parts. Raises OSError."""
+    parts = [path] if path.is_file() else []
+    return sum(part.stat().st_size for part in [*parts, *(each for _, each in numbered(path))])
+
+
 def base_of(path: Path) -> tuple[Path, int | None]:
     """Return the name of the current part, and the number of the older part that `path` names; None where `path` names
     the current part or any other file. Raises OSError."""

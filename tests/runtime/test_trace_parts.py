@@ -9,14 +9,17 @@ import subprocess
 import sys
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from koordgen.runtime import doctor
 from koordgen.runtime.agent import _open_trace
 from koordgen.runtime.settings import BadSettings, load
 from koordgen.runtime.trace import Trace
 from koordgen.runtime.trace_parts import Parts
+from tests.disk import small_disk
 from tests.runtime.fleet import Fleet, settings
 from tests.runtime.lineform import PROGRAM
 from tests.runtime.test_settings import written
@@ -24,7 +27,10 @@ from tests.runtime.test_settings import written
 
 def files(folder: Path) -> list[Path]:
     """The parts in a folder, oldest first."""
-    return [*sorted(folder.glob("trace-*.jsonl"), key=lambda path: int(path.stem.partition("-")[2])), *folder.glob("trace.jsonl")]
+    return [
+        *sorted(folder.glob("trace-*.jsonl"), key=lambda path: int(path.stem.partition("-")[2])),
+        *folder.glob("trace.jsonl"),
+    ]
 
 
 def size(folder: Path) -> int:
@@ -181,6 +187,27 @@ def test_an_agent_writes_parts_and_a_device_has_none(tmp_path: Path) -> None:
         device.log(0.0, "info", "x" * 3000)
     device.close()
     assert Path("/dev/null").is_char_device() and not Path("/dev/null-1").exists()
+
+
+def test_a_disk_that_is_full_ends_the_trace_once_and_what_stands_is_read(tmp_path: Path) -> None:
+    warnings: list[str] = []
+    with small_disk(tmp_path / "disk", "200k") as folder:
+        trace = begun(folder, 8_000_000, warnings)
+        for k in range(1000):
+            trace.log(k / 10, "info", "x" * 900)
+        lines = (folder / "trace.jsonl").read_bytes().split(b"\n")
+    assert warnings == ["the trace ends here: No space left on device"] and not trace.open
+    kept = [json.loads(line) for line in lines[:-1]]
+    assert len(kept) > 100 and kept[-1]["time"] == (len(kept) - 2) / 10
+
+
+def test_doctor_says_whether_there_is_room_for_the_trace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "trace-1.jsonl").write_bytes(bytes(3_000_000))
+    free = SimpleNamespace(free=10_000_000)
+    monkeypatch.setattr(doctor.shutil, "disk_usage", lambda place: free)
+    assert doctor._trace(tmp_path / "trace.jsonl", 12.0).state == "ok"
+    little, unlimited = doctor._trace(tmp_path / "trace.jsonl", 14.0), doctor._trace(tmp_path / "trace.jsonl", None)
+    assert (little.state, little.wanted, unlimited.state) == ("warn", "11 MB free", "warn")
 
 
 @pytest.mark.parametrize("limit", [0.0, -1.0, 0.9, 1e7])
