@@ -54,13 +54,14 @@ class Life:
 class Story:
     """One robot in the mission. `lives` is empty where there is no trace of it. `turns`: at the start of a round its
     own variables become these (with `locals` and `actuators`), or nobody knows them (None). `acts`: rounds in which it
-    may have written what it told nobody. `since`: the first round that is known, where older parts of its trace are
-    missing. `out`: rounds in which it had come to rest; `away`: in which the others had
-    counted it out: in both it is out of the model."""
+    may have written what it told nobody. `out`: rounds in which it had come to rest; `away`: in which the others had
+    counted it out: in both it is out of the model. `lacks`: parts of its trace are missing; `since`: then the first
+    round that is known."""
 
     pid: int
     name: str
     lives: list[Life] = field(default_factory=list)
+    lacks: bool = False
     since: int = 0
     init: Mapping[str, Any] | None = None
     rounds: dict[int, Line] = field(default_factory=dict)
@@ -157,7 +158,7 @@ def mission(logs: Sequence[Log]) -> Mission:
     if missing:
         notes.insert(0, f"there is no trace of {', '.join(missing)}")
     starts = [life.start for life in lives if life.mission == chosen and life.start is not None]
-    cut = any(log.flaws for log in logs) or bool(missing) or any(story.since for story in stories)
+    cut = any(log.flaws for log in logs) or bool(missing) or any(story.lacks for story in stories)
     start, log = starts[0] if starts else None, logs[0]
     return Mission(chosen, log.app, log.delta, start, stories, notes, cut, log, log.step)
 
@@ -292,10 +293,11 @@ class _Teller:
                     story.init, self.previous, self.doubt, self.came_back = record, 0, "", False
                 case "checkpoint":
                     self.checkpoint(record)
-                case "round" if self.own(life, record["round"]):
-                    self.times.append((_time(record), record["round"]))
+                case "round":
                     self.left = min(self.left, record["round"] if record.get("skipped") == LEFT else FOREVER)
-                    self.round(life, line)
+                    if self.own(life, record["round"]):
+                        self.times.append((_time(record), record["round"]))
+                        self.round(life, line)
                 case "monitor":
                     story.monitors.append(record)
                 case "phase" if record["phase"] == "resting" and not self.resting:
@@ -318,6 +320,7 @@ class _Teller:
         if round_ > self.previous:
             self.lose(Gap(self.previous + 1, round_ + 1, self.doubt or "older parts of its trace are not there"))
             story.turns[round_ + 1] = record.get("own")
+            story.lacks = True
             if self.previous < 0:
                 story.since = round_ + 1
             self.previous = round_
@@ -334,7 +337,7 @@ class _Teller:
     def round(self, life: Life, line: Line) -> None:
         story, round_ = self.story, line.record["round"]
         if self.previous < 0 and not self.doubt:
-            self.doubt, self.came_back = f"{life.log.path} begins there", True
+            self.doubt, self.came_back, story.lacks = f"{life.log.path} begins there", True, True
         if self.doubt and round_ > self.previous:
             self.join(life, Gap(self.previous + 1, round_, self.doubt))
             self.doubt, self.came_back = "", False
@@ -348,6 +351,8 @@ class _Teller:
         self.story.quiet.append(gap)
         records = (line.record for line in life.lines if line.record["kind"] == "round")
         restored = next((r["restored"] for r in records if r.get("restored")), None) if self.came_back else None
+        if self.previous < 0 and self.story.lacks:
+            self.story.since = gap.until if restored is None else max(0, restored["round"])
         if restored is None:
             if self.came_back or gap.until > gap.since:
                 self.lose(gap)
