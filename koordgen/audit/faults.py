@@ -26,10 +26,14 @@ def contracts(program: decl.Program, mission: Mission) -> list[Finding]:
         for formula in formulas
     }
     general = Finding("well-defined", "", 0)
-    for round_ in range(1, mission.last + 1):
+    _miss([*found.values(), general], mission)
+    for round_ in range(max(1, mission.first), mission.last + 1):
         told: dict[int, list[tuple[Outcome, str]]] = {line: [] for line in (0, *found)}
         for story in mission.stories:
             record = _record(story, round_)
+            if round_ < story.since:
+                for outcomes in told.values():
+                    outcomes.append(("unknown", story.silent(round_)))
             if record.get("event") is None and record.get("fault") is None:
                 continue
             broken = _line(record, found)
@@ -48,14 +52,17 @@ def loops(program: decl.Program, mission: Mission) -> list[Finding]:
     parts = (program.functions, program.init, program.events)
     invariants = {n.span.line: n for n in nodes(parts) if isinstance(n, stmt.LoopInvariant)}
     found = {line: Finding("loop invariant", f"line {line}", line) for line in sorted(invariants)}
-    for round_ in range(mission.last + 1):
+    _miss(list(found.values()), mission)
+    for round_ in range(mission.first, mission.last + 1):
         ran: list[tuple[Story, Mapping[str, Any]]] = []
         for story in mission.stories:
             record = (story.init or {}) if round_ == 0 else _record(story, round_)
             if record.get("kind") == "init" or (record.get("event") is not None and record.get("fault") is None):
                 ran.append((story, record))
         for line, finding in found.items():
-            told: list[tuple[Outcome, str]] = []
+            told: list[tuple[Outcome, str]] = [
+                ("unknown", story.silent(round_)) for story in mission.stories if round_ < story.since
+            ]
             for story, record in ran:
                 broken = line in record.get("violated", ())
                 told.append(("violated" if broken else "held", ""))
@@ -64,6 +71,13 @@ def loops(program: decl.Program, mission: Mission) -> list[Finding]:
                     finding.first = Violation(Moment(round_, False), AFTER, (story.name,), (), read, "", ())
             finding.close(round_, told, of_each=True)
     return list(found.values())
+
+
+def _miss(findings: list[Finding], mission: Mission) -> None:
+    """Count the rounds that no trace tells of, of each robot."""
+    if mission.first:
+        for finding in findings:
+            finding.miss(mission.first, len(mission.stories))
 
 
 def _record(story: Story, round_: int) -> Mapping[str, Any]:

@@ -85,6 +85,15 @@ class Finding:
             return "unchecked"
         return "held" if self.rounds and not self.unseen else "unknown"
 
+    def miss(self, first: int, of_each: int) -> None:
+        """No trace tells of a round before `first`; `of_each`: in how many windows a round is looked at."""
+        if self.unchecked:
+            return
+        self.unknown += first * of_each
+        self.unseen = self.of == "assume"
+        self.missing[f"rounds 0 to {first - 1}: no trace tells of them"] = first * of_each
+        self.spans.append(Span(0, first - 1, "unknown"))
+
     def at(self, round_: int) -> Outcome:
         """The outcome of a round; unknown where it was not looked at."""
         return next((span.outcome for span in self.spans if span.since <= round_ <= span.until), "unknown")

@@ -62,15 +62,18 @@ class Judge:
             for finding in self.findings:
                 finding.unchecked = _ANY if finding.of == "initially" else finding.unchecked
         self._known, self._step = found.fleet(n, None), found.step(n, None)
-        self._whole = Whole(meaning, mission.stories)
+        self._whole = Whole(meaning, mission)
         self._before: dict[str, Any] = {}  # of the moment before
         self._told: list[list[tuple[Outcome, str]]] = [[] for _ in self.findings]  # of this round
 
     def run(self, progress: Progress) -> list[Finding]:
-        whole, last = self._whole, self._mission.last
-        if not self._mission.step:
+        whole, first, last = self._whole, self._mission.first, self._mission.last
+        if first:
+            for finding in self.findings:
+                finding.miss(first, self._n if finding.of == "assume" else 1)
+        elif not self._mission.step:
             self._fleet(Moment(0, False), BEGIN, "initially")
-        for round_ in range(last + 1):
+        for round_ in range(first, last + 1):
             progress(round_, last)
             self._before = dict(whole.values)
             whole.advance()

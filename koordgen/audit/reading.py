@@ -7,17 +7,18 @@ a robot is not known. Only a file that is no trace at all is refused.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from koordgen.replay.record import MOST_JUMP, MOST_ROBOTS, flaw_of
-from koordgen.replay.trace import FORMAT, BadTrace, Line
+from koordgen.replay.trace import FORMAT, LONGEST, BadTrace, Line, header_of, parts_of
+from koordgen.runtime.trace_parts import base_of
 
 LOST = "lost"
-LOOKED_AT = ("header", "init", "round", "phase", "view", "monitor")
-LONGEST = 8 << 20  # bytes of a line; what is longer is passed over
+LOOKED_AT = ("header", "init", "round", "phase", "view", "monitor", "checkpoint")
 HEADER = b'{"kind":"header"'
 
 
@@ -33,7 +34,8 @@ class Flaw:
 @dataclass
 class Log:
     """One file. `names` are the robots that its header says, by pid; `own`: it is one robot's. Lines have pid -1 where
-    it is not known whose they are."""
+    it is not known whose they are. `family`: the same for all files that one robot wrote beside one another; `age`
+    orders those, the oldest first."""
 
     path: Path
     app: str
@@ -42,6 +44,8 @@ class Log:
     n_sys: int
     names: dict[int, str]
     own: bool
+    family: tuple[Path, int]
+    age: float
     last: dict[int, int] = field(default_factory=dict)  # the round that each robot told of last
     step: bool = False  # the run followed a counterexample of one step, whose beginning is any state
     lines: list[Line] = field(default_factory=list)
@@ -53,10 +57,10 @@ class Log:
 
 
 def found(given: Path) -> list[Path]:
-    """The traces that a name stands for: a file, the merged trace in a run's folder, or else all traces below a folder.
-    Raises BadTrace."""
+    """The traces that a name stands for: a file with the parts before it, the merged trace in a run's folder, or else
+    all traces below a folder. Raises BadTrace."""
     if not given.is_dir():
-        return [given]
+        return parts_of(given)
     merged = given / "trace.jsonl"
     if merged.is_file():
         header = _header(merged)
@@ -71,12 +75,9 @@ def found(given: Path) -> list[Path]:
 def _header(path: Path) -> Mapping[str, Any] | None:
     """The header of a trace; None where there is none."""
     try:
-        with path.open("rb") as file:
-            data = file.readline(LONGEST)
+        return header_of(path)
     except OSError as error:
         raise BadTrace(f"{path}: {error.strerror or error}") from None
-    record = _parsed(data)
-    return record if isinstance(record, dict) and record.get("format") == FORMAT else None
 
 
 def opened(path: Path) -> Log:
@@ -110,7 +111,9 @@ def _log(path: Path, header: Mapping[str, Any]) -> Log:
         n_sys = len(names)
     if not 1 <= n_sys <= MOST_ROBOTS or not all(0 <= pid < n_sys for pid in names):
         raise ValueError(f"pids {sorted(names)} of {n_sys} robots")
-    return Log(path, app, program_hash, delta, n_sys, names, own, step=header.get("followed") == "step")
+    base, part = base_of(path)
+    family, age = (base, next(iter(names))) if own else (path, -1), math.inf if part is None else part
+    return Log(path, app, program_hash, delta, n_sys, names, own, family, age, step=header.get("followed") == "step")
 
 
 def _lines(file: BinaryIO) -> Iterator[tuple[int, bytes]]:

@@ -49,6 +49,8 @@ def report(audit: Audit) -> str:
     mission = audit.mission
     robots = sum(bool(story.lives) for story in mission.stories)
     rounds = f"{mission.last} round{'s' * (mission.last != 1)}"
+    if mission.first:
+        rounds += f", unknown before round {mission.first}"
     lines = [f"{audit.program}, {robots} of {len(mission.stories)} robots, {rounds}", ""]
     lines += _table(audit.findings)
     for finding in audit.findings:
@@ -192,6 +194,7 @@ def document(audit: Audit, status: int) -> dict[str, Any]:
         "program": audit.program,
         "mission": mission.name or None,
         "delta": mission.delta,
+        "first": mission.first,
         "rounds": mission.last,
         "status": status,
         "robots": [
@@ -199,7 +202,7 @@ def document(audit: Audit, status: int) -> dict[str, Any]:
                 "name": story.name,
                 "pid": story.pid,
                 "files": list(dict.fromkeys(str(life.log.path) for life in story.lives)),
-                "lives": len(story.lives),
+                "lives": len(story.lives[:1]) + sum(not life.continues for life in story.lives[1:]),
                 "last": story.last,
             }
             for story in mission.stories

@@ -39,17 +39,30 @@ class Life:
     start: float | None = None  # fleet time of round 1, s
     lines: list[Line] = field(default_factory=list)
 
+    @property
+    def continues(self) -> bool:
+        """Return whether this is a later part of the trace of one start."""
+        return bool(self.lines and self.lines[0].record.get("part"))
+
+    @property
+    def tells(self) -> bool:
+        """Return whether a round is told of."""
+        return any(line.record["kind"] == "round" for line in self.lines)
+
 
 @dataclass
 class Story:
     """One robot in the mission. `lives` is empty where there is no trace of it. `turns`: at the start of a round its
     own variables become these (with `locals` and `actuators`), or nobody knows them (None). `acts`: rounds in which it
     may have written what it told nobody. `out`: rounds in which it had come to rest; `away`: in which the others had
-    counted it out: in both it is out of the model."""
+    counted it out: in both it is out of the model. `lacks`: parts of its trace are missing; `since`: then the first
+    round that is known."""
 
     pid: int
     name: str
     lives: list[Life] = field(default_factory=list)
+    lacks: bool = False
+    since: int = 0
     init: Mapping[str, Any] | None = None
     rounds: dict[int, Line] = field(default_factory=dict)
     turns: dict[int, Mapping[str, Any] | None] = field(default_factory=dict)
@@ -95,7 +108,13 @@ class Mission:
     stories: list[Story]
     notes: list[str]
     cut: bool
+    log: Log  # of the version of the program that all others are of
     step: bool = False  # as of a Log
+
+    @property
+    def first(self) -> int:
+        """The first round to look at: no trace tells of an earlier one. 0: all is told, from `init` on."""
+        return min((story.since for story in self.stories if story.lives), default=0)
 
     @property
     def last(self) -> int:
@@ -105,8 +124,9 @@ class Mission:
 
 def mission(logs: Sequence[Log]) -> Mission:
     """The one mission that the files tell of. Raises BadTrace."""
+    logs, old = _of_one_version(_by_age(logs))
     _same(logs)
-    lives = [life for log in logs for life in _lives(log)]
+    lives = _joined([life for log in logs for life in _lives(log)])
     names: dict[int, str] = {}
     for log in logs:
         for pid, name in log.names.items():
@@ -114,12 +134,12 @@ def mission(logs: Sequence[Log]) -> Mission:
                 other = next(each.path for each in logs if each.names.get(pid) == names[pid])
                 raise BadTrace(f"{log.path}: robot {pid} is {name}; in {other} it is {names[pid]}")
     chosen = _chosen(lives)
-    notes = [f"{log.path}:{flaw.number}: {flaw.what}" for log in logs for flaw in log.flaws[:5]]
+    notes = [f"{log.path} is of an earlier version of the program, and is left aside" for log in old]
+    notes += [f"{log.path}:{flaw.number}: {flaw.what}" for log in logs for flaw in log.flaws[:5]]
     notes += [f"{log.path}: {len(log.flaws) - 5} more lines are no records" for log in logs if len(log.flaws) > 5]
+    left = {(life.pid, life.mission): life.log.path for life in lives if life.mission not in (chosen, "")}
     notes += [
-        f"{life.log.path}: {names[life.pid]}'s part in mission {life.mission} is left aside"
-        for life in lives
-        if life.mission not in (chosen, "")
+        f"{path}: {names[pid]}'s part in mission {mission_} is left aside" for (pid, mission_), path in left.items()
     ]
     stories = [Story(pid, names.get(pid, f"robot {pid}")) for pid in range(logs[0].n_sys)]
     for life in lives:
@@ -128,12 +148,50 @@ def mission(logs: Sequence[Log]) -> Mission:
     for story in stories:
         _tell(story)
     _views(stories)
+    notes[:0] = [
+        f"{story.name}'s trace is known from round {story.since} on: the older parts are not there (a robot deletes "
+        "them when its trace reaches trace_limit)"
+        for story in stories
+        if story.since
+    ]
     missing = [story.name for story in stories if not story.lives]
     if missing:
         notes.insert(0, f"there is no trace of {', '.join(missing)}")
     starts = [life.start for life in lives if life.mission == chosen and life.start is not None]
-    cut = any(log.flaws for log in logs) or bool(missing)
-    return Mission(chosen, logs[0].app, logs[0].delta, starts[0] if starts else None, stories, notes, cut, logs[0].step)
+    cut = any(log.flaws for log in logs) or bool(missing) or any(story.lacks for story in stories)
+    start, log = starts[0] if starts else None, logs[0]
+    return Mission(chosen, log.app, log.delta, start, stories, notes, cut, log, log.step)
+
+
+def _by_age(logs: Sequence[Log]) -> list[Log]:
+    """Return the files of each robot together, the oldest first."""
+    order = {family: k for k, family in enumerate(dict.fromkeys(log.family for log in logs))}
+    return sorted(logs, key=lambda log: (order[log.family], log.age))
+
+
+def _of_one_version(logs: Sequence[Log]) -> tuple[list[Log], list[Log]]:
+    """Return the files of the program that each robot ran last, and those that earlier starts of another one left."""
+    newest = {log.family: (log.program_hash, log.n_sys) for log in logs}
+    kept: list[Log] = []
+    old: list[Log] = []
+    for log in logs:
+        (kept if (log.program_hash, log.n_sys) == newest[log.family] else old).append(log)
+    return kept, old
+
+
+def _joined(lives: Sequence[Life]) -> list[Life]:
+    """Give the parts of one start the mission that a later part names. What a robot told that started anew before its
+    first round is of no mission, and is left out."""
+    joined: list[Life] = []
+    later: dict[tuple[Path, int, int], Life] = {}  # the next life in the same files
+    for life in reversed(lives):
+        follower = later.get((*life.log.family, life.pid))
+        if follower is not None and follower.continues and not life.mission:
+            life.mission, life.start = follower.mission, follower.start
+        later[(*life.log.family, life.pid)] = life
+        if follower is None or life.mission or life.tells:
+            joined.append(life)
+    return joined[::-1]
 
 
 def _same(logs: Sequence[Log]) -> None:
@@ -171,19 +229,21 @@ def _lives(log: Log) -> Iterator[Life]:
 
 
 def _chosen(lives: Sequence[Life]) -> str:
-    """The mission that all files have a part in. Raises BadTrace where there is none."""
-    by_file: dict[Path, list[str]] = {}
+    """The mission that all files have a part in; the files that one robot wrote beside one another count as one. Raises
+    BadTrace where there is none."""
+    named: dict[tuple[Path, int], dict[str, Path]] = {}  # each mission, and the last file that names it
     for life in lives:
-        by_file.setdefault(life.log.path, []).append(life.mission)
-    named = {path: list(dict.fromkeys(filter(None, missions))) for path, missions in by_file.items() if any(missions)}
+        if life.mission:
+            named.setdefault(life.log.family, {})[life.mission] = life.log.path
     if not named:
         return ""
-    first, others = next(iter(named)), list(named)[1:]
-    common = [m for m in named[first] if all(m in named[path] for path in others)]
+    first, *others = named.values()
+    common = [mission for mission in first if all(mission in other for other in others)]
     if common:
         return common[-1]
-    odd = next(path for path in others if not set(named[first]) & set(named[path]))
-    raise BadTrace(f"{first} and {odd} are of different missions of the fleet: {named[first][-1]} and {named[odd][-1]}")
+    odd = next((other for other in others if not set(first) & set(other)), others[0])
+    (mine, path), (its, other) = list(first.items())[-1], list(odd.items())[-1]
+    raise BadTrace(f"{path} and {other} are of different missions of the fleet: {mine} and {its}")
 
 
 def _tell(story: Story) -> None:
@@ -201,6 +261,8 @@ def _order(life: Life) -> tuple[int, int]:
     for line in life.lines:
         if line.record["kind"] in ("init", "round"):
             first = min(first, line.record.get("round", 0))
+        elif line.record["kind"] == "checkpoint":
+            first = min(first, line.record["round"] + 1)
     return first, life.lines[0].number
 
 
@@ -212,39 +274,57 @@ class _Teller:
         self.previous = -1  # the last round told of; 0: `init`
         self.doubt = ""  # why there may be something after it that was not told
         self.came_back = False  # the doubt is about another life, or its trace is not there
-        self.resting = False  # in the present life
+        self.resting, self.rested = False, 0.0  # in the present life, and since when
+        self.times: list[tuple[float, int]] = []  # of its rounds
+        self.left = FOREVER  # its first round in which it had left the mission
         self.whose: dict[int, Path] = {}  # round -> the file that told of it
 
     def live(self, life: Life) -> None:
-        story, rested, self.resting = self.story, 0.0, False
-        times: list[tuple[float, int]] = []
-        if life is not story.lives[0]:
-            self.doubt, self.came_back = self.doubt or "its process had ended, and began anew", True
+        story = self.story
+        if not life.continues:
+            self.resting, self.rested, self.times, self.left = False, 0.0, [], FOREVER
+            if life is not story.lives[0]:
+                self.doubt, self.came_back = self.doubt or "its process had ended, and began anew", True
         for line in life.lines:
             record = line.record
             match record["kind"]:
                 case "init":
                     self.own(life, 0)
                     story.init, self.previous, self.doubt, self.came_back = record, 0, "", False
-                case "round" if self.own(life, record["round"]):
-                    times.append((_time(record), record["round"]))
-                    self.round(life, line)
+                case "checkpoint":
+                    self.checkpoint(record)
+                case "round":
+                    self.left = min(self.left, record["round"] if record.get("skipped") == LEFT else FOREVER)
+                    if self.own(life, record["round"]):
+                        self.times.append((_time(record), record["round"]))
+                        self.round(life, line)
                 case "monitor":
                     story.monitors.append(record)
                 case "phase" if record["phase"] == "resting" and not self.resting:
-                    rested, self.resting = _time(record), True
+                    self.rested, self.resting = _time(record), True
                     story.out.append(Gap(0, FOREVER, record.get("detail", "") or "it had come to rest"))
                 case kind if kind == LOST:
                     self.doubt = self.doubt or f"{life.log.path}:{line.number} cannot be read"
                 case _:
                     pass
-        left = min([each.record["round"] for each in life.lines if each.record.get("skipped") == LEFT], default=FOREVER)
         if self.resting:
-            since = max([r for time, r in times if time <= rested], default=self.previous)
-            story.out[-1] = story.out[-1]._replace(since=min(since + 1, left))
-        elif left < FOREVER:  # where it said so cannot be read
+            since = max([r for time, r in self.times if time <= self.rested], default=self.previous)
+            story.out[-1] = story.out[-1]._replace(since=min(since + 1, self.left))
+        elif self.left < FOREVER:  # where it said so cannot be read
             self.resting = True
-            story.out.append(Gap(left, FOREVER, "it had come to rest"))
+            story.out.append(Gap(self.left, FOREVER, "it had come to rest"))
+
+    def checkpoint(self, record: Mapping[str, Any]) -> None:
+        """Another part begins: what is not told before it is unknown, and the robot's own variables are known again."""
+        story, round_ = self.story, record["round"]
+        if round_ > self.previous:
+            self.lose(Gap(self.previous + 1, round_ + 1, self.doubt or "older parts of its trace are not there"))
+            story.turns[round_ + 1] = record.get("own")
+            story.lacks = True
+            if self.previous < 0:
+                story.since = round_ + 1
+            self.previous = round_
+        self.doubt, self.came_back = "", False
 
     def own(self, life: Life, round_: int) -> bool:
         """Whether a round is told of for the first time. Raises BadTrace where another file has told of it."""
@@ -257,7 +337,7 @@ class _Teller:
     def round(self, life: Life, line: Line) -> None:
         story, round_ = self.story, line.record["round"]
         if self.previous < 0 and not self.doubt:
-            self.doubt, self.came_back = f"{life.log.path} begins there", True
+            self.doubt, self.came_back, story.lacks = f"{life.log.path} begins there", True, True
         if self.doubt and round_ > self.previous:
             self.join(life, Gap(self.previous + 1, round_, self.doubt))
             self.doubt, self.came_back = "", False
@@ -271,6 +351,8 @@ class _Teller:
         self.story.quiet.append(gap)
         records = (line.record for line in life.lines if line.record["kind"] == "round")
         restored = next((r["restored"] for r in records if r.get("restored")), None) if self.came_back else None
+        if self.previous < 0 and self.story.lacks:
+            self.story.since = gap.until if restored is None else max(0, restored["round"])
         if restored is None:
             if self.came_back or gap.until > gap.since:
                 self.lose(gap)

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from koordgen.audit.meaning import Meaning
-from koordgen.audit.story import Story
+from koordgen.audit.story import Mission, Story
 from koordgen.replay.store import Writes, had_frame
 from koordgen.runtime.property import UNKNOWN
 from koordgen.runtime.trace import Calls
@@ -18,10 +18,12 @@ from koordgen.runtime.trace import Calls
 
 class Whole:
     """`values` by name, as generated properties take them: of a local variable, a port and an allread variable a list
-    by pid, of an allwrite variable its value; UNKNOWN where nobody told. `round` is the last one that was applied."""
+    by pid, of an allwrite variable its value; UNKNOWN where nobody told. `round` is the last one that was applied: at
+    first the one before the mission's `first`."""
 
-    def __init__(self, meaning: Meaning, stories: list[Story]) -> None:
-        self.round = -1
+    def __init__(self, meaning: Meaning, mission: Mission) -> None:
+        stories = mission.stories
+        self.round = mission.first - 1
         self.values: dict[str, Any] = {}
         self._meaning, self._stories = meaning, stories
         program = meaning.program
@@ -30,8 +32,13 @@ class Whole:
         self._actuators = [name for name, direction in ports if direction == "actuator"]
         self._locals = [v.name for v in program.locals]
         self._own: list[dict[str, Any]] = [{} for _ in stories]  # locals and actuators, out of the model or not
-        self._shared = _Shared(meaning, stories)
-        self._begin()
+        self._shared = _Shared(meaning, stories, mission.first)
+        if mission.first:
+            names = [*self._locals, *self.sensors, *self._actuators, *(v.name for v in program.shared)]
+            self.values = {name: [UNKNOWN] * len(stories) for name in names}
+            self.values |= {v.name: UNKNOWN for v in program.shared if v.kind == "allwrite"}
+        else:
+            self._begin()
 
     def _begin(self) -> None:
         """Before `init`: first values, actuators unset; a target that nobody wrote is where its robot is."""
@@ -118,7 +125,7 @@ class _Shared:
     """The shared store after each round: what any robot saw of it at the next one's start, else what all told that they
     wrote."""
 
-    def __init__(self, meaning: Meaning, stories: list[Story]) -> None:
+    def __init__(self, meaning: Meaning, stories: list[Story], first: int) -> None:
         self._meaning, self._stories = meaning, stories
         self._writes = Writes(meaning.program, len(stories))
         for story in stories:
@@ -128,9 +135,13 @@ class _Shared:
         self._copies: list[dict[str, Any]] = [{} for _ in stories]  # of an allread variable by pid
         self._told: dict[str, Any] = {}  # as `_store`, in JSON
         self._values: dict[str, Any] = {}
+        if first:  # then nobody tells what was there before
+            for story in stories:
+                self._lose(story.pid)
+                self._see(story, first)
 
     def after(self, round_: int) -> dict[str, Any]:
-        """Call it for each round in turn, from 0."""
+        """Call it for each round in turn, from the first."""
         self._store = dict(self._writes.after(self._store, round_))
         for story in self._stories:
             if story.may_act(round_):

@@ -36,7 +36,7 @@ def audit(options: Namespace) -> int:
         paths = list(dict.fromkeys(path for given in options.traces for path in found(Path(given))))
         logs = [opened(path) for path in paths]
         whole = mission(logs)
-        program, functions = program_of(options, logs[0].path, logs[0].program_hash)
+        program, functions = program_of(options, whole.log.path, whole.log.program_hash)
         judged, ended = _judged(program, functions, whole, options.seconds)
     except BadTrace as error:
         raise Failure(WRONG, str(error), "traces of one mission of one fleet are expected") from None

@@ -27,6 +27,7 @@ def replay(options: Namespace) -> int:
     counts, found, ended = Counts(), list[Difference](), False
     try:
         trace = opened(path)
+        path = trace.path
         program, functions = program_of(options, trace.path, trace.program_hash)
         again = replayed(program, externs(program, functions), trace, counts)
         try:
@@ -38,7 +39,9 @@ def replay(options: Namespace) -> int:
     except BadTrace as error:
         raise Failure(WRONG, str(error), "a trace of robots is expected: trace.jsonl") from None
     except Unreplayable as error:
-        raise Failure(WRONG, f"{path}: {error}", "what this trace says is not enough to replay it") from None
+        raise Failure(
+            WRONG, f"{trace.place(error.number)}: {error.why}", "what this trace says is not enough to replay it"
+        ) from None
     except CannotCall as error:
         raise Failure(WRONG, str(error), "name it with --functions") from None
     for difference in found[:MOST_TOLD]:
@@ -52,7 +55,9 @@ def replay(options: Namespace) -> int:
     robots = 1 if trace.own else len(trace.robots)
     what = f"{_count(robots, 'robot')}, {_count(counts.rounds, 'round')}, {_count(counts.events, 'event')}{late}"
     if trace.cut:
-        _say(f"note: {path}:{trace.cut}: the trace is cut off here; what stands before was replayed")
+        _say(f"note: {trace.place(trace.cut)}: the trace is cut off here; what stands before was replayed")
+    if trace.since:
+        _say(f"note: rounds before {trace.since} are unknown: the parts of the trace that tell of them are not there")
     if ended:
         _say(f"note: ended by --seconds {options.seconds:g}: what follows in the trace was not replayed")
     if found:
@@ -73,7 +78,7 @@ def _told(found: Difference, trace: Trace) -> str:
     name = trace.robots[found.pid]
     when = f"round {found.round}" if found.round else "init"
     return (
-        f"{trace.path}:{found.number}: {when}, robot {name}: {found.what} is {_shown(found.told)} in the trace, "
+        f"{trace.place(found.number)}: {when}, robot {name}: {found.what} is {_shown(found.told)} in the trace, "
         f"{_shown(found.meant)} by the program"
     )
 

@@ -28,6 +28,8 @@ def replayed(
         if line.record["kind"] == "init":
             views.clear()  # of an earlier mission
         robot = robots[line.pid]
+        if trace.cut and line.record["kind"] == "checkpoint":  # an older part ends amid a record
+            robot.skip()
         yield from robot.line(line)
         if robot.saw is not None and stores is not None:
             yield from stores.compared(line, robot.saw)
@@ -42,7 +44,7 @@ def _view(line: Line, views: dict[int, tuple[int, Any]]) -> Iterator[Difference]
     try:
         number, since, members = int(line.record["number"]), int(line.record["since"]), line.record["members"]
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise Unreplayable(f"line {line.number}: a broken record: {error!r}") from None
+        raise Unreplayable(line.number, f"a broken record: {error!r}") from None
     meant = views.setdefault(number, (since, members))
     if (since, members) != meant:
         told = [f"{who} from round {begins} on" for begins, who in ((since, members), meant)]

@@ -67,6 +67,11 @@ def _round(record: Mapping[str, Any]) -> bool:
     return _init(record) and _int(record.get("round"), 1) and numbers
 
 
+def _checkpoint(record: Mapping[str, Any]) -> bool:
+    own = record.get("own")
+    return _timed(record) and _int(record.get("round"), -1) and (own is None or _life(own))
+
+
 def _calls(record: Mapping[str, Any]) -> bool:
     calls = record.get("calls", [])
     return isinstance(calls, list) and all(
@@ -95,7 +100,8 @@ def _stream(record: Mapping[str, Any]) -> bool:
 
 # For each kind, a function that returns whether a record has all fields in the right form.
 _SOUND: dict[str, Callable[[Mapping[str, Any]], bool]] = {
-    "header": lambda record: True,
+    "header": lambda record: _int(record.get("part", 0)),
+    "checkpoint": _checkpoint,
     "init": _init,
     "round": _round,
     "phase": _phase,

@@ -33,7 +33,11 @@ class Difference(NamedTuple):
 
 
 class Unreplayable(Exception):
-    """What a trace says cannot be replayed; the message says of what line, and why."""
+    """What a trace says cannot be replayed: the number of its line, and why."""
+
+    def __init__(self, number: int, why: str) -> None:
+        super().__init__(f"line {number}: {why}")
+        self.number, self.why = number, why
 
 
 @dataclass
@@ -65,6 +69,7 @@ class Replay:
         self._store: dict[str, Any] = {}  # its copy: of an allread variable by pid
         self._streams: list[tuple[str, str]] = []
         self._round = 0
+        self._begun = False  # its own variables are known
         # The copy of the shared store that the last line says the robot saw: of an allread variable by pid.
         self.saw: Mapping[str, Any] | None = None
 
@@ -76,6 +81,8 @@ class Replay:
             match record["kind"]:
                 case "init":
                     yield from self._init(line, record)
+                case "checkpoint":
+                    yield from self._checkpoint(line, record)
                 case "round":
                     yield from self.end(line.number)
                     self._round = int(record["round"])
@@ -84,7 +91,7 @@ class Replay:
                     yield from self._stream(line, record)
         except (BadValue, LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
             told = str(error) if isinstance(error, BadValue) else f"a broken record: {error!r}"
-            raise Unreplayable(f"line {line.number}: {told}") from None
+            raise Unreplayable(line.number, told) from None
 
     def end(self, number: int) -> Iterator[Difference]:
         """No more of the last round comes."""
@@ -92,8 +99,32 @@ class Replay:
             yield Difference(number, self._round, self.pid, port, None, text)
         self._streams = []
 
+    def skip(self) -> None:
+        """Records are missing before the next line: what it says of the robot's own variables is not compared."""
+        self._begun, self._streams = False, []
+
+    def _checkpoint(self, line: Line, record: dict[str, Any]) -> Iterator[Difference]:
+        """Another part begins. Where the part before it was replayed, its own variables must be as they were left."""
+        self._store = {}
+        if self._begun and record["round"] != self._round:
+            self.skip()
+        self._round = int(record["round"])
+        own = record.get("own")
+        if own is None:
+            return
+        for group, known in (("locals", self._own), ("actuators", self._actuators)):
+            told = own.get(group, {})
+            for name in {**known, **told}:
+                meant = plain(known[name]) if name in known else None
+                if name in known and told.get(name) == meant:
+                    continue  # and stays exactly, where the trace has null for what is not finite
+                if self._begun:
+                    yield Difference(line.number, self._round, self.pid, name, told.get(name), meant)
+                known.update(self._values({name: told[name]} if name in told else {}))
+        self._begun = True
+
     def _init(self, line: Line, record: dict[str, Any]) -> Iterator[Difference]:
-        self._round, self._store = 0, {}
+        self._round, self._store, self._begun = 0, {}, True
         if self.followed != "step":
             yield from self._ran_init(line, record)
         self._own = self._values(record["locals"])
@@ -122,6 +153,7 @@ class Replay:
         self.counts.rounds += 1
         restored = record.get("restored")
         if restored is not None:
+            self._begun = True
             self._own, self._actuators = self._values(restored["locals"]), self._values(restored["actuators"])
         event, fault = record.get("event"), record.get("fault")
         if not had_frame(record):
@@ -235,7 +267,7 @@ class Replay:
         for shared in self.program.shared:
             known = self._store.get(shared.name)
             if known is None or (shared.kind == "allread" and len(known) < self.n_sys):
-                raise Unreplayable(f"line {line.number}: it is not told what {shared.name} was (an older trace?)")
+                raise Unreplayable(line.number, f"it is not told what {shared.name} was (an older trace?)")
         slots = {n: tuple([self._store[n][p] for p in range(self.n_sys)]) for n in self._slots}
         cells = {name: value for name, value in self._store.items() if name not in self._slots}
         own = Robot(self._own, {**self._actuators, **self._values(record["sensors"])}, False)

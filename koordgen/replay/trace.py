@@ -1,17 +1,22 @@
-"""Traces of format koord-trace/1 as the replayer reads them: a robot's own, and the merged one of a run."""
+"""Traces of format koord-trace/1 as the replayer reads them: a robot's own, and the merged one of a run.
+
+A robot's own trace may have several parts (koordgen/runtime/trace_parts.py): they are read as one trace.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from koordgen.replay.record import MOST_JUMP, MOST_ROBOTS, flaw_of
+from koordgen.runtime.trace_parts import base_of, numbered
 
 FORMAT = "koord-trace/1"
-KINDS = ("init", "round", "stream", "view")
+LONGEST = 8 << 20  # bytes of a header
+KINDS = ("init", "round", "stream", "view", "checkpoint")
 
 
 class BadTrace(Exception):
@@ -19,7 +24,7 @@ class BadTrace(Exception):
 
 
 class Line(NamedTuple):
-    """One record, by its number in the file, from 1."""
+    """One record, by its number in the file, from 1; in a trace of several parts the numbers go on through them."""
 
     number: int
     pid: int
@@ -30,7 +35,8 @@ class Line(NamedTuple):
 class Trace:
     """A trace's header; `robots` are the fleet's names, by pid, empty of robots whose names it does not say. `own`: it
     is one robot's, `pid` which one. `followed`: of a run that followed a counterexample, a "run" or a "step", else "".
-    `lines` reads the rest; when the file ends amid a line, `cut` is its number."""
+    `older`: the parts before the one at `path`, oldest first. `lines` reads the rest; when a file ends amid a line,
+    `cut` is its number; when the oldest parts are missing, `since` is the first round that is known."""
 
     path: Path
     app: str
@@ -40,6 +46,14 @@ class Trace:
     pid: int
     cut: int = 0
     followed: str = ""
+    older: tuple[Path, ...] = ()
+    since: int = 0
+    begins: list[tuple[int, Path]] = field(default_factory=list)  # each part, and the lines that are before it
+
+    def place(self, number: int) -> str:
+        """Return the file of a line that was read, with the line's number in that file."""
+        before, path = next((each for each in reversed(self.begins) if each[0] < number), (0, self.path))
+        return f"{path}:{number - before}"
 
     def lines(self) -> Iterator[Line]:
         """The records that a replay needs, in their order. Raises BadTrace."""
@@ -49,18 +63,21 @@ class Trace:
                 continue
             pid = self.pid if self.own else record.get("pid")
             if not isinstance(pid, int) or not 0 <= pid < len(self.robots):
-                raise BadTrace(f"{self.path}:{number}: no robot {pid!r}")
+                raise BadTrace(f"{self.place(number)}: no robot {pid!r}")
             if flaw := flaw_of(record):
-                raise BadTrace(f"{self.path}:{number}: {flaw}")
-            if record["kind"] == "round":
-                if record["round"] > last.get(pid, record["round"]) + MOST_JUMP:
-                    raise BadTrace(f"{self.path}:{number}: round {record['round']} after round {last[pid]}")
-                last[pid] = record["round"]
+                raise BadTrace(f"{self.place(number)}: {flaw}")
+            if record["kind"] == "checkpoint" and not last:
+                self.since = self.since or record["round"] + 1
+            if record["kind"] == "round" and record["round"] > last.get(pid, record["round"]) + MOST_JUMP:
+                raise BadTrace(f"{self.place(number)}: round {record['round']} after round {last[pid]}")
+            if record["kind"] in ("init", "round"):
+                last[pid] = record.get("round", 0)
             yield Line(number, pid, record)
 
 
 def opened(path: Path) -> Trace:
-    """The trace at `path`. Raises BadTrace."""
+    """The trace at `path`, with the parts before it. Raises BadTrace."""
+    *older, path = parts_of(path)
     blank = Trace(path, "", "", (), False, 0)
     number, header = next(records(blank), (0, {}))
     if header.get("kind") != "header" or header.get("format") != FORMAT:
@@ -79,25 +96,71 @@ def opened(path: Path) -> Trace:
         if not (1 <= n <= MOST_ROBOTS and 0 <= pid < n):
             raise ValueError(f"pid {pid} of {n} robots")
         names = tuple(str(header["robot"]) if p == pid else "" for p in range(n))
-        return Trace(path, app, program_hash, names, True, pid, followed=followed)
+        return Trace(path, app, program_hash, names, True, pid, followed=followed, older=tuple(older))
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BadTrace(f"{path}:{number}: a broken header: {error!r}") from None
 
 
+def parts_of(path: Path) -> list[Path]:
+    """Return the parts of a robot's trace that ends with the part at `path`, oldest first.
+
+    A part without a header was killed as it began: where `path` is one, or is not there, the newest older part stands
+    for it. Of any other file only `path` itself is returned. Raises BadTrace.
+    """
+    try:
+        base, number = base_of(path)
+        older = [each for at, each in numbered(base) if number is None or at < number]
+        if older and _is_unwritten(path):
+            path = older.pop()
+        parts, last = [path], header_of(path) or {}
+        while last.get("part") and older:
+            header = header_of(older[-1]) or {}
+            if any(header.get(name, 0) != value for name, value in {**last, "part": last["part"] - 1}.items()):
+                break
+            parts.insert(0, older.pop())
+            last = header
+    except OSError as error:
+        raise BadTrace(f"{path}: {error.strerror or error}") from None
+    return parts
+
+
+def header_of(path: Path) -> dict[str, Any] | None:
+    """Return the header of a trace; None where the file has none. Raises OSError."""
+    with path.open("rb") as file:
+        line = file.readline(LONGEST)
+    try:
+        record = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    return record if isinstance(record, dict) and record.get("format") == FORMAT and not flaw_of(record) else None
+
+
+def _is_unwritten(path: Path) -> bool:
+    """Return whether not even the first line of a part is whole."""
+    if not path.exists():
+        return True
+    with path.open("rb") as file:
+        return not file.readline(LONGEST).endswith(b"\n")
+
+
 def records(trace: Trace) -> Iterator[tuple[int, dict[str, Any]]]:
     """Every record with the number of its line. Raises BadTrace."""
-    try:
-        with trace.path.open("rb") as file:
-            for number, line in enumerate(file, 1):
-                try:
-                    record = json.loads(line)
-                except (ValueError, RecursionError):
-                    if not line.endswith(b"\n"):
+    trace.begins, number = [], 0
+    for path in (*trace.older, trace.path):
+        trace.begins.append((number, path))
+        try:
+            with path.open("rb") as file:
+                for line in file:
+                    number += 1
+                    try:
+                        record = json.loads(line)
+                    except (ValueError, RecursionError):
+                        if line.endswith(b"\n"):
+                            raise BadTrace(f"{trace.place(number)}: no line of JSON, as traces have them") from None
                         trace.cut = number
-                        return
-                    raise BadTrace(f"{trace.path}:{number}: no line of JSON, as traces have them") from None
-                if not isinstance(record, dict):
-                    raise BadTrace(f"{trace.path}:{number}: no record")
-                yield number, record
-    except OSError as error:
-        raise BadTrace(f"{trace.path}: {error.strerror or error}") from None
+                        break
+                    if not isinstance(record, dict):
+                        raise BadTrace(f"{trace.place(number)}: no record")
+                    yield number, record
+        except OSError as error:
+            raise BadTrace(f"{path}: {error.strerror or error}") from None

@@ -44,6 +44,7 @@ from koordgen.runtime.settings import BadSettings, Settings
 from koordgen.runtime.status import ask, show
 from koordgen.runtime.store import Store
 from koordgen.runtime.trace import Trace
+from koordgen.runtime.trace_parts import MEGABYTE, Parts, set_aside
 from koordgen.runtime.transport import CannotOpen
 
 __all__ = ["Agent", "main"]
@@ -159,7 +160,7 @@ def _run(
         opened.callback(control.close)
         store = _open_store(program, settings, root)
         opened.callback(store.close)
-        trace = _open_trace(settings.trace)
+        trace = _open_trace(settings)
         opened.callback(trace.close)
         agent = Agent(
             program, settings, key, platform, clock, transport, trace, emit, os.urandom(8), store,
@@ -264,27 +265,20 @@ def _open_store(program: Program, settings: Settings, root: Path) -> Store:
     return Store.open(path, program, settings.robot, settings.pid, len(settings.peers), warn)
 
 
-def _open_trace(path: str | None) -> Trace:
+def _open_trace(settings: Settings) -> Trace:
     def warn(text: str) -> None:
         _say("warning", text)
 
-    if path is None:
+    if settings.trace is None:
         return Trace(None, warn)
+    path, limit = Path(settings.trace).resolve(), settings.trace_limit
     try:
-        _set_aside(Path(path))
-        return Trace(Path(path).open("wb"), warn)  # lives as long as the run
+        if limit is not None and (path.is_file() or not path.exists()):  # a pipe or a device has no parts
+            return Trace(Parts(path, settings.robot, round(limit * MEGABYTE)), warn)
+        set_aside(path)
+        return Trace(path.open("wb"), warn)  # lives as long as the run
     except OSError as error:
-        raise CannotOpen(f"trace: {path}: {error.strerror or error}") from None
-
-
-def _set_aside(path: Path) -> None:
-    """What an earlier life wrote there gets a name of its own: trace-1.jsonl and so on. Raises OSError."""
-    if not path.is_file() or path.stat().st_size == 0:
-        return
-    number = 1
-    while (kept := path.with_stem(f"{path.stem}-{number}")).exists():
-        number += 1
-    path.rename(kept)
+        raise CannotOpen(f"trace: {settings.trace}: {error.strerror or error}") from None
 
 
 def _fail(message: str, hint: str, status: int) -> int:

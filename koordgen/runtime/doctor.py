@@ -3,6 +3,7 @@ Nothing moves."""
 
 from __future__ import annotations
 
+import shutil
 import socket
 import threading
 import time
@@ -20,6 +21,7 @@ from koordgen.runtime.platform import Finding, Platform, Unready
 from koordgen.runtime.program import Program
 from koordgen.runtime.seal import BadKey
 from koordgen.runtime.settings import BadSettings, Peer, Settings
+from koordgen.runtime.trace_parts import MEGABYTE, size_of
 from koordgen.runtime.transport import CannotOpen
 
 LOOKUP = 3.0  # seconds within which all names must have been found
@@ -48,11 +50,29 @@ def examine(
     yield _compiled()
     if settings.state is not None:
         yield disk(root.resolve().parent / settings.state)
+    if settings.trace is not None:
+        yield _trace(Path(settings.trace).resolve(), settings.trace_limit)
     key, found = _key(settings)
     yield found
     yield from _network(settings, key)
     yield from _body(settings, key, program, platform_type, drivers)
     yield clocks.finding()
+
+
+def _trace(path: Path, limit: float | None) -> Finding:
+    """Whether the trace reaches its limit before the disk is full."""
+    try:
+        free, used = shutil.disk_usage(path.parent).free / MEGABYTE, size_of(path) / MEGABYTE
+    except OSError as error:
+        return Finding("trace", "fail", f"{path.parent}: {error.strerror}", why="the robot writes its trace there")
+    told = f"{free:.0f} MB free in {path.parent}"
+    if limit is None:
+        return Finding("trace", "warn", f"{told}, no limit", why="the trace fills the disk: set `trace_limit`")
+    told += f", the trace takes {used:.0f} of at most {limit:.0f} MB"
+    if free < limit - used:
+        why = "the disk is full before the trace is: make room, or set a lower `trace_limit`"
+        return Finding("trace", "warn", told, f"{limit - used:.0f} MB free", why)
+    return Finding("trace", "ok", told)
 
 
 def _program(program: Program, settings: Settings) -> Finding:

@@ -95,6 +95,8 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     monitors: dict[str, Action] = {}  # by an invariant's name, "assume MODULE", "requires F", "ensures F", or "default"
     body: dict[str, Any] = {}
     trace: str | None = None  # JSON lines, one a round
+    # megabytes (10^6 bytes) that all parts of the trace may take together; None: no limit
+    trace_limit: Annotated[float, msgspec.Meta(ge=1.0, le=1e6)] | None = 256.0
     # seconds that a call of a planner within an event may take; more is counted and told
     planner_budget: Annotated[float, msgspec.Meta(ge=0.0005, le=1.0)] = 0.01
     obstacles: tuple[Obstacle, ...] = ()  # what stands there; numbered from 0

@@ -38,6 +38,7 @@ def overrides(
         "key_file": str(key_file.resolve()),
         "insecure": False,
         "trace": str(agent.trace_file.resolve()),
+        "trace_limit": None,  # the run follows the file, and merges all of it at the end
         "body": body,
     }
 

@@ -231,7 +231,7 @@ def test_a_number_that_no_robot_has_is_refused(copied: Path, capsys: pytest.Capt
         ),
     )
     assert replay(copied) == 1
-    assert f"line {line}: " in capsys.readouterr().err
+    assert f":{line}: " in capsys.readouterr().err
 
 
 def test_a_trace_of_another_version_is_refused(copied: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -214,10 +214,11 @@ class Fleet:
         self.kept = [Kept() for _ in range(n)]
 
     def boot(self, pid: int, platform: FakePlatform | None = None, **changes: Any) -> Robot:
-        """Start (or start anew) one robot's process."""
+        """Start (or start anew) one robot's process. `output`: where its trace goes in place of memory."""
         body = platform or FakePlatform(STARTS[pid % len(STARTS)])
         file, lines, records = io.BytesIO(), list[str](), list[Record]()
         program, key = changes.pop("program", self.program), changes.pop("key", self.key)
+        output = changes.pop("output", file)
         properties, cpu = changes.pop("properties", None), changes.pop("cpu", None)
         agent = Agent(
             program,
@@ -226,7 +227,7 @@ class Fleet:
             body,
             self._clocks[pid],
             self.network.transport(pid),
-            Trace(file, lines.append),
+            Trace(output, lines.append),
             lambda level, line: lines.append(line),
             self.random.randbytes(8),
             self.kept[pid],

@@ -43,8 +43,8 @@ def test_all_that_is_looked_at(bundles: list[Path], capsys: pytest.CaptureFixtur
     done, found = examined(bundles[1], capsys)
     assert done == 0
     assert list(found) == [
-        "python", "processor", "packages", "files", "settings", "program", "compiled", "disk", "key", "peers", "port",
-        "control", "fake", "clock",
+        "python", "processor", "packages", "files", "settings", "program", "compiled", "disk", "trace", "key", "peers",
+        "port", "control", "fake", "clock",
     ]  # fmt: skip
     assert "robot bert, pid 1 of 3" in found["settings"]["found"]
     assert {name for name, f in found.items() if f["state"] == "warn"} <= {"packages", "files", "processor", "clock"}
