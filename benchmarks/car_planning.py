@@ -6,12 +6,12 @@ same pose to the same pose among the same obstacles, to their first path, with a
 only: a box is for them the disc within it, and the car a disc as wide as it is, so they have more room than it has.
 
 Without reverse many of the scenes have no way: the car may stand with its nose to a wall.
-A scene counts as solvable when an exhaustive search of a state lattice finds a way. Paths are judged by the exact
-checker of tests/car/exact.py, the outline each centimetre against every obstacle, and by their curvature. Times are of
-the planner as its process runs it, without the pipe; "of CPU" is what a run on an idle machine would take. Ends with 1
-when a solvable scene is not solved, or a path is infeasible or collides; nothing of time is asserted.
+A scene counts as solvable when an exhaustive search of a state lattice finds a way. `fixtures/car_checker.py` judges
+paths: the outline each centimetre against every obstacle, and the curvature. Times are of the planner as its process
+runs it, without the pipe; "of CPU" is what a run on an idle machine would take. Ends with 1 when a solvable scene is
+not solved, or a path is infeasible or collides; nothing of time is asserted.
 
-The second table is of rooms with walls (tests/car/walls.py): doors, dead ends, U shapes, offset doors. There ours
+The second table is of rooms with walls (`fixtures/car_rooms.py`): doors, dead ends, U shapes, offset doors. There ours
 is asked as a program's `planner(goal)` is, for any heading at the goal, within several values of `planner_budget`,
 counted in CPU time. A wall is for PythonRobotics a row of discs as wide as it is thick.
 """
@@ -38,15 +38,15 @@ from unittest import mock
 
 sys.path.insert(0, str(FilePath(__file__).parents[1]))
 
+from benchmarks.fixtures.car_checker import collides, collisions, infeasible
+from benchmarks.fixtures.car_lattice import Lattice
+from benchmarks.fixtures.car_rooms import room, solvable
+from benchmarks.fixtures.car_scenes import CAR, Case, ask, case, curve
 from koordgen.runtime.obstacles import Block, Cylinder, Obstacle
 from koordgen.runtime.values import Point
 from targets.car.ask import Asked
 from targets.car.planner import segments
 from targets.planning.process import SHARE
-from tests.car.exact import collides, collisions, infeasible
-from tests.car.lattice import Lattice
-from tests.car.scenes import CAR, Case, ask, case, curve
-from tests.car.walls import room, solvable
 
 SCENES, QUICK = 60, 15
 BUDGET, PATIENCE = 0.036, 2.0  # seconds: for a short way, so that 40 ms pass; until which one is looked for at all
