@@ -2,7 +2,7 @@
 
 Slalom: arcs of 1 m radius, to the left and to the right in turn, at 1.5 m/s; the distance of the true rear axle's
 middle from the path, 240 times a second. Parking: Reeds-Shepp curves to one pose from seeded starts around it; where
-the true car stands in the end. How the car is driven: tests/car/racecar.py. Exit status 1: a wanted figure was not
+the true car stands in the end. How the car is driven: `fixtures/racecar.py`. Exit status 1: a wanted figure was not
 reached.
 """
 
@@ -17,8 +17,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from tests.car.racecar import parked, slalom
-from tests.car.slalom import PACE, RADIUS
+from benchmarks.fixtures.racecar import parked, slalom
+from benchmarks.fixtures.slalom import PACE, RADIUS
 
 STARTS = 20
 WANTED_RMS, WANTED_PLACE, WANTED_HEADING = 0.05, 0.10, 0.15  # m, m, rad

@@ -1,6 +1,6 @@
 """Exploration beside Spin: `python benchmarks/explore.py [--quick] [--json FILE]`.
 
-Leader election, explored whole for 2 to 7 robots, beside two equivalent Promela models (tests/explore/spin.py says how
+Leader election, explored whole for 2 to 7 robots, beside two equivalent Promela models (`fixtures/spin.py` says how
 they differ; tests/explore/test_spin.py compares the states at rounds' ends): `plain` as one would write it down,
 `tight` the best for Spin that we know. Seconds are of CPU, the least of a few runs: `search` is the search alone (of
 Spin, the compiled verifier's process; ours, the Search on a machine that is made), `whole` with all that comes before
@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.fixtures import spin
 from koordgen.check.params import with_params
 from koordgen.explore.envfile import environment
 from koordgen.explore.environment import Environment, Surroundings, answering
@@ -29,7 +30,6 @@ from koordgen.explore.machine import Machine
 from koordgen.explore.search import Bounds, Search
 from koordgen.ir.decl import Program
 from koordgen.pipeline import check_file, read_source
-from tests.explore import spin
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 ELECTION = EXAMPLES / "election/election.koord"

@@ -24,6 +24,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples/mapping"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.fixtures.fleet import Fleet, Robot, settings
 from koordgen.check.params import with_params
 from koordgen.emit.program import program_text
 from koordgen.emit.property import properties_text
@@ -37,7 +38,6 @@ from koordgen.runtime.property import Properties
 from koordgen.runtime.runner import unlimited
 from koordgen.runtime.values import Point, Scan, distance
 from koordgen.runtime.watched import SHARED, Change, Moment
-from tests.runtime.fleet import Fleet, Robot, settings
 
 ROOT = Path(__file__).resolve().parents[1]
 PROGRAMS = ("task/task", "lineform/geofence", "election/election", "mapping/mapping")

@@ -11,8 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from peers_exchange import warm_up
-
+from benchmarks.peers_exchange import warm_up
 from koordgen.runtime.bounds import Fixed, Text
 from koordgen.runtime.clock import SystemClock
 from koordgen.runtime.machine import Agent

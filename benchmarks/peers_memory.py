@@ -13,9 +13,8 @@ import math
 from collections.abc import Collection
 from itertools import repeat
 
-from peers_agents import KEY, program, settings
-from peers_exchange import Heard, Place
-
+from benchmarks.peers_agents import KEY, program, settings
+from benchmarks.peers_exchange import Heard, Place
 from koordgen.runtime import courier, gate
 from koordgen.runtime.clock import Clock, FleetClock, SystemClock
 from koordgen.runtime.keeping import Keeping

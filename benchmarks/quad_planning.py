@@ -25,13 +25,7 @@ sys.path.insert(0, str(FilePath(__file__).parents[1]))
 import fcl
 import numpy as np
 
-from koordgen.runtime.obstacles import Obstacle
-from koordgen.runtime.values import Point, distance
-from targets.planning.ask import Asked
-from targets.planning.room import Room, fixed, room
-from targets.planning.rrt import length
-from targets.planning.world import Path, World
-from tests.planning.arenas import (
+from benchmarks.fixtures.arenas import (
     ARENA,
     CLEARANCE,
     GOAL,
@@ -45,6 +39,12 @@ from tests.planning.arenas import (
     capsule,
     many,
 )  # fmt: skip
+from koordgen.runtime.obstacles import Obstacle
+from koordgen.runtime.values import Point, distance
+from targets.planning.ask import Asked
+from targets.planning.room import Room, fixed, room
+from targets.planning.rrt import length
+from targets.planning.world import Path, World
 
 
 def tight(path: Path, here: Room) -> float:

@@ -64,7 +64,7 @@ class Simulated:
     """The simulated autopilot and its clock."""
 
     def __init__(self) -> None:
-        from tests.quad.rig import ORIGIN, Rig  # the robot's side of this benchmark needs no simulator
+        from benchmarks.fixtures.quad_rig import ORIGIN, Rig  # the robot's side of this benchmark needs no simulator
 
         self.rig = Rig(position=(0.0, 0.0, 0.0))
         self.link = Link(self.rig.wire)

@@ -21,10 +21,10 @@ import msgspec
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.fixtures.fleet import KEY, FakePlatform, Fleet
+from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime.network import Conditions
 from koordgen.runtime.values import Point
-from tests.runtime.fleet import KEY, FakePlatform, Fleet
-from tests.runtime.lineform import PROGRAM
 
 N = 5
 Update = tuple[int, int, list[float], int]

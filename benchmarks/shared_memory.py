@@ -44,11 +44,9 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-import peers_agents
-import peers_exchange
-from peers_exchange import PEERS, Make, Place, Polled, Raw, keep_rounds, meet, ping, warm_up
-from peers_memory import open_memory, open_update, without_courier
-
+from benchmarks import peers_agents, peers_exchange
+from benchmarks.peers_exchange import PEERS, Make, Place, Polled, Raw, keep_rounds, meet, ping, warm_up
+from benchmarks.peers_memory import open_memory, open_update, without_courier
 from koordgen.runtime import courier
 
 KOORDGEN, UNICAST, PLAIN, AGENTS = "koordgen", "koordgen, unicast", "koordgen, plain Python", "koordgen, whole agents"

@@ -17,8 +17,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-import sim_lockstep
-import sim_physics
+from benchmarks import sim_lockstep, sim_physics
 
 COUNTS = (1, 4, 16, 64)
 MOST_HARNESS = 0.6  # of a core

@@ -17,11 +17,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from benchmarks.fixtures.quad_rig import ORIGIN, STEP, PointMass
 from targets.quad.ardupilot import ARDUPILOT
 from targets.sim.autopilot import SimulatedAutopilot
 from targets.sim.bodies import DeviceContext
 from targets.sim.ports import UdpPort
-from tests.quad.rig import ORIGIN, STEP, PointMass
 
 BUDGET = 0.04  # of a core
 POSITION_VELOCITY = 0xDC0

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.fixtures.rays import to_obstacle
 from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.values import Point
 from targets.sim.car import SimulatedCar
@@ -28,7 +29,6 @@ from targets.sim.first_order import SimpleCar, SimpleQuadrotor
 from targets.sim.quadrotor import SimulatedQuadrotor
 from targets.sim.sight import Eye
 from targets.sim.world import STEP, World
-from tests.sim.test_sight import to_obstacle
 
 Step = Callable[[], object]
 

@@ -168,6 +168,30 @@ def test_the_runtime_is_an_island() -> None:
             assert own or chosen, f"{path.name} imports {module}"
 
 
+def files_of(module: str) -> Iterator[Path]:
+    """The files of this repository that importing a module, or a name of a module, executes."""
+    place = ROOT
+    for part in module.split("."):
+        place /= part
+        yield from (file for file in (place / "__init__.py", place.with_suffix(".py")) if file.is_file())
+
+
+def test_benchmarks_need_no_test() -> None:
+    """Benchmarks run where neither pytest nor hypothesis is installed. Tests import shared code from them."""
+    reached = dict.fromkeys(sorted((ROOT / "benchmarks").rglob("*.py")), "")
+    waiting = list(reached)
+    while waiting:
+        path = waiting.pop()
+        for module in imports(path):
+            chain = f"{reached[path]}{path.relative_to(ROOT)} imports "
+            assert module.split(".")[0] not in {"tests", "pytest", "hypothesis"}, chain + module
+            for file in files_of(module):
+                if file not in reached:
+                    reached[file] = chain
+                    waiting.append(file)
+    assert ROOT / "targets" / "planning" / "rrt.py" in reached  # imports are followed
+
+
 @pytest.mark.parametrize("folder", TARGETS, ids=lambda p: p.name)
 def test_a_target_stands_on_the_runtime_and_itself_alone(folder: Path) -> None:
     also = tomllib.loads((folder / "manifest.toml").read_text()).get("also", [])

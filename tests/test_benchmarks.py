@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "benchmarks"))
-
-import shared_memory
-from peers_agents import settings
-from peers_memory import SharedMemory, Update
-
+from benchmarks import shared_memory
+from benchmarks.fixtures.fleet import Kept
+from benchmarks.peers_agents import settings
+from benchmarks.peers_memory import SharedMemory, Update
 from koordgen.runtime.clock import SimulatedClock
 from koordgen.runtime.link import Heard, Link, Usuals
 from koordgen.runtime.network import Conditions, MemoryNetwork
 from koordgen.runtime.replica import Replica
-from tests.runtime.fleet import Kept
 
 N, DELTA, COUNT, STEPS = 3, 0.01, 20, 20
 

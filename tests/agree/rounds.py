@@ -9,6 +9,7 @@ from typing import Any
 
 import msgspec
 
+from benchmarks.fixtures.fleet import FakePlatform, Fleet
 from koordgen.bundle.budget import check_budget
 from koordgen.emit.program import program_text
 from koordgen.ir import decl as d
@@ -27,7 +28,6 @@ from koordgen.semantics.values import RecordValue, Value
 from tests.agree.both import Difference, Generated, Meant, answer, key
 from tests.agree.kinds import random_value
 from tests.agree.programs import N_SYS, random_program
-from tests.runtime.fleet import FakePlatform, Fleet
 
 ROUNDS = 10
 GAVE_WAY = " gave way to another robot's transaction"

@@ -9,9 +9,9 @@ from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
+from benchmarks.fixtures.fleet import NAMES
 from koordgen.cli import main
 from koordgen.runtime.network import Conditions
-from tests.runtime.fleet import NAMES
 from tests.sim.watched import LINE as TURNS
 from tests.sim.watched import Watched
 

@@ -7,6 +7,8 @@ import math
 import msgspec
 import pytest
 
+from benchmarks.fixtures import car_scenes as scenes
+from benchmarks.fixtures.car_checker import gap, outline
 from koordgen.runtime.obstacles import Block, Obstacle
 from koordgen.runtime.platform import Unready
 from koordgen.runtime.values import Point
@@ -16,8 +18,6 @@ from targets.planning.pipe import Answer
 from targets.planning.process import JUDGE, Inside
 from targets.planning.world import Scene
 from targets.planning.world import World as PlannerWorld
-from tests.car import scenes
-from tests.car.exact import gap, outline
 from tests.car.world import KEY, TestBody, World, robot_settings, standing
 
 BOX = Block(Point(1.2, -0.6, 0.0), Point(1.8, 0.6, 1.0))

@@ -14,6 +14,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from benchmarks.fixtures import car_scenes as scenes
+from benchmarks.fixtures.car_checker import collisions
 from koordgen.runtime.obstacles import Block
 from koordgen.runtime.platform import Unready
 from koordgen.runtime.values import Point
@@ -29,8 +31,6 @@ from targets.sim.bodies import Device
 from targets.sim.drive import TIMEOUT, Controller, SimulatedDrive, simulated
 from targets.sim.rover import SimulatedRover
 from targets.sim.station import SimulatedFeed
-from tests.car import scenes
-from tests.car.exact import collisions
 from tests.car.world import KEY, PHYSICS, OwnTime, TestBody, context, robot_settings
 from tests.terminal import terminal
 

@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from benchmarks.fixtures.car_checker import gap, outline
 from koordgen.runtime.obstacles import Block
 from koordgen.runtime.platform import Unready
 from koordgen.runtime.settings import Safety
@@ -18,7 +19,6 @@ from targets.car.navigator import STRAYED
 from targets.car.platform import Car
 from targets.planning.process import Inside
 from targets.planning.standstill import NO_PROGRESS
-from tests.car.exact import gap, outline
 from tests.car.test_avoidance import BODY, BOX, drive, nearest
 from tests.car.world import KEY, World, robot_settings, standing
 

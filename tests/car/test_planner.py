@@ -9,6 +9,8 @@ from itertools import pairwise
 
 import pytest
 
+from benchmarks.fixtures.car_checker import collisions, gap, infeasible, outline, poses
+from benchmarks.fixtures.car_scenes import CAR, ROOM, ask, case, curve, world
 from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Grid, Point
@@ -18,8 +20,6 @@ from targets.car.curves import Curve, Triple, along, dubins, reeds_shepp
 from targets.car.planner import NEAR_POINTS, arc, points, price, segments
 from targets.planning.ask import NAMES
 from targets.planning.world import Scene
-from tests.car.exact import collisions, gap, infeasible, outline, poses
-from tests.car.scenes import CAR, ROOM, ask, case, curve, world
 
 RADIUS = CAR.planned_radius
 START, GOAL = (1.0, 4.0, 0.0), Point(6.0, 4.0, 0.0)

@@ -9,11 +9,11 @@ from types import ModuleType
 
 import pytest
 
+from benchmarks.fixtures.slalom import LIMITS, aside, slalom_path
 from targets.car.bicycle import State
 from targets.car.mpc import BLIND_STEPS, STEP, STEPS, Command, Limits, Mpc
 from targets.car.planner import PathPose, Segment
 from targets.car.tracker import Track, Tracker
-from tests.car.slalom import LIMITS, aside, slalom_path
 from tests.car.world import TestBody, World
 
 SLOW = Limits(wheelbase=0.33, speed=1.0, acceleration=1.5, steering=0.387, steering_rate=3.0)
@@ -132,9 +132,9 @@ def test_the_slalom_is_as_sharp_and_as_fast_as_it_says() -> None:
 @pytest.fixture(scope="module")
 def racecar() -> ModuleType:
     pytest.importorskip("pybullet")
-    import tests.car.racecar
+    import benchmarks.fixtures.racecar
 
-    return tests.car.racecar
+    return benchmarks.fixtures.racecar
 
 
 def test_pybullets_racecar_keeps_to_the_slalom(racecar: ModuleType) -> None:

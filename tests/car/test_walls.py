@@ -8,6 +8,9 @@ import random
 import numpy as np
 import pytest
 
+from benchmarks.fixtures.car_checker import collisions, infeasible
+from benchmarks.fixtures.car_rooms import room, solvable
+from benchmarks.fixtures.car_scenes import ask, curve, world
 from koordgen.runtime.values import Point
 from targets.car.ask import Asked
 from targets.car.field import FAR, Cells, Field
@@ -15,9 +18,6 @@ from targets.car.overlap import ShapeTable
 from targets.car.planner import Area, price, segments
 from targets.car.shapes import Footprint, Shape
 from targets.planning.pipe import Answer
-from tests.car.exact import collisions, infeasible
-from tests.car.scenes import ask, curve, world
-from tests.car.walls import room, solvable
 
 SHORT, LONG = 40, 400  # units of work: about those of 60 ms and of 0.6 s
 QUERIES = sorted(solvable())

@@ -5,9 +5,9 @@ from __future__ import annotations
 import heapq
 from random import Random
 
+from benchmarks.fixtures.fleet import Fleet
 from koordgen.runtime.seal import MAC_SIZE, MEMORY, seal
 from koordgen.runtime.wire import LIMIT
-from tests.runtime.fleet import Fleet
 
 KINDS = ("noise", "cut", "flipped", "replayed", "foreign key", "oversized", "grown")
 HEARD = 400  # genuine datagrams that the attacker keeps

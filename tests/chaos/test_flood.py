@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
+from benchmarks.fixtures.fleet import Fleet
 from koordgen.runtime.network import Conditions
 from koordgen.runtime.outbox import AHEAD
 from koordgen.runtime.values import Point
 from tests.chaos.flood import Attacker
 from tests.chaos.runs import Say, scaled
 from tests.chaos.virtual import Still, counter_program
-from tests.runtime.fleet import Fleet
 
 pytestmark = pytest.mark.slow
 N = 3

@@ -16,6 +16,7 @@ from functools import cache
 from random import Random
 from typing import Any, ClassVar, TypeVar
 
+from benchmarks.fixtures.fleet import FakePlatform, Fleet, Robot
 from koordgen.runtime.clock import SimulatedClock
 from koordgen.runtime.network import Conditions, MemoryNetwork
 from koordgen.runtime.program import Program
@@ -25,7 +26,6 @@ from tests.chaos.bundle import PROGRAMS
 from tests.chaos.checks import NOT_CURRENT, Lines, commits, wrong_reads, wrong_sums
 from tests.chaos.runs import Say
 from tests.emit.generated import load
-from tests.runtime.fleet import FakePlatform, Fleet, Robot
 
 T = TypeVar("T")
 N = 5

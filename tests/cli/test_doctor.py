@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 
+from benchmarks.fixtures.quad_rig import STEP, PointMass
 from koordgen.cli import main
 from targets.sim.autopilot import SimulatedAutopilot
 from targets.sim.bodies import DeviceContext
 from tests.programs import build
-from tests.quad.rig import STEP, PointMass
 from tests.runtime.transports import free_ports
 
 ORIGIN = (47.4, 8.5, 400.0)  # of tests.programs

@@ -18,9 +18,9 @@ from typing import Any
 
 import pytest
 
+from benchmarks.fixtures.fleet import NAMES, settings
 from koordgen import estop
 from koordgen.cli import main
-from tests.runtime.fleet import NAMES, settings
 from tests.runtime.test_process import bundles, change, rounds, run, start, started
 
 __all__ = ["bundles", "started"]  # fixtures

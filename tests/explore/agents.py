@@ -6,6 +6,7 @@ from collections.abc import Callable, Hashable, Mapping
 from random import Random
 from typing import Any
 
+from benchmarks.fixtures.fleet import FakePlatform, Fleet, Robot
 from koordgen.emit.program import program_text
 from koordgen.ir import decl
 from koordgen.runtime.commits import winner
@@ -18,7 +19,6 @@ from koordgen.semantics.state import State, Store
 from koordgen.semantics.step import execute, initial, round_, run_init, select, sense
 from tests.agree.both import Generated
 from tests.explore.random_programs import LEVELS
-from tests.runtime.fleet import FakePlatform, Fleet, Robot
 
 QUIET = Conditions(delay=0.001, jitter=0.004)
 ROUGH = Conditions(loss=0.25, delay=0.001, jitter=0.03, duplication=0.1)

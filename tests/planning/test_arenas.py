@@ -6,11 +6,7 @@ import random
 
 import pytest
 
-from koordgen.runtime.values import Point
-from targets.planning.ask import Asked
-from targets.planning.room import Room, fixed
-from targets.planning.world import World
-from tests.planning.arenas import (
+from benchmarks.fixtures.arenas import (
     ARENA,
     CLEARANCE,
     GOAL,
@@ -24,6 +20,10 @@ from tests.planning.arenas import (
     arena,
     many,
 )  # fmt: skip
+from koordgen.runtime.values import Point
+from targets.planning.ask import Asked
+from targets.planning.room import Room, fixed
+from targets.planning.world import World
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -20,7 +20,7 @@ from targets.planning.world import Path, Scene, World
 ARENA = Box(Point(-5.0, -4.0, 0.5), Point(5.0, 4.0, 3.0))
 RADIUS, CLEARANCE = 0.2, 0.1
 KEPT = RADIUS + CLEARANCE
-OWN = "tests.planning.own:Lattice"
+OWN = "benchmarks.fixtures.lattice_planner:Lattice"
 ALL = (*NAMES, OWN)
 AROUND = tuple(name for name in ALL if name != "straight")
 START, GOAL = Point(-4.0, 0.0, 1.5), Point(4.0, 0.0, 1.5)

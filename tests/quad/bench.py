@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from benchmarks.fixtures.quad_rig import ORIGIN, Rig
 from koordgen.runtime.geodesy import LocalFrame
 from targets.mavlink.framing import Framer, Message
-from tests.quad.rig import ORIGIN, Rig
 
 ARM, TAKEOFF, MODE = mavlink.MAV_CMD_COMPONENT_ARM_DISARM, mavlink.MAV_CMD_NAV_TAKEOFF, mavlink.MAV_CMD_DO_SET_MODE
 INTERVAL = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL

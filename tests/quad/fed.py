@@ -8,13 +8,13 @@ from typing import Any
 
 from msgspec.structs import replace
 
+from benchmarks.fixtures.quad_rig import ORIGIN, STEP, Rig, settings
 from koordgen.runtime.feed import Sample, encode
 from koordgen.runtime.values import Point, Pose
 from targets.planning.process import Inside
 from targets.quad.platform import Quad
 from targets.sim.bodies import BodyState, DeviceContext
 from targets.sim.station import BaseStation
-from tests.quad.rig import ORIGIN, STEP, Rig, settings
 
 KEY = bytes(range(32))
 WALL = 1_750_000_000.0  # the time of day when the agent's clock shows 0

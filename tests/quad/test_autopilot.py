@@ -9,8 +9,8 @@ from itertools import pairwise
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from benchmarks.fixtures.quad_rig import ORIGIN
 from tests.quad.bench import ARM, FRAME, INTERVAL, MODE, TAKEOFF, Bench
-from tests.quad.rig import ORIGIN
 
 
 def test_nothing_streams_until_asked_but_the_heartbeat() -> None:

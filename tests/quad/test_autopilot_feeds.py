@@ -8,8 +8,8 @@ from collections.abc import Callable
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from benchmarks.fixtures.quad_rig import ORIGIN
 from tests.quad.bench import ARM, FRAME, INTERVAL, MODE, TAKEOFF, Bench
-from tests.quad.rig import ORIGIN
 
 GPS, VISION = "gps_input", "vision"
 

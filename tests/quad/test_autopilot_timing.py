@@ -7,9 +7,9 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from benchmarks.fixtures.quad_rig import Rig, at, commands
 from targets.sim.mavlink_estimate import IMUS_SETTLE
 from tests.quad.bench import ARM, MODE, TAKEOFF, Bench
-from tests.quad.rig import Rig, at, commands
 
 REAL = {"spool_up": 3.3}
 OFF = 0.02  # metres above the ground: it has left it

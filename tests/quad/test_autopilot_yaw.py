@@ -6,8 +6,8 @@ import math
 
 import pytest
 
+from benchmarks.fixtures.quad_rig import STEP
 from targets.sim.mavlink_guided import Aim, Guidance
-from tests.quad.rig import STEP
 
 
 class Turning:

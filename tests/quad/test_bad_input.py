@@ -7,8 +7,8 @@ import random
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from benchmarks.fixtures.quad_rig import Rig, at, commands, sent
 from koordgen.runtime.platform import Unready
-from tests.quad.rig import Rig, at, commands, sent
 from tests.quad.test_hands import restart
 from tests.quad.test_link import heartbeat
 

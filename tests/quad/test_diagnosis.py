@@ -7,6 +7,7 @@ import itertools
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from benchmarks.fixtures.quad_rig import FENCE, ORIGIN, Rig, Wire, commands, sent, settings, told
 from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.platform import Finding, Unready
 from targets.mavlink.framing import Message
@@ -16,7 +17,6 @@ from targets.quad.check import SILENCE, Heard
 from targets.quad.diagnosis import findings
 from targets.quad.platform import Quad
 from targets.quad.telemetry import Telemetry
-from tests.quad.rig import FENCE, ORIGIN, Rig, Wire, commands, sent, settings, told
 
 HARMLESS = {
     mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,

@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from benchmarks.fixtures.quad_rig import ORIGIN
 from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.values import Point, Pose
 from targets.mavlink.framing import Framer
 from targets.quad.external import Ned, gps_input, odometry, vision
-from tests.quad.rig import ORIGIN
 
 FRAME = LocalFrame(*ORIGIN)
 HERE = Ned(FRAME, *ORIGIN)

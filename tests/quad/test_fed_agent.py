@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
+from benchmarks.fixtures.fleet import Fleet
+from benchmarks.fixtures.quad_rig import at
 from koordgen.runtime.findings import SURROUNDINGS
 from koordgen.runtime.values import Point
 from tests.quad.fed import FedRig
-from tests.quad.rig import at
-from tests.runtime.fleet import Fleet
 
 MODES = pytest.mark.parametrize("mode", ["gps_input", "vision", "odometry"])
 

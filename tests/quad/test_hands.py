@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from benchmarks.fixtures.quad_rig import Rig, at, commands, sent, told
 from koordgen.runtime.platform import Unready
 from koordgen.runtime.values import Point, distance
-from tests.quad.rig import Rig, at, commands, sent, told
 from tests.quad.test_link import heartbeat
 
 

@@ -13,9 +13,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from benchmarks.fixtures.quad_rig import ORIGIN, STEP, PointMass, settings
 from targets.sim.autopilot import SimulatedAutopilot
 from targets.sim.bodies import DeviceContext
-from tests.quad.rig import ORIGIN, STEP, PointMass, settings
 from tests.runtime.transports import free_ports
 
 ROOT = Path(__file__).parents[2]
@@ -24,7 +24,7 @@ import sys
 from pathlib import Path
 from koordgen.runtime.agent import main
 from targets.quad.platform import Quad
-from tests.runtime.lineform import PROGRAM
+from benchmarks.fixtures.lineform import PROGRAM
 sys.exit(main(PROGRAM, Quad, Path(sys.argv[1]), []))
 """
 GUIDED, LAND = 4, 9

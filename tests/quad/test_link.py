@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from benchmarks.fixtures.quad_rig import Wire
 from koordgen.runtime.platform import Unready
 from targets.mavlink.framing import Framer
 from targets.mavlink.link import Link, Vehicle
 from targets.mavlink.transport import opened
-from tests.quad.rig import Wire
 
 
 def heartbeat(system: int = 1, component: int = 1, autopilot: int = 3, kind: int = 2) -> bytes:

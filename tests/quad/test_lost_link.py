@@ -6,13 +6,13 @@ from collections.abc import Callable
 
 import pytest
 
+from benchmarks.fixtures.fleet import Kept
+from benchmarks.fixtures.lineform import PROGRAM
+from benchmarks.fixtures.quad_rig import Rig, at, settings
 from koordgen.runtime.clock import SimulatedClock
 from koordgen.runtime.machine import SURROUNDINGS, Agent
 from koordgen.runtime.network import Conditions, MemoryNetwork
 from koordgen.runtime.trace import Trace
-from tests.quad.rig import Rig, at, settings
-from tests.runtime.fleet import Kept
-from tests.runtime.lineform import PROGRAM
 
 LAND = 9
 

@@ -9,12 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from benchmarks.fixtures.quad_rig import ORIGIN, Wire
 from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.values import Point, Pose
 from targets.mavlink.framing import Framer, Message
 from targets.mavlink.link import Link, Vehicle
 from targets.quad.origin import Origin
-from tests.quad.rig import ORIGIN, Wire
 
 SET, ASK = mavlink.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN, mavlink.MAVLINK_MSG_ID_COMMAND_LONG
 EKF_WORDS = mavlink.MAVLink_statustext_message(6, b"EKF3 IMU0 initialised")

@@ -7,10 +7,10 @@ import struct
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from benchmarks.fixtures.quad_rig import Rig, Wire, commands, sent
 from targets.mavlink.framing import Framer
 from targets.mavlink.link import Link
 from targets.mavlink.parameters import Parameters, Wanted
-from tests.quad.rig import Rig, Wire, commands, sent
 from tests.quad.test_link import heartbeat
 
 READ, SET = mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ, mavlink.MAVLINK_MSG_ID_PARAM_SET

@@ -8,13 +8,13 @@ from typing import Any
 import msgspec
 import pytest
 
+from benchmarks.fixtures.quad_rig import Rig, settings
 from koordgen.runtime.geometry import path_distance
 from koordgen.runtime.obstacles import Block
 from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.values import Grid, Point, distance
 from targets.planning.process import Inside
 from targets.quad.platform import Quad
-from tests.quad.rig import Rig, settings
 
 PATH = (Point(3.0, -2.0, 1.5), Point(3.0, 2.0, 2.5), Point(-1.0, 2.0, 1.5))
 

@@ -8,10 +8,10 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from benchmarks.fixtures.quad_rig import FENCE, SETPOINT, Rig, at, commands, sent, told
 from koordgen.runtime.platform import Platform, Unready
 from koordgen.runtime.values import Point, distance
 from targets.quad.motion import MARGIN
-from tests.quad.rig import FENCE, SETPOINT, Rig, at, commands, sent, told
 
 
 def test_a_whole_life() -> None:

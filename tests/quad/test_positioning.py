@@ -11,6 +11,7 @@ from itertools import pairwise
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from benchmarks.fixtures.quad_rig import FENCE, ORIGIN, Rig, at, sent, settings
 from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.safety import Guard
 from koordgen.runtime.settings import BadSettings, Safety
@@ -19,7 +20,6 @@ from targets.quad.platform import Quad
 from targets.quad.positioning import JUMPED, PATIENCE, STALE
 from targets.quad.track import Track
 from tests.quad.fed import KEY, WALL, Cable, FedRig, sample
-from tests.quad.rig import FENCE, ORIGIN, Rig, at, sent, settings
 
 NUMBERS = {
     "gps_input": mavlink.MAVLINK_MSG_ID_GPS_INPUT,

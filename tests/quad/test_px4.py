@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from benchmarks.fixtures.quad_rig import SETPOINT, Rig, at, commands, sent, told
 from koordgen.runtime.platform import Unready
 from koordgen.runtime.values import Point, distance
 from targets.quad.px4 import LAND, OFFBOARD, PX4, custom_mode
 from targets.sim.mavlink_copter import Copter
 from tests.quad.fed import FedRig
-from tests.quad.rig import SETPOINT, Rig, at, commands, sent, told
 
 HOLD = custom_mode(4, 3)
 

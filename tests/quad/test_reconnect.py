@@ -12,11 +12,11 @@ from typing import Protocol
 
 import pytest
 
+from benchmarks.fixtures.quad_rig import ORIGIN, Rig, settings
 from targets.planning.process import Inside
 from targets.quad.platform import Quad
 from targets.sim.autopilot import SimulatedAutopilot
 from targets.sim.bodies import DeviceContext
-from tests.quad.rig import ORIGIN, Rig, settings
 
 
 class Line(Protocol):

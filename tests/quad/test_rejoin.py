@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from benchmarks.fixtures.quad_rig import Rig, at, settings
 from koordgen.runtime.obstacles import Block, Obstacle
 from koordgen.runtime.platform import Unready
 from koordgen.runtime.settings import Safety
@@ -19,7 +20,6 @@ from targets.planning.standstill import NO_PROGRESS
 from targets.quad.platform import Quad
 from targets.quad.simple import SimpleQuad
 from targets.sim.bodies import Vector
-from tests.quad.rig import Rig, at, settings
 
 WALL = Block(Point(2.0, -5.0, 0.0), Point(2.2, 2.0, 3.8))
 AROUND = (Point(1.0, -2.0, 1.5), Point(1.4, 2.6, 1.5), Point(2.8, 2.6, 1.5), Point(3.4, -2.0, 1.5))

@@ -8,10 +8,10 @@ from itertools import count
 
 import pytest
 
+from benchmarks.fixtures.quad_rig import Rig
 from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.scans import PATIENCE, Sweep, encode, packed
 from koordgen.runtime.values import Point
-from tests.quad.rig import Rig
 
 
 @pytest.fixture

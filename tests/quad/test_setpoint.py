@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from benchmarks.fixtures.quad_rig import FENCE, ORIGIN, SETPOINT, Wire
 from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.safety import clamp, inside
 from koordgen.runtime.settings import Box
@@ -24,7 +25,6 @@ from targets.quad.setpoint import Aim, NotSendable, Shaping, aimed, setpoint
 from targets.quad.telemetry import Telemetry
 from targets.quad.trajectory import Limits, norm
 from targets.quad.yaw import heading
-from tests.quad.rig import FENCE, ORIGIN, SETPOINT, Wire
 
 VEHICLE = Vehicle(3, 1, 3, 2)
 FRAME = LocalFrame(*ORIGIN)

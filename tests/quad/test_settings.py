@@ -9,9 +9,9 @@ from typing import get_args, get_type_hints
 import msgspec
 import pytest
 
+from benchmarks.fixtures.quad_rig import settings
 from koordgen.runtime.settings import BadSettings
 from targets.quad.platform import Body, Quad
-from tests.quad.rig import settings
 
 
 @pytest.mark.parametrize(

@@ -7,11 +7,11 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from benchmarks.fixtures.quad_rig import PointMass, Rig
 from koordgen.runtime.values import Point
 from targets.sim.bodies import BodyState, Vector
 from targets.sim.quadrotor import SimulatedQuadrotor
 from targets.sim.world import World
-from tests.quad.rig import PointMass, Rig
 
 MORE = 1.05  # a vehicle may be so much faster than its limit: its own controller's overshoot
 

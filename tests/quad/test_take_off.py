@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from benchmarks.fixtures.quad_rig import SETPOINT, Rig, at, commands, sent, told
 from koordgen.runtime.platform import Unready
 from targets.mavlink.framing import Framer
-from tests.quad.rig import SETPOINT, Rig, at, commands, sent, told
 from tests.quad.test_link import heartbeat
 
 

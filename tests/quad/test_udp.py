@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.fixtures.quad_rig import ORIGIN, STEP, PointMass, settings
 from koordgen.runtime.platform import Unready
 from koordgen.runtime.values import Point
 from targets.mavlink.transport import opened
 from targets.quad.platform import Quad
 from targets.sim.autopilot import SimulatedAutopilot
 from targets.sim.bodies import DeviceContext
-from tests.quad.rig import ORIGIN, STEP, PointMass, settings
 from tests.terminal import terminal
 
 PACE = 4.0  # times faster than real time

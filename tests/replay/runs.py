@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from benchmarks.fixtures.fleet import NAMES, FakePlatform, Fleet
 from koordgen.check.params import with_params
 from koordgen.emit.program import program_hash, program_text
 from koordgen.ir.decl import Program
@@ -16,7 +17,6 @@ from koordgen.runtime.settings import Safety
 from targets.sim import trace
 from targets.sim.trace import End, Header, RobotName
 from tests.emit.generated import _module
-from tests.runtime.fleet import NAMES, FakePlatform, Fleet
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

@@ -9,6 +9,8 @@ from typing import Any
 import msgspec
 import pytest
 
+from benchmarks.fixtures.fleet import KEY, settings
+from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime import gate, wire
 from koordgen.runtime.clock import FleetClock, SimulatedClock
 from koordgen.runtime.gate import Gate
@@ -18,8 +20,6 @@ from koordgen.runtime.seal import MEMORY
 from koordgen.runtime.sessions import Sessions
 from koordgen.runtime.transport import Transport
 from koordgen.runtime.wire import Closing, Head, Hello, Message, Round, View
-from tests.runtime.fleet import KEY, settings
-from tests.runtime.lineform import PROGRAM
 
 NO_GATE = gate.COMPILED.why()
 needs_gate = pytest.mark.skipif(bool(NO_GATE), reason=NO_GATE)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from benchmarks.fixtures.fleet import KEY
 from koordgen.runtime import gate, wire
 from koordgen.runtime.gate import NOTED, OTHER, USUAL, Gate
 from koordgen.runtime.ledger import (
@@ -33,7 +34,6 @@ from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.seal import MEMORY, seal
 from koordgen.runtime.sessions import Sessions
 from koordgen.runtime.wire import Closing, Echo, Write, encoder
-from tests.runtime.fleet import KEY
 
 BEGINS = b"words of this mission begin so"
 COLUMNS = ("held", "floor", "view", "incarnation", "applied", "through", "heard", "wanting", "gap", "number", "lacks")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from tests.runtime.fleet import STARTS, Fleet
+from benchmarks.fixtures.fleet import STARTS, Fleet
 
 
 def stores(fleet: Fleet) -> dict[int, Mapping[str, Any]]:

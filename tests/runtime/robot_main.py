@@ -7,10 +7,10 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from benchmarks.fixtures.fleet import STARTS, FakePlatform
+from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime.agent import main
 from koordgen.runtime.settings import Settings
-from tests.runtime.fleet import STARTS, FakePlatform
-from tests.runtime.lineform import PROGRAM
 
 
 def body(settings: Settings, key: bytes | None) -> FakePlatform:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from tests.runtime.fleet import STARTS, FakePlatform, Fleet
-from tests.runtime.lineform import PROGRAM
+from benchmarks.fixtures.fleet import STARTS, FakePlatform, Fleet
+from benchmarks.fixtures.lineform import PROGRAM
 
 
 class Waiting(FakePlatform):

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import pytest
 from msgspec.structs import replace
 
+from benchmarks.fixtures.fleet import KEY, Fleet
 from koordgen.runtime.memory import Memory
 from koordgen.runtime.network import Conditions
 from koordgen.runtime.patience import FEW
 from koordgen.runtime.replica import Replica
 from koordgen.runtime.wire import Need, Round, decode
-from tests.runtime.fleet import KEY, Fleet
 
 Asked = dict[float, set[int]]  # by time: whom
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
+from benchmarks.fixtures.fleet import FakePlatform, Fleet
+from benchmarks.fixtures.lineform import PROGRAM, State
 from koordgen.runtime.bounds import Fixed, Many
 from koordgen.runtime.program import Cell, Event, Frame, Port, Program, Slots
 from koordgen.runtime.values import Point
-from tests.runtime.fleet import FakePlatform, Fleet
-from tests.runtime.lineform import PROGRAM, State
 
 Answer = Callable[[tuple[Any, ...]], Any]
 

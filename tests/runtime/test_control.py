@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from benchmarks.fixtures.fleet import KEY, settings
 from koordgen.estop import Stopping
 from koordgen.runtime.control import LINGER, MOST_AT_ONCE, Control
 from koordgen.runtime.metrics import Metrics
@@ -32,7 +33,6 @@ from koordgen.runtime.seal import CONTROL, MEMORY, seal
 from koordgen.runtime.settings import Peer, Settings
 from koordgen.runtime.status import Asking, ask, show
 from koordgen.runtime.transport import CannotOpen
-from tests.runtime.fleet import KEY, settings
 
 NONCE = b"nonce-01"
 OTHER = bytes(32)

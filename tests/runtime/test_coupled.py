@@ -9,6 +9,8 @@ from typing import Any
 import msgspec
 import pytest
 
+from benchmarks.fixtures.fleet import KEY, settings
+from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime import udp
 from koordgen.runtime.clock import Clock, SimulatedClock, SystemClock
 from koordgen.runtime.courier import GROUP
@@ -19,9 +21,7 @@ from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.speech import RESTAMP, microseconds
 from koordgen.runtime.transport import Coupled
 from koordgen.runtime.wire import Decided, Round, View, decode
-from tests.runtime.fleet import KEY, settings
 from tests.runtime.gates import APPLICATION, BOOT, EPOCH, OWN, Exchange, N, needs_gate
-from tests.runtime.lineform import PROGRAM
 from tests.runtime.test_voice import WORD, closing_of, ledger_of
 from tests.runtime.transports import Opened, needs_courier
 from tests.runtime.transports import udp as fleet_of

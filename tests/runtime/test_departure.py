@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
+from benchmarks.fixtures.fleet import KEY, Fleet
+from benchmarks.fixtures.lineform import PROGRAM, State
 from koordgen.runtime.network import Conditions
 from koordgen.runtime.program import Event
 from koordgen.runtime.store import Acceptor, Locals
 from koordgen.runtime.values import Point
 from koordgen.runtime.wire import Round, decode
-from tests.runtime.fleet import KEY, Fleet
-from tests.runtime.lineform import PROGRAM, State
 from tests.runtime.test_restarts import SOON, kill
 
 

@@ -14,14 +14,14 @@ from typing import Any
 
 import pytest
 
+from benchmarks.fixtures.fleet import FakePlatform
+from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime import agent, courier, doctor, gate
 from koordgen.runtime.doctor import examine, unknown
 from koordgen.runtime.layout import TooLarge
 from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.settings import BadSettings, Peer, Settings
 from koordgen.runtime.values import Point
-from tests.runtime.fleet import FakePlatform
-from tests.runtime.lineform import PROGRAM
 from tests.runtime.robot_main import body
 from tests.runtime.test_process import bundles, change
 

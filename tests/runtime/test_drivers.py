@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
+from benchmarks.fixtures.fleet import FakePlatform, Fleet
+from benchmarks.fixtures.lineform import PROGRAM, State
 from koordgen.runtime.bounds import Fixed
 from koordgen.runtime.drivers import Driven, with_drivers
 from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.program import Cell, Event, Frame, Port, Program
 from koordgen.runtime.values import Point
-from tests.runtime.fleet import FakePlatform, Fleet
-from tests.runtime.lineform import PROGRAM, State
 
 
 class Heating(State):

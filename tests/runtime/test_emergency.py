@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from benchmarks.fixtures.fleet import Fleet, Robot
 from koordgen.runtime.network import Conditions
 from koordgen.runtime.settings import Safety
-from tests.runtime.fleet import Fleet, Robot
 
 
 def resting(robot: Robot) -> bool:

@@ -12,6 +12,8 @@ from typing import Any
 
 import pytest
 
+from benchmarks.fixtures.fleet import FakePlatform, Fleet
+from benchmarks.fixtures.lineform import PROGRAM, State, effect
 from koordgen.runtime.clock import SystemClock
 from koordgen.runtime.machine import WRONG_PROGRAM
 from koordgen.runtime.platform import Sensed
@@ -19,8 +21,6 @@ from koordgen.runtime.program import Event, Program, Stopped, no_ports, wrong_fi
 from koordgen.runtime.runner import Interrupting, Overrun, Runner
 from koordgen.runtime.values import Point
 from tests.emit.generated import load
-from tests.runtime.fleet import FakePlatform, Fleet
-from tests.runtime.lineform import PROGRAM, State, effect
 from tests.runtime.reference import check_visibility
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from benchmarks.fixtures.fleet import KEY
 from koordgen.runtime import courier, gate
 from koordgen.runtime.native import NotCompiled, load
 from koordgen.runtime.seal import MAC_SIZE, MEMORY, seal
@@ -26,7 +27,6 @@ from koordgen.runtime.wire import (
     pack,
 )
 from tests.runtime import sanitized
-from tests.runtime.fleet import KEY
 from tests.runtime.gates import ADOPTED, OWN, VIEW, Ear, Ears, N, head, needs_gate, opened, plain, sealed, word
 from tests.runtime.sanitized import needs_compiler
 from tests.runtime.test_courier import inbox

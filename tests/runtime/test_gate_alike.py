@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
+from benchmarks.fixtures.fleet import KEY
 from koordgen.runtime import wire
 from koordgen.runtime.metrics import RECENT
 from koordgen.runtime.seal import MEMORY, seal
@@ -37,7 +38,6 @@ from koordgen.runtime.wire import (
     Write,
     encoder,
 )
-from tests.runtime.fleet import KEY
 from tests.runtime.gates import ADOPTED, BOOTS, EPOCH, OWN, VIEW, Ears, N, head, is_usual, needs_gate, sealed, word
 from tests.runtime.test_gate import VALUES, WIDE
 

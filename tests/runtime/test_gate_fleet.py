@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
+from benchmarks.fixtures.fleet import Fleet
+from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime import gate
 from koordgen.runtime.gate import Gate
 from koordgen.runtime.network import Conditions
 from koordgen.runtime.program import Program
-from tests.runtime.fleet import Fleet
 from tests.runtime.gates import needs_gate
-from tests.runtime.lineform import PROGRAM
 from tests.runtime.test_transactions import COUNTER
 
 pytestmark = needs_gate

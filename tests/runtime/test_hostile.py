@@ -13,6 +13,8 @@ from hypothesis import HealthCheck, given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
+from benchmarks.fixtures.fleet import KEY
+from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime import wire
 from koordgen.runtime.bounds import Fixed
 from koordgen.runtime.program import Variable
@@ -36,8 +38,6 @@ from koordgen.runtime.wire import (
     Want,
     Write,
 )
-from tests.runtime.fleet import KEY
-from tests.runtime.lineform import PROGRAM
 from tests.runtime.wiretap import CLEO, Wiretap, snapshot
 
 TOP = 2**53

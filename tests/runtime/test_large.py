@@ -10,6 +10,8 @@ from typing import Any
 import pytest
 from msgspec import Raw
 
+from benchmarks.fixtures.fleet import KEY, Fleet, Robot
+from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime import wire
 from koordgen.runtime.bounds import Cells
 from koordgen.runtime.gridmap import OCCUPIED, GridMap, area, is_occupied, mark_occupied
@@ -18,8 +20,6 @@ from koordgen.runtime.program import Event, Frame, Transaction, Variable
 from koordgen.runtime.settings import Safety
 from koordgen.runtime.values import Grid, Point
 from koordgen.runtime.wire import LIMIT, Closing, Round, Write
-from tests.runtime.fleet import KEY, Fleet, Robot
-from tests.runtime.lineform import PROGRAM
 
 WIDTH, HEIGHT, N = 160, 140, 8
 MARKS = 4  # cells that each robot marks in the map of all

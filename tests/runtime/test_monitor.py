@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from benchmarks.fixtures.fleet import settings
 from koordgen.emit.program import program_text
 from koordgen.emit.property import properties_text
 from koordgen.runtime.allowance import Allowance
@@ -22,7 +23,6 @@ from koordgen.runtime.trace import LEFT, Record
 from koordgen.runtime.values import Point
 from koordgen.runtime.watched import OWN, SENSED, SHARED, Change, Moment
 from tests.emit.generated import checked
-from tests.runtime.fleet import settings
 
 TEXT = """\
 using Motion:

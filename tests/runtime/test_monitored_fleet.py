@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
+from benchmarks.fixtures.fleet import FakePlatform, Fleet
 from koordgen.runtime.machine import VIOLATED
 from koordgen.runtime.network import Conditions
 from koordgen.runtime.values import Point
-from tests.runtime.fleet import FakePlatform, Fleet
 from tests.runtime.test_monitor import generated
 
 # Robot 1 goes out of its yard and back, as robot 0 says.

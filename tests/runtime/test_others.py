@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tests.runtime.fleet import STARTS, Fleet
+from benchmarks.fixtures.fleet import STARTS, Fleet
 
 
 def test_a_platform_is_handed_the_slots_of_the_others_before_each_event() -> None:

@@ -19,12 +19,12 @@ from typing import Any
 import msgspec
 import pytest
 
+from benchmarks.fixtures.fleet import NAMES, FakePlatform, settings
+from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime import agent, courier, gate
 from koordgen.runtime.platform import Finding
 from koordgen.runtime.settings import Peer
 from koordgen.runtime.transport import CannotOpen
-from tests.runtime.fleet import NAMES, FakePlatform, settings
-from tests.runtime.lineform import PROGRAM
 from tests.runtime.robot_main import body
 from tests.runtime.transports import BROADCAST, MULTICAST, free_ports, needs_zenoh
 

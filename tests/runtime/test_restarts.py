@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
+from benchmarks.fixtures.fleet import NAMES, Fleet, Kept, Robot
+from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime.network import Conditions
 from koordgen.runtime.settings import Safety
 from koordgen.runtime.store import KEPT, Acceptor, Keeper, Locals, Mission, Store
-from tests.runtime.fleet import NAMES, Fleet, Kept, Robot
-from tests.runtime.lineform import PROGRAM
 from tests.runtime.reference import check_visibility
 from tests.runtime.test_transactions import COUNTER, OFTEN
 

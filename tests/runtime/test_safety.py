@@ -12,14 +12,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.fixtures.fleet import FakePlatform, Fleet
+from benchmarks.fixtures.lineform import PROGRAM, State
 from koordgen.runtime.platform import Unready
 from koordgen.runtime.program import Event
 from koordgen.runtime.safety import clamp, inside
 from koordgen.runtime.settings import Box
 from koordgen.runtime.trace import Trace
 from koordgen.runtime.values import Point, distance
-from tests.runtime.fleet import FakePlatform, Fleet
-from tests.runtime.lineform import PROGRAM, State
 
 _metre = st.floats(-100, 100)
 _point = st.builds(Point, _metre, _metre, _metre)

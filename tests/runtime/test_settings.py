@@ -9,11 +9,11 @@ from typing import Any
 import msgspec
 import pytest
 
+from benchmarks.fixtures.fleet import settings
+from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime import agent
 from koordgen.runtime.settings import BadSettings, load
 from tests.fleet.test_fleet import EXAMPLE, read
-from tests.runtime.fleet import settings
-from tests.runtime.lineform import PROGRAM
 
 # Where a number stands in the settings and in the fleet file, and values at and beyond its bounds.
 NUMBERS: dict[tuple[str, ...], list[float]] = {

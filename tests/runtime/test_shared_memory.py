@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import pytest
 
+from benchmarks.fixtures.fleet import Fleet, Robot
+from benchmarks.fixtures.lineform import PROGRAM, State
 from koordgen.runtime import rounds
 from koordgen.runtime.ledger import DEPTH
 from koordgen.runtime.memory import WINDOW
@@ -13,8 +15,6 @@ from koordgen.runtime.network import Conditions
 from koordgen.runtime.outbox import MOST_WAITING
 from koordgen.runtime.program import Event
 from koordgen.runtime.settings import Safety
-from tests.runtime.fleet import Fleet, Robot
-from tests.runtime.lineform import PROGRAM, State
 from tests.runtime.reference import check_visibility, stores
 
 

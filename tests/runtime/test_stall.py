@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from benchmarks.fixtures.fleet import Fleet
 from koordgen.runtime.stall import AGAIN, CLEAR, GRACE, Stalls
-from tests.runtime.fleet import Fleet
 
 STEP = 0.05
 

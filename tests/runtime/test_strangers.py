@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
+from benchmarks.fixtures.fleet import Fleet
+from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime.joining import PERIOD
-from tests.runtime.fleet import Fleet
-from tests.runtime.lineform import PROGRAM
 
 
 def test_a_recorded_hello_of_an_earlier_boot_never_passes_for_live() -> None:

@@ -8,8 +8,8 @@ from typing import Any
 import msgspec
 import pytest
 
+from benchmarks.fixtures.fleet import Fleet, Robot
 from koordgen.runtime.network import Conditions
-from tests.runtime.fleet import Fleet, Robot
 from tests.runtime.test_restarts import ENDLESS, SOON, kill
 
 

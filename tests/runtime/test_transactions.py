@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import pytest
 
+from benchmarks.fixtures.fleet import Fleet
+from benchmarks.fixtures.lineform import PROGRAM, State
 from koordgen.runtime.commits import winner
 from koordgen.runtime.network import Conditions
 from koordgen.runtime.program import Event, Program, Stopped
-from tests.runtime.fleet import Fleet
-from tests.runtime.lineform import PROGRAM, State
 
 OFTEN = 12  # times that each robot counts
 

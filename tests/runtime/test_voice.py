@@ -12,6 +12,8 @@ from typing import Any
 import msgspec
 import pytest
 
+from benchmarks.fixtures.fleet import KEY, Fleet, settings
+from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime import gate, speech, wire
 from koordgen.runtime.clock import FleetClock, SimulatedClock
 from koordgen.runtime.gate import Fields, Gate, Said
@@ -36,9 +38,7 @@ from koordgen.runtime.wire import (
     encoder,
 )
 from tests.runtime import sanitized
-from tests.runtime.fleet import KEY, Fleet, settings
 from tests.runtime.gates import APPLICATION, BOOT, EPOCH, OWN, N, head, needs_gate
-from tests.runtime.lineform import PROGRAM
 from tests.runtime.sanitized import needs_compiler
 from tests.runtime.test_gate_fleet import CALM, ROUGH, Story, restarts, runs_on
 

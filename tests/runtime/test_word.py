@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import pytest
 
+from benchmarks.fixtures.fleet import KEY, Fleet, Kept, Robot
 from koordgen.runtime.ledger import LAST, TICK
 from koordgen.runtime.memory import AHEAD
 from koordgen.runtime.network import Conditions
 from koordgen.runtime.replica import SLOTS
 from koordgen.runtime.wire import Need, Round, decode
-from tests.runtime.fleet import KEY, Fleet, Kept, Robot
 
 LOSSES = pytest.mark.parametrize("loss", [0.0, 0.3])
 

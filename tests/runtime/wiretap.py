@@ -7,14 +7,14 @@ from typing import Any
 
 import msgspec
 
+from benchmarks.fixtures.fleet import KEY, Fleet, Robot
+from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime import wire
 from koordgen.runtime.ledger import DEPTH, LAST, TICK, Ledger
 from koordgen.runtime.log import Log
 from koordgen.runtime.program import Program
 from koordgen.runtime.views import Vote
 from koordgen.runtime.wire import Message, Round, encoder
-from tests.runtime.fleet import KEY, Fleet, Robot
-from tests.runtime.lineform import PROGRAM
 
 CLEO = 2
 NOTED = (

@@ -7,10 +7,10 @@ import select
 import sys
 import time
 
+from benchmarks.fixtures.quad_rig import ORIGIN, STEP, PointMass
 from targets.sim.autopilot import SimulatedAutopilot
 from targets.sim.bodies import DeviceContext
 from targets.sim.ports import UdpPort
-from tests.quad.rig import ORIGIN, STEP, PointMass
 
 
 def main(firmware: str, speed: float) -> None:

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.fixtures.fleet import NAMES
 from koordgen.runtime.values import Point
 from targets.sim.idle import Idle, same
-from tests.runtime.fleet import NAMES
 from tests.sim.watched import Watched
 
 TASKS = """\

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.fixtures.quad_rig import ORIGIN
 from koordgen.runtime.geodesy import LocalFrame
-from tests.quad.rig import ORIGIN
 
 pytest.importorskip("mavsdk")
 

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.fixtures.rays import to_obstacle, to_segment
 from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.values import Point
 from targets.sim.bodies import Vector
@@ -28,49 +29,6 @@ spheres = st.builds(Sphere, points, size)
 cylinders = st.builds(Cylinder, points, size, size)
 triangles = st.builds(lambda a, b, c: Mesh((a, b, c), ((0, 1, 2),)), points, points, points)
 anything: st.SearchStrategy[Obstacle] = st.one_of(blocks, spheres, cylinders, triangles)
-
-
-def to_segment(x: float, y: float, angle: float, ends: tuple[float, float, float, float]) -> float:
-    """How far it is from a place to a segment."""
-    ax, ay, bx, by = ends[0] - x, ends[1] - y, ends[2] - x, ends[3] - y
-    cos, sin = math.cos(angle), math.sin(angle)
-    # Turned so that the ray is the x axis.
-    ax, ay, bx, by = ax * cos + ay * sin, ay * cos - ax * sin, bx * cos + by * sin, by * cos - bx * sin
-    if (ay > 0) == (by > 0):
-        return math.inf
-    distance = ax - ay * (bx - ax) / (by - ay)
-    return distance if distance >= 0 else math.inf
-
-
-def to_circle(x: float, y: float, angle: float, centre: Point, radius: float) -> float:
-    along = (centre.x - x) * math.cos(angle) + (centre.y - y) * math.sin(angle)
-    aside = math.sqrt(max(0.0, (centre.x - x) ** 2 + (centre.y - y) ** 2 - along**2))
-    if aside > radius or math.hypot(centre.x - x, centre.y - y) <= radius:
-        return math.inf
-    distance = along - math.sqrt(radius**2 - aside**2)
-    return distance if distance >= 0 else math.inf
-
-
-def to_obstacle(eye: Vector, angle: float, obstacle: Obstacle) -> float:
-    x, y, z = eye
-    match obstacle:
-        case Block(lo, hi) if lo.z <= z <= hi.z:
-            corners = [(lo.x, lo.y), (hi.x, lo.y), (hi.x, hi.y), (lo.x, hi.y), (lo.x, lo.y)]
-            return min(to_segment(x, y, angle, (*corners[i], *corners[i + 1])) for i in range(4))
-        case Sphere(centre, radius) if abs(z - centre.z) < radius:
-            return to_circle(x, y, angle, centre, math.sqrt(radius**2 - (z - centre.z) ** 2))
-        case Cylinder(base, radius, height) if base.z <= z <= base.z + height:
-            return to_circle(x, y, angle, base, radius)
-        case Mesh(vertices, _):
-            crossed = []
-            for p, q in ((0, 1), (1, 2), (2, 0)):
-                a, b = vertices[p], vertices[q]
-                if (a.z < z) != (b.z < z):
-                    share = (z - a.z) / (b.z - a.z)
-                    crossed.append(a + (b - a) * share)
-            if len(crossed) == 2:
-                return to_segment(x, y, angle, (crossed[0].x, crossed[0].y, crossed[1].x, crossed[1].y))
-    return math.inf
 
 
 @pytest.fixture(scope="module")

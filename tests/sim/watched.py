@@ -9,13 +9,13 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+from benchmarks.fixtures.fleet import NAMES, Fleet
 from koordgen.runtime.network import Conditions
 from targets.sim import trace, watch
 from targets.sim.bodies import BodyState
 from targets.sim.crew import Companion
 from targets.sim.trace import Mark, Phase, Record, Round, Verdict, Violation
 from targets.sim.windows import Windows
-from tests.runtime.fleet import NAMES, Fleet
 from tests.sim.fake_fleet import beside
 
 STEP = 1 / 240
