@@ -147,20 +147,22 @@ def _explore(options: Namespace) -> int:
 
 def _explain(options: Namespace) -> int:
     from koordgen.diagnostics import CATALOGUE
+    from koordgen.explain import explanation, show, topic, topics
 
-    if options.code is None:
+    if not options.code:
         print("\n".join(f"{code}  {title}" for code, title in CATALOGUE.items()))
+        print(f"words: {', '.join(topics())}")
         return HOLDS
-    code = options.code.upper()
-    if code not in CATALOGUE:
-        from difflib import get_close_matches
+    word = " ".join(options.code)
+    code = word.upper()
+    text = show(explanation(code)) if code in CATALOGUE else topic(word)
+    if not text:
+        from koordgen.cli.parser import nearest
 
-        near = get_close_matches(code, CATALOGUE, 1)
-        help = f"did you mean {near[0]}? " if near else ""
-        raise Failure(USAGE, f"no code {options.code!r}", f"{help}`koordgen explain` lists all codes")
-    from koordgen.explain import explanation, show
-
-    print(show(explanation(code)))
+        near = nearest(code, [*CATALOGUE, *topics()]) if word else ""
+        help = f"did you mean {near}? " if near else ""
+        raise Failure(USAGE, f"no code {word!r}", f"{help}`koordgen explain` lists all codes and words")
+    print(text)
     return HOLDS
 
 

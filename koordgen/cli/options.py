@@ -100,8 +100,8 @@ def fmt(command: Parser) -> None:
 
 def explain(command: Parser) -> None:
     """Options of `koordgen explain`."""
-    code = "a code such as K030, a verdict such as VACUOUS, or `skip` (default: list all codes)"
-    command.positional.add_argument("code", metavar="CODE", nargs="?", help=code)
+    code = "a code such as K030, a verdict such as NOT INDUCTIVE, or `skip` (default: list all codes)"
+    command.positional.add_argument("code", metavar="CODE", nargs="*", help=code)
 
 
 def estop(command: Parser) -> None:
