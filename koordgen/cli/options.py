@@ -90,7 +90,7 @@ def explore(command: Parser) -> None:
 def fmt(command: Parser) -> None:
     """Options of `koordgen fmt`."""
     files = "programs; `-` reads standard input and writes standard output"
-    command.positional.add_argument("files", metavar="FILE", nargs="+", help=files)
+    command.positional.add_argument("files", metavar="FILE", type=values.program, nargs="+", help=files)
     mode = command.add_argument_group("what to do")
     mode.add_argument("--check", action="store_true", help="write nothing; status 1 when a file would change")
     mode.add_argument("--diff", action="store_true", help="as --check, and show the changes")
@@ -285,7 +285,7 @@ def help_(command: Parser) -> None:
 
 
 def _program(command: Parser) -> None:
-    command.positional.add_argument("program", metavar="APP.koord", help="the program")
+    command.positional.add_argument("program", metavar="APP.koord", type=values.program, help="the program")
 
 
 def _trace(command: Parser) -> None:
@@ -295,13 +295,13 @@ def _trace(command: Parser) -> None:
 def _of_a_trace(command: Parser) -> None:
     program = command.add_argument_group("the trace's program")
     where = "the program (default: that in the run's folder)"
-    program.add_argument("--program", metavar="APP.koord", help=where)
+    program.add_argument("--program", metavar="APP.koord", type=values.program, help=where)
     _fleet(program, "a fleet file (YAML), for the values of params")
     _params(program)
 
 
 def _fleet(group: Group, help: str, required: bool = False) -> None:
-    group.add_argument("--fleet", metavar="FILE", required=required, help=help)
+    group.add_argument("--fleet", metavar="FILE", type=values.fleet, required=required, help=help)
 
 
 def _params(group: Group) -> None:
