@@ -161,7 +161,7 @@ def harness(command: Parser) -> None:
     """Options of a command that runs a harness's bundle."""
     _program(command)
     run = command.add_argument_group("run")
-    _fleet(run, "the fleet file (YAML)", required=True)
+    _fleet(run, "the fleet file (YAML) (default: one simulated robot)")
     _duration(run, "seconds of mission, from its first round (default: 30)")
     run.add_argument("--lockstep", action="store_true", help="run all robots in one process: repeatable, and faster")
     run.add_argument("--seed", metavar="N", type=int, help="seed of all random numbers (default: 0)")
@@ -183,7 +183,7 @@ def harness(command: Parser) -> None:
     later = "make no report; `koordgen report` makes it later"
     output.add_argument("--no-report", action="store_true", help=later)
     _quiet(output)
-    _diagnostics(output)
+    _results(output)
 
 
 def campaign(command: Parser) -> None:
@@ -207,7 +207,7 @@ def campaign(command: Parser) -> None:
     output.add_argument("--reports", action="store_true", help="make the report of each run: some seconds a run")
     output.add_argument("--resume", action="store_true", help="continue the campaign in DIR")
     _quiet(output)
-    _diagnostics(output)
+    _results(output)
 
 
 def validate(command: Parser) -> None:
@@ -329,6 +329,9 @@ def _format(group: Group) -> None:
     group.add_argument("--format", choices=("text", "json"), default="text", help=help)
 
 
-def _diagnostics(group: Group) -> None:
-    help = "format of the diagnostics (default: text)"
+def _results(group: Group) -> None:
+    _diagnostics(group, "text; json: diagnostics and verdict as one document; sarif: diagnostics only (default: text)")
+
+
+def _diagnostics(group: Group, help: str = "format of the diagnostics (default: text)") -> None:
     group.add_argument("--format", choices=("text", "json", "sarif"), default="text", help=help)
