@@ -24,7 +24,6 @@ if TYPE_CHECKING:  # it is made of what this module has
 
 FORMAT = "koord-trace/1"
 STARTING = "starting"  # the phase with which a trace begins
-LEFT = "left the mission"  # why a robot that comes to rest skips
 
 Calls = tuple[tuple[str, tuple[Any, ...], Any], ...]  # of callable ports: port, arguments, answer
 
