@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from targets.sim import folder
+
 if TYPE_CHECKING:
     from targets.sim.trace import Header, Record
 
@@ -86,6 +88,7 @@ def whole(path: Path) -> Iterator[Path]:
             made = Path(beside) / target.name
             yield made
             _moved(made, target)
+            folder.record(target)
     except OSError as error:
         raise OSError(error.errno, error.strerror or str(error), str(path)) from None
 
