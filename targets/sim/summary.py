@@ -16,7 +16,10 @@ from targets.sim.run import Outcome
 from targets.sim.trace import Cause, End, Header, Monitor, Pose, Record, Round, Stall, Violation, fault_text
 from targets.sim.trace import Verdict as Found
 
-Verdict = Literal["held", "violated", "interrupted", "not started"]
+Verdict = Literal["held", "violated", "host overloaded", "interrupted", "not started"]
+
+
+AGAIN = "The run does not judge the program: run it again with --lockstep, or when the host has less to do"
 
 
 class Stalled(msgspec.Struct):
@@ -82,6 +85,7 @@ class Summary(msgspec.Struct):
     noticed: list[Noticed] = []  # by the robots' own monitors
     watching: float = 0.0  # share of the run's time that watching its properties took
     shares: dict[str, float] = {}  # of the processor's time, by part; empty in real time
+    host_waits: dict[str, float] = {}  # s for which each robot's agent and the simulator waited for a core; real time
     reproduce: dict[str, str] = {}  # what one needs to do it again
 
 
@@ -145,6 +149,7 @@ def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Su
         late_in_mission=outcome.late_in_mission,
         steps=outcome.steps,
         shares=outcome.shares,
+        host_waits=outcome.host_waits,
     )
 
 
@@ -204,14 +209,17 @@ class _Tally:
 
 
 def _verdict(outcome: Outcome, violations: list[Violation], properties: list[Found]) -> tuple[Verdict, str]:
-    first = f"{told(violations[0])}" if violations else ""
+    own = [violation for violation in violations if not violation.host]
+    first = told((own or violations)[0]) if violations else ""
     if outcome.ended == "interrupted":
         return "interrupted", "interrupted by the user" + (f"; before that, {first}" if first else "")
     if outcome.ended == "timeout":
         waiting = "; ".join(f"{name}: {what}" for name, what in outcome.waiting.items())
         return "not started", f"round 1 never came: {waiting}"
-    if violations:
+    if own:
         return "violated", first
+    if violations:
+        return "host overloaded", f"{first}. {AGAIN}"
     how = "all robots ended by themselves" if outcome.ended == "stopped" else "the whole duration was simulated"
     left = "; ".join(f"{_named(found)}, {found.outcome}{_since(found)}" for found in properties if _open(found))
     return "held", f"{how}, and nothing was violated" + (f"; not judged to the end: {left}" if left else "")
@@ -244,10 +252,11 @@ def seconds(t: float) -> str:
 def told(violation: Violation) -> str:
     """A violation in one sentence."""
     who = " ".join([f"at {seconds(violation.t)} s", *filter(None, [" and ".join(violation.robots)])])
+    host = f"; {violation.host}" if violation.host else ""
     if violation.line:
-        return f"{who}: {violation.detail} ({violation.line})"
+        return f"{who}: {violation.detail} ({violation.line}){host}"
     verb = " " if violation.what in ("ended", "unrest") else f": {violation.what}, "
-    return f"{who}{verb}{violation.detail}"
+    return f"{who}{verb}{violation.detail}{host}"
 
 
 def _stalled(robot: str, stalled: Stalled) -> str:
@@ -289,6 +298,12 @@ def as_text(summary: Summary) -> str:
     lines.append(f"collisions: {summary.collisions}")
     late = f"{summary.late_steps} late, {summary.late_in_mission} of them in the mission"
     lines.append(f"world: {summary.steps} steps, {late}, real-time factor {summary.real_time_factor:.3f}")
+    if summary.host_waits:
+        longest = max(summary.host_waits, key=summary.host_waits.__getitem__)
+        lines.append(
+            f"the host: processes waited {sum(summary.host_waits.values()):.2f} s for a processor core, the longest: "
+            f"{longest}, {summary.host_waits[longest]:.2f} s"
+        )
     if summary.shares:
         parts = (f"{part} {share:.0%}" for part, share in summary.shares.items())
         lines.append(f"the processor's time: {', '.join(parts)}")

@@ -18,7 +18,13 @@ from targets.sim.view.page import page
 from targets.sim.view.rows import Chunk
 
 MOST_LINES = 200  # of events and log lines
-COLOURS = {"held": "#1B7F4B", "violated": "#B00020", "interrupted": "#8A5A00", "not started": "#B00020"}
+COLOURS = {
+    "held": "#1B7F4B",
+    "violated": "#B00020",
+    "host overloaded": "#8A5A00",
+    "interrupted": "#8A5A00",
+    "not started": "#B00020",
+}
 
 
 def important(header: Header, records: Iterable[Record]) -> list[tuple[float, str, str, str]]:

@@ -78,7 +78,7 @@ class Rows:
         t = round(t, 3)
         match record:
             case Violation(what=what, robots=robots):
-                detail = " ".join(filter(None, (record.name, record.line, record.detail)))
+                detail = " ".join(filter(None, (record.name, record.line, record.detail, record.host)))
                 self._add("marks", [t, "violation", what, list(robots), detail])
             case End(why=why):
                 self._add("marks", [t, "end", why, [], ""])
