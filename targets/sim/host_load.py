@@ -1,14 +1,15 @@
 """Host load: how long each process of a real-time run waited for a processor core, and which violations that explains.
 
 Linux counts, for each thread, the time in which it could run but had no core (`/proc/PID/schedstat`, second field, ns;
-of a process here: its main thread, which runs the agent, or the simulator's world). It does not count what a
-hypervisor takes from the whole machine. Where the file is missing nothing is measured, and nothing is explained.
+of a process here: its main thread, which runs the agent, or the simulator's world). It adds a wait when the wait ends.
+It does not count what a hypervisor takes from the whole machine. Where the file is missing nothing is measured, and
+nothing is explained.
 """
 
 from __future__ import annotations
 
 import os
-from bisect import bisect_left, bisect_right
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING
@@ -25,8 +26,9 @@ if TYPE_CHECKING:
     from targets.sim.run import Run
 
 SIMULATOR = "the simulator"
-SHARE = 0.5  # of a time: a process that waited longer than that was starved
-WINDOW = 1.0  # seconds over which starvation is looked for, and for which it explains a violation afterwards
+SHARE = 0.5  # of the time that an event has: one that had no core for longer was late by the host
+STARVED = 0.5  # seconds at a stretch without a core, after which bodies do what no agent wants
+AFTER = 1.0  # seconds for which that explains what bodies do
 KEPT = 5.0  # seconds of samples: a round is told some rounds after it happened
 SAMPLES = 4  # in a round
 LEAST_PERIOD, MOST_PERIOD = 0.005, 0.05  # seconds between two samples
@@ -42,32 +44,38 @@ def waited(process: int) -> float | None:
 
 
 class _Process:
-    """The samples of one process, and the times (s, of the run's clock) at which it was starved."""
+    """The samples of one process: when (s, of the run's clock), and how long it had waited until then, in all."""
 
     def __init__(self) -> None:
-        self.total = 0.0  # seconds of waiting, over all lives of a robot's agent
-        self.starved: list[tuple[float, float]] = []  # when, and for how long it had waited within WINDOW
+        self.total = 0.0  # over all lives of a robot's agent
+        self.starved: list[tuple[float, float]] = []  # since when, until when
         self._samples: deque[tuple[float, float]] = deque()
         self._life: tuple[int, float] = (-1, 0.0)  # process id, and its counter at the last sample
 
     def sample(self, at: float, process: int, counter: float) -> None:
         """Take in what the process's counter says now. A restarted agent's counter begins anew."""
-        before = self._life[1] if self._life[0] == process else 0.0
-        self.total += max(0.0, counter - before)
+        known, last = self._life
+        before = last if known == process else counter if known < 0 else 0.0
+        wait = max(0.0, counter - before)
+        self.total += wait
         self._life = (process, counter)
+        # Waits that began since the last sample are no longer than the time since then.
+        if self._samples and wait - (at - self._samples[-1][0]) >= STARVED:
+            self.starved.append((at - wait, at))
         self._samples.append((at, self.total))
         while self._samples[0][0] < at - KEPT:
             self._samples.popleft()
-        lost = self.between(at - WINDOW, at)
-        if lost >= SHARE * WINDOW:
-            self.starved.append((at, lost))
 
     def between(self, since: float, until: float) -> float:
-        """Seconds of waiting between two times, as far as samples that enclose them tell."""
+        """Seconds of waiting between two times, as far as samples tell: at most so many."""
         samples = self._samples
         first = max(0, bisect_right(samples, since, key=_time) - 1)
-        last = min(len(samples) - 1, bisect_left(samples, until, key=_time))
-        return samples[last][1] - samples[first][1] if last > first else 0.0
+        last = max(first, bisect_right(samples, until, key=_time) - 1)
+        lost = samples[last][1] - samples[first][1]
+        for k in range(last + 1, len(samples)):  # a wait that goes on at `until` shows when it has ended
+            if (wait := samples[k][1] - samples[k - 1][1]) > 0:
+                return min(until - since, lost + max(0.0, wait - max(0.0, samples[k - 1][0] - until)))
+        return min(until - since, lost)
 
 
 def _time(sample: tuple[float, float]) -> float:
@@ -126,7 +134,8 @@ class HostLoad:
         lost = 0.0 if found is None else found.between(tick, tick + available)
         if lost < SHARE * available:
             return ""
-        return f"the host gave {name}'s agent no core for {1e3 * lost:.0f} ms; the event had {1e3 * available:.0f} ms"
+        lack = f"{1e3 * lost:.0f} of the {1e3 * available:.0f} ms that its event had"
+        return f"the host gave {name}'s agent no core for {lack}"
 
     def end(self, at: float) -> None:
         pass
@@ -158,8 +167,9 @@ class HostLoad:
         """Why a violation at a time of the run's clock is the host's; "" when no process concerned was starved."""
         for name in (*robots, SIMULATOR):
             process = self._found.get(name)
-            times = [] if process is None else [lost for when, lost in process.starved if 0 <= at - when <= WINDOW]
-            if times:
+            waits = [] if process is None else process.starved
+            lost = max((b - a for a, b in waits if a <= at and at - b <= AFTER), default=0.0)
+            if lost:
                 whose = name if name == SIMULATOR else f"{name}'s agent"
-                return f"the host gave {whose} no core for {max(times):.1f} of {WINDOW:g} s just before"
+                return f"the host gave {whose} no core for {lost:.1f} s"
         return ""
