@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
@@ -13,12 +14,13 @@ from targets.sim.bodies import Vector
 from targets.sim.noticed import Monitored, Noticed
 from targets.sim.noticed import as_text as noticed_text
 from targets.sim.run import Outcome
-from targets.sim.trace import Cause, End, Header, Monitor, Pose, Record, Round, Stall, Violation, fault_text
+from targets.sim.trace import Cause, End, Header, Log, Monitor, Pose, Record, Round, Stall, Violation, fault_text
 from targets.sim.trace import Verdict as Found
 
 Verdict = Literal["held", "violated", "host overloaded", "interrupted", "not started"]
 
 
+MOST_WARNINGS = 50  # different ones of a robot
 AGAIN = "The run does not judge the program: run it again with --lockstep, or when the host has less to do"
 
 
@@ -30,6 +32,16 @@ class Stalled(msgspec.Struct):
     seconds: float
     over: bool
     why: str
+
+
+class Warned(msgspec.Struct):
+    """What a robot's agent warned of, a command clamped at the geofence or a set-point refused, say: when first (s), in
+    which words then, and how often; the numbers in the words may differ."""
+
+    since: float
+    text: str
+    level: str
+    times: int = 1
 
 
 class RobotSummary(msgspec.Struct):
@@ -53,6 +65,7 @@ class RobotSummary(msgspec.Struct):
     waiting_for: str | None = None
     last_lines: list[str] = []
     stalls: list[Stalled] = []
+    warnings: list[Warned] = []
 
 
 class Separation(msgspec.Struct):
@@ -110,6 +123,8 @@ def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Su
                 tallies[pid].round(record)
             case Stall(pid=pid) if pid in tallies and not ended:
                 tallies[pid].stall(record)
+            case Log(pid=pid) if pid in tallies:
+                tallies[pid].log(record)
             case Violation():
                 violations.append(record)
             case Found():
@@ -163,7 +178,8 @@ def _separation(outcome: Outcome, names: dict[int, str]) -> Separation | None:
 
 class _Tally:
     def __init__(self, summary: RobotSummary, delta: float) -> None:
-        summary.events, summary.skips, summary.stalls = {}, {}, []
+        summary.events, summary.skips, summary.stalls, summary.warnings = {}, {}, [], []
+        self._warned: dict[str, Warned] = {}
         self.summary = summary
         self._delta = delta
         self._last: Vector | None = None
@@ -178,6 +194,18 @@ class _Tally:
             if pose.t >= 0 and self._last is not None:
                 own.path_length += math.dist(self._last, pose.position)
         self._last = pose.position
+
+    def log(self, record: Log) -> None:
+        """Count a warning or an error, by its words without numbers. Those of stalls are told as stalls."""
+        own = self.summary
+        if record.level == "info" or (own.stalls and record.message.endswith(own.stalls[-1].why)):
+            return
+        kind = re.sub(r"[-\d.]+", "", record.message)
+        if kind in self._warned:
+            self._warned[kind].times += 1
+        elif len(self._warned) < MOST_WARNINGS:
+            self._warned[kind] = Warned(record.t, record.message.strip(), record.level)
+            own.warnings.append(self._warned[kind])
 
     def stall(self, record: Stall) -> None:
         own = self.summary.stalls
@@ -259,9 +287,16 @@ def told(violation: Violation) -> str:
     return f"{who}{verb}{violation.detail}{host}"
 
 
-def _stalled(robot: str, stalled: Stalled) -> str:
-    until = f"for {stalled.seconds:.1f} s" if stalled.over else f"until the end ({stalled.seconds:.1f} s)"
-    return f"{robot} from {seconds(stalled.since)} s {until}: {stalled.why}"
+def stalled(robot: str, stall: Stalled) -> str:
+    """A time without a way, in one line."""
+    until = f"for {stall.seconds:.1f} s" if stall.over else f"until the end ({stall.seconds:.1f} s)"
+    return f"{robot} from {seconds(stall.since)} s {until}: {stall.why}"
+
+
+def warned(robot: str, warning: Warned) -> str:
+    """A warning in one line."""
+    often = f" ({warning.times} times)" if warning.times > 1 else ""
+    return f"{robot} at {seconds(warning.since)} s: {warning.text}{often}"
 
 
 def _brought(cause: Cause) -> str:
@@ -307,9 +342,12 @@ def as_text(summary: Summary) -> str:
     if summary.shares:
         parts = (f"{part} {share:.0%}" for part, share in summary.shares.items())
         lines.append(f"the processor's time: {', '.join(parts)}")
-    stalled = [_stalled(robot.name, each) for robot in summary.robots for each in robot.stalls]
-    if stalled:
-        lines += ["", "robots without a way:", *(f"  {line}" for line in stalled)]
+    stalls = [stalled(robot.name, each) for robot in summary.robots for each in robot.stalls]
+    if stalls:
+        lines += ["", "robots without a way:", *(f"  {line}" for line in stalls)]
+    warnings = [warned(robot.name, each) for robot in summary.robots for each in robot.warnings]
+    if warnings:
+        lines += ["", "robots warned:", *(f"  {line}" for line in warnings)]
     if len(summary.violations) > 1:
         lines += ["", f"all {len(summary.violations)} violations:", *(f"  {told(v)}" for v in summary.violations)]
     if summary.causes:

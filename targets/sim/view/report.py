@@ -11,13 +11,14 @@ import msgspec
 from targets.sim.noticed import Notable, said
 from targets.sim.run import Outcome
 from targets.sim.stage import Closest
-from targets.sim.summary import RobotSummary, Summary, headline, place, seconds, summarise, told
+from targets.sim.summary import RobotSummary, Summary, headline, place, seconds, stalled, summarise, told, warned
 from targets.sim.trace import Header, Log, Monitor, Phase, Record, Round, Violation, fault_text, read
 from targets.sim.view.history import gathered
 from targets.sim.view.page import page
 from targets.sim.view.rows import Chunk
 
 MOST_LINES = 200  # of events and log lines
+MOST_WARNINGS = 10  # above the pictures
 COLOURS = {
     "held": "#1B7F4B",
     "violated": "#B00020",
@@ -72,7 +73,7 @@ def write(path: Path, trace: Path) -> None:
 def html(header: Header, summary: Summary, rows: Chunk, lines: list[tuple[float, str, str, str]]) -> str:
     """The whole page."""
     title = f"{summary.app}, simulated"
-    before = f"<h1>{escape(title)}</h1>\n{_verdict(summary)}\n{_facts(summary)}"
+    before = f"<h1>{escape(title)}</h1>\n{_verdict(summary)}\n{_facts(summary)}\n{_warnings(summary.robots)}"
     after = [
         "<h2>Robots</h2>",
         _robots(summary.robots),
@@ -108,6 +109,18 @@ def _verdict(summary: Summary) -> str:
         f'<strong style="color:{COLOURS[summary.verdict]}">{escape(headline(summary).capitalize())}</strong>'
         f"<p>{escape(summary.why)}</p>{more}</div>"
     )
+
+
+def _warnings(robots: list[RobotSummary]) -> str:
+    """What robots warned of, and when they had no way; the first MOST_WARNINGS of all."""
+    found = sorted(
+        [(each.since, warned(robot.name, each)) for robot in robots for each in robot.warnings]
+        + [(each.since, stalled(robot.name, each)) for robot in robots for each in robot.stalls]
+    )
+    lines = [text for _, text in found[:MOST_WARNINGS]]
+    if more := len(found) - len(lines):
+        lines.append(f"{more} more are in summary.txt")
+    return f'<ul class="warned">{"".join(f"<li>{escape(line)}</li>" for line in lines)}</ul>' if lines else ""
 
 
 def _facts(summary: Summary) -> str:
