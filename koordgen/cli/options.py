@@ -325,6 +325,24 @@ def _export(command: argparse.ArgumentParser) -> None:
     command.add_argument("-o", "--out", metavar="PATH", help="where to (default: beside the trace)")
 
 
+def _show(command: argparse.ArgumentParser) -> None:
+    command.add_argument("trace", metavar="RUN", help="a run's folder, or its trace.jsonl")
+    when = "seconds since round 1 (default: the first violation, else the mission's end)"
+    command.add_argument("--at", metavar="S", type=_moment, help=when)
+    command.add_argument("--format", choices=("text", "json"), default="text", help="of what is told (default: text)")
+
+
+def _moment(text: str) -> float:
+    """Raises ArgumentTypeError."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text} is no time; give seconds since round 1")
+    return value
+
+
 def _of_a_build(command: argparse.ArgumentParser, fleet_required: bool = False) -> None:
     command.add_argument("--fleet", metavar="FILE", required=fleet_required, help="the fleet file (YAML)")
     command.add_argument(
@@ -352,6 +370,7 @@ _COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "audit": ("judge a program's properties by the traces of a whole fleet", _audit),
     "report": ("make the page that shows a run: moving pictures, rounds, shared variables, network", _report),
     "export": ("write a run's trace as MCAP, CSV, pictures or a film", _export),
+    "show": ("show what each robot of a run knew at a time: sensors, locals, its copy of the shared variables", _show),
     "doctor": ("look whether a robot is ready for a mission, on its own computer; nothing moves", _doctor),
     "key": ("make a fleet's key", _key),
     "basestation": ("pass the poses of a motion capture system on to the robots of a fleet", _basestation),

@@ -1,4 +1,4 @@
-"""What can be made of a run that is over: `koordgen report` and `koordgen export`."""
+"""What can be made of a run that is over: `koordgen report`, `koordgen export` and `koordgen show`."""
 
 from __future__ import annotations
 
@@ -48,6 +48,17 @@ def export(given: str, to: str, out: str | None) -> Path:
     with whole(path) as made:
         _write(to, made, header, records)
     return path
+
+
+def show(given: str, at: float | None, form: str) -> str:
+    """What each robot of a run's folder or merged trace knew at a time (s since round 1), as `text` or `json`; without
+    a time at the first violation, else at the mission's end. Raises BadTrace."""
+    from targets.sim.trace import read
+    from targets.sim.view import show
+
+    header, records = read(_found(given))
+    time, beliefs = show.at(header, records, at)
+    return (show.as_json if form == "json" else show.as_text)(header, time, beliefs)
 
 
 def _write(to: str, path: Path, header: Header, records: Iterator[Record]) -> None:
