@@ -20,6 +20,7 @@ from targets.sim.trace import Verdict as Found
 Verdict = Literal["held", "violated", "host overloaded", "interrupted", "not started"]
 
 
+LEFT_OPEN = "; not judged to the end: "  # in the reason of a run that held, before its properties
 MOST_WARNINGS = 50  # different ones of a robot
 AGAIN = "The run does not judge the program: run it again with --lockstep, or when the host has less to do"
 
@@ -250,7 +251,7 @@ def _verdict(outcome: Outcome, violations: list[Violation], properties: list[Fou
         return "host overloaded", f"{first}. {AGAIN}"
     how = "all robots ended by themselves" if outcome.ended == "stopped" else "the whole duration was simulated"
     left = "; ".join(f"{_named(found)}, {found.outcome}{_since(found)}" for found in properties if _open(found))
-    return "held", f"{how}, and nothing was violated" + (f"; not judged to the end: {left}" if left else "")
+    return "held", f"{how}, and nothing was violated" + (f"{LEFT_OPEN}{left}" if left else "")
 
 
 def _open(found: Found) -> bool:
@@ -265,6 +266,12 @@ def _since(found: Found) -> str:
 def _named(found: Found) -> str:
     """A property, and where it stands."""
     return f"{found.of} {found.name} ({found.line})" if found.name else f"{found.of} ({found.line})"
+
+
+def found_text(found: Found) -> str:
+    """The verdict on a property, in one line."""
+    detail = f": {found.detail}" if found.detail else f", moments: {found.moments}"
+    return f"{found.outcome.upper()}{_since(found)}: {_named(found)}{detail}"
 
 
 def headline(summary: Summary) -> str:
@@ -373,10 +380,7 @@ def _table(summary: Summary) -> list[str]:
 
 def _properties(summary: Summary) -> list[str]:
     """One line each; nothing for a program without any."""
-    lines = []
-    for found in summary.properties:
-        detail = f": {found.detail}" if found.detail else f", moments: {found.moments}"
-        lines.append(f"{found.outcome.upper()}{_since(found)}: {_named(found)}{detail}")
+    lines = [found_text(found) for found in summary.properties]
     took = [f"watching them took {summary.watching:.1%} of the time"] if lines else []
     own = ["", "the robots' own monitors:"] if summary.noticed else []
     own += [f"  {noticed_text(found)}" for found in summary.noticed]
