@@ -8,10 +8,15 @@ QUIET := PIP_DISABLE_PIP_VERSION_CHECK=1
 
 .PHONY: demo test lint slow prover-campaign clearance-campaign bench generated lock clean
 
+DEMO := koordgen sim examples/lineform/lineform.koord --fleet examples/lineform/fleet.yaml --duration 30 --seed 1
+
+# In lockstep, because the same seed then gives the same run on every computer, however much else it does.
 demo: $(STAMP)
-	$(PY) -m koordgen sim examples/lineform/lineform.koord --fleet examples/lineform/fleet.yaml \
-	  --duration 30 --seed 1 --out build/demo
+	$(PY) -m $(DEMO) --lockstep --out build/demo
 	$(PY) examples/lineform/verdict.py build/demo
+	@echo
+	@echo "Run it in real time and watch it in a browser:"
+	@echo "  $(VENV)/bin/$(DEMO) --live --out build/demo-live"
 
 # Two at a time, as many as there are cores on the smallest machine that it must be quick on; a file's tests stay together,
 # and files keep their order: xdist would begin those with few tests last, and some of these take longest. Compiled modules

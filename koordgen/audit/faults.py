@@ -12,6 +12,7 @@ from koordgen.ir import decl, stmt
 from koordgen.node import nodes
 from koordgen.prove.spell import spelled
 from koordgen.replay.robot import OVERRAN
+from koordgen.runtime.program import Fault
 
 _CONTRACT = re.compile(r"(?:requires|ensures) \(line (\d{1,9})\)")  # as runtime/extern.py words it
 
@@ -101,6 +102,6 @@ def _line(record: Mapping[str, Any], contracts: Mapping[int, Finding]) -> int:
 
 def _violation(story: Story, round_: int, record: Mapping[str, Any]) -> Violation:
     fault = record["fault"]
-    place = f"{fault.get('file', '')}:{fault.get('line', 0)}"
-    read = (f"{record.get('event') or 'a guard'} was discarded, {place}: {fault['reason']}",)
+    why = Fault(fault.get("file", ""), fault.get("line", 0), fault["reason"])
+    read = (f"{record.get('event') or 'a guard'} was discarded, {why}",)
     return Violation(Moment(round_, False), AFTER, (story.name,), (), read, "", ())

@@ -301,7 +301,8 @@ def _afterwards(options: Namespace) -> int:
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "help": _help, "check": _check, "dump": _dump, "build": _build, "prove": _prove, "explore": _explore, "fmt": _fmt,
     "explain": _explain, "estop": _estop, "status": _status, "basestation": _basestation, "doctor": _doctor,
-    "key": _key, "report": _afterwards, "export": _afterwards, "campaign": _campaign, "replay": _replay,
+    "key": _key, "report": _afterwards, "export": _afterwards, "show": _afterwards,
+    "campaign": _campaign, "replay": _replay,
     "validate": _validate, "audit": _audit,
 }  # fmt: skip
 

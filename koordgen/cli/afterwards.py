@@ -1,4 +1,4 @@
-"""`koordgen report` and `koordgen export`: what is made of a run that is over."""
+"""`koordgen report`, `koordgen export` and `koordgen show`: what is made of a run that is over."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ def afterwards(options: Namespace) -> int:
         raise cli.Failure(cli.SURROUNDINGS, message, f"{sys.executable} -m pip install 'koordgen[sim]'") from None
     try:
         if options.command == "report":
-            made = commands.report(options.trace, options.out)
+            made: object = commands.report(options.trace, options.out)
+        elif options.command == "show":
+            made = commands.show(options.trace, options.at, options.format)
         else:
             made = commands.export(options.trace, options.to, options.out)
     except commands.CannotMake as error:
@@ -28,7 +30,8 @@ def afterwards(options: Namespace) -> int:
         raise cli.Failure(cli.WRONG, str(error), "a run's folder is expected, or the trace.jsonl in it") from None
     except OSError as error:
         raise cli.Failure(
-            cli.SURROUNDINGS, f"{error.filename or options.out or options.trace}: {error.strerror or error}"
+            cli.SURROUNDINGS,
+            f"{error.filename or getattr(options, 'out', None) or options.trace}: {error.strerror or error}",
         ) from None
     print(made)
     return cli.HOLDS

@@ -49,6 +49,8 @@ COMMANDS: dict[str, Command] = {
     "export": Command(AFTER, "write a run's trace as MCAP, CSV, picture or film", options.export,
         "docs/sim.md#exports", ("koordgen export run-lineform --to csv",
         "koordgen export run-lineform --to mp4 -o lineform.mp4")),
+    "show": Command(AFTER, "show what each robot of a run knew at a time", options.show,
+        "docs/cli.md#show", ("koordgen show run-lineform", "koordgen show run-lineform --at 12")),
     "replay": Command(AFTER, "run a trace's program again on the recorded inputs, and compare the results",
         options.replay, "docs/cli.md#replay", ("koordgen replay run-lineform",
         "koordgen replay run-lineform/robots/bert/trace.jsonl")),

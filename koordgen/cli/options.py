@@ -289,6 +289,15 @@ def export(command: Parser) -> None:
     output.add_argument("-o", "--out", metavar="PATH", help="file or folder to write (default: beside the trace)")
 
 
+def show(command: Parser) -> None:
+    """Options of `koordgen show`."""
+    _trace(command)
+    time = command.add_argument_group("time")
+    when = "seconds since round 1 (default: the first violation, else the mission's end)"
+    time.add_argument("--at", metavar="S", type=values.moment, help=when)
+    _format(command.add_argument_group("output"))
+
+
 def help_(command: Parser) -> None:
     """Options of `koordgen help`."""
     command.positional.add_argument("topic", metavar="COMMAND", nargs="?", help="a command (default: list all)")

@@ -35,6 +35,11 @@ def seconds_or_none(text: str) -> float:
     return _number(text, 0.0, LONGEST, "seconds")
 
 
+def moment(text: str) -> float:
+    """Return a time of a run in seconds since round 1; before round 1 it is negative."""
+    return _number(text, -LONGEST, LONGEST, "seconds since round 1")
+
+
 def rate(text: str) -> float:
     """Return a rate in Hz, 1 to 1000."""
     return _number(text, 1.0, 1000.0, "a rate in Hz")

@@ -124,11 +124,12 @@ class Journal:
         self._trace.init(time, sensors, effects, after, calls)
         self.streams(effects.streams, 0, time)
 
-    def view(self, view: View, names: Sequence[str]) -> None:
-        """Another view decides who counts; at the mission's beginning all do."""
+    def view(self, view: View, names: Sequence[str], over: bool) -> None:
+        """Another view decides who counts; at the mission's beginning all do. Once this robot's part is `over`, it is
+        normal that others end and no longer count."""
         self._trace.view(self._clock.now(), view.number, view.since, view.members)
         if view.number:
-            self.warn(described(view, names))
+            self.log("info" if over else "warning", described(view, names))
 
     @property
     def traces(self) -> bool:

@@ -233,7 +233,7 @@ class Agent:
         view = replica.views.view
         if view.number != self._view:
             self._view = view.number
-            self._journal.view(view, self._names)
+            self._journal.view(view, self._names, over=self.phase in ("resting", "rested"))
             self._link.keep_time(next(p for p, m in enumerate(view.members) if m >= 0), now)
         return wake
 

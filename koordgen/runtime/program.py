@@ -78,7 +78,7 @@ class Fault:
     contract: Contract | None = None  # that was broken
 
     def __str__(self) -> str:
-        return f"{self.file}:{self.line}: {self.reason}"
+        return f"{self.file}:{self.line}: {self.reason}" if self.line else f"{self.file}: {self.reason}"
 
 
 class Stopped(Exception):

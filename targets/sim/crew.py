@@ -55,6 +55,11 @@ class Agent(ABC):
     def status(self) -> int | None:
         """The exit status, negative for a signal that ended it; None while it runs or was never launched."""
 
+    @property
+    def process_id(self) -> int | None:
+        """Of a process of its own, while it runs; else None."""
+        return None
+
     @abstractmethod
     def tell_end(self) -> None:
         """Tell it to come to rest and end."""

@@ -37,8 +37,11 @@ if TYPE_CHECKING:
     from targets.sim.watch import Watcher
     from targets.sim.windows import Windows
 
-HELD, BAD_FILES, USAGE, VIOLATED, SURROUNDINGS, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 5, 70, 130
-STATUS = {"held": HELD, "violated": VIOLATED, "interrupted": INTERRUPTED, "not started": SURROUNDINGS}
+HELD, BAD_FILES, USAGE, VIOLATED, SURROUNDINGS, HOST, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 5, 6, 70, 130
+STATUS = {
+    "held": HELD, "violated": VIOLATED, "host overloaded": HOST, "interrupted": INTERRUPTED,
+    "not started": SURROUNDINGS,
+}  # fmt: skip
 REAL_TIME = (
     "real time on this host: the same seed gives the same world and the same sensor noise, but not the same timing of "
     "processes and datagrams"
@@ -223,6 +226,7 @@ def _run(
     import msgspec
 
     from targets.sim import summary, trace
+    from targets.sim.host_load import HostLoad
     from targets.sim.progress import Progress
     from targets.sim.view import live
 
@@ -233,13 +237,16 @@ def _run(
         run, watcher, guide = _following(root, scenario, plan, folder, options, progress)
     else:
         run, watcher, windows = _made(root, scenario, schedule, folder, options, progress)
-    run.companions += [view] if view else []
+    load = None if options.lockstep else HostLoad(scenario.delta, watcher.moving)
+    run.companions += [each for each in (view, load) if each]
     run.companions += [live.Paced(options.pace)] if options.pace and options.lockstep else []
     began = time.perf_counter()
     try:
         outcome = run.execute()
     finally:
         progress.finish()
+    if load is not None:
+        outcome.marks, outcome.host_waits = load.explained(outcome.marks, outcome.zero), load.totals
     merged, agents = folder / "trace.jsonl", [agent.trace_file for agent in run.conduct.agents]
     header = msgspec.structs.replace(header, started=outcome.started)
     trace.merge(merged, header, outcome.zero, run.poses_file, agents, outcome.marks)

@@ -45,6 +45,7 @@ class Outcome:
     last_lines: dict[str, list[str]] = field(default_factory=dict)  # of those that failed
     statuses: dict[str, int | None] = field(default_factory=dict)
     shares: dict[str, float] = field(default_factory=dict)  # of the processor's time, by part, in lockstep
+    host_waits: dict[str, float] = field(default_factory=dict)  # see host_load.HostLoad.totals
 
     @property
     def violations(self) -> list[Violation]:

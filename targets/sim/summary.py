@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
@@ -14,10 +15,15 @@ from targets.sim.bodies import Vector
 from targets.sim.noticed import Monitored, Noticed
 from targets.sim.noticed import as_text as noticed_text
 from targets.sim.run import Outcome
-from targets.sim.trace import Cause, End, Header, Monitor, Pose, Record, Round, Stall, Violation, fault_text
+from targets.sim.trace import Cause, End, Header, Log, Monitor, Pose, Record, Round, Stall, Violation, fault_text
 from targets.sim.trace import Verdict as Found
 
-Verdict = Literal["held", "violated", "interrupted", "not started"]
+Verdict = Literal["held", "violated", "host overloaded", "interrupted", "not started"]
+
+
+LEFT_OPEN = "; not judged to the end: "  # in the reason of a run that held, before its properties
+MOST_WARNINGS = 50  # different ones of a robot
+AGAIN = "The run does not judge the program: run it again with --lockstep, or when the host has less to do"
 
 
 class Stalled(msgspec.Struct):
@@ -28,6 +34,16 @@ class Stalled(msgspec.Struct):
     seconds: float
     over: bool
     why: str
+
+
+class Warned(msgspec.Struct):
+    """What a robot's agent warned of, a command clamped at the geofence or a set-point refused, say: when first (s), in
+    which words then, and how often; the numbers in the words may differ."""
+
+    since: float
+    text: str
+    level: str
+    times: int = 1
 
 
 class RobotSummary(msgspec.Struct):
@@ -51,6 +67,7 @@ class RobotSummary(msgspec.Struct):
     waiting_for: str | None = None
     last_lines: list[str] = []
     stalls: list[Stalled] = []
+    warnings: list[Warned] = []
 
 
 class Separation(msgspec.Struct):
@@ -83,6 +100,7 @@ class Summary(msgspec.Struct):
     noticed: list[Noticed] = []  # by the robots' own monitors
     watching: float = 0.0  # share of the run's time that watching its properties took
     shares: dict[str, float] = {}  # of the processor's time, by part; empty in real time
+    host_waits: dict[str, float] = {}  # s for which each robot's agent and the simulator waited for a core; real time
     reproduce: dict[str, str] = {}  # what one needs to do it again
 
 
@@ -107,6 +125,8 @@ def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Su
                 tallies[pid].round(record)
             case Stall(pid=pid) if pid in tallies and not ended:
                 tallies[pid].stall(record)
+            case Log(pid=pid) if pid in tallies:
+                tallies[pid].log(record)
             case Violation():
                 violations.append(record)
             case Found():
@@ -146,6 +166,7 @@ def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Su
         late_in_mission=outcome.late_in_mission,
         steps=outcome.steps,
         shares=outcome.shares,
+        host_waits=outcome.host_waits,
     )
 
 
@@ -159,7 +180,8 @@ def _separation(outcome: Outcome, names: dict[int, str]) -> Separation | None:
 
 class _Tally:
     def __init__(self, summary: RobotSummary, delta: float) -> None:
-        summary.events, summary.skips, summary.stalls = {}, {}, []
+        summary.events, summary.skips, summary.stalls, summary.warnings = {}, {}, [], []
+        self._warned: dict[str, Warned] = {}
         self.summary = summary
         self._delta = delta
         self._last: Vector | None = None
@@ -174,6 +196,18 @@ class _Tally:
             if pose.t >= 0 and self._last is not None:
                 own.path_length += math.dist(self._last, pose.position)
         self._last = pose.position
+
+    def log(self, record: Log) -> None:
+        """Count a warning or an error, by its words without numbers. Those of stalls are told as stalls."""
+        own = self.summary
+        if record.level == "info" or (own.stalls and record.message.endswith(own.stalls[-1].why)):
+            return
+        kind = re.sub(r"[-\d.]+", "", record.message)
+        if kind in self._warned:
+            self._warned[kind].times += 1
+        elif len(self._warned) < MOST_WARNINGS:
+            self._warned[kind] = Warned(record.t, record.message.strip(), record.level)
+            own.warnings.append(self._warned[kind])
 
     def stall(self, record: Stall) -> None:
         own = self.summary.stalls
@@ -205,17 +239,20 @@ class _Tally:
 
 
 def _verdict(outcome: Outcome, violations: list[Violation], properties: list[Found]) -> tuple[Verdict, str]:
-    first = f"{told(violations[0])}" if violations else ""
+    own = [violation for violation in violations if not violation.host]
+    first = told((own or violations)[0]) if violations else ""
     if outcome.ended == "interrupted":
         return "interrupted", "interrupted by the user" + (f"; before that, {first}" if first else "")
     if outcome.ended == "timeout":
         waiting = "; ".join(f"{name}: {what}" for name, what in outcome.waiting.items())
         return "not started", f"round 1 never came: {waiting}"
-    if violations:
+    if own:
         return "violated", first
+    if violations:
+        return "host overloaded", f"{first}. {AGAIN}"
     how = "all robots ended by themselves" if outcome.ended == "stopped" else "the whole duration was simulated"
     left = "; ".join(f"{_named(found)}, {found.outcome}{_since(found)}" for found in properties if _open(found))
-    return "held", f"{how}, and nothing was violated" + (f"; not judged to the end: {left}" if left else "")
+    return "held", f"{how}, and nothing was violated" + (f"{LEFT_OPEN}{left}" if left else "")
 
 
 def _open(found: Found) -> bool:
@@ -232,6 +269,12 @@ def _named(found: Found) -> str:
     return f"{found.of} {found.name} ({found.line})" if found.name else f"{found.of} ({found.line})"
 
 
+def found_text(found: Found) -> str:
+    """The verdict on a property, in one line."""
+    detail = f": {found.detail}" if found.detail else f", moments: {found.moments}"
+    return f"{found.outcome.upper()}{_since(found)}: {_named(found)}{detail}"
+
+
 def headline(summary: Summary) -> str:
     """The verdict in a word or three: a run that held without telling of all properties says so."""
     return "held in part" if summary.verdict == "held" and any(map(_open, summary.properties)) else summary.verdict
@@ -245,15 +288,23 @@ def seconds(t: float) -> str:
 def told(violation: Violation) -> str:
     """A violation in one sentence."""
     who = " ".join([f"at {seconds(violation.t)} s", *filter(None, [" and ".join(violation.robots)])])
+    host = f"; {violation.host}" if violation.host else ""
     if violation.line:
-        return f"{who}: {violation.detail} ({violation.line})"
+        return f"{who}: {violation.detail} ({violation.line}){host}"
     verb = " " if violation.what in ("ended", "unrest") else f": {violation.what}, "
-    return f"{who}{verb}{violation.detail}"
+    return f"{who}{verb}{violation.detail}{host}"
 
 
-def _stalled(robot: str, stalled: Stalled) -> str:
-    until = f"for {stalled.seconds:.1f} s" if stalled.over else f"until the end ({stalled.seconds:.1f} s)"
-    return f"{robot} from {seconds(stalled.since)} s {until}: {stalled.why}"
+def stalled(robot: str, stall: Stalled) -> str:
+    """A time without a way, in one line."""
+    until = f"for {stall.seconds:.1f} s" if stall.over else f"until the end ({stall.seconds:.1f} s)"
+    return f"{robot} from {seconds(stall.since)} s {until}: {stall.why}"
+
+
+def warned(robot: str, warning: Warned) -> str:
+    """A warning in one line."""
+    often = f" ({warning.times} times)" if warning.times > 1 else ""
+    return f"{robot} at {seconds(warning.since)} s: {warning.text}{often}"
 
 
 def _brought(cause: Cause) -> str:
@@ -290,12 +341,21 @@ def as_text(summary: Summary) -> str:
     lines.append(f"collisions: {summary.collisions}")
     late = f"{summary.late_steps} late, {summary.late_in_mission} of them in the mission"
     lines.append(f"world: {summary.steps} steps, {late}, real-time factor {summary.real_time_factor:.3f}")
+    if summary.host_waits:
+        longest = max(summary.host_waits, key=summary.host_waits.__getitem__)
+        lines.append(
+            f"the host: processes waited {sum(summary.host_waits.values()):.2f} s for a processor core, the longest: "
+            f"{longest}, {summary.host_waits[longest]:.2f} s"
+        )
     if summary.shares:
         parts = (f"{part} {share:.0%}" for part, share in summary.shares.items())
         lines.append(f"the processor's time: {', '.join(parts)}")
-    stalled = [_stalled(robot.name, each) for robot in summary.robots for each in robot.stalls]
-    if stalled:
-        lines += ["", "robots without a way:", *(f"  {line}" for line in stalled)]
+    stalls = [stalled(robot.name, each) for robot in summary.robots for each in robot.stalls]
+    if stalls:
+        lines += ["", "robots without a way:", *(f"  {line}" for line in stalls)]
+    warnings = [warned(robot.name, each) for robot in summary.robots for each in robot.warnings]
+    if warnings:
+        lines += ["", "robots warned:", *(f"  {line}" for line in warnings)]
     if len(summary.violations) > 1:
         lines += ["", f"all {len(summary.violations)} violations:", *(f"  {told(v)}" for v in summary.violations)]
     if summary.causes:
@@ -321,10 +381,7 @@ def _table(summary: Summary) -> list[str]:
 
 def _properties(summary: Summary) -> list[str]:
     """One line each; nothing for a program without any."""
-    lines = []
-    for found in summary.properties:
-        detail = f": {found.detail}" if found.detail else f", moments: {found.moments}"
-        lines.append(f"{found.outcome.upper()}{_since(found)}: {_named(found)}{detail}")
+    lines = [found_text(found) for found in summary.properties]
     took = [f"watching them took {summary.watching:.1%} of the time"] if lines else []
     own = ["", "the robots' own monitors:"] if summary.noticed else []
     own += [f"  {noticed_text(found)}" for found in summary.noticed]

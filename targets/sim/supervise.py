@@ -87,6 +87,10 @@ class Process(Agent):
     def alive(self) -> bool:
         return self._process is not None and self._process.poll() is None
 
+    @property
+    def process_id(self) -> int | None:
+        return self._process.pid if self._process is not None and self._process.poll() is None else None
+
     def tell_end(self) -> None:
         self.told = True
         if self._process and self._process.poll() is None:

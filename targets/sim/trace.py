@@ -16,6 +16,7 @@ from typing import IO, Any, Literal
 import msgspec
 
 from koordgen.runtime.obstacles import Obstacle
+from koordgen.runtime.program import Fault
 from targets.sim.bodies import BodyState, Vector
 from targets.sim.scenario import Shared, World
 
@@ -196,7 +197,7 @@ class View(msgspec.Struct, frozen=True, tag_field="kind", tag="view"):
 
 class Violation(msgspec.Struct, frozen=True, tag_field="kind", tag="violation"):
     """What must not happen and did: `what` is separation, collision, ended, fault, unrest, property or idle. Of a
-    property `name` and `line` ("app.koord:12") say which."""
+    property `name` and `line` ("app.koord:12") say which. `host` says how the host caused it, if it did."""
 
     t: float
     what: str
@@ -204,6 +205,7 @@ class Violation(msgspec.Struct, frozen=True, tag_field="kind", tag="violation"):
     detail: str
     name: str = ""
     line: str = ""
+    host: str = ""
 
 
 Found = Literal["held", "violated", "no value", "unchecked", "out of model"]
@@ -274,7 +276,7 @@ def decoded(line: bytes) -> Record | None:
 def fault_text(fault: Any) -> str:
     """A round's fault in words."""
     if isinstance(fault, dict):
-        return f"{fault.get('file')}:{fault.get('line')}: {fault.get('reason')}"
+        return str(Fault(fault.get("file", "?"), fault.get("line", 0), fault.get("reason", "?")))
     return str(fault)
 
 

@@ -88,6 +88,11 @@ class Watcher:
         self._watched = all_of(found, self._n)
         self._loops: dict[int, tuple[Violation, str]] = {}  # loop invariants that were false, by line; in which event
 
+    @property
+    def moving(self) -> set[str]:
+        """The lines ("app.koord:12") of the properties that read where bodies are."""
+        return {watched.line for watched in self._watched if watched.moving}
+
     def launched(self, run: Run) -> None:
         self._run = run
 

@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.fixtures.fleet import FakePlatform, Fleet
+from benchmarks.fixtures.fleet import STARTS, FakePlatform, Fleet
 from benchmarks.fixtures.lineform import PROGRAM, State
 from koordgen.runtime.platform import Unready
 from koordgen.runtime.program import Event
 from koordgen.runtime.safety import clamp, inside
-from koordgen.runtime.settings import Box
+from koordgen.runtime.settings import Box, Safety
 from koordgen.runtime.trace import Trace
 from koordgen.runtime.values import Point, distance
 
@@ -230,3 +230,26 @@ def test_the_trace_is_what_its_readers_rely_on() -> None:
     assert rounds[0]["event"] == "TargetUpdate" and rounds[0]["shared"]["x"] == [-3.0, 2.5, 0.0]
     assert all(b["time"] - a["time"] == pytest.approx(0.1, abs=0.02) for a, b in pairwise(rounds))
     assert fleet.robots[0].trace("round")[0]["skipped"] == "no event enabled"
+
+
+class Landing(FakePlatform):
+    """Takes longer to come to rest than robots wait for one that has ended."""
+
+    @property
+    def rested(self) -> bool:
+        return self.resting is not None and self.now - self.resting >= 3.0
+
+
+def test_a_normal_end_warns_of_nothing() -> None:
+    fleet = Fleet(n=3, safety=Safety(peer_timeout=10))
+    for pid in range(2):
+        fleet.boot(pid, Landing(STARTS[pid]))
+    fleet.boot(2)
+    fleet.run_rounds(5)
+    for robot in fleet.robots.values():
+        robot.agent.end("SIGTERM: coming to rest")
+    fleet.run(5.0)
+    assert all(robot.agent.done for robot in fleet.robots.values())
+    said = [line for robot in fleet.robots.values() for line in robot.lines]
+    assert any("cleo does not count" in line for line in said)
+    assert not [line for line in said if ": info:" not in line]

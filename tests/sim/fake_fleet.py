@@ -22,7 +22,7 @@ how, pid = settings["body"]["how"], settings["body"]["pid"]
 assert os.stat(settings["key_file"]).st_mode & 0o777 == 0o600 and os.stat(settings["key_file"]).st_size == 32
 out = open(settings["trace"], "ab", buffering=0)
 def write(**record):
-    out.write(json.dumps({**record, "time": time.monotonic()}).encode() + b"\\n")
+    out.write(json.dumps({"kind": "", "time": time.monotonic(), **record}).encode() + b"\\n")
 def phase(name, detail=""):
     write(kind="phase", phase=name, detail=detail)
 def end(number, frame):
@@ -45,10 +45,15 @@ while how == "waiting":
     time.sleep(0.05)
 phase("running")
 for round_ in range(1, 10_000):
-    fault = {"file": "a.koord", "line": 3, "reason": "1 / 0"} if how == "faulty" and round_ == 4 else None
+    fault, began = None, time.monotonic()
+    if how.startswith("late") and round_ == 3:
+        time.sleep(0.06)
+        fault = {"file": "a.koord", "line": 0, "reason": "not finished by the round's publish deadline"}
+    if how.endswith("faulty") and round_ == 4:
+        fault = {"file": "a.koord", "line": 3, "reason": "1 / 0"}
     write(kind="round", round=round_, event="Move" if pid == 0 and not fault else None,
           skipped=None if pid == 0 and not fault else "fault" if fault else "no event enabled", fault=fault,
-          sensors={}, shared={}, actuators={}, late=0.001)
+          sensors={}, shared={}, actuators={}, late=0.001, time=began)
     if how == "dying" and round_ == 5:
         print("Traceback\\nValueError: <b>ouch</b>", file=sys.stderr)
         sys.exit(70)
@@ -84,7 +89,8 @@ class Telling:
 
 
 def bundle(root: Path, how: list[str], starts: list[list[float]] | None = None, **settings: Any) -> Path:
-    """Write a sim bundle whose robots play `how`: good, dying, faulty, shot, stopping, stubborn, unborn, waiting."""
+    """Write a sim bundle whose robots play `how`: good, dying, faulty, late, late and faulty, shot, stopping, stubborn,
+    unborn, waiting."""
     places = starts or [[2.0 * pid, 0.0, 0.0] for pid in range(len(how))]
     for pid in range(len(how)):
         agent = root / "agents" / f"r{pid}"

@@ -22,6 +22,7 @@ from koordgen.cli import main
 from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Sphere
 from koordgen.runtime.values import Point
 from targets.sim import trace
+from targets.sim.folder import MARKER, Foreign, RunFolder
 from targets.sim.scenario import Box, Marker, MarkerList, Shared, World
 from targets.sim.trace import End, Violation
 from targets.sim.view import film, tables
@@ -265,6 +266,29 @@ def test_the_report_of_a_folder_and_of_a_trace(run: Path, capsys: pytest.Capture
     assert capsys.readouterr().out == f"{run / 'report.html'}\n"
     assert main(["report", str(run / "trace.jsonl"), "-o", str(run / "own.html")]) == 0
     assert (run / "own.html").read_bytes() == (run / "report.html").read_bytes()
+
+
+def test_what_is_exported_into_a_runs_folder_does_not_refuse_the_next_run(tmp_path: Path) -> None:
+    with RunFolder(tmp_path) as run:
+        write(run / "trace.jsonl", HEAD, [*moving(STARTS, ENDS), *rounds()])
+        (run / "plots").mkdir()
+        (run / "plots" / "of-the-run.png").touch()
+    for to in ("mcap", "csv", "png"):
+        assert main(["export", str(run), "--to", to]) == 0
+    assert main(["export", str(run), "--to", "mcap", "-o", str(run / "own.mcap")]) == 0
+    assert main(["report", str(run), "-o", str(run / "page.html")]) == 0
+    with RunFolder(run):
+        assert [each.name for each in run.iterdir()] == [MARKER]
+
+
+def test_a_note_beside_exported_tables_saves_the_folder(tmp_path: Path) -> None:
+    with RunFolder(tmp_path) as run:
+        write(run / "trace.jsonl", HEAD, [*moving(STARTS, ENDS), *rounds()])
+    assert main(["export", str(run), "--to", "csv"]) == 0
+    (run / "csv" / "notes.txt").write_text("mine")
+    with pytest.raises(Foreign, match=r"csv/notes\.txt"), RunFolder(run):
+        pass
+    assert (run / "csv" / "poses.csv").exists()
 
 
 def test_tracks_of_a_run_have_markers_maps_and_paths(run: Path) -> None:

@@ -6,13 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from targets.sim.trace import End, Violation
-from targets.sim.view import report
+from targets.sim.trace import Cause, End, Mark, Verdict, Violation, read
+from targets.sim.view import report, show
 from tests.sim.browser import CHROMIUM, Browser
 from tests.sim.canned import header, moving, write
 from tests.sim.test_export import ENDS, HEAD, STARTS, rounds
 from tests.sim.test_live import watched
 from tests.sim.test_rows import big
+from tests.sim.test_show import HEAD as KNOWING
+from tests.sim.test_show import records as knowing
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no browser: on Debian, apt install chromium")
 
@@ -49,6 +51,90 @@ def test_the_report_plays_the_run(tmp_path: Path) -> None:
         )
         assert "bert" in said and 'fault a.koord:9: 1 / 0, "twice"' in said and "violation fault" in said
         assert page.complaints == []
+
+
+GREEN, RED = "rgb(27, 127, 75)", "rgb(176, 0, 32)"
+
+
+def colour(selector: str) -> str:
+    return f"getComputedStyle(document.querySelector({selector!r})).color"
+
+
+def test_the_report_of_a_good_run_opens_at_its_beginning_and_has_nothing_red(tmp_path: Path) -> None:
+    held = Verdict(10.0, "invariant", "Apart", "a.koord:4", "held", moments=241)
+    marks: list[Mark] = [Cause(3.0, "wind", ("bert",), ""), held, End(10.0, "completed")]
+    moves = moving(STARTS, ENDS)
+    report.write(tmp_path / "report.html", write(tmp_path / "trace.jsonl", HEAD, moves, marks))
+    with Browser(tmp_path / "profile") as page:
+        page.open(f"file://{tmp_path}/report.html")
+        assert page.text("time") == "0.00 s"
+        assert "HELD: invariant Apart (a.koord:4), moments: 241" in page.value(
+            "document.querySelector('.verdict').innerText"
+        )
+        assert page.value(colour(".verdict li")) == page.value(colour("#marks tr.good td")) == GREEN
+        for at, told in ((3.5, "cause: wind bert"), (10.0, "")):  # the verdict is at the top, not below the map
+            page.value(f"seek({at}); draw()")
+            assert page.text("alarm") == told and page.value(colour("#alarm")) != RED
+        assert page.value("document.querySelectorAll('.bad').length") == 0
+        canvases = "[...document.querySelectorAll('canvas')].map((c) => c.id)"
+        for canvas in page.value(canvases):
+            assert page.value(reddish(canvas)) == 0, canvas
+        assert page.complaints == []
+
+
+def reddish(canvas: str) -> str:
+    """How many pixels of a canvas have the red of violations."""
+    return (
+        f"(() => {{ const c = document.getElementById('{canvas}'), d = c.getContext('2d').getImageData(0, 0, c.width, "
+        "c.height).data; let n = 0; for (let k = 0; k < d.length; k += 4) n += d[k] === 176 && d[k + 1] === 0 && "
+        "d[k + 2] === 32 && d[k + 3] === 255; return n; })()"
+    )
+
+
+def test_the_report_opens_at_the_first_violation_and_shows_it_red(tmp_path: Path) -> None:
+    marks: list[Mark] = [
+        Violation(6.0, "collision", ("bert",), "late"),
+        Violation(2.0, "fault", ("bert",), "first"),
+        End(10.0, ""),
+    ]
+    moves = moving(STARTS, ENDS)
+    report.write(tmp_path / "report.html", write(tmp_path / "trace.jsonl", HEAD, moves, marks))
+    with Browser(tmp_path / "profile") as page:
+        page.open(f"file://{tmp_path}/report.html")
+        assert (page.text("time"), page.text("alarm")) == ("2.00 s", "violation: fault bert")
+        assert page.value(colour("#alarm")) == RED and page.value(reddish("top")) > 20
+        assert page.complaints == []
+
+
+def test_the_report_shows_what_each_robot_knew(tmp_path: Path) -> None:
+    moves = moving([(0.0, 0.0, 0.0), (2.0, 0.0, 0.0)], [(0.0, 0.0, 0.0), (2.0, 0.0, 0.0)], 1)
+    trace = write(tmp_path / "trace.jsonl", KNOWING, [*moves, *knowing()])
+    report.write(tmp_path / "report.html", trace)
+    with Browser(tmp_path / "profile") as page:
+        page.open(f"file://{tmp_path}/report.html#t=0.5")
+        assert page.text("shared").splitlines()[0] == "x[0]\tann\t30\t0.20 s, round 3, ann"
+        assert "bob (of 0.10 s)" in page.text("copies")
+        page.value("document.getElementById('who').value = '1'; document.getElementById('who').onchange()")
+        page.wait("document.getElementById('shared').innerText", lambda said: said.startswith("n\tlocal\t8\t"))
+        assert "x[0]\tann\t10\t0.00 s, round 1, ann" in page.text("shared")
+        for at in (-0.5, 0.0, 0.05, 0.15, 0.25, 0.5, 0.85):  # as `koordgen show` says, which has it from the copies
+            _, beliefs = show.at(*read(trace), at)
+            for pid, belief in beliefs.robots.items():
+                known = {f"{name} {pid}": each for name, value in belief.shared.items() for pid, each in
+                         (value if isinstance(value, dict) else {-1: value}).items()}  # fmt: skip
+                assert page.value(believed(pid, at + 1e-6)) == [known, belief.locals], (pid, at)
+        assert page.complaints == []
+
+
+def believed(pid: int, at: float) -> str:
+    """What the page shows of a robot's copy and its locals."""
+    return (
+        f"(() => {{ const robot = model.robots[{pid}], at = {at}, copy = {{}}, own = {{}}; "
+        "for (const v of model.shared) for (const [k, s] of v.series) { "
+        "const w = model.believed(robot, s, at); if (w) copy[`${v.name} ${k}`] = w.value; } "
+        "for (const [name, s] of robot.locals) { const w = model.value(s, at); if (w) own[name] = w.value; } "
+        "return [copy, own]; })()"
+    )
 
 
 @pytest.mark.slow

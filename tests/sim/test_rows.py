@@ -165,6 +165,20 @@ def test_values_that_stay_are_told_once_and_long_ones_are_cut() -> None:
     assert len(maps) <= MOST_MAPS + 1 and maps[-1][2] == 502.0
 
 
+def test_locals_are_what_events_wrote_and_what_a_robot_came_back_with() -> None:
+    back = trace.Restored(4, locals=raw(n=2))
+    found = rows(
+        trace.Init(locals=raw(n=0), t=-0.5, pid=1),
+        Round(5, "Go", locals=raw(n=3), restored=back, t=0.4, pid=1),
+    )
+    assert found["locals"] == [[1, -0.5, 0, "n", 0], [1, 0.4, 4, "n", 2], [1, 0.4, 5, "n", 3]]
+    history = History(HEAD)
+    for k in range(100_000):
+        history.extend({"locals": [[0, k / 10, k, "path", [k] * 20]]})
+    kept = history.whole()["locals"]
+    assert len(kept) > 100 and len(msgspec.json.encode(kept)) < 300_000 and kept[-1][4] == [99_999] * 20
+
+
 def big(path: Path, robots: int, seconds: int) -> Path:
     """A trace as sixteen robots leave one: poses 20 times and rounds 10 times a second, all of them writing paths."""
     head = msgspec.structs.replace(

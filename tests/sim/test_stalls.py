@@ -34,10 +34,11 @@ FLEET = """\
 delta: 0.1
 origin: {latitude: 47.4, longitude: 8.5, altitude: 488.0}
 geofence: {lo: [-5.0, -5.0, -0.5], hi: [5.0, 5.0, 3.0]}
-params: {goals: [[3.0, 0.0, 0.0], [3.0, 0.0, 1.5]]}
+params: {goals: [[3.0, 0.0, 0.0], [3.0, 0.0, 1.5], [0.0, 9.0, 1.5]]}
 robots:
 - {name: carl, target: car, address: '127.0.0.1:47100', start: {position: [0.0, 0.0, 0.0]}}
 - {name: wing, target: quad, address: '127.0.0.1:47104', start: {position: [0.0, -2.0, 0.0]}}
+- {name: yoyo, target: quad, address: '127.0.0.1:47108', start: {position: [-2.0, 2.0, 0.0]}}
 sim: {fidelity: simple}
 obstacles:
 - {lo: [2.6, -0.4, 0.0], hi: [3.4, 0.4, 3.0]}
@@ -97,6 +98,18 @@ def test_a_robot_without_a_way_says_why(run: Path, robot: str) -> None:
     assert f"{robot} from " in text and WANTED[robot] in text
     report.write(run / "report.html", run / "trace.jsonl")
     assert escape(WANTED[robot]) in (run / "report.html").read_text()
+
+
+def test_commands_that_were_clamped_or_refused_are_told_of_the_whole_run(run: Path) -> None:
+    warnings = {robot["name"]: [each["text"] for each in robot["warnings"]] for robot in summary(run)["robots"]}
+    (refused,), (clamped,) = warnings["wing"], warnings["yoyo"]  # a stall is told once, as a stall
+    assert refused.startswith("not flown, holding instead: ") and WANTED["wing"] in refused
+    assert clamped.startswith("Motion.target = Point(x=0.0, y=9.0, z=1.5) is outside the geofence, commanding Point(")
+    assert f"yoyo at 0.00 s: {clamped}" in (run / "summary.txt").read_text()
+    report.write(run / "report.html", run / "trace.jsonl")
+    page = (run / "report.html").read_text()
+    for text in (refused, clamped):
+        assert page.index(escape(text)) < page.index("<canvas"), "at the top of the page"
 
 
 def test_a_quad_whose_planner_finds_no_way() -> None:

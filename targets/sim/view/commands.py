@@ -1,4 +1,4 @@
-"""What can be made of a run that is over: `koordgen report` and `koordgen export`."""
+"""What can be made of a run that is over: `koordgen report`, `koordgen export` and `koordgen show`."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from targets.sim import folder
 
 if TYPE_CHECKING:
     from targets.sim.trace import Header, Record
@@ -48,6 +50,17 @@ def export(given: str, to: str, out: str | None) -> Path:
     return path
 
 
+def show(given: str, at: float | None, form: str) -> str:
+    """What each robot of a run's folder or merged trace knew at a time (s since round 1), as `text` or `json`; without
+    a time at the first violation, else at the mission's end. Raises BadTrace."""
+    from targets.sim.trace import read
+    from targets.sim.view import show
+
+    header, records = read(_found(given))
+    time, beliefs = show.at(header, records, at)
+    return (show.as_json if form == "json" else show.as_text)(header, time, beliefs)
+
+
 def _write(to: str, path: Path, header: Header, records: Iterator[Record]) -> None:
     match to:
         case "csv":
@@ -86,6 +99,7 @@ def whole(path: Path) -> Iterator[Path]:
             made = Path(beside) / target.name
             yield made
             _moved(made, target)
+            folder.record(target)
     except OSError as error:
         raise OSError(error.errno, error.strerror or str(error), str(path)) from None
 

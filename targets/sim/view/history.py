@@ -14,6 +14,7 @@ from targets.sim.view.rows import FAULT, SKIPPED, Chunk, Rows
 # Of each table: rows of one robot (of one variable's writer), and of all together. 5 MB hold them.
 MOST_POSES, ALL_POSES = 4000, 40_000
 MOST_SHARED, SHARED_BYTES = 600, 1_200_000
+MOST_LOCALS, LOCALS_BYTES, LOCALS_OF_ONE = 600, 600_000, 4
 MOST_ROUNDS, ALL_ROUNDS = 3000, 16_000
 ALL_OTHERS = 4000
 MOST_MAPS = 60
@@ -32,6 +33,7 @@ class History:
         self._poses = [_Thinned(min(MOST_POSES, ALL_POSES // robots)) for _ in header.robots]
         self._rounds = [_Rounds(min(MOST_ROUNDS, ALL_ROUNDS // robots)) for _ in header.robots]
         self._shared: dict[tuple[str, int], _Values] = {}
+        self._locals: dict[tuple[int, str], _Values] = {}
         self._bytes = SHARED_BYTES // series
         self._one_for_all = {v.name for v in header.shared if v.kind == "allwrite"}
         self._of_robots = {
@@ -54,6 +56,9 @@ class History:
                 case "shared":
                     for row in rows:
                         self._share(row)
+                case "locals":
+                    for row in rows:
+                        self._local(row)
                 case "near":
                     for row in rows:
                         self._near.add(row)
@@ -73,6 +78,14 @@ class History:
             self._shared[key] = _Values(many, self._bytes)
         self._shared[key].add(row)
 
+    def _local(self, row: Row) -> None:
+        key = row[0], row[3]
+        if key not in self._locals:
+            if len(self._locals) >= ALL_OTHERS:
+                return
+            self._locals[key] = _Values(MOST_LOCALS, LOCALS_BYTES // (LOCALS_OF_ONE * len(self._poses)))
+        self._locals[key].add(row)
+
     def whole(self) -> Chunk:
         """All rows that are left, by table."""
         by_robot: dict[str, Sequence[_Thinned | _Rounds]] = {
@@ -83,6 +96,7 @@ class History:
         return {
             **{table: [row for each in series for row in each.rows()] for table, series in by_robot.items()},
             "shared": sorted((row for s in self._shared.values() for row in s.rows()), key=lambda row: float(row[2])),
+            "locals": sorted((row for s in self._locals.values() for row in s.rows()), key=lambda row: float(row[1])),
             "near": list(self._near.rows()),
             **{table: list(rows) for table, rows in self._kept.items()},
         }

@@ -36,18 +36,20 @@ PLAYER = """
 <figure><canvas id="top" aria-label="the fleet from above"></canvas>
 <figcaption>From above. Dotted: where a robot was told to go. Dashed frame: geofence. Of a map: light is free, dark
 occupied.
-<span id="closest"></span> <span id="alarm" class="bad"></span></figcaption>
+<span id="closest"></span> <span id="alarm"></span></figcaption>
 <div class="chips robots"></div></figure>
 <div>
 <figure><canvas id="side" aria-label="the fleet from the side"></canvas>
 <figcaption>From the side: <select id="side-axis"><option value="0">along x</option><option value="1">along y</option>
 </select></figcaption></figure>
-<h2>Shared variables at this time</h2>
+<h2>Variables at this time</h2>
+<p><select id="who" aria-label="whose knowledge"></select> <span id="copies" class="warn"></span></p>
 <div class="wide scroll"><table><thead><tr><th>variable</th><th>of</th><th>value</th><th>written</th></tr></thead>
 <tbody id="shared"></tbody></table></div>
 </div></div>
 <h2>Violations, verdicts, causes</h2>
-<div class="wide scroll"><table><thead><tr><th class="n">time (s)</th><th>kind</th><th>what</th><th>robots</th><th></th>
+<div class="wide scroll"><table class="events"><thead><tr>
+<th class="n">time (s)</th><th>kind</th><th>what</th><th>robots</th><th></th>
 </tr></thead><tbody id="marks"></tbody></table></div>
 <h2>Rounds</h2>
 <div class="chips" id="events"></div>
@@ -64,7 +66,7 @@ there.</figcaption></figure>
 <figcaption>In space, between the robots' reference points, at the poses of the trace.</figcaption></figure>
 <h2>Network</h2>
 <figure><canvas id="late" aria-label="lateness of rounds over time"></canvas>
-<figcaption>How long after its tick the latest round of each second was decided. Red: some were late, and
+<figcaption>How long after its tick the latest round of each second was decided. Red dots: some were late, and
 not only because they waited for others.</figcaption></figure>
 <figure><canvas id="loss" aria-label="loss of datagrams over time"></canvas>
 <figcaption>Datagrams lost, of those sent lately, on each robot's worst link.</figcaption></figure>

@@ -153,10 +153,11 @@ def _separation(found: Tracks, path: Path) -> Path:
     axes.plot(found.near[:, 0], found.near[:, 1], color=COLOURS[0], linewidth=1.8)
     asked = found.header.min_separation
     if asked > 0:
-        axes.axhline(asked, color=RED, linewidth=1.2)
+        colour = RED if (found.near[:, 1] < asked).any() else GREY
+        axes.axhline(asked, color=colour, linewidth=1.2)
         axes.annotate(
             f"at least {asked:g} m asked", (1, asked), xycoords=("axes fraction", "data"), xytext=(-4, 4),
-            textcoords="offset points", ha="right", color=RED, fontsize=9,
+            textcoords="offset points", ha="right", color=colour, fontsize=9,
         )  # fmt: skip
     axes.set_xlim(*_span(found))
     axes.set_ylim(bottom=0)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 
@@ -11,14 +12,31 @@ import msgspec
 from targets.sim.noticed import Notable, said
 from targets.sim.run import Outcome
 from targets.sim.stage import Closest
-from targets.sim.summary import RobotSummary, Summary, headline, place, seconds, summarise, told
-from targets.sim.trace import Header, Log, Monitor, Phase, Record, Round, Violation, fault_text, read
+from targets.sim.summary import (
+    LEFT_OPEN,
+    RobotSummary,
+    Summary,
+    found_text,
+    headline,
+    place,
+    seconds,
+    stalled,
+    summarise,
+    told,
+    warned,
+)
+from targets.sim.trace import Header, Log, Monitor, Phase, Record, Round, Verdict, Violation, fault_text, read
 from targets.sim.view.history import gathered
 from targets.sim.view.page import page
 from targets.sim.view.rows import Chunk
 
 MOST_LINES = 200  # of events and log lines
-COLOURS = {"held": "#1B7F4B", "violated": "#B00020", "interrupted": "#8A5A00", "not started": "#B00020"}
+MOST_VIOLATIONS, MOST_WARNINGS = 20, 100  # above the pictures
+FEW = 5  # lines of a list that is not folded
+GREEN, RED, AMBER = "#1B7F4B", "#B00020", "#8A5A00"
+COLOURS = {"held": GREEN, "violated": RED, "host overloaded": AMBER, "interrupted": AMBER, "not started": RED}
+CLASSES = {"held": "good", "violated": "bad", "no value": "bad", "unchecked": "warn", "out of model": "warn"}
+BAD = {"error", "fault", "separation", "collision", "ended", "unrest", "property", "idle"}
 
 
 def important(header: Header, records: Iterable[Record]) -> list[tuple[float, str, str, str]]:
@@ -66,7 +84,7 @@ def write(path: Path, trace: Path) -> None:
 def html(header: Header, summary: Summary, rows: Chunk, lines: list[tuple[float, str, str, str]]) -> str:
     """The whole page."""
     title = f"{summary.app}, simulated"
-    before = f"<h1>{escape(title)}</h1>\n{_verdict(summary)}\n{_facts(summary)}"
+    before = f"<h1>{escape(title)}</h1>\n{_verdict(summary)}\n{_facts(summary)}\n{_warnings(summary.robots)}"
     after = [
         "<h2>Robots</h2>",
         _robots(summary.robots),
@@ -96,12 +114,41 @@ def _summary(trace: Path, header: Header, rows: Chunk) -> Summary:
 
 
 def _verdict(summary: Summary) -> str:
-    more = "".join(f"<p>{escape(told(v))}</p>" for v in summary.violations[1:20])
+    why, left_open, _ = summary.why.partition(LEFT_OPEN)
+    colour = AMBER if left_open else COLOURS[summary.verdict]
+    others = [told(violation) for violation in summary.violations if told(violation) not in why]
+    more = "".join(f"<p>{escape(text)}</p>" for text in others[:MOST_VIOLATIONS])
     return (
-        f'<div class="verdict" style="border-color:{COLOURS[summary.verdict]}">'
-        f'<strong style="color:{COLOURS[summary.verdict]}">{escape(headline(summary).capitalize())}</strong>'
-        f"<p>{escape(summary.why)}</p>{more}</div>"
+        f'<div class="verdict" style="border-color:{colour}">'
+        f'<strong style="color:{colour}">{escape(headline(summary).capitalize())}</strong>'
+        f"<p>{escape(why)}</p>{more}{_properties(summary.properties)}</div>"
     )
+
+
+def _properties(found: Sequence[Verdict]) -> str:
+    """How each property came out; a long list is folded."""
+    counts = Counter(each.outcome for each in found)
+    head = "properties: " + ", ".join(f"{count} {outcome}" for outcome, count in counts.items())
+    return _folded(head, [(found_text(each), CLASSES[each.outcome]) for each in found]) if found else ""
+
+
+def _warnings(robots: list[RobotSummary]) -> str:
+    """What robots warned of, and when they had no way."""
+    found = sorted(
+        [(each.since, warned(robot.name, each)) for robot in robots for each in robot.warnings]
+        + [(each.since, stalled(robot.name, each)) for robot in robots for each in robot.stalls]
+    )
+    head = f"{len(found)} warning{'s' if len(found) > 1 else ''} by robots"
+    lines = [(text, "") for _, text in found[:MOST_WARNINGS]]
+    if more := len(found) - len(lines):
+        lines.append((f"{more} more are in summary.txt", "dim"))
+    return f'<div class="verdict" style="border-color:{AMBER}">{_folded(head, lines)}</div>' if found else ""
+
+
+def _folded(head: str, lines: Sequence[tuple[str, str]]) -> str:
+    """Lines, each with its class, below a heading; open when they are few."""
+    rows = "".join(f'<li class="{kind}">{escape(text)}</li>' for text, kind in lines)
+    return f"<details{' open' if len(lines) <= FEW else ''}><summary>{escape(head)}</summary><ul>{rows}</ul></details>"
 
 
 def _facts(summary: Summary) -> str:
@@ -173,10 +220,15 @@ def _logs(robots: list[RobotSummary]) -> list[str]:
 def _lines(lines: list[tuple[float, str, str, str]]) -> str:
     rows = ['<th class="n">time (s)</th><th>robot</th><th>what</th><th></th>']
     for t, robot, kind, text in lines:
-        bad = ' class="bad"' if kind not in ("starting", "joining", "running", "resting", "rested", "warning") else ""
+        bad = ' class="bad"' if kind in BAD or (kind == "monitor" and ": violated" in text) else ""
         rows.append(
             f'<td class="n">{seconds(t)}</td><td>{escape(robot)}</td><td{bad}>{escape(kind)}</td>'
             f"<td>{escape(text)}</td>"
         )
     more = '<p class="dim">Not all of it; the rest is in trace.jsonl.</p>' if len(lines) >= MOST_LINES else ""
-    return '<div class="wide"><table>' + "".join(f"<tr>{row}</tr>" for row in rows) + "</table></div>" + more
+    return (
+        '<div class="wide"><table class="events">'
+        + "".join(f"<tr>{row}</tr>" for row in rows)
+        + "</table></div>"
+        + more
+    )

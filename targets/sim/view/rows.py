@@ -8,6 +8,7 @@ sends them on. `page/model.js` reads them; numbers are rounded to what can be se
 | phases | pid, t, phase, detail |
 | logs | pid, t, level, text |
 | shared | name, writer's pid, t, round, value as JSON |
+| locals | pid, t, round, name, value as JSON |
 | paths | pid, t, points |
 | late | pid, t of a second, longest lateness in it (s), rounds, late rounds |
 | links | pid, t, [[peer, loss, delay p50, p99 (ms), silent (ms), repeats]], datagrams rejected |
@@ -78,7 +79,7 @@ class Rows:
         t = round(t, 3)
         match record:
             case Violation(what=what, robots=robots):
-                detail = " ".join(filter(None, (record.name, record.line, record.detail)))
+                detail = " ".join(filter(None, (record.name, record.line, record.detail, record.host)))
                 self._add("marks", [t, "violation", what, list(robots), detail])
             case End(why=why):
                 self._add("marks", [t, "end", why, [], ""])
@@ -129,6 +130,9 @@ class Rows:
         else:
             outcome, what = EVENT, record.event or ""
         self._add("rounds", [record.pid, t, t, 1, outcome, what])
+        if record.restored is not None:
+            for name, raw in record.restored.locals.items():
+                self._add("locals", [record.pid, t, record.restored.round, name, _decoder.decode(raw)])
         self._writes(record, record.round, t)
         self._lateness(record, t)
 
@@ -148,7 +152,9 @@ class Rows:
                 self._markers.value(name, value, t)
 
     def _writes(self, record: Init | Round, number: int, t: float) -> None:
-        """What was written into the shared store, and where a robot was told to go: a path, or a single target."""
+        """What was written: into the shared store, locals, and where to go, a path or a single target."""
+        for name, raw in record.locals.items():
+            self._add("locals", [record.pid, t, number, name, _decoder.decode(raw)])
         for name, raw in record.shared.items():
             value = _decoder.decode(raw)
             self._add("shared", [name, record.pid, t, number, value])

@@ -12,6 +12,9 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
+from targets.sim.beliefs import Beliefs
 from targets.sim.trace import (
     Cause,
     End,
@@ -34,6 +37,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "poses": ("t", "robot", "x", "y", "z", "yaw"),
     "rounds": ("t", "robot", "round", "event", "skipped", "fault", "late"),
     "values": ("t", "robot", "round", "of", "name", "value"),
+    "beliefs": ("t", "robot", "round", "of", "name", "slot", "value"),
     "phases": ("t", "robot", "phase", "detail"),
     "logs": ("t", "robot", "level", "text"),
     "links": ("t", "robot", "peer", "loss", "delay_p50_ms", "delay_p99_ms", "silent_ms", "repeats"),
@@ -53,9 +57,19 @@ def write(folder: Path, header: Header, records: Iterable[Record]) -> None:
             file = stack.enter_context((folder / f"{table}.csv").open("w", newline="", encoding="utf-8"))
             tables[table] = csv.writer(file)
             tables[table].writerow(columns)
+        beliefs = Beliefs(header)
         for record in records:
-            for table, row in _rows(record, names):
+            for table, row in (*_rows(record, names), *_believed(record, beliefs, names)):
                 tables[table].writerow(row)
+
+
+def _believed(record: Record, beliefs: Beliefs, names: dict[int, str]) -> Iterator[tuple[str, Row]]:
+    """What a robot knows from now on of locals and, by its copy, of shared variables; others' rows are in `values`."""
+    for change in beliefs.take(record):
+        if change.of in ("local", "shared") and isinstance(record, (Init, Round)):
+            robot, slot = names[record.pid], "" if change.slot is None else names.get(change.slot, str(change.slot))
+            value = msgspec.json.encode(change.value).decode()
+            yield "beliefs", (record.t, robot, getattr(record, "round", 0), change.of, change.name, slot, value)
 
 
 def _rows(record: Record, names: dict[int, str]) -> Iterator[tuple[str, Row]]:

@@ -5,7 +5,7 @@
 const COLOURS = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000"];
 const DASHES = [[], [9, 4], [3, 3], [10, 3, 3, 3]];
 const RED = "#B00020", INK = "#1d1d1f", DIM = "#5f6368", AMBER = "#b36b00", LINE = "#e4e4e7", STONE = "#cfcfd3", STONE_EDGE = "#8a8a90";
-const STATES = [["#B00020", "to do"], ["#E69F00", "taken"], ["#1B7F4B", "done"]];
+const STATES = [[DIM, "to do"], ["#E69F00", "taken"], ["#1B7F4B", "done"]];
 const FONT = "12px system-ui, 'DejaVu Sans', sans-serif";
 
 const colour = (pid) => COLOURS[pid % COLOURS.length];
@@ -129,8 +129,8 @@ function coordinate(canvas, model, axis, span, now, height) {
   return chart;
 }
 
-// Any lines over time: {points: [[t, v]], ink, lines, step, dots}, and a bound that is drawn red with its words.
-function lines(canvas, model, span, now, height, series, { ylabel, bound, words }) {
+// Any lines over time: {points: [[t, v]], ink, lines, step, dots}, and a bound with its words, red when it is crossed.
+function lines(canvas, model, span, now, height, series, { ylabel, bound, crossed, words }) {
   let high = bound > 0 ? 1.15 * bound : 0, low = 0;
   for (const { points } of series) for (const [, v] of points) { if (v > high) high = v; if (v < low) low = v; }
   if (high === low) high = low + 1;
@@ -140,8 +140,9 @@ function lines(canvas, model, span, now, height, series, { ylabel, bound, words 
   chart.ctx.fillStyle = RED;
   for (const [t, v] of series.flatMap((each) => each.dots || [])) chart.ctx.fillRect(chart.x(t) - 3, chart.y(v) - 3, 6, 6);
   if (bound > 0) {
-    stroke(chart.ctx, [[chart.left, chart.y(bound)], [chart.width, chart.y(bound)]], RED, { width: 1.2 });
-    text(chart.ctx, words, chart.width - chart.right - 4, chart.y(bound) - 4, { align: "right", ink: RED, halo: true });
+    const ink = crossed ? RED : DIM;
+    stroke(chart.ctx, [[chart.left, chart.y(bound)], [chart.width, chart.y(bound)]], ink, { width: 1.2 });
+    text(chart.ctx, words, chart.width - chart.right - 4, chart.y(bound) - 4, { align: "right", ink, halo: true });
   }
   overTime(chart, model, now);
   chart.end();

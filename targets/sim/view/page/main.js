@@ -59,7 +59,8 @@ function eventChips() {
     label.append(svg, make("span", words));
     return label;
   };
-  const key = [...model.events.map((name) => box(eventInk(model, name), name)), box(SKIP, "no event"), box(RED, "fault")];
+  const key = [...model.events.map((name) => box(eventInk(model, name), name)), box(SKIP, "no event")];
+  if (model.robots.some((robot) => robot.rounds.some((row) => row[4] === 2))) key.push(box(RED, "fault"));
   $("events").replaceChildren(...key);
 }
 
@@ -91,19 +92,37 @@ function cellsOf(row, values, classes = []) {
   return row;
 }
 
-function sharedTable() {
-  const rows = [], records = model.header.records || {};
-  for (const variable of model.shared) {
-    const keys = variable.kind === "allwrite" ? [-1] : model.robots.map((robot) => robot.pid);
-    for (const key of keys) {
-      const found = model.value(variable.series.get(key), state.now);
-      const row = make("tr", undefined, found && state.now - found.t < 3 * model.header.delta ? { class: "fresh" } : {});
-      const by = found ? `${number(found.t)} s, round ${found.round}, ${(model.robots[found.pid] || {}).name}` : "not yet";
-      rows.push(cellsOf(row, [key < 0 ? variable.name : `${variable.name}[${key}]`, key < 0 ? "all" : model.robots[key].name,
-        found ? shown(found.value, variable.type, records) : "first value", by], ["p", "p", "v", "p"]));
+function whoChoices() {
+  const choices = [["", "as written last"], ...model.robots.map((robot) => [String(robot.pid), `as ${robot.name} knew them`])];
+  if ($("who").options.length !== choices.length) $("who").replaceChildren(...choices.map(([value, words]) => make("option", words, { value })));
+}
+
+// The variables at this time: the last writes, or the locals of one robot and its copy of the shared ones.
+function variables() {
+  const robot = model.robots.find((each) => String(each.pid) === $("who").value), records = model.header.records || {}, rows = [];
+  const add = (name, of, found, type) => {
+    const fresh = found && state.now - found.t < 3 * model.header.delta, by = found && (model.robots[found.pid] || robot || {}).name;
+    const row = make("tr", undefined, fresh ? { class: "fresh" } : {}), value = found ? shown(found.value, type, records) : "first value";
+    rows.push(cellsOf(row, [name, of, value, found ? `${number(found.t)} s, round ${found.round}, ${by}` : "not yet"], ["p", "p", "v", "p"]));
+  };
+  for (const [name, series] of robot ? robot.locals : []) add(name, "local", model.value(series, state.now), "");
+  for (const variable of model.shared)
+    for (const key of variable.kind === "allwrite" ? [-1] : model.robots.map((each) => each.pid)) {
+      const series = variable.series.get(key), found = robot ? model.believed(robot, series, state.now) : model.value(series, state.now);
+      add(key < 0 ? variable.name : `${variable.name}[${key}]`, key < 0 ? "all" : model.robots[key].name, found, variable.type);
     }
-  }
   $("shared").replaceChildren(...rows);
+  copies();
+}
+
+// Which robots go by an old copy of the shared variables.
+function copies() {
+  const old = [], delta = model.header.delta || 0.1;
+  for (const robot of model.end === null || state.now <= model.end ? model.robots : []) {
+    const seen = model.copied(robot, state.now);
+    if (seen && state.now - seen.t > 3 * delta) old.push(`${robot.name} (of ${number(seen.t)} s)`);
+  }
+  $("copies").textContent = old.length ? `Old copies of the shared variables: ${old.join(", ")}` : "";
 }
 
 function writes() {
@@ -128,7 +147,9 @@ function seekable(t, values, classes) {
 function marksTable() {
   const rows = model.marks.map(([t, kind, what, who, detail]) => {
     const row = seekable(t, [number(t), kind, what, who.join(", "), detail], ["n", "p", "p", "", ""]);
-    row.classList.toggle("bad", kind === "violation");
+    const good = kind === "verdict" && what.endsWith(": held"), bad = kind === "verdict" && /: (violated|no value)$/.test(what);
+    row.classList.toggle("bad", kind === "violation" || bad);
+    row.classList.toggle("good", good);
     return row;
   });
   $("marks").replaceChildren(...(rows.length ? rows : [cellsOf(make("tr"), ["", "nothing so far"])]));
@@ -164,7 +185,7 @@ function draw() {
   const asked = model.header.min_separation || 0;
   const near = model.near.filter(([t]) => t >= at[0] - 1 && t <= at[1] + 1), each = Math.max(1, Math.floor(near.length / 2000));
   charts.near = lines($("near"), model, at, now, 170, [{ points: near.filter((_, k) => k % each === 0).map(([t, d]) => [t, d]), ink: COLOURS[0] }],
-    { ylabel: "closest pair (m)", bound: asked, words: `at least ${asked} m asked` });
+    { ylabel: "closest pair (m)", bound: asked, crossed: model.near.some(([, d]) => d < asked), words: `at least ${asked} m asked` });
   const half = 500 * (model.header.delta || 0.1);
   charts.late = lines($("late"), model, at, now, 170, model.robots.map(maximum), { ylabel: "latest round (ms)", bound: half, words: `late: over ${number(half, 0)} ms` });
   const loss = (robot) => robot.links.map(([, t, peers]) => [t, 100 * Math.max(0, ...peers.map((peer) => peer[1] || 0))]);
@@ -178,14 +199,17 @@ function draw() {
 function closest() {
   const row = model.at(model.near, state.now, 0);
   $("closest").textContent = row ? `closest: ${model.robots[row[2]].name} and ${model.robots[row[3]].name}, ${number(row[1])} m` : "";
-  const upcoming = model.marks.filter(([t, kind]) => kind !== "end" && t <= state.now && t > state.now - 3).map(([, kind, what, who]) => `${kind}: ${what} ${who.join(", ")}`);
-  $("alarm").textContent = upcoming.slice(-2).join("; ");
+  const told = ["violation", "cause", "monitor"], recent = ([t, kind]) => told.includes(kind) && t <= state.now && t > state.now - 3;
+  const found = model.marks.filter(recent).slice(-2);
+  $("alarm").textContent = found.map(([, kind, what, who]) => `${kind}: ${what} ${who.join(", ")}`).join("; ");
+  $("alarm").className = found.some(([, kind]) => kind === "violation") ? "bad" : "";
 }
 
 // What changes only when rows came.
 function refresh() {
   for (const key of ["min", "max"]) $("scrub")[key] = key === "min" ? model.first : model.last;
   mapChoices();
+  whoChoices();
   eventChips();
   marksTable();
   if ($("history").open) writes();
@@ -204,7 +228,7 @@ function tick(time) {
   if (state.moved && !document.hidden) {
     draw();
     state.moved = false;
-    if (time > state.due) { sharedTable(); linksTable(); state.due = time + 150; }
+    if (time > state.due) { variables(); linksTable(); state.due = time + 150; }
     else setTimeout(() => { state.moved = true; }, 160);
   }
   requestAnimationFrame(tick);
@@ -242,7 +266,7 @@ function wire() {
   $("follow").onclick = () => { play(false); follow(true); };
   $("in").onclick = () => { state.zoom = Math.min(64, state.zoom * 2); state.moved = true; };
   $("out").onclick = () => { state.zoom = Math.max(1, state.zoom / 2); state.moved = true; };
-  for (const id of ["tail", "map", "side-axis"]) $(id).onchange = () => { state.moved = true; };
+  for (const id of ["tail", "map", "side-axis", "who"]) $(id).onchange = () => { state.moved = true; };
   $("history").ontoggle = () => $("history").open && writes();
   for (const [name, id] of Object.entries({ x: "x-t", y: "y-t", z: "z-t", timeline: "timeline", near: "near", late: "late", loss: "loss" }))
     $(id).onclick = (event) => { play(false); follow(false); seek(charts[name].time(event.offsetX)); };
@@ -269,7 +293,8 @@ chips();
 wire();
 refresh();
 const asked = /^#t=(-?[0-9.]+)$/.exec(location.hash); // so that a link can name a moment
-seek(asked ? Number(asked[1]) : state.live ? model.last : model.end ?? model.last);
+const violated = model.marks.find(([, kind]) => kind === "violation");
+seek(asked ? Number(asked[1]) : state.live ? model.last : violated ? violated[0] : 0);
 $("follow").hidden = !given.live;
 if (given.live) listen();
 requestAnimationFrame(tick);

@@ -8,7 +8,7 @@ class Model {
     this.header = header;
     this.robots = header.robots.map((robot) => ({
       ...robot, shown: true, t: [], x: [], y: [], z: [], yaw: [],
-      rounds: [], phases: [], logs: [], paths: [], late: [], links: [],
+      rounds: [], phases: [], logs: [], paths: [], late: [], links: [], locals: new Map(),
     }));
     this.shared = (header.shared || []).map((variable) => ({ ...variable, series: new Map() }));
     this.near = [];
@@ -22,7 +22,7 @@ class Model {
 
   // Takes in a chunk of rows; unknown tables are passed over.
   extend(chunk) {
-    for (const table of ["poses", "phases", "logs", "paths", "late", "links", "rounds"])
+    for (const table of ["poses", "phases", "logs", "paths", "late", "links", "rounds", "locals"])
       for (const row of chunk[table] || []) {
         const robot = this.robots[row[0]];
         if (robot) { this["_" + table](robot, row); this._seen(row[1]); }
@@ -53,6 +53,13 @@ class Model {
   _paths(robot, row) { robot.paths.push(row); }
   _late(robot, row) { robot.late.push(row); }
   _links(robot, row) { robot.links.push(row); }
+
+  _locals(robot, [, t, round, name, value]) {
+    if (!robot.locals.has(name)) robot.locals.set(name, []);
+    const series = robot.locals.get(name);
+    series.push({ t, round, value });
+    if (series.length > MOST_KEPT / 10) series.splice(0, series.length / 2);
+  }
 
   _rounds(robot, row) {
     const before = robot.rounds[robot.rounds.length - 1];
@@ -104,6 +111,28 @@ class Model {
   // What a variable's slot held: the last write by then, or null.
   value(series, t) {
     for (let k = (series || []).length - 1; k >= 0; k--) if (series[k].t <= t) return series[k];
+    return null;
+  }
+
+  // The last round by then in which a robot looked at its copy of the shared variables: {round, t}; null before any.
+  copied(robot, t) {
+    const delta = this.header.delta || 0.1;
+    for (let k = robot.rounds.length - 1; k >= 0; k--) {
+      const [, from, to, , outcome, what] = robot.rounds[k];
+      if (from > t || (outcome === 1 && what !== "no event enabled")) continue;
+      const at = t >= to ? to : from + Math.floor((t - from) / delta + 1e-3) * delta;
+      return { round: Math.floor(at / delta + 0.25) + 1, t: at }; // an event is decided within half a round
+    }
+    return null;
+  }
+
+  // What a robot knew of a variable's slot: others' writes of the rounds before the one in which it looked, and its own.
+  believed(robot, series, t) {
+    const seen = (this.copied(robot, t) || { round: 0 }).round;
+    for (let k = (series || []).length - 1; k >= 0; k--) {
+      const write = series[k], own = write.pid === robot.pid && write.round <= seen;
+      if (write.t <= t && (own || write.round < seen)) return write;
+    }
     return null;
   }
 }
