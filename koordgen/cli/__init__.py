@@ -246,11 +246,29 @@ def _afterwards(options: Namespace) -> int:
     return afterwards(options)
 
 
+def _docs(options: Namespace) -> int:
+    from koordgen.cli.docs import docs
+
+    return docs(options)
+
+
+def _new(options: Namespace) -> int:
+    from koordgen.cli.starting import new
+
+    return new(options)
+
+
+def _examples(options: Namespace) -> int:
+    from koordgen.cli.starting import examples
+
+    return examples(options)
+
+
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "check": _check, "dump": _dump, "build": _build, "prove": _prove, "explore": _explore, "fmt": _fmt,
     "explain": _explain, "estop": _estop, "basestation": _basestation, "doctor": _doctor, "key": _key,
     "report": _afterwards, "export": _afterwards, "campaign": _campaign, "replay": _replay,
-    "validate": _validate, "audit": _audit,
+    "validate": _validate, "audit": _audit, "docs": _docs, "new": _new, "examples": _examples,
 }  # fmt: skip
 
 

@@ -341,7 +341,26 @@ def _format(command: argparse.ArgumentParser) -> None:
     command.add_argument("--format", choices=("text", "json", "sarif"), default="text", help=help)
 
 
+def _docs(command: argparse.ArgumentParser) -> None:
+    what = "a page's name, with #SECTION for a section of it; without one, all pages are listed"
+    command.add_argument("page", metavar="PAGE", nargs="?", help=what)
+
+
+def _new(command: argparse.ArgumentParser) -> None:
+    command.add_argument("name", metavar="NAME", help="the program's name, and that of its folder")
+
+
+def _examples(command: argparse.ArgumentParser) -> None:
+    command.add_argument("action", choices=("copy",), nargs="?", help="without it, all examples are listed")
+    command.add_argument("name", metavar="NAME", nargs="?", help="the example to copy")
+    where = "the folder that the copy is written to (default: examples/NAME)"
+    command.add_argument("folder", metavar="FOLDER", nargs="?", help=where)
+
+
 _COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
+    "new": ("write a program and a fleet file to begin with", _new),
+    "examples": ("list the examples, or copy one", _examples),
+    "docs": ("list the pages of the documentation, or print one", _docs),
     "check": ("check a program", _check),
     "build": ("write a bundle for each target, or for each robot of a fleet", _build),
     "prove": ("prove a program's invariants, or show why they do not hold", _prove),
