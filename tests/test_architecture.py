@@ -49,7 +49,7 @@ FLOORS = {
     "estop": BASE | {"fleet", "robots", "runtime"},  # what people and agents say to one another
     "basestation": BASE | {"fleet", "manifest", "mocap", "robots", "runtime"},
     "doctor": BASE,
-    "campaign": BASE,
+    "campaign": BASE | {"runtime"},  # how to install a package
     "replay": BASE | {"ir", "emit", "semantics", "runtime"},
     "validate": BASE | {"syntax", "ir", "check", "prove", "campaign", "manifest", "bundle", "fleet", "pipeline"},
     "audit": BASE | {"ir", "emit", "semantics", "prove", "replay", "runtime"},
@@ -60,6 +60,7 @@ FLOORS = {
     "cli": BASE
     | {
         "scenario",
+        "runtime",
         "pipeline",
         "bundle",
         "check",

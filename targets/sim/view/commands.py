@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from koordgen.runtime.host import pip_install
+
 if TYPE_CHECKING:
     from targets.sim.trace import Header, Record
 
@@ -58,7 +60,7 @@ def _write(to: str, path: Path, header: Header, records: Iterator[Record]) -> No
             try:
                 from targets.sim.view import recording
             except ModuleNotFoundError as error:
-                raise CannotMake(f"the package {error.name} is missing", "pip install mcap") from None
+                raise CannotMake(f"the package {error.name} is missing", pip_install("mcap")) from None
             recording.write(path, header, records)
         case "png" | "gif" | "mp4":
             from targets.sim.view import film, plots
