@@ -43,6 +43,10 @@ class CannotServe(Exception):
         self.help = help
 
 
+class WrongFiles(CannotServe):
+    """The fleet file or the key cannot be used."""
+
+
 class Receiver(Node):
     """A robot, and where its poses go."""
 
@@ -52,7 +56,7 @@ class Receiver(Node):
 
 
 def receivers(fleet: Fleet, targets: Mapping[str, Target]) -> tuple[Receiver, ...]:
-    """The robots that take a feed. Raises CannotServe."""
+    """The robots that take a feed. Raises WrongFiles."""
     found = []
     for robot in fleet.robots:
         feed = targets[robot.target].feed
@@ -61,13 +65,13 @@ def receivers(fleet: Fleet, targets: Mapping[str, Target]) -> tuple[Receiver, ..
         kind, _, address = str(robot.settings[feed.setting]).partition(":")
         host, port = parse_address(address)
         if kind != "udp" or not port:
-            raise CannotServe(
+            raise WrongFiles(
                 f"{robot.name}: {feed.setting} {robot.settings[feed.setting]!r} is not understood",
                 "write it as udp:HOST:PORT, as in udp:0.0.0.0:47300",
             )
         found.append(Receiver(robot.name, robot.host if host == "0.0.0.0" else host, port))
     if not found:
-        raise CannotServe("no robot of this fleet takes a position feed", "quads do with `positioning: vision`, say")
+        raise WrongFiles("no robot of this fleet takes a position feed", "quads do with `positioning: vision`, say")
     return tuple(found)
 
 
@@ -255,14 +259,14 @@ def _resolved(receiver: Receiver) -> tuple[Any, ...]:
 
 def keyed(fleet: Fleet, path: str, key_path: str | None) -> bytes | None:
     """The fleet's key: the file named, or beside the fleet file, or here; None for a fleet without. Raises
-    CannotServe."""
+    WrongFiles."""
     if not fleet.key and key_path is None:
         return None
     beside = Path(path).parent / fleet.key
     try:
         return load_key(Path(key_path) if key_path is not None else beside if beside.exists() else Path(fleet.key))
     except BadKey as error:
-        raise CannotServe(str(error), "`--key FILE` names another") from None
+        raise WrongFiles(str(error), "`--key FILE` names another") from None
 
 
 def all_targets() -> dict[str, Target]:

@@ -14,30 +14,34 @@ _VERSION = re.compile(r'^__version__ = "([^"]*)"', re.MULTILINE)
 
 
 class CannotExamine(Exception):
-    """The folder is no robot's bundle of this koordgen; `help` is the way out."""
+    """The bundle cannot be run; `help` is the way out."""
 
     def __init__(self, message: str, help: str) -> None:
         super().__init__(message)
         self.help = help
 
 
+class NoBundle(CannotExamine):
+    """The folder is no robot's bundle of this koordgen."""
+
+
 def robots_bundle(path: str) -> Path:
-    """The folder of one robot's bundle. Raises CannotExamine."""
+    """The folder of one robot's bundle. Raises NoBundle."""
     folder = Path(path)
     build = "`koordgen build APP.koord --target ... --fleet FILE` writes a folder for each robot"
     if not folder.is_dir():
-        raise CannotExamine(f"{path}: no such folder", build)
+        raise NoBundle(f"{path}: no such folder", build)
     if not (folder / "__main__.py").is_file() or not (folder / "koordgen/runtime").is_dir():
         inside = sorted(p.parent.name for p in folder.glob("*/program.py"))
-        raise CannotExamine(f"{path}: not a bundle", f"name one of {', '.join(inside)} in it" if inside else build)
+        raise NoBundle(f"{path}: not a bundle", f"name one of {', '.join(inside)} in it" if inside else build)
     if not (folder / "program.py").is_file():
         agents = ", ".join(sorted(str(p.parent) for p in folder.glob("agents/*/program.py")))
         help = f"the robots that it runs: {agents}" if agents else build
-        raise CannotExamine(f"{path}: runs a whole fleet on this host, it is no robot's bundle", help)
+        raise NoBundle(f"{path}: runs a whole fleet on this host, it is no robot's bundle", help)
     version = _version(folder)
     if version != __version__:
         help = f"build it anew, or ask the bundle itself: {sys.executable} {path} --doctor"
-        raise CannotExamine(f"{path}: made by koordgen {version}, and this is koordgen {__version__}", help)
+        raise NoBundle(f"{path}: made by koordgen {version}, and this is koordgen {__version__}", help)
     return folder
 
 

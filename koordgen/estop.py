@@ -57,6 +57,10 @@ class CannotStop(Exception):
         self.help = help
 
 
+class BadAddress(CannotStop):
+    """An address given by hand is not HOST:PORT."""
+
+
 class Fleet(Node):
     """`key` is the name of the key file, empty for a fleet without a key. `folder` is searched for that file first."""
 
@@ -232,10 +236,11 @@ def stop_fleet(
     application: int | None = None,
 ) -> list[Called]:  # fmt: skip
     """Stop the robots of a fleet file (or of a folder that `build` wrote) and those at addresses given `by_hand`, as
-    HOST:PORT of the fleet file. `application` overrides the file's application_id. Raises CannotStop."""
+    HOST:PORT of the fleet file; at least one of both is given. `application` overrides the file's application_id.
+    Raises CannotStop."""
     places = tuple([_place(0, {"name": address, "address": address}) for address in by_hand])
     if wrong := [place.name for place in places if not place.port]:
-        raise CannotStop(f"--address {wrong[0]}: not HOST:PORT")
+        raise BadAddress(f"--address {wrong[0]}: not HOST:PORT")
     fleet = Fleet((), 0, "fleet.key")
     if path is not None:
         try:
@@ -244,8 +249,6 @@ def stop_fleet(
             if not places:
                 raise
             warn(f"warning: {error}; calling only those that --address names")
-    elif not places:
-        raise CannotStop("no fleet file is named, and no --address")
     known = {(place.host, place.port) for place in places}
     places += tuple([place for place in fleet.places if (place.host, place.port) not in known])
     key = None

@@ -90,14 +90,14 @@ def dump(path: str, after: str) -> str:
 
 def plan_file(
     path: str,
-    wanted: Collection[str],
+    wanted: Collection[str] | None,
     fleet_path: str | None,
     params: Mapping[str, Value],
     functions: str | None = None,
 ) -> tuple[Checked, dict[str, Files]]:
     """check, fleet, params, verify, ports, budget, Python beside, plan: the bundles of one build, in memory. `wanted`
-    are names of targets that exist; `functions` is the file of the extern functions, if not the usual one. Raises
-    Rejected, BadParam, ManifestError."""
+    are names of targets that exist; None, which needs a fleet, stands for the targets of its robots. `functions` is the
+    file of the extern functions, if not the usual one. Raises Rejected, BadParam, ManifestError."""
     from pathlib import Path
 
     from koordgen import manifest, resources
@@ -113,10 +113,10 @@ def plan_file(
         targets = {name: manifest.load(name) for name in manifest.available()}
         fleet, from_file = read_fleet(fleet_path, targets, checked.program, path)
         given = {**from_file, **given}
-        needed = {r.target for r in fleet.robots}.union(wanted)
+        needed = {r.target for r in fleet.robots}.union(wanted or ())
     else:
-        targets = {name: manifest.load(name) for name in wanted}
-        needed = set(wanted)
+        needed = set(wanted or ())
+        targets = {name: manifest.load(name) for name in needed}
     used = tuple(targets[name] for name in sorted(needed))
     program = with_params(checked.program, given)
     verify(program)
@@ -132,7 +132,9 @@ def plan_file(
         slow = check_calls(program, len(fleet.robots), fleet.delta, budget)
         checked = replace(checked, noticed=tuple(in_order([*checked.noticed, *sending, *slow])))
     source = Path(path).read_bytes()
-    return checked, plan(read_ingredients(program, source, used, fleet, resources.package(), own, given), wanted)
+    return checked, plan(
+        read_ingredients(program, source, used, fleet, resources.package(), own, given), wanted or needed
+    )
 
 
 def _check_sending(program: Program, fleet: Fleet) -> list[Diagnostic]:

@@ -6,7 +6,7 @@ import gc
 import sys
 from typing import TYPE_CHECKING
 
-from koordgen.cli.options import parsed
+from koordgen.cli.commands import parsed
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -58,10 +58,36 @@ def _run(options: Namespace) -> int:
     except Exception as error:
         from koordgen.pipeline import Rejected
 
+        if isinstance(error, ModuleNotFoundError) and not (error.name or "koordgen").startswith(
+            ("koordgen", "targets")
+        ):
+            _say(f"error: the Python package {error.name} is missing\n  help: {install('sim')}")
+            return SURROUNDINGS
         if not isinstance(error, Rejected):
             return _internal(error)
         _show(error, options)
         return WRONG
+
+
+def install(extra: str) -> str:
+    """Return how to install the packages of an extra of koordgen for the running Python."""
+    from koordgen.runtime.host import pip_install
+
+    return pip_install(f"'koordgen[{extra}]'")
+
+
+def _help(options: Namespace) -> int:
+    from koordgen.cli import commands
+    from koordgen.cli.parser import Parser
+
+    if options.topic is None:
+        print(commands.overview())
+        return HOLDS
+    command = commands.command_of(options.topic)
+    if command is None:
+        raise Failure(USAGE, commands.wrong(options.topic), commands.way_out(options.topic))
+    Parser(options.topic, command).print_help()
+    return HOLDS
 
 
 def _check(options: Namespace) -> int:
@@ -82,7 +108,12 @@ def _dump(options: Namespace) -> int:
 def _build(options: Namespace) -> int:
     from pathlib import Path
 
-    bundles, app = _planned(options, _targets(options.target))
+    if options.target is None and options.fleet is None:
+        raise Failure(USAGE, "neither --fleet nor --target is given", f"--target names some of {_there_are()}")
+    targets = None if options.target is None else _targets(options.target)
+    bundles, app = _planned(options, targets)
+    if targets is not None and (missing := _left_out(bundles, targets)):
+        _say(f"note: --target {options.target} leaves out {', '.join(missing)}; without --target all robots are built")
     folder = Path(options.out) / app
     _write(bundles, folder)
     for name, files in bundles.items():
@@ -146,12 +177,15 @@ def _explain(options: Namespace) -> int:
 
 
 def _estop(options: Namespace) -> int:
-    from koordgen.estop import BY_HAND, CannotStop, show, stop_fleet
+    from koordgen.estop import BY_HAND, BadAddress, CannotStop, show, stop_fleet
 
+    if options.fleet is None and not options.address:
+        raise Failure(USAGE, "no fleet file is named, and no --address", f"nobody was called; {BY_HAND}")
     try:
         results = stop_fleet(options.fleet, options.key, _say, options.address, options.application)
     except CannotStop as error:
-        raise Failure(WRONG, str(error), f"{error.help}nobody was called; {BY_HAND}") from None
+        status = USAGE if isinstance(error, BadAddress) else WRONG
+        raise Failure(status, str(error), f"{error.help}nobody was called; {BY_HAND}") from None
     print(show(results, options.format), flush=True)
     if silent := sum(not result.phase for result in results):
         raise Failure(SURROUNDINGS, f"{silent} of {len(results)} robots did not answer", BY_HAND)
@@ -161,7 +195,7 @@ def _estop(options: Namespace) -> int:
 def _basestation(options: Namespace) -> int:
     import os
 
-    from koordgen.basestation import CannotServe, all_targets, station
+    from koordgen.basestation import CannotServe, WrongFiles, all_targets, station
     from koordgen.cli.terminal import Line
     from koordgen.pipeline import read_fleet
 
@@ -179,17 +213,19 @@ def _basestation(options: Namespace) -> int:
             raise
     except CannotServe as error:
         line.end()
-        raise Failure(SURROUNDINGS, str(error), error.help) from None
+        status = WRONG if isinstance(error, WrongFiles) else SURROUNDINGS
+        raise Failure(status, str(error), error.help) from None
     return HOLDS
 
 
 def _doctor(options: Namespace) -> int:
-    from koordgen.doctor import CannotExamine, examine
+    from koordgen.doctor import CannotExamine, NoBundle, examine
 
     try:
         return examine(options.bundle, options.settings, options.format)
     except CannotExamine as error:
-        raise Failure(SURROUNDINGS, str(error), error.help) from None
+        status = WRONG if isinstance(error, NoBundle) else SURROUNDINGS
+        raise Failure(status, str(error), error.help) from None
 
 
 def _key(options: Namespace) -> int:
@@ -265,7 +301,7 @@ def _examples(options: Namespace) -> int:
 
 
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {
-    "check": _check, "dump": _dump, "build": _build, "prove": _prove, "explore": _explore, "fmt": _fmt,
+    "help": _help, "check": _check, "dump": _dump, "build": _build, "prove": _prove, "explore": _explore, "fmt": _fmt,
     "explain": _explain, "estop": _estop, "basestation": _basestation, "doctor": _doctor, "key": _key,
     "report": _afterwards, "export": _afterwards, "campaign": _campaign, "replay": _replay,
     "validate": _validate, "audit": _audit, "docs": _docs, "new": _new, "examples": _examples,
@@ -278,13 +314,31 @@ def _targets(text: str) -> list[str]:
     wanted = [name.strip() for name in text.split(",") if name.strip()]
     unknown = [name for name in wanted if name not in manifest.available()]
     if unknown or not wanted:
-        there_are = f"there are: {', '.join(manifest.available())}"
-        raise Failure(USAGE, f"no target {unknown[0]!r}" if unknown else "--target names no target", there_are)
+        message = f"no target {unknown[0]!r}" if unknown else "--target names no target"
+        raise Failure(USAGE, message, f"the targets are {_there_are()}")
     return list(dict.fromkeys(wanted))
 
 
+def _there_are() -> str:
+    from koordgen import manifest
+
+    return ", ".join(manifest.available())
+
+
+def _left_out(bundles: Mapping[str, Mapping[str, bytes]], targets: Collection[str]) -> list[str]:
+    """Return the robots that get no bundle of their own, where bundles of robots are built at all."""
+    import json
+
+    from koordgen import manifest
+
+    if "fleet" not in bundles or all(manifest.load(name).kind != "agent" for name in targets):
+        return []
+    robots = json.loads(bundles["fleet"]["fleet.json"])["peers"]
+    return [robot["name"] for robot in robots if robot["name"] not in bundles]
+
+
 def _planned(
-    options: Namespace, targets: list[str], more: Mapping[str, Value] = {}
+    options: Namespace, targets: list[str] | None, more: Mapping[str, Value] = {}
 ) -> tuple[dict[str, dict[str, bytes]], str]:
     """The bundles, and the app's name; `more` are params that neither the fleet nor the command names."""
     from koordgen.check.params import BadParam
@@ -347,7 +401,7 @@ def _require_packages() -> None:
                 missing.add(name)
     if missing:
         message = f"packages are missing: {', '.join(sorted(missing))}"
-        raise Failure(SURROUNDINGS, message, f"{sys.executable} -m pip install 'koordgen[sim]'")
+        raise Failure(SURROUNDINGS, message, install("sim"))
 
 
 def _show(rejected: Rejected, options: Namespace) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from koordgen.cli import HOLDS, INCONCLUSIVE, INTERNAL, SURROUNDINGS, WRONG, Failure, _say
+from koordgen.cli import HOLDS, INCONCLUSIVE, INTERNAL, WRONG, Failure, _say
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -118,7 +118,7 @@ def again(options: Namespace) -> int:
         with open(name, "rb") as file:
             data = file.read(MOST_BYTES + 1)
     except OSError as error:
-        raise Failure(SURROUNDINGS, f"{name}: {error.strerror or error}", "name a file that exists") from None
+        raise Failure(WRONG, f"{name}: {error.strerror or error}", "name a file that exists") from None
     model = exact(program)
     try:
         given = read(data, model, program_hash(program))

@@ -49,7 +49,7 @@ def campaign(options: Namespace) -> int:
         way = "--vary takes seed, seed=1:70, NAME=LO:HI and NAME=A,B,C, with commas between them"
         raise cli.Failure(cli.USAGE, str(error), way) from None
     if options.verdict and not Path(options.verdict).is_file():
-        raise cli.Failure(cli.USAGE, f"--verdict {options.verdict}: no such file")
+        raise cli.Failure(cli.WRONG, f"--verdict {options.verdict}: no such file")
     bundles, app = cli._planned(options, [harness.name])
     cli._require_packages()
     fixed = _fixed(options)

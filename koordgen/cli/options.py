@@ -1,388 +1,355 @@
-"""What can be asked on the command line. Of a known command only its own parser is made: all of them take 1 ms."""
+"""Options of each command, in groups. koordgen/cli/commands.py lists the commands."""
 
 from __future__ import annotations
 
-import argparse
-import math
-from collections.abc import Callable
-from typing import Any
+from argparse import _ArgumentGroup as Group
 
-from koordgen import __version__
-
-MOST_ROBOTS = 128  # of a fleet, as koordgen/runtime/wire.py allows (a test compares them)
+from koordgen.cli import values
+from koordgen.cli.parser import Parser
 
 
-class _Parser(argparse.ArgumentParser):
-    """Asks how wide the terminal is only when there is something to show: argparse itself does so at every argument,
-    and what it imports for that takes 3 ms."""
-
-    def __init__(self, **given: Any) -> None:
-        super().__init__(formatter_class=_of_any_width, **given)
-
-    def format_usage(self) -> str:
-        self.formatter_class = argparse.HelpFormatter
-        return super().format_usage()
-
-    def format_help(self) -> str:
-        self.formatter_class = argparse.HelpFormatter
-        return super().format_help()
+def check(command: Parser) -> None:
+    """Options of `koordgen check`."""
+    _program(command)
+    _diagnostics(command.add_argument_group("output"))
 
 
-def _of_any_width(prog: str) -> argparse.HelpFormatter:
-    return argparse.HelpFormatter(prog, width=80)
+def new(command: Parser) -> None:
+    """Options of `koordgen new`."""
+    name = "the program's name, and that of its folder: letters, digits and _"
+    command.positional.add_argument("name", metavar="NAME", help=name)
 
 
-def parsed(arguments: list[str]) -> argparse.Namespace:
-    """The options, `command` among them. Exits where they are wrong, or help or the version is asked for."""
-    parser = _Parser(prog="koordgen", description="Compiles Koord programs to agents for robots.", allow_abbrev=False)
-    parser.add_argument("--version", action="version", version=f"koordgen {__version__}")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    asked = arguments[0] if arguments else ""
-    for name, (summary, fill) in _COMMANDS.items():
-        if asked == name or asked not in _COMMANDS:
-            fill(commands.add_parser(name, help=summary))
-        for harness, what in _harnesses() if name == "build" and asked not in _COMMANDS else ():
-            _harness(commands.add_parser(harness, help=f"build and run: {what}"))
-    return parser.parse_args(arguments)
+def examples(command: Parser) -> None:
+    """Options of `koordgen examples`."""
+    action = "`copy` copies an example (default: list all examples)"
+    command.positional.add_argument("action", metavar="copy", choices=("copy",), nargs="?", help=action)
+    command.positional.add_argument("name", metavar="NAME", nargs="?", help="the example to copy")
+    folder = "the folder of the copy (default: examples/NAME)"
+    command.positional.add_argument("folder", metavar="FOLDER", nargs="?", help=folder)
 
 
-def _check(command: argparse.ArgumentParser) -> None:
-    command.add_argument("program", metavar="APP.koord")
-    _format(command)
+def docs(command: Parser) -> None:
+    """Options of `koordgen docs`."""
+    page = "a page such as fleet, or a section of it such as fleet#safety (default: list all pages)"
+    command.positional.add_argument("page", metavar="PAGE", nargs="?", help=page)
 
 
-def _dump(command: argparse.ArgumentParser) -> None:
-    command.add_argument("program", metavar="APP.koord")
-    command.add_argument("--after", metavar="PASS", choices=("parse", "check"), default="check", help="parse or check")
-    _format(command)
+def dump(command: Parser) -> None:
+    """Options of `koordgen dump`."""
+    _program(command)
+    output = command.add_argument_group("output")
+    after = "show the program after this pass: `parse` gives the syntax tree, `check` the typed IR (default: check)"
+    output.add_argument("--after", metavar="PASS", choices=("parse", "check"), default="check", help=after)
+    _diagnostics(output)
 
 
-def _build(command: argparse.ArgumentParser) -> None:
-    command.add_argument("program", metavar="APP.koord")
-    command.add_argument("--target", metavar="A,B", required=True, help="the targets to build for")
-    command.add_argument("-o", "--out", metavar="DIR", default="build", help="DIR/<app>/ is written (default: build)")
-    _of_a_build(command)
+def build(command: Parser) -> None:
+    """Options of `koordgen build`."""
+    _program(command)
+    wanted = command.add_argument_group("what to build")
+    targets = "the targets to build for, as in quad,car (default: those that the robots of the fleet file name)"
+    wanted.add_argument("--target", metavar="A,B", help=targets)
+    _fleet(wanted, "the fleet file (YAML); with it, each robot gets a folder of its own")
+    _params(wanted)
+    output = command.add_argument_group("output")
+    output.add_argument("-o", "--out", metavar="DIR", default="build", help="write DIR/APP/ (default: build)")
+    _diagnostics(output)
 
 
-def _prove(command: argparse.ArgumentParser) -> None:
-    from koordgen.cli.prove import numbers
-
-    def robots(text: str) -> str:
-        numbers(text)
-        return text
-
-    command.add_argument("program", metavar="APP.koord")
-    many = "`any` (default), a number or a range as 3..15"
-    command.add_argument("--robots", metavar="N", type=robots, default="any", help=many)
-    value = "a param's value; params without one may have any"
-    command.add_argument("--param", metavar="NAME=VALUE", action="append", default=[], help=value)
-    command.add_argument("--fleet", metavar="FILE", help="a fleet file (YAML) for the values of params")
-    command.add_argument("--emit", metavar="DIR", help="write each obligation as a file of SMT-LIB, and run.sh")
-    command.add_argument("--solver", choices=("z3", "cvc5", "both"), default="z3", help="default: z3")
-    command.add_argument("--timeout", metavar="S", type=_seconds, default=10.0, help="of one query (default: 10)")
-    command.add_argument("--trace", metavar="FILE", help="write the first counterexample as koord-trace/1")
-    attack = "look for so long for a state that contradicts a PROVED; 0: do not (default: 0.05)"
-    command.add_argument("--attack", metavar="S", type=_attack_seconds, default=0.05, help=attack)
-    again = "run a contradiction again that an earlier command wrote, and prove nothing"
-    command.add_argument("--attack-from", metavar="FILE", help=again)
-    command.add_argument("--format", choices=("text", "json"), default="text", help="of what is told (default: text)")
-
-
-def _explore(command: argparse.ArgumentParser) -> None:
-    command.add_argument("program", metavar="APP.koord")
-    command.add_argument("--robots", metavar="N", type=_fleet_size, help="how many (default: the fleet file's, or 3)")
-    command.add_argument("--rounds", metavar="R", type=_count, help="go no farther (default: to the end)")
-    command.add_argument("--env", metavar="FILE", help="the values of sensors, what callable ports may answer (YAML)")
-    command.add_argument("--states", metavar="K", type=_count, help="end after so many states")
-    command.add_argument("--seconds", metavar="S", type=_seconds, help="end after so long")
-    apart = "tell robots apart also where the program does not"
-    command.add_argument("--no-symmetry", dest="symmetry", action="store_false", help=apart)
-    orders = "try every order of robots, also where it makes no difference"
-    command.add_argument("--no-independence", dest="independence", action="store_false", help=orders)
-    unread = "keep apart what differs only in what nobody reads any more"
-    command.add_argument("--no-forgetting", dest="forgetting", action="store_false", help=unread)
-    quiet = "let robots wait for ever without `stop`"
-    command.add_argument("--no-deadlock", dest="deadlock", action="store_false", help=quiet)
-    command.add_argument("--fleet", metavar="FILE", help="a fleet file (YAML): values of params, how many robots")
-    command.add_argument("--param", metavar="NAME=VALUE", action="append", default=[], help="a param's value")
-    command.add_argument("--functions", metavar="FILE", help="Python of the extern functions")
-    command.add_argument("--trace", metavar="FILE", help="write the run to a violation as koord-trace/1")
-    command.add_argument("--itf", metavar="FILE", help="write it in the Informal Trace Format (JSON)")
-    command.add_argument("--format", choices=("text", "json"), default="text", help="of what is told (default: text)")
+def prove(command: Parser) -> None:
+    """Options of `koordgen prove`."""
+    _program(command)
+    question = command.add_argument_group("what to prove")
+    many = "for how many robots: `any`, a number, or a range such as 3..15 (default: any)"
+    question.add_argument("--robots", metavar="N", type=values.robots, default="any", help=many)
+    _fleet(question, "a fleet file (YAML), for the values of params")
+    value = "the value of a param; a param without one may have any value; may be repeated"
+    question.add_argument("--param", metavar="NAME=VALUE", action="append", default=[], help=value)
+    solving = command.add_argument_group("solver")
+    solving.add_argument("--solver", choices=("z3", "cvc5", "both"), default="z3", help="(default: z3)")
+    timeout = "limit of one query, in seconds (default: 10)"
+    solving.add_argument("--timeout", metavar="S", type=values.seconds, default=10.0, help=timeout)
+    attack = "seconds for a search for states that contradict a PROVED; 0: no search (default: 0.05)"
+    solving.add_argument("--attack", metavar="S", type=values.seconds_or_none, default=0.05, help=attack)
+    again = "run again a contradiction that an earlier command wrote; prove nothing"
+    solving.add_argument("--attack-from", metavar="FILE", help=again)
+    output = command.add_argument_group("output")
+    output.add_argument("--emit", metavar="DIR", help="write each obligation as SMT-LIB, and run.sh, which checks them")
+    output.add_argument("--trace", metavar="FILE", help="write the first counterexample as a trace")
+    _format(output)
 
 
-def _seconds(text: str) -> float:
-    return _number(text, 0.01, 86400.0, "time in seconds")
+def explore(command: Parser) -> None:
+    """Options of `koordgen explore`."""
+    _program(command)
+    fleet = command.add_argument_group("fleet")
+    many = f"number of robots, 1 to {values.MOST_ROBOTS} (default: that of the fleet file, else 3)"
+    fleet.add_argument("--robots", metavar="N", type=values.fleet_size, help=many)
+    fleet.add_argument("--env", metavar="FILE", help="values of sensors and answers of callable ports (YAML)")
+    _fleet(fleet, "a fleet file (YAML): values of params, number of robots")
+    _params(fleet)
+    limits = command.add_argument_group("limits")
+    limits.add_argument("--rounds", metavar="R", type=values.count, help="rounds to explore (default: all)")
+    limits.add_argument("--states", metavar="K", type=values.count, help="states to visit at most (default: all)")
+    limits.add_argument("--seconds", metavar="S", type=values.seconds, help="time limit (default: none)")
+    search = command.add_argument_group("search")
+    apart = "do not treat states as equal that differ only in the order of robots"
+    search.add_argument("--no-symmetry", dest="symmetry", action="store_false", help=apart)
+    orders = "try every order of robots, also where orders make no difference"
+    search.add_argument("--no-independence", dest="independence", action="store_false", help=orders)
+    unread = "keep states apart that differ only in values that are never read again"
+    search.add_argument("--no-forgetting", dest="forgetting", action="store_false", help=unread)
+    quiet = "do not report robots that wait for ever without `stop`"
+    search.add_argument("--no-deadlock", dest="deadlock", action="store_false", help=quiet)
+    output = command.add_argument_group("output")
+    output.add_argument("--trace", metavar="FILE", help="write the run that violates a property as a trace")
+    output.add_argument("--itf", metavar="FILE", help="write that run in the Informal Trace Format (JSON)")
+    _format(output)
 
 
-def _attack_seconds(text: str) -> float:
-    return _number(text, 0.0, 86400.0, "time in seconds")
+def fmt(command: Parser) -> None:
+    """Options of `koordgen fmt`."""
+    files = "programs; `-` reads standard input and writes standard output"
+    command.positional.add_argument("files", metavar="FILE", nargs="+", help=files)
+    mode = command.add_argument_group("what to do")
+    mode.add_argument("--check", action="store_true", help="write nothing; status 1 when a file would change")
+    mode.add_argument("--diff", action="store_true", help="as --check, and show the changes")
+    mode.add_argument("--upgrade", action="store_true", help="rewrite the 2020 dialect as well")
+    _format(command.add_argument_group("output"))
 
 
-def _fmt(command: argparse.ArgumentParser) -> None:
-    command.add_argument("files", metavar="FILE", nargs="+", help="`-` reads standard input, writes standard output")
-    command.add_argument("--check", action="store_true", help="write nothing; status 1 when a file would change")
-    command.add_argument("--diff", action="store_true", help="like --check, and show what would change")
-    command.add_argument("--upgrade", action="store_true", help="rewrite the 2020 dialect as well")
-    command.add_argument("--format", choices=("text", "json"), default="text", help="of what is told (default: text)")
+def explain(command: Parser) -> None:
+    """Options of `koordgen explain`."""
+    code = "a code such as K030, a verdict such as VACUOUS, or `skip` (default: list all codes)"
+    command.positional.add_argument("code", metavar="CODE", nargs="?", help=code)
 
 
-def _explain(command: argparse.ArgumentParser) -> None:
-    command.add_argument("code", metavar="CODE", nargs="?", help="for example K030; without one, all codes are listed")
+def estop(command: Parser) -> None:
+    """Options of `koordgen estop`."""
+    fleet = "the fleet file (YAML), or a folder that `koordgen build` wrote"
+    command.positional.add_argument("fleet", metavar="FLEET", nargs="?", help=fleet)
+    whom = command.add_argument_group("whom to stop")
+    address = "the address of one more robot, as in a fleet file; may be repeated"
+    whom.add_argument("--address", metavar="HOST:PORT", action="append", default=[], help=address)
+    number = "the fleet's application_id (default: that of the fleet file, else 0)"
+    whom.add_argument("--application", metavar="N", type=values.application, help=number)
+    _key(whom)
+    _format(command.add_argument_group("output"))
 
 
-def _estop(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "fleet", metavar="FLEET", nargs="?", help="the fleet file (YAML), or a folder that build wrote"
-    )
-    address = "another robot, by its address as in a fleet file; may be given several times"
-    command.add_argument("--address", metavar="HOST:PORT", action="append", default=[], help=address)
-    number = "the fleet's application_id (default: the fleet file's, or 0)"
-    command.add_argument("--application", metavar="N", type=int, help=number)
-    command.add_argument("--key", metavar="FILE", help="the fleet's key (default: beside the fleet file, or here)")
-    command.add_argument("--format", choices=("text", "json"), default="text", help="of what is told (default: text)")
+def basestation(command: Parser) -> None:
+    """Options of `koordgen basestation`."""
+    command.positional.add_argument("fleet", metavar="FLEET", help="the fleet file (YAML)")
+    source = command.add_argument_group("motion capture system")
+    systems = "vicon, optitrack, qualisys, vrpn: any system that the package motioncapture knows"
+    source.add_argument("--system", metavar="NAME", required=True, help=systems)
+    source.add_argument("--host", metavar="HOST", required=True, help="host name or address of the system's server")
+    sending = command.add_argument_group("sending")
+    _key(sending)
+    rate = "most poses a second for each robot, 1 to 1000 (default: 50)"
+    sending.add_argument("--rate", metavar="HZ", type=values.rate, default=50.0, help=rate)
+    _diagnostics(command.add_argument_group("output"))
 
 
-def _basestation(command: argparse.ArgumentParser) -> None:
-    command.add_argument("fleet", metavar="FLEET", help="the fleet file (YAML)")
-    systems = "vicon, optitrack, qualisys, vrpn: what the package motioncapture knows"
-    command.add_argument("--system", metavar="NAME", required=True, help=systems)
-    command.add_argument("--host", metavar="HOST", required=True, help="where the motion capture system's server is")
-    command.add_argument("--key", metavar="FILE", help="the fleet's key (default: beside the fleet file, or here)")
-    rate = "poses a second to each robot, at most (default: 50)"
-    command.add_argument("--rate", metavar="HZ", type=_rate, default=50.0, help=rate)
-    _format(command)
+def doctor(command: Parser) -> None:
+    """Options of `koordgen doctor`."""
+    command.positional.add_argument("bundle", metavar="BUNDLE", help="a robot's folder, as `koordgen build` wrote it")
+    settings = "JSON that replaces entries of the bundle's settings.json"
+    command.add_argument_group("settings").add_argument("--settings", metavar="FILE", help=settings)
+    _format(command.add_argument_group("output"))
 
 
-def _rate(text: str) -> float:
-    return _number(text, 1.0, 1000.0, "rate in Hz")
+def key(command: Parser) -> None:
+    """Options of `koordgen key`."""
+    command.positional.add_argument("action", choices=("new",), help="`new` makes a key")
+    command.positional.add_argument("file", metavar="FILE", help="the key's file; an existing file is not overwritten")
 
 
-def _doctor(command: argparse.ArgumentParser) -> None:
-    command.add_argument("bundle", metavar="BUNDLE", help="a robot's folder, as build wrote it")
-    command.add_argument("--settings", metavar="FILE", help="JSON laid over the bundle's settings.json")
-    command.add_argument("--format", choices=("text", "json"), default="text", help="of what is told (default: text)")
-
-
-def _key(command: argparse.ArgumentParser) -> None:
-    command.add_argument("action", choices=("new",))
-    command.add_argument("file", metavar="FILE")
-
-
-# Of all links between robots, over what the scenario says.
+# Conditions of all links between robots; they replace those of the scenario.
 _NETWORK = {
-    "loss": ("P", "the part of the datagrams between robots that is lost"),
-    "delay": ("S", "seconds that a datagram is under way"),
-    "jitter": ("S", "seconds that come on top at random, at most"),
-    "duplication": ("P", "the part of the datagrams that comes twice"),
-    "reordering": ("P", "the part of the datagrams that others overtake"),
+    "loss": ("P", values.share, "share of datagrams that are lost, 0 to 1"),
+    "delay": ("S", values.short_time, "delay of each datagram, in seconds, 0 to 10"),
+    "jitter": ("S", values.short_time, "random additional delay, at most this many seconds, 0 to 10"),
+    "duplication": ("P", values.share, "share of datagrams that arrive twice, 0 to 1"),
+    "reordering": ("P", values.share, "share of datagrams that later datagrams overtake, 0 to 1"),
 }
 # Options of a harness's bundle that have the same name here.
 PASSED = ("duration", "seed", "live", "pace", *_NETWORK)
 
 
-def _harness(command: argparse.ArgumentParser) -> None:
-    command.add_argument("program", metavar="APP.koord")
-    command.add_argument("--duration", metavar="S", type=float, help="seconds of mission, from its first round")
-    command.add_argument("--seed", metavar="N", type=int, help="seed of all that is random")
-    command.add_argument("--lockstep", action="store_true", help="all in one process: repeatable, as fast as it goes")
-    command.add_argument("--gui", action="store_true", help="show PyBullet's window")
-    pace = "of a run in lockstep: at most so many times real time"
-    command.add_argument("--pace", metavar="FACTOR", type=float, help=pace)
-    live = "show the run while it goes on, on a page of 127.0.0.1, at PORT or any free one"
-    command.add_argument("--live", metavar="PORT", type=int, nargs="?", const=0, help=live)
-    command.add_argument("--out", metavar="DIR", help="where trace, summary, pictures and report go")
-    later = "no report and no pictures; `koordgen report` and `export` make them later"
-    command.add_argument("--no-report", action="store_true", help=later)
-    command.add_argument("--quiet", action="store_true", help="no progress")
-    command.add_argument("--scenario", metavar="FILE", help="what goes wrong in the run, and when (YAML)")
-    follow = "let the agents run this counterexample, as `explore` or `prove --trace` wrote it"
-    command.add_argument("--follow", metavar="TRACE", help=follow)
-    for name, (metavar, help) in _NETWORK.items():
-        command.add_argument(f"--{name}", metavar=metavar, type=float, help=help)
-    _of_a_build(command, fleet_required=True)
+def harness(command: Parser) -> None:
+    """Options of a command that runs a harness's bundle."""
+    _program(command)
+    run = command.add_argument_group("run")
+    _fleet(run, "the fleet file (YAML)", required=True)
+    _duration(run, "seconds of mission, from its first round (default: 30)")
+    run.add_argument("--lockstep", action="store_true", help="run all robots in one process: repeatable, and faster")
+    run.add_argument("--seed", metavar="N", type=int, help="seed of all random numbers (default: 0)")
+    follow = "run this counterexample of `koordgen explore` or `koordgen prove`"
+    run.add_argument("--follow", metavar="TRACE", help=follow)
+    _params(run)
+    faults = command.add_argument_group("faults")
+    faults.add_argument("--scenario", metavar="FILE", help="the faults of the run, and their times (YAML)")
+    for name, (metavar, type_, help) in _NETWORK.items():
+        faults.add_argument(f"--{name}", metavar=metavar, type=type_, help=help)
+    watch = command.add_argument_group("watch")
+    live = "show the run in a browser, on a page of 127.0.0.1 (default of PORT: any free one)"
+    watch.add_argument("--live", metavar="PORT", type=values.port, nargs="?", const=0, help=live)
+    watch.add_argument("--gui", action="store_true", help="show PyBullet's window")
+    pace = "run in lockstep at most this many times faster than real time (default: no limit)"
+    watch.add_argument("--pace", metavar="FACTOR", type=values.factor, help=pace)
+    output = command.add_argument_group("output")
+    output.add_argument("--out", metavar="DIR", help="folder of trace, summary and report (default: run-APP)")
+    later = "make no report; `koordgen report` makes it later"
+    output.add_argument("--no-report", action="store_true", help=later)
+    _quiet(output)
+    _diagnostics(output)
 
 
-def _campaign(command: argparse.ArgumentParser) -> None:
-    command.add_argument("program", metavar="APP.koord")
-    command.add_argument("--runs", metavar="N", type=_count, help="how many runs (default: every combination once)")
-    vary = "what differs from run to run: seed, seed=1:70, NAME=LO:HI, NAME=A,B,C, with commas between them"
-    command.add_argument("--vary", metavar="NAME[=VALUES]", action="append", default=[], help=vary)
-    command.add_argument("--duration", metavar="S", type=float, help="seconds of each mission, from its first round")
-    command.add_argument("--lockstep", action="store_true", help="on the simulated clock: repeatable, and faster")
-    command.add_argument("--verdict", metavar="FILE", help="a Python script that judges each run's folder")
-    jobs = "runs at a time (default: as many as there are cores; one in real time)"
-    command.add_argument("--jobs", metavar="N", type=_count, help=jobs)
-    command.add_argument("--out", metavar="DIR", help="where runs, table and pictures go (default: campaign-<app>)")
-    reports = "of each run make its report and pictures, too: some seconds a run"
-    command.add_argument("--reports", action="store_true", help=reports)
-    command.add_argument("--resume", action="store_true", help="go on with what DIR holds")
-    command.add_argument("--cluster", metavar="ADDRESS", help="hand the runs to this Dask scheduler")
-    command.add_argument("--quiet", action="store_true", help="no progress")
-    _of_a_build(command, fleet_required=True)
+def campaign(command: Parser) -> None:
+    """Options of `koordgen campaign`."""
+    _program(command)
+    runs = command.add_argument_group("runs")
+    _fleet(runs, "the fleet file (YAML)", required=True)
+    runs.add_argument("--runs", metavar="N", type=values.count, help="number of runs (default: each combination once)")
+    vary = "what differs between runs: seed, seed=1:70, NAME=LO:HI, NAME=A,B,C, separated by commas; may be repeated"
+    runs.add_argument("--vary", metavar="NAME[=VALUES]", action="append", default=[], help=vary)
+    _duration(runs, "seconds of each mission, from its first round (default: 30)")
+    runs.add_argument("--lockstep", action="store_true", help="run on the simulated clock: repeatable, and faster")
+    runs.add_argument("--verdict", metavar="FILE", help="a Python script that judges the folder of each run")
+    _params(runs)
+    where = command.add_argument_group("where to run")
+    jobs = "runs at a time (default: the number of cores; 1 in real time)"
+    where.add_argument("--jobs", metavar="N", type=values.count, help=jobs)
+    where.add_argument("--cluster", metavar="ADDRESS", help="the Dask scheduler that distributes the runs")
+    output = command.add_argument_group("output")
+    output.add_argument("--out", metavar="DIR", help="folder of runs, table and plots (default: campaign-APP)")
+    output.add_argument("--reports", action="store_true", help="make the report of each run: some seconds a run")
+    output.add_argument("--resume", action="store_true", help="continue the campaign in DIR")
+    _quiet(output)
+    _diagnostics(output)
 
 
-def _validate(command: argparse.ArgumentParser) -> None:
-    command.add_argument("program", metavar="APP.koord")
-    command.add_argument("--fleet", metavar="FILE", required=True, help="the fleet file (YAML)")
-    samples = "runs, each from a start of its own (default: as many as epsilon and gamma want)"
-    command.add_argument("--samples", metavar="N", type=_count, help=samples)
-    epsilon = "a run violates with a probability below E (default: 0.05)"
-    command.add_argument("--epsilon", metavar="E", type=_part, default=0.05, help=epsilon)
-    gamma = "said with confidence 1 - G (default: 0.05)"
-    command.add_argument("--gamma", metavar="G", type=_part, default=0.05, help=gamma)
-    command.add_argument("--seconds", metavar="S", type=_seconds, default=30.0, help="of each run (default: 30)")
-    command.add_argument("--seed", metavar="K", type=_natural, default=1, help="of the first run (default: 1)")
-    command.add_argument(
-        "--jobs", metavar="J", type=_count, help="runs at a time (default: as many as there are cores)"
-    )
-    command.add_argument("--cluster", metavar="ADDRESS", help="hand the runs to this Dask scheduler")
-    command.add_argument("--out", metavar="DIR", help="where runs, table and picture go (default: validate-<app>)")
-    command.add_argument("--reachsets", action="store_true", help="also where each platform can get to on its way")
-    offset = "of the target, for reachsets: metres, east, north, up (default: 0.7,0.4,0)"
-    command.add_argument("--offset", metavar="X,Y,Z", type=_offset, default=(0.7, 0.4, 0.0), help=offset)
-    command.add_argument("--quiet", action="store_true", help="no progress")
-    command.add_argument("--param", metavar="NAME=VALUE", action="append", default=[], help="a param's value")
-    command.add_argument("--functions", metavar="FILE", help="Python of the extern functions")
-    command.add_argument("--format", choices=("text", "json"), default="text", help="of what is told (default: text)")
+def validate(command: Parser) -> None:
+    """Options of `koordgen validate`."""
+    _program(command)
+    runs = command.add_argument_group("runs")
+    _fleet(runs, "the fleet file (YAML)", required=True)
+    samples = "number of runs, each from another start (default: as many as E and G need)"
+    runs.add_argument("--samples", metavar="N", type=values.count, help=samples)
+    epsilon = "a run violates an assumption with a probability below E (default: 0.05)"
+    runs.add_argument("--epsilon", metavar="E", type=values.probability, default=0.05, help=epsilon)
+    gamma = "the verdict has the confidence 1 - G (default: 0.05)"
+    runs.add_argument("--gamma", metavar="G", type=values.probability, default=0.05, help=gamma)
+    runs.add_argument("--seconds", metavar="S", type=values.seconds, default=30.0, help="of each run (default: 30)")
+    runs.add_argument("--seed", metavar="K", type=values.natural, default=1, help="of the first run (default: 1)")
+    _params(runs)
+    reach = command.add_argument_group("reach sets")
+    reach.add_argument("--reachsets", action="store_true", help="also compute the places that each platform can reach")
+    offset = "the target of a platform, from its start: metres east, north, up (default: 0.7,0.4,0)"
+    reach.add_argument("--offset", metavar="X,Y,Z", type=values.offset, default=(0.7, 0.4, 0.0), help=offset)
+    where = command.add_argument_group("where to run")
+    jobs = "runs at a time (default: the number of cores)"
+    where.add_argument("--jobs", metavar="J", type=values.count, help=jobs)
+    where.add_argument("--cluster", metavar="ADDRESS", help="the Dask scheduler that distributes the runs")
+    output = command.add_argument_group("output")
+    output.add_argument("--out", metavar="DIR", help="folder of runs, table and picture (default: validate-APP)")
+    _quiet(output)
+    _format(output)
 
 
-def _part(text: str) -> float:
-    return _number(text, 0.000001, 0.999, "probability")
+def replay(command: Parser) -> None:
+    """Options of `koordgen replay`."""
+    trace = "a run's folder, its trace.jsonl, or a robot's own trace"
+    command.positional.add_argument("trace", metavar="TRACE", help=trace)
+    _of_a_trace(command)
+    limits = command.add_argument_group("limits")
+    limits.add_argument("--seconds", metavar="S", type=values.seconds, help="time limit (default: none)")
+    _diagnostics(command.add_argument_group("output"))
 
 
-def _number(text: str, least: float, most: float, what: str) -> float:
-    """Raises ArgumentTypeError, whose message argparse tells as it is."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not least <= value <= most:
-        raise argparse.ArgumentTypeError(f"{text} is no {what}; give {least:g} to {most:g}")
-    return value
-
-
-def _offset(text: str) -> tuple[float, float, float]:
-    try:
-        x, y, z = (float(part) for part in text.split(","))
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text} is no offset; give X,Y,Z in metres, such as 0.7,0.4,0") from None
-    if not 0.1 <= math.hypot(x, y, z) <= 1000.0:
-        raise argparse.ArgumentTypeError(f"{text} is no offset; give 0.1 to 1000 m")
-    return x, y, z
-
-
-def _natural(text: str) -> int:
-    return _whole(text, 0)
-
-
-def _replay(command: argparse.ArgumentParser) -> None:
-    command.add_argument("trace", metavar="TRACE", help="a run's folder, its trace.jsonl, or a robot's own trace")
-    command.add_argument("--program", metavar="APP.koord", help="the program (default: that in the run's folder)")
-    command.add_argument("--seconds", metavar="S", type=_seconds, help="end after so long (default: never)")
-    _of_a_build(command)
-
-
-def _audit(command: argparse.ArgumentParser) -> None:
-    traces = "robots' own traces, folders of them, a run's folder or its merged trace.jsonl"
-    command.add_argument("traces", metavar="TRACE", nargs="+", help=traces)
-    command.add_argument("--program", metavar="APP.koord", help="the program (default: that in the run's folder)")
+def audit(command: Parser) -> None:
+    """Options of `koordgen audit`."""
+    traces = "robots' own traces, folders of them, a run's folder or its trace.jsonl"
+    command.positional.add_argument("traces", metavar="TRACE", nargs="+", help=traces)
+    _of_a_trace(command)
+    judging = command.add_argument_group("judging")
     proof = "ask the prover about each invariant that was violated"
-    command.add_argument("--prove", action="store_true", help=proof)
-    command.add_argument("--seconds", metavar="S", type=_seconds, help="end the judging after so long (default: never)")
-    command.add_argument("--plot", metavar="FILE", help="draw the properties over time (png, svg or pdf)")
-    command.add_argument("--fleet", metavar="FILE", help="a fleet file (YAML) for the values of params")
-    command.add_argument("--param", metavar="NAME=VALUE", action="append", default=[], help="a param's value")
-    command.add_argument("--functions", metavar="FILE", help="Python of the extern functions")
-    command.add_argument("--format", choices=("text", "json"), default="text", help="of what is told (default: text)")
+    judging.add_argument("--prove", action="store_true", help=proof)
+    judging.add_argument("--seconds", metavar="S", type=values.seconds, help="time limit (default: none)")
+    output = command.add_argument_group("output")
+    output.add_argument("--plot", metavar="FILE", help="draw the properties over time (png, svg or pdf)")
+    _format(output)
 
 
-def _count(text: str) -> int:
-    return _whole(text, 1)
+def report(command: Parser) -> None:
+    """Options of `koordgen report`."""
+    _trace(command)
+    output = command.add_argument_group("output")
+    page = "the page (default: report.html beside the trace)"
+    output.add_argument("-o", "--out", metavar="FILE", help=page)
 
 
-def _fleet_size(text: str) -> int:
-    return _whole(text, 1, MOST_ROBOTS)
+def export(command: Parser) -> None:
+    """Options of `koordgen export`."""
+    _trace(command)
+    output = command.add_argument_group("output")
+    formats = ("mcap", "csv", "png", "gif", "mp4")
+    output.add_argument("--to", choices=formats, required=True, help="the format to write")
+    output.add_argument("-o", "--out", metavar="PATH", help="file or folder to write (default: beside the trace)")
 
 
-def _whole(text: str, least: int, most: float = math.inf) -> int:
-    """Raises ArgumentTypeError."""
-    value = int(text) if text.strip().isdecimal() else -1
-    if not least <= value <= most:
-        end = "or more" if most == math.inf else f"to {most}"
-        raise argparse.ArgumentTypeError(f"{text} is no number that fits; give a whole one, {least} {end}")
-    return value
+def help_(command: Parser) -> None:
+    """Options of `koordgen help`."""
+    command.positional.add_argument("topic", metavar="COMMAND", nargs="?", help="a command (default: list all)")
 
 
-def _report(command: argparse.ArgumentParser) -> None:
-    command.add_argument("trace", metavar="TRACE", help="a run's folder, or its trace.jsonl")
-    command.add_argument("-o", "--out", metavar="FILE", help="the page (default: report.html beside the trace)")
+def _program(command: Parser) -> None:
+    command.positional.add_argument("program", metavar="APP.koord", help="the program")
 
 
-def _export(command: argparse.ArgumentParser) -> None:
-    command.add_argument("trace", metavar="TRACE", help="a run's folder, or its trace.jsonl")
-    command.add_argument("--to", choices=("mcap", "csv", "png", "gif", "mp4"), required=True, help="what to write")
-    command.add_argument("-o", "--out", metavar="PATH", help="where to (default: beside the trace)")
+def _trace(command: Parser) -> None:
+    command.positional.add_argument("trace", metavar="TRACE", help="a run's folder, or its trace.jsonl")
 
 
-def _of_a_build(command: argparse.ArgumentParser, fleet_required: bool = False) -> None:
-    command.add_argument("--fleet", metavar="FILE", required=fleet_required, help="the fleet file (YAML)")
-    command.add_argument(
-        "--param", metavar="NAME=VALUE", action="append", default=[], help="a param's value; goes before the fleet's"
-    )
-    command.add_argument(
-        "--functions", metavar="FILE", help="Python of the extern functions (default: <app>_functions.py beside it)"
-    )
-    _format(command)
+def _of_a_trace(command: Parser) -> None:
+    program = command.add_argument_group("the trace's program")
+    where = "the program (default: that in the run's folder)"
+    program.add_argument("--program", metavar="APP.koord", help=where)
+    _fleet(program, "a fleet file (YAML), for the values of params")
+    _params(program)
 
 
-def _format(command: argparse.ArgumentParser) -> None:
-    help = "of diagnostics (default: text)"
-    command.add_argument("--format", choices=("text", "json", "sarif"), default="text", help=help)
+def _fleet(group: Group, help: str, required: bool = False) -> None:
+    group.add_argument("--fleet", metavar="FILE", required=required, help=help)
 
 
-def _docs(command: argparse.ArgumentParser) -> None:
-    what = "a page's name, with #SECTION for a section of it; without one, all pages are listed"
-    command.add_argument("page", metavar="PAGE", nargs="?", help=what)
+def _params(group: Group) -> None:
+    value = "the value of a param; it replaces the fleet file's; may be repeated"
+    group.add_argument("--param", metavar="NAME=VALUE", action="append", default=[], help=value)
+    functions = "Python of the extern functions (default: APP_functions.py beside the program)"
+    group.add_argument("--functions", metavar="FILE", help=functions)
 
 
-def _new(command: argparse.ArgumentParser) -> None:
-    command.add_argument("name", metavar="NAME", help="the program's name, and that of its folder")
+def _duration(group: Group, help: str) -> None:
+    group.add_argument("--duration", metavar="S", type=values.seconds, help=help)
 
 
-def _examples(command: argparse.ArgumentParser) -> None:
-    command.add_argument("action", choices=("copy",), nargs="?", help="without it, all examples are listed")
-    command.add_argument("name", metavar="NAME", nargs="?", help="the example to copy")
-    where = "the folder that the copy is written to (default: examples/NAME)"
-    command.add_argument("folder", metavar="FOLDER", nargs="?", help=where)
+def _key(group: Group) -> None:
+    where = "the fleet's key (default: beside the fleet file, or in the working directory)"
+    group.add_argument("--key", metavar="FILE", help=where)
 
 
-_COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
-    "new": ("write a program and a fleet file to begin with", _new),
-    "examples": ("list the examples, or copy one", _examples),
-    "docs": ("list the pages of the documentation, or print one", _docs),
-    "check": ("check a program", _check),
-    "build": ("write a bundle for each target, or for each robot of a fleet", _build),
-    "prove": ("prove a program's invariants, or show why they do not hold", _prove),
-    "explore": ("try all that a fleet can do, and show the shortest way to what must not be", _explore),
-    "validate": ("hold what a program assumes of its ports to simulated platforms, many times", _validate),
-    "campaign": ("run a fleet many times, and tell what came of it", _campaign),
-    "replay": ("run a trace's program again on what its robots saw, and compare what they did", _replay),
-    "audit": ("judge a program's properties by the traces of a whole fleet", _audit),
-    "report": ("make the page that shows a run: moving pictures, rounds, shared variables, network", _report),
-    "export": ("write a run's trace as MCAP, CSV, pictures or a film", _export),
-    "doctor": ("look whether a robot is ready for a mission, on its own computer; nothing moves", _doctor),
-    "key": ("make a fleet's key", _key),
-    "basestation": ("pass the poses of a motion capture system on to the robots of a fleet", _basestation),
-    "estop": ("emergency stop: bring all robots of a fleet to rest at once", _estop),
-    "fmt": ("format programs in place", _fmt),
-    "explain": ("tell more of a code, with a wrong and a right example", _explain),
-    "dump": ("show a program as it stands after a pass", _dump),
-}
+def _quiet(group: Group) -> None:
+    group.add_argument("--quiet", action="store_true", help="show no progress")
 
 
-def _harnesses() -> list[tuple[str, str]]:
-    """Targets that run a whole fleet are commands."""
-    from koordgen import manifest
+def _format(group: Group) -> None:
+    help = "format of the results (default: text)"
+    group.add_argument("--format", choices=("text", "json"), default="text", help=help)
 
-    return [(t.name, t.summary) for t in map(manifest.load, manifest.available()) if t.kind == "harness"]
+
+def _diagnostics(group: Group) -> None:
+    help = "format of the diagnostics (default: text)"
+    group.add_argument("--format", choices=("text", "json", "sarif"), default="text", help=help)

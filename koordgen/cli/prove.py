@@ -17,6 +17,7 @@ from koordgen.cli import (
     _params,
     _say,
     _tell,
+    install,
 )
 
 if TYPE_CHECKING:
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
     from koordgen.prove.verdict import Verdict
     from koordgen.source import Source
 
-MOST_ROBOTS = 1000
 ALL_QUERIES = 60.0  # seconds, at least
 
 
@@ -50,7 +50,7 @@ def run(options: Namespace) -> int:
             solver.start()  # it loads while the compiler does, and the program is checked
             return proved(options, solver)
     except SolverMissing as error:
-        raise Failure(SURROUNDINGS, str(error), f"{sys.executable} -m pip install 'koordgen[prove]'") from None
+        raise Failure(SURROUNDINGS, str(error), install("prove")) from None
 
 
 def _total(options: Namespace) -> float:
@@ -68,12 +68,12 @@ def proved(options: Namespace, solver: Solver | Both) -> int:
         _tell([(checked.source, d) for d in checked.noticed], options)
     given = {**fleet_params(options.fleet, checked, options.program), **_params(options.param)}
     question = fixed(checked.program, given)
-    found = asked(checked.program, question, numbers(options.robots), solver, _total(options))
+    found = asked(checked.program, question, options.robots, solver, _total(options))
     attacks = attacked(checked.program, question, found, solver, options)
     solver.stop()  # what it holds is freed while we tell
     tell(options, found, attacks)
     if options.emit is not None:
-        emit(options.emit, files(checked.source, checked.program, question, numbers(options.robots), found))
+        emit(options.emit, files(checked.source, checked.program, question, options.robots, found))
     if options.trace is not None:
         made = trace_of(checked.program, options.program, given, found)
         if made:
@@ -121,17 +121,6 @@ def fixed(program: Program, given: Mapping[str, Value]) -> dict[str, Expr]:
         return {p.name: p.default for p in with_params(program, given).params if p.name in given}
     except BadParam as error:
         raise Failure(USAGE, str(error)) from None
-
-
-def numbers(text: str) -> list[int | None]:
-    """`any`, `5` or `3..15`. Raises ValueError."""
-    if text == "any":
-        return [None]
-    first, dots, last = text.partition("..")
-    low, high = int(first), int(last) if dots else int(first)
-    if not 1 <= low <= high <= MOST_ROBOTS:
-        raise ValueError(text)
-    return list(range(low, high + 1))
 
 
 def status(found: list[list[Verdict]]) -> int:

@@ -72,7 +72,7 @@ def _next_steps(program: Path, fleet: Path) -> str:
     commands = {
         f"check {app}": "finds mistakes",
         f"prove {app}": "proves its invariants (extra: prove)",
-        f"build {with_fleet} --target quad,car": "writes a folder for each robot",
+        f"build {with_fleet}": "writes a folder for each robot",
         f"sim {with_fleet} --lockstep --out {fleet.parent / 'run'}": "simulates (extra: sim)",
     }
     width = max(map(len, commands))

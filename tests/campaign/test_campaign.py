@@ -183,7 +183,6 @@ def test_folders_of_others_are_left_alone(capsys: pytest.CaptureFixture[str]) ->
     [
         (["--vary", "seed"], "--runs"), (["--vary", "loss"], "neither"), (["--vary", "height=0,1"], "unrecognized"),
         (["--vary", "seed=1:2", "--runs", "5"], "too few seeds"), (["--vary", "loss=0,many"], "invalid float"),
-        (["--vary", "seed=1:2", "--verdict", "none.py"], "no such file"),
         (["--vary", "loss=0,many,0.1"], "invalid float"), (["--vary", "boot=1,soon"], "boot=soon: it must be a float"),
         (["--vary", "position_noise=-1,1"], "position_noise=-1: it must be 0 to 1"), (["--vary", "out=a,b"], "its own"),
     ],
@@ -193,6 +192,11 @@ def test_wrong_calls_are_told_before_anything_runs(
 ) -> None:
     assert campaign(*words) == 2
     assert said in capsys.readouterr().err and not Path("out").exists()
+
+
+def test_a_missing_verdict_script_is_told_before_anything_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    assert campaign("--vary", "seed=1:2", "--verdict", "none.py") == 1
+    assert "none.py: no such file" in capsys.readouterr().err and not Path("out").exists()
 
 
 def test_a_wrong_scenario_in_the_middle_is_told_with_its_place(capsys: pytest.CaptureFixture[str]) -> None:

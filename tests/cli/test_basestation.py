@@ -222,7 +222,7 @@ def test_without_a_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
     fake(monkeypatch)
     path = written(tmp_path)
     (tmp_path / "fleet.key").unlink()
-    assert main(["basestation", str(path), "--system", "vicon", "--host", "h"]) == 5
+    assert main(["basestation", str(path), "--system", "vicon", "--host", "h"]) == 1
     assert "fleet.key" in (err := capsys.readouterr().err) and "--key FILE" in err
 
 

@@ -168,6 +168,26 @@ def test_build_with_a_fleet_holds_the_same_bytes_under_sim(tmp_path: Path) -> No
         subprocess.run(["sha256sum", "--quiet", "-c", "SHA256SUMS"], cwd=app / robot, check=True)
 
 
+def test_a_build_for_a_fleet_needs_no_target(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["build", str(LINEFORM), "--fleet", str(FLEET), "-o", str(tmp_path)]) == 0
+    robots = ["alice", "bert", "cleo", "dora", "emil"]
+    assert sorted(p.name for p in (tmp_path / "lineform").iterdir()) == [*robots, "fleet"]
+    assert capsys.readouterr().err == ""
+
+
+def test_a_target_that_leaves_robots_out_says_which(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["build", str(LINEFORM), "--fleet", str(FLEET), "-o", str(tmp_path), "--target"]
+    assert main([*command, "quad"]) == 0
+    assert "note: --target quad leaves out bert, dora; " in capsys.readouterr().err
+    assert main([*command, "sim"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_a_build_without_fleet_and_target(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["build", str(LINEFORM), "-o", str(tmp_path)]) == 2
+    assert "neither --fleet nor --target" in capsys.readouterr().err
+
+
 def test_an_insecure_fleet_needs_no_key(tmp_path: Path) -> None:
     fleet = tmp_path / "fleet.yaml"
     fleet.write_text(FLEET.read_text() + "\ninsecure: true\n")

@@ -98,7 +98,7 @@ def test_a_robot_without_an_autopilot(bundle: Path, capfd: pytest.CaptureFixture
 
 
 def refused(capsys: pytest.CaptureFixture[str], path: Path) -> str:
-    assert main(["doctor", str(path)]) == 5
+    assert main(["doctor", str(path)]) == 1
     said = capsys.readouterr()
     assert said.out == "" and "help: " in said.err
     return said.err

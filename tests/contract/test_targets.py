@@ -162,11 +162,11 @@ def test_the_bundle_compiles_for_python_3_10(target: manifest.Target) -> None:
 
 
 def test_robots_limit_is_the_wires() -> None:
-    from koordgen.cli import options
+    from koordgen.cli import values
     from koordgen.follow import read
     from koordgen.runtime.wire import MAX_ROBOTS
 
-    assert robots.MOST_ROBOTS == options.MOST_ROBOTS == read.MOST_ROBOTS == MAX_ROBOTS
+    assert robots.MOST_ROBOTS == values.MOST_ROBOTS == read.MOST_ROBOTS == MAX_ROBOTS
 
 
 @agents_by_name

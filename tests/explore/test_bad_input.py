@@ -164,4 +164,4 @@ def test_fleets_of_no_size_that_robots_have(robots: str, capsys: pytest.CaptureF
     with pytest.raises(SystemExit) as left:
         main(["explore", str(EXAMPLES / "election/election.koord"), "--robots", robots])
     said = capsys.readouterr().err
-    assert left.value.code == 2 and f"{robots} is no number that fits; give a whole one, 1 to 128" in said
+    assert left.value.code == 2 and f"expected a whole number from 1 to 128, not {robots}" in said

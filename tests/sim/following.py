@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from koordgen.cli import main
-from koordgen.cli.options import parsed
+from koordgen.cli.commands import parsed
 from targets.sim.harness import main as harness
 
 FLEET = """\

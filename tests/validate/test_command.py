@@ -130,12 +130,13 @@ def test_a_program_that_assumes_nothing(capsys: pytest.CaptureFixture[str]) -> N
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--epsilon", "0"], "0 is no probability"), (["--gamma", "1"], "1 is no probability"),
-        (["--epsilon", "nan"], "nan is no probability"), (["--gamma", "x"], "x is no probability"),
-        (["--samples", "0"], "0 is no number that fits"),
-        (["--seconds", "0"], "0 is no time in seconds; give 0.01 to 86400"),
-        (["--seed", "-1"], "a whole one, 0 or more"),
-        (["--jobs", "1.5"], "a whole one, 1 or more"), (["--offset", "1,2"], "1,2 is no offset; give X,Y,Z in metres"),
+        (["--epsilon", "0"], "a probability from 1e-06 to 0.999, not 0"), (["--gamma", "1"], "0.999, not 1"),
+        (["--epsilon", "nan"], "0.999, not nan"), (["--gamma", "x"], "0.999, not x"),
+        (["--samples", "0"], "a whole number from 1 on, not 0"),
+        (["--seconds", "0"], "expected seconds from 0.01 to 86400, not 0"),
+        (["--seed", "-1"], "a whole number from 0 on, not -1"),
+        (["--jobs", "1.5"], "a whole number from 1 on, not 1.5"),
+        (["--offset", "1,2"], "expected X,Y,Z in metres, such as 0.7,0.4,0, not 1,2"),
     ],
 )  # fmt: skip
 def test_wrong_calls(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:

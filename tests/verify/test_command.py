@@ -186,7 +186,7 @@ def test_a_file_that_is_wrong_is_told_so(
 
 
 def test_a_file_that_is_not_there_is_told_so(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["prove", written(RIGHT), "--attack-from", "no.json"]) == 5
+    assert main(["prove", written(RIGHT), "--attack-from", "no.json"]) == 1
     assert "no.json: No such file or directory" in capsys.readouterr().err
 
 

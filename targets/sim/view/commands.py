@@ -8,8 +8,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from koordgen.runtime.host import pip_install
-
 if TYPE_CHECKING:
     from targets.sim.trace import Header, Record
 
@@ -57,10 +55,8 @@ def _write(to: str, path: Path, header: Header, records: Iterator[Record]) -> No
 
             tables.write(path, header, records)
         case "mcap":
-            try:
-                from targets.sim.view import recording
-            except ModuleNotFoundError as error:
-                raise CannotMake(f"the package {error.name} is missing", pip_install("mcap")) from None
+            from targets.sim.view import recording
+
             recording.write(path, header, records)
         case "png" | "gif" | "mp4":
             from targets.sim.view import film, plots

@@ -1,0 +1,139 @@
+"""Table of all commands, the overview of `koordgen help`, and the parser of each command.
+
+To add a command: give it a line in `COMMANDS` here and one in `_COMMANDS` of koordgen/cli/__init__.py. The parser of a
+command is made only when that command runs: making all of them takes longer than a check of a program.
+"""
+
+from __future__ import annotations
+
+import sys
+from argparse import Namespace
+from collections.abc import Sequence
+from functools import cache
+
+from koordgen import __version__
+from koordgen.cli import options
+from koordgen.cli.parser import USAGE, Command, Parser, nearest
+
+WRITE, PROVE, RUN, AFTER, ROBOTS, MORE = (
+    "write a program", "verify a program", "build and simulate", "look at a run", "robots", "more",
+)  # fmt: skip
+_LINEFORM = "examples/lineform/lineform.koord"
+_FLEET = "--fleet examples/lineform/fleet.yaml"
+
+COMMANDS: dict[str, Command] = {
+    "new": Command(WRITE, "write a small program and a fleet file to begin with", options.new,
+        "cli#new-examples-docs", ("koordgen new hello", "koordgen new my_robots")),
+    "examples": Command(WRITE, "list the examples, or copy one", options.examples, "cli#new-examples-docs", (
+        "koordgen examples copy lineform", "koordgen examples copy task my/tasks")),
+    "check": Command(WRITE, "check a program", options.check, "cli", (
+        f"koordgen check {_LINEFORM}", f"koordgen check --format sarif {_LINEFORM} > koordgen.sarif")),
+    "fmt": Command(WRITE, "format programs in place", options.fmt, "cli#fmt", (
+        "koordgen fmt app.koord", "koordgen fmt --diff app.koord other.koord")),
+    "explain": Command(WRITE, "explain an error code, a verdict, or why robots skip rounds", options.explain,
+        "errors", ("koordgen explain K030", "koordgen explain skip")),
+    "dump": Command(WRITE, "show a program as it is after a pass of the compiler", options.dump, "cli", (
+        f"koordgen dump {_LINEFORM}", f"koordgen dump --after parse {_LINEFORM}")),
+    "prove": Command(PROVE, "prove a program's invariants, or show why they do not hold", options.prove,
+        "proofs", ("koordgen prove examples/lineform/geofence.koord",
+        "koordgen prove --robots 3..5 examples/lineform/geofence.koord")),
+    "explore": Command(PROVE, "try all runs of a fleet, and show the shortest one that violates a property",
+        options.explore, "explore", ("koordgen explore examples/election/election.koord",
+        f"koordgen explore {_LINEFORM} --env examples/lineform/explore.yaml --rounds 4")),
+    "validate": Command(PROVE, "test a program's assumptions about its ports on simulated platforms", options.validate,
+        "validate", (f"koordgen validate examples/lineform/geofence.koord {_FLEET}",
+        f"koordgen validate examples/lineform/geofence.koord {_FLEET} --samples 20 --seconds 10")),
+    "build": Command(RUN, "write a bundle for each robot of a fleet, or for each target", options.build, "cli",
+        (f"koordgen build {_LINEFORM} {_FLEET}", f"koordgen build {_LINEFORM} --target quad,car")),
+    "campaign": Command(RUN, "simulate a fleet many times, and count the verdicts", options.campaign,
+        "cli#campaign", (f"koordgen campaign {_LINEFORM} {_FLEET} --lockstep --vary seed=1:5",
+        f"koordgen campaign {_LINEFORM} {_FLEET} --lockstep --runs 8 --vary seed,loss=0:0.3")),
+    "report": Command(AFTER, "make the page that shows a run: map, rounds, shared variables, network", options.report,
+        "sim#the-report", ("koordgen report run-lineform", "koordgen report run-lineform -o lineform.html")),
+    "export": Command(AFTER, "write a run's trace as MCAP, CSV, picture or film", options.export,
+        "sim#exports", ("koordgen export run-lineform --to csv",
+        "koordgen export run-lineform --to mp4 -o lineform.mp4")),
+    "replay": Command(AFTER, "run a trace's program again on the recorded inputs, and compare the results",
+        options.replay, "cli#replay", ("koordgen replay run-lineform",
+        "koordgen replay run-lineform/robots/bert/trace.jsonl")),
+    "audit": Command(AFTER, "judge a program's properties by the traces of a whole fleet", options.audit,
+        "audit", ("koordgen audit run-lineform", "koordgen audit alice.jsonl bert.jsonl --program app.koord")),
+    "doctor": Command(ROBOTS, "test whether a robot is ready for a mission, on its own computer; nothing moves",
+        options.doctor, "cli#doctor", ("koordgen doctor build/lineform/alice",
+        "koordgen doctor build/lineform/alice --format json")),
+    "key": Command(ROBOTS, "make a fleet's key", options.key, "safety", (
+        "koordgen key new fleet.key", "koordgen key new examples/lineform/fleet.key")),
+    "basestation": Command(ROBOTS, "send the poses of a motion capture system to the robots of a fleet",
+        options.basestation, "cli#basestation", (
+        "koordgen basestation fleet.yaml --system vicon --host 192.168.1.5",
+        "koordgen basestation fleet.yaml --system optitrack --host mocap.local --rate 100")),
+    "estop": Command(ROBOTS, "emergency stop: stop all robots of a fleet at once", options.estop,
+        "cli#estop", ("koordgen estop fleet.yaml",
+        "koordgen estop --address 192.168.1.20:47100 --key fleet.key")),
+    "docs": Command(MORE, "list the pages of the documentation, or print one", options.docs, "cli#new-examples-docs", (
+        "koordgen docs fleet", "koordgen docs cli#exit-statuses")),
+    "help": Command(MORE, "list the commands, or explain one", options.help_, "cli", (
+        "koordgen help", "koordgen help build")),
+}  # fmt: skip
+
+
+def parsed(arguments: Sequence[str]) -> Namespace:
+    """Return the options, `command` among them. Leaves by SystemExit when they are wrong, or for help or version."""
+    first = arguments[0] if arguments else ""
+    if first in ("-V", "--version"):
+        print(f"koordgen {__version__}")
+        raise SystemExit(0)
+    if first in ("-h", "--help"):
+        first, arguments = "help", ["help"]
+    command = command_of(first)
+    if command is None:
+        print(f"usage: koordgen COMMAND ...\nerror: {wrong(first)}\n  help: {way_out(first)}", file=sys.stderr)
+        raise SystemExit(USAGE)
+    found = Parser(first, command).parsed(arguments[1:])
+    found.command = first
+    return found
+
+
+def command_of(name: str) -> Command | None:
+    """Return the command of that name; None if there is none."""
+    return COMMANDS.get(name) or harnesses().get(name)
+
+
+def wrong(name: str) -> str:
+    """Return the error for a name that is no command."""
+    if not name:
+        return "no command is given"
+    return f"no command {name!r}" if not name.startswith("-") else f"{name} stands before the command"
+
+
+def way_out(name: str) -> str:
+    """Return the help for a name that is no command."""
+    near = "" if not name or name.startswith("-") else nearest(name, [*COMMANDS, *harnesses()])
+    return (f"did you mean {near}? " if near else "") + "`koordgen help` lists the commands"
+
+
+def overview() -> str:
+    """Return the list of all commands, by part."""
+    everything = {**COMMANDS, **harnesses()}
+    width = max(map(len, everything))
+    lines = ["usage: koordgen COMMAND ...", "", "Compile Koord programs for fleets of robots, and verify them."]
+    for part in dict.fromkeys(command.part for command in COMMANDS.values()):
+        lines += ["", f"{part}:"]
+        lines += [f"  {n:<{width}}  {c.summary}" for n, c in everything.items() if c.part == part]
+    return "\n".join([*lines, "", "`koordgen help COMMAND` explains a command. More: `koordgen docs cli`"])
+
+
+@cache
+def harnesses() -> dict[str, Command]:
+    """Return the commands that build and run a bundle for a whole fleet: one for each target that is a harness."""
+    from koordgen import manifest
+
+    return {
+        t.name: Command(
+            RUN, "build the agents of a fleet and run them together on this computer", options.harness,
+            t.name,
+            (f"koordgen {t.name} {_LINEFORM} {_FLEET} --lockstep",
+            f"koordgen {t.name} {_LINEFORM} {_FLEET} --live --loss 0.2"),
+        )
+        for t in map(manifest.load, manifest.available()) if t.kind == "harness"
+    }  # fmt: skip

@@ -1,0 +1,115 @@
+"""Values of options: each function reads one text and raises ArgumentTypeError with the range that is allowed."""
+
+from __future__ import annotations
+
+import argparse
+import math
+
+MOST_ROBOTS = 128  # of a fleet, as koordgen/runtime/wire.py allows (a test compares them)
+MOST_PROVED = 1000  # robots for which `prove --robots` proves
+LONGEST = 86400.0  # seconds
+
+
+def seconds(text: str) -> float:
+    """Return a time in seconds, 0.01 to 86400."""
+    return _number(text, 0.01, LONGEST, "seconds")
+
+
+def seconds_or_none(text: str) -> float:
+    """Return a time in seconds, 0 to 86400."""
+    return _number(text, 0.0, LONGEST, "seconds")
+
+
+def rate(text: str) -> float:
+    """Return a rate in Hz, 1 to 1000."""
+    return _number(text, 1.0, 1000.0, "a rate in Hz")
+
+
+def probability(text: str) -> float:
+    """Return a probability strictly between 0 and 1."""
+    return _number(text, 0.000001, 0.999, "a probability")
+
+
+def share(text: str) -> float:
+    """Return a probability, 0 and 1 included."""
+    return _number(text, 0.0, 1.0, "a probability")
+
+
+def short_time(text: str) -> float:
+    """Return a time on a link in seconds, 0 to 10."""
+    return _number(text, 0.0, 10.0, "seconds")
+
+
+def factor(text: str) -> float:
+    """Return a multiple of real time."""
+    return _number(text, 0.001, 1000.0, "a multiple of real time")
+
+
+def port(text: str) -> int:
+    """Return a port of this host, 1 to 65535."""
+    return _whole(text, 1, 65535)
+
+
+def natural(text: str) -> int:
+    """Return a whole number, 0 or more."""
+    return _whole(text, 0)
+
+
+def count(text: str) -> int:
+    """Return a whole number, 1 or more."""
+    return _whole(text, 1)
+
+
+def fleet_size(text: str) -> int:
+    """Return a number of robots that a fleet may have."""
+    return _whole(text, 1, MOST_ROBOTS)
+
+
+def application(text: str) -> int:
+    """Return a fleet's `application_id`, 0 to 65535."""
+    return _whole(text, 0, 65535)
+
+
+def robots(text: str) -> list[int | None]:
+    """Return the numbers of robots that `any` (None), `5` or `3..15` names."""
+    if text == "any":
+        return [None]
+    first, dots, last = text.partition("..")
+    try:
+        low, high = int(first), int(last) if dots else int(first)
+    except ValueError:
+        low = high = 0
+    if not 1 <= low <= high <= MOST_PROVED:
+        raise argparse.ArgumentTypeError(
+            f"expected `any`, a number from 1 to {MOST_PROVED}, or a range such as 3..15, not {text}"
+        )
+    return list(range(low, high + 1))
+
+
+def offset(text: str) -> tuple[float, float, float]:
+    """Return a displacement X,Y,Z in metres (ENU) whose length is 0.1 to 1000."""
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected X,Y,Z in metres, such as 0.7,0.4,0, not {text}") from None
+    if not 0.1 <= math.hypot(x, y, z) <= 1000.0:
+        raise argparse.ArgumentTypeError(f"expected an offset from 0.1 to 1000 m long, not {text}")
+    return x, y, z
+
+
+def _number(text: str, least: float, most: float, what: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not least <= value <= most:
+        raise argparse.ArgumentTypeError(f"expected {what} from {least:g} to {most:g}, not {text}")
+    return value
+
+
+def _whole(text: str, least: int, most: float = math.inf) -> int:
+    value = int(text) if text.strip().isdecimal() else -1
+    if not least <= value <= most:
+        end = "on" if most == math.inf else f"to {most}"
+        raise argparse.ArgumentTypeError(f"expected a whole number from {least} {end}, not {text}")
+    return value
