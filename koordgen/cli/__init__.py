@@ -61,7 +61,7 @@ def _run(options: Namespace) -> int:
         if isinstance(error, ModuleNotFoundError) and not (error.name or "koordgen").startswith(
             ("koordgen", "targets")
         ):
-            _say(f"error: the Python package {error.name} is missing\n  help: {install('sim')}")
+            _say(f"error: the Python package {error.name} is missing\n  help: {install('koordgen[sim]')}")
             return SURROUNDINGS
         if not isinstance(error, Rejected):
             return _internal(error)
@@ -69,11 +69,11 @@ def _run(options: Namespace) -> int:
         return WRONG
 
 
-def install(extra: str) -> str:
-    """Return how to install the packages of an extra of koordgen for the running Python."""
+def install(what: str) -> str:
+    """Return how to install koordgen with an extra, as in "koordgen[prove]", for the running Python."""
     from koordgen.runtime.host import pip_install
 
-    return pip_install(f"'koordgen[{extra}]'")
+    return pip_install(f"'{what}'")
 
 
 def _help(options: Namespace) -> int:
@@ -401,7 +401,7 @@ def _require_packages() -> None:
                 missing.add(name)
     if missing:
         message = f"packages are missing: {', '.join(sorted(missing))}"
-        raise Failure(SURROUNDINGS, message, install("sim"))
+        raise Failure(SURROUNDINGS, message, install("koordgen[sim]"))
 
 
 def _show(rejected: Rejected, options: Namespace) -> None:

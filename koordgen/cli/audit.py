@@ -103,7 +103,7 @@ def _proved(program: Program, violated: Sequence[Finding]) -> dict[str, str]:
         with solver_of("z3", Limits(query=QUERY, total=ALL_QUERIES)) as solver:
             verdicts = prove(question, solver)
     except SolverMissing as error:
-        raise Failure(SURROUNDINGS, str(error), install("prove")) from None
+        raise Failure(SURROUNDINGS, str(error), install("koordgen[prove]")) from None
     names = {finding.name for finding in violated}
     return {verdict.invariant: verdict.verdict for verdict in verdicts if verdict.invariant in names}
 
