@@ -21,6 +21,7 @@ from koordgen.mocap import Mocap, Quaternion, Vector
 from koordgen.node import Node
 from koordgen.robots import parse_address
 from koordgen.runtime.datagrams import raw_clock
+from koordgen.runtime.host import pip_install
 from koordgen.runtime.seal import BadKey, load_key
 
 RATE = 50.0  # datagrams a second to each robot at most, where nothing else is asked for
@@ -180,7 +181,7 @@ def connected(name: str, host: str) -> Any:
         import koordgen.runtime.feed  # noqa: F401
     except ImportError as error:
         message = f"the Python package {error.name} is missing or does not load: {error}"
-        raise CannotServe(message, "python3 -m pip install 'koordgen[mocap]'") from None
+        raise CannotServe(message, pip_install("'koordgen[mocap]'")) from None
     try:
         return motioncapture.connect(name, {"hostname": host})
     except Exception as error:

@@ -30,6 +30,16 @@ def targets() -> Path:
     return _data("targets")
 
 
+def examples() -> Path:
+    """One folder an example: programs, fleet files, and a page README.md."""
+    return _data("examples")
+
+
+def docs() -> Path:
+    """The documentation's pages; README.md, which is read first, is beside this folder."""
+    return _data("docs")
+
+
 def package() -> Path:
     """The `koordgen` package, whose `runtime` is copied into bundles."""
     return _PACKAGE

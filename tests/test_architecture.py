@@ -51,7 +51,7 @@ FLOORS = {
     "operate": BASE | {"estop", "runtime"},
     "basestation": BASE | {"fleet", "manifest", "mocap", "robots", "runtime"},
     "doctor": BASE,
-    "campaign": BASE,
+    "campaign": BASE | {"runtime"},  # how to install a package
     "replay": BASE | {"ir", "emit", "semantics", "runtime"},
     "validate": BASE | {"syntax", "ir", "check", "prove", "campaign", "manifest", "bundle", "fleet", "pipeline"},
     "audit": BASE | {"ir", "emit", "semantics", "prove", "replay", "runtime"},
@@ -62,6 +62,7 @@ FLOORS = {
     "cli": BASE
     | {
         "scenario",
+        "runtime",
         "pipeline",
         "bundle",
         "check",

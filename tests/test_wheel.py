@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import ast
 import os
+import re
 import shutil
 import subprocess
 import sys
 import zipfile
+from collections.abc import Iterator
 from importlib import metadata
+from itertools import chain
 from pathlib import Path
 
 import pytest
 
+from koordgen.cli.commands import COMMANDS, harnesses
+from koordgen.cli.docs import pages, sections
+
 ROOT = Path(__file__).parents[1]
 
 
-NEEDED = ("jinja2", "markupsafe", "pyyaml")  # of other people's packages
+NEEDED = ("jinja2", "markupsafe", "msgspec", "pyyaml")  # of other people's packages
 
 
 def copied(name: str, site: Path) -> None:
@@ -60,6 +67,68 @@ def test_it_carries_templates_targets_runtime_and_explanations(wheel: Path) -> N
         "koordgen/explain/B.md",
     } <= names
     assert not [n for n in names if n.startswith(("tests/", "benchmarks/")) or n.endswith(".pyc")]
+
+
+def tracked(*folders: str) -> list[str]:
+    """The files of the repository, as a clean checkout has them."""
+    done = subprocess.run(["git", "ls-files", *folders], cwd=ROOT, capture_output=True, text=True)
+    if done.returncode != 0:
+        pytest.skip("no git, or no repository: which files are the project's own cannot be told")
+    return [file for file in done.stdout.splitlines() if (ROOT / file).exists()]
+
+
+def test_it_carries_examples_and_pages_and_nothing_that_lies_about(wheel: Path) -> None:
+    names = zipfile.ZipFile(wheel).namelist()
+    data = {name.removeprefix("koordgen/_data/") for name in names if name.startswith("koordgen/_data/")}
+    assert data == set(tracked("examples", "docs", "templates", "targets", "README.md", "ARCHITECTURE.md"))
+    package = {name for name in names if name.startswith("koordgen/") and not name.startswith("koordgen/_data/")}
+    assert package == set(tracked("koordgen"))
+    assert sum(info.compress_size for info in zipfile.ZipFile(wheel).infolist()) < 4e6, "bytes"
+
+
+def test_links_of_its_pages_lead_somewhere(wheel: Path, tmp_path: Path) -> None:
+    zipfile.ZipFile(wheel).extractall(tmp_path)
+    data = tmp_path / "koordgen/_data"
+    carried = list(data.rglob("*.md"))
+    assert len(carried) > 30
+    for page in carried:
+        for link, anchor in re.findall(r"\]\((?!https?:)([^)#]*)(?:#([^)]*))?\)", page.read_text(encoding="utf-8")):
+            to = page.parent / link if link else page
+            assert to.exists(), f"{page.relative_to(data)}: {link}"
+            assert not anchor or anchor in sections(to.read_text(encoding="utf-8")), f"{page}: {link}#{anchor}"
+
+
+def said() -> Iterator[tuple[str, str]]:
+    """All that koordgen and robots may say: (file, text). Strings of the code without docstrings, explanations,
+    templates, and pages of examples, which are copied to where no other page is."""
+    for path in [*(ROOT / "koordgen").rglob("*.py"), *(ROOT / "targets").rglob("*.py")]:
+        if "_generated" in path.parts or path.name == "page.py":  # which writes a page
+            continue
+        text = path.read_text(encoding="utf-8")
+        if "koordgen " not in text and ".md" not in text:
+            continue
+        tree = ast.parse(text)
+        notes = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in notes:
+                yield str(path), node.value
+    others = [(ROOT / "koordgen/explain").glob("*.md"), (ROOT / "templates").rglob("*.*")]
+    for path in chain(*others, (ROOT / "examples").rglob("README.md")):
+        yield str(path), path.read_text(encoding="utf-8")
+
+
+def test_pages_and_commands_that_messages_name_are_there() -> None:
+    named = 0
+    for file, text in said():
+        elsewhere = re.search(r"docs/\w|\b[a-z-]+\.md\b", text)
+        assert not elsewhere, f"{file}: name a page as `koordgen docs PAGE`: {text!r}"
+        for page, section in re.findall(r"koordgen docs ([a-z][\w/-]*)(?:#([\w-]+))?", text):
+            named += 1
+            assert page in pages(), f"{file}: {page}"
+            assert not section or section in sections(pages()[page].read_text(encoding="utf-8")), f"{file}: {section}"
+        for command in re.findall(r"`koordgen ([a-z]+)", text):
+            assert command in COMMANDS or command in harnesses(), f"{file}: {command}"
+    assert named >= 8
 
 
 def test_it_builds_a_program_in_a_bare_environment(wheel: Path, tmp_path: Path) -> None:

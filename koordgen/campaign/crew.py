@@ -69,7 +69,9 @@ class Cluster:
         try:
             from distributed import Client
         except ModuleNotFoundError as error:
-            way = "python3 -m pip install 'koordgen[cluster]'"
+            from koordgen.runtime.host import pip_install
+
+            way = pip_install("'koordgen[cluster]'")
             raise Unreachable(f"--cluster needs the package {error.name}", way) from None
         try:
             self._client = Client(address, timeout=REACHED_WITHIN, set_as_default=False)

@@ -78,10 +78,22 @@ def _run(options: Namespace) -> int:
 
         if isinstance(error, OSError) and error.errno in (errno.EPIPE, errno.ENOSPC):
             raise  # `main` ends the command
+        if isinstance(error, ModuleNotFoundError) and not (error.name or "koordgen").startswith(
+            ("koordgen", "targets")
+        ):
+            _say(f"error: the Python package {error.name} is missing\n  help: {install('koordgen[sim]')}")
+            return SURROUNDINGS
         if not isinstance(error, Rejected):
             return _internal(error)
         _show(error, options)
         return WRONG
+
+
+def install(what: str) -> str:
+    """Return how to install koordgen with an extra, as in "koordgen[prove]", for the running Python."""
+    from koordgen.runtime.host import pip_install
+
+    return pip_install(f"'{what}'")
 
 
 def _help(options: Namespace) -> int:
@@ -298,12 +310,29 @@ def _afterwards(options: Namespace) -> int:
     return afterwards(options)
 
 
+def _docs(options: Namespace) -> int:
+    from koordgen.cli.docs import docs
+
+    return docs(options)
+
+
+def _new(options: Namespace) -> int:
+    from koordgen.cli.starting import new
+
+    return new(options)
+
+
+def _examples(options: Namespace) -> int:
+    from koordgen.cli.starting import examples
+
+    return examples(options)
+
+
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "help": _help, "check": _check, "dump": _dump, "build": _build, "prove": _prove, "explore": _explore, "fmt": _fmt,
     "explain": _explain, "estop": _estop, "status": _status, "basestation": _basestation, "doctor": _doctor,
-    "key": _key, "report": _afterwards, "export": _afterwards, "show": _afterwards,
-    "campaign": _campaign, "replay": _replay,
-    "validate": _validate, "audit": _audit,
+    "key": _key, "report": _afterwards, "export": _afterwards, "show": _afterwards, "campaign": _campaign,
+    "replay": _replay, "validate": _validate, "audit": _audit, "docs": _docs, "new": _new, "examples": _examples,
 }  # fmt: skip
 
 
@@ -407,7 +436,7 @@ def _require_packages() -> None:
                 missing.add(name)
     if missing:
         message = f"packages are missing: {', '.join(sorted(missing))}"
-        raise Failure(SURROUNDINGS, message, f"{sys.executable} -m pip install 'koordgen[sim]'")
+        raise Failure(SURROUNDINGS, message, install("koordgen[sim]"))
 
 
 def _print_document(options: Namespace, results: Mapping[str, object]) -> None:

@@ -11,12 +11,9 @@ from koordgen import cli, resources
 def afterwards(options: Namespace) -> int:
     """The harness that left the run knows how."""
     sys.path.insert(0, str(resources.targets().parent))
-    try:
-        from targets.sim.trace import BadTrace
-        from targets.sim.view import commands
-    except ModuleNotFoundError as error:
-        message = f"the package {error.name} is missing"
-        raise cli.Failure(cli.SURROUNDINGS, message, f"{sys.executable} -m pip install 'koordgen[sim]'") from None
+    from targets.sim.trace import BadTrace
+    from targets.sim.view import commands
+
     try:
         if options.command == "report":
             made: object = commands.report(options.trace, options.out)

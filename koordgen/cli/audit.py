@@ -15,7 +15,7 @@ from koordgen.audit.meaning import Meaning
 from koordgen.audit.reading import found, opened
 from koordgen.audit.show import Audit, document, report
 from koordgen.audit.story import Mission, mission
-from koordgen.cli import HOLDS, INCONCLUSIVE, SURROUNDINGS, USAGE, VIOLATED, WRONG, Failure
+from koordgen.cli import HOLDS, INCONCLUSIVE, SURROUNDINGS, USAGE, VIOLATED, WRONG, Failure, install
 from koordgen.cli.alarm import alarm
 from koordgen.cli.terminal import Line
 from koordgen.cli.traced import program_of
@@ -103,7 +103,7 @@ def _proved(program: Program, violated: Sequence[Finding]) -> dict[str, str]:
         with solver_of("z3", Limits(query=QUERY, total=ALL_QUERIES)) as solver:
             verdicts = prove(question, solver)
     except SolverMissing as error:
-        raise Failure(SURROUNDINGS, str(error), f"{sys.executable} -m pip install 'koordgen[prove]'") from None
+        raise Failure(SURROUNDINGS, str(error), install("koordgen[prove]")) from None
     names = {finding.name for finding in violated}
     return {verdict.invariant: verdict.verdict for verdict in verdicts if verdict.invariant in names}
 
@@ -113,8 +113,5 @@ def _draw(made: Audit, path: Path) -> None:
 
     try:
         draw(made, path)
-    except ModuleNotFoundError as error:
-        hint = f"{sys.executable} -m pip install 'koordgen[sim]'"
-        raise Failure(SURROUNDINGS, f"the package {error.name} is missing", hint) from None
     except OSError as error:
         raise Failure(SURROUNDINGS, f"{path}: {error.strerror or error}") from None

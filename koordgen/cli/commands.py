@@ -22,55 +22,61 @@ _LINEFORM = "examples/lineform/lineform.koord"
 _FLEET = "--fleet examples/lineform/fleet.yaml"
 
 COMMANDS: dict[str, Command] = {
-    "check": Command(WRITE, "check a program", options.check, "docs/cli.md", (
+    "new": Command(WRITE, "write a small program and a fleet file to begin with", options.new,
+        "cli#new-examples-docs", ("koordgen new hello", "koordgen new my_robots")),
+    "examples": Command(WRITE, "list the examples, or copy one", options.examples, "cli#new-examples-docs", (
+        "koordgen examples copy lineform", "koordgen examples copy task my/tasks")),
+    "check": Command(WRITE, "check a program", options.check, "cli", (
         f"koordgen check {_LINEFORM}", f"koordgen check --format sarif {_LINEFORM} > koordgen.sarif")),
-    "fmt": Command(WRITE, "format programs in place", options.fmt, "docs/cli.md#fmt", (
+    "fmt": Command(WRITE, "format programs in place", options.fmt, "cli#fmt", (
         "koordgen fmt app.koord", "koordgen fmt --diff app.koord other.koord")),
     "explain": Command(WRITE, "explain an error code, a verdict, or why robots skip rounds", options.explain,
-        "docs/errors.md", ("koordgen explain K030", "koordgen explain skip")),
-    "dump": Command(WRITE, "show a program as it is after a pass of the compiler", options.dump, "docs/cli.md", (
+        "errors", ("koordgen explain K030", "koordgen explain skip")),
+    "dump": Command(WRITE, "show a program as it is after a pass of the compiler", options.dump, "cli", (
         f"koordgen dump {_LINEFORM}", f"koordgen dump --after parse {_LINEFORM}")),
     "prove": Command(PROVE, "prove a program's invariants, or show why they do not hold", options.prove,
-        "docs/proofs.md", ("koordgen prove examples/lineform/geofence.koord",
+        "proofs", ("koordgen prove examples/lineform/geofence.koord",
         "koordgen prove --robots 3..5 examples/lineform/geofence.koord")),
     "explore": Command(PROVE, "try all runs of a fleet, and show the shortest one that violates a property",
-        options.explore, "docs/explore.md", ("koordgen explore examples/election/election.koord",
+        options.explore, "explore", ("koordgen explore examples/election/election.koord",
         f"koordgen explore {_LINEFORM} --env examples/lineform/explore.yaml --rounds 4")),
     "validate": Command(PROVE, "test a program's assumptions about its ports on simulated platforms", options.validate,
-        "docs/validate.md", (f"koordgen validate examples/lineform/geofence.koord {_FLEET}",
+        "validate", (f"koordgen validate examples/lineform/geofence.koord {_FLEET}",
         f"koordgen validate examples/lineform/geofence.koord {_FLEET} --samples 20 --seconds 10")),
-    "build": Command(RUN, "write a bundle for each robot of a fleet, or for each target", options.build, "docs/cli.md",
+    "build": Command(RUN, "write a bundle for each robot of a fleet, or for each target", options.build, "cli",
         (f"koordgen build {_LINEFORM} {_FLEET}", f"koordgen build {_LINEFORM} --target quad,car")),
     "campaign": Command(RUN, "simulate a fleet many times, and count the verdicts", options.campaign,
-        "docs/cli.md#campaign", (f"koordgen campaign {_LINEFORM} {_FLEET} --lockstep --vary seed=1:5",
+        "cli#campaign", (f"koordgen campaign {_LINEFORM} {_FLEET} --lockstep --vary seed=1:5",
         f"koordgen campaign {_LINEFORM} {_FLEET} --lockstep --runs 8 --vary seed,loss=0:0.3")),
     "report": Command(AFTER, "make the page that shows a run: map, rounds, shared variables, network", options.report,
-        "docs/sim.md#the-report", ("koordgen report run-lineform", "koordgen report run-lineform -o lineform.html")),
+        "sim#the-report", ("koordgen report run-lineform", "koordgen report run-lineform -o lineform.html")),
     "export": Command(AFTER, "write a run's trace as MCAP, CSV, picture or film", options.export,
-        "docs/sim.md#exports", ("koordgen export run-lineform --to csv",
+        "sim#exports", ("koordgen export run-lineform --to csv",
         "koordgen export run-lineform --to mp4 -o lineform.mp4")),
     "show": Command(AFTER, "show what each robot of a run knew at a time", options.show,
-        "docs/cli.md#show", ("koordgen show run-lineform", "koordgen show run-lineform --at 12")),
+        "cli#show", ("koordgen show run-lineform", "koordgen show run-lineform --at 12")),
     "replay": Command(AFTER, "run a trace's program again on the recorded inputs, and compare the results",
-        options.replay, "docs/cli.md#replay", ("koordgen replay run-lineform",
+        options.replay, "cli#replay", ("koordgen replay run-lineform",
         "koordgen replay run-lineform/robots/bert/trace.jsonl")),
     "audit": Command(AFTER, "judge a program's properties by the traces of a whole fleet", options.audit,
-        "docs/audit.md", ("koordgen audit run-lineform", "koordgen audit alice.jsonl bert.jsonl --program app.koord")),
+        "audit", ("koordgen audit run-lineform", "koordgen audit alice.jsonl bert.jsonl --program app.koord")),
     "doctor": Command(ROBOTS, "test whether a robot is ready for a mission, on its own computer; nothing moves",
-        options.doctor, "docs/cli.md#doctor", ("koordgen doctor build/lineform/alice",
+        options.doctor, "cli#doctor", ("koordgen doctor build/lineform/alice",
         "koordgen doctor build/lineform/alice --format json")),
-    "key": Command(ROBOTS, "make a fleet's key", options.key, "docs/safety.md", (
+    "key": Command(ROBOTS, "make a fleet's key", options.key, "safety", (
         "koordgen key new fleet.key", "koordgen key new examples/lineform/fleet.key")),
     "basestation": Command(ROBOTS, "send the poses of a motion capture system to the robots of a fleet",
-        options.basestation, "docs/cli.md#basestation", (
+        options.basestation, "cli#basestation", (
         "koordgen basestation fleet.yaml --system vicon --host 192.168.1.5",
         "koordgen basestation fleet.yaml --system optitrack --host mocap.local --rate 100")),
     "estop": Command(ROBOTS, "emergency stop: stop all robots of a fleet at once", options.estop,
-        "docs/cli.md#estop", ("koordgen estop fleet.yaml",
+        "cli#estop", ("koordgen estop fleet.yaml",
         "koordgen estop --address 192.168.1.20:47100 --key fleet.key")),
     "status": Command(ROBOTS, "show how each robot of a fleet does, as one table", options.status,
-        "docs/cli.md#status-of-a-fleet", ("koordgen status fleet.yaml", "koordgen status fleet.yaml --watch")),
-    "help": Command(MORE, "list the commands, or explain one", options.help_, "docs/cli.md", (
+        "cli#status-of-a-fleet", ("koordgen status fleet.yaml", "koordgen status fleet.yaml --watch")),
+    "docs": Command(MORE, "list the pages of the documentation, or print one", options.docs, "cli#new-examples-docs", (
+        "koordgen docs fleet", "koordgen docs cli#exit-statuses")),
+    "help": Command(MORE, "list the commands, or explain one", options.help_, "cli", (
         "koordgen help", "koordgen help build")),
 }  # fmt: skip
 
@@ -118,7 +124,7 @@ def overview() -> str:
     for part in dict.fromkeys(command.part for command in COMMANDS.values()):
         lines += ["", f"{part}:"]
         lines += [f"  {n:<{width}}  {c.summary}" for n, c in everything.items() if c.part == part]
-    return "\n".join([*lines, "", "`koordgen help COMMAND` explains a command. More: docs/cli.md"])
+    return "\n".join([*lines, "", "`koordgen help COMMAND` explains a command. More: `koordgen docs cli`"])
 
 
 @cache
@@ -129,7 +135,7 @@ def harnesses() -> dict[str, Command]:
     return {
         t.name: Command(
             RUN, "build the agents of a fleet and run them together on this computer", options.harness,
-            f"docs/{t.name}.md",
+            t.name,
             (f"koordgen {t.name} {_LINEFORM} {_FLEET} --lockstep",
             f"koordgen {t.name} {_LINEFORM} {_FLEET} --live --loss 0.2"),
         )

@@ -14,6 +14,27 @@ def check(command: Parser) -> None:
     _diagnostics(command.add_argument_group("output"))
 
 
+def new(command: Parser) -> None:
+    """Options of `koordgen new`."""
+    name = "the program's name, and that of its folder: letters, digits and _"
+    command.positional.add_argument("name", metavar="NAME", help=name)
+
+
+def examples(command: Parser) -> None:
+    """Options of `koordgen examples`."""
+    action = "`copy` copies an example (default: list all examples)"
+    command.positional.add_argument("action", metavar="copy", choices=("copy",), nargs="?", help=action)
+    command.positional.add_argument("name", metavar="NAME", nargs="?", help="the example to copy")
+    folder = "the folder of the copy (default: examples/NAME)"
+    command.positional.add_argument("folder", metavar="FOLDER", nargs="?", help=folder)
+
+
+def docs(command: Parser) -> None:
+    """Options of `koordgen docs`."""
+    page = "a page such as fleet, or a section of it such as fleet#safety (default: list all pages)"
+    command.positional.add_argument("page", metavar="PAGE", nargs="?", help=page)
+
+
 def dump(command: Parser) -> None:
     """Options of `koordgen dump`."""
     _program(command)

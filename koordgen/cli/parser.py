@@ -118,7 +118,9 @@ def sentence(summary: str) -> str:
 
 def _epilog(command: Command) -> str:
     examples = "\n".join(f"  {each}" for each in command.examples)
-    return f"examples:\n{examples}\n\nmore: {command.page}"
+    names = dict.fromkeys(re.findall(r"examples/([a-z]+)/", examples))
+    files = f" (their files: {', '.join(f'`koordgen examples copy {name}`' for name in names)})" if names else ""
+    return f"examples{files}:\n{examples}\n\nmore: `koordgen docs {command.page}`"
 
 
 def _of_any_width(prog: str) -> argparse.HelpFormatter:

@@ -17,6 +17,7 @@ from koordgen.cli import (
     _params,
     _say,
     _tell,
+    install,
 )
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ def run(options: Namespace) -> int:
             solver.start()  # it loads while the compiler does, and the program is checked
             return proved(options, solver)
     except SolverMissing as error:
-        raise Failure(SURROUNDINGS, str(error), f"{sys.executable} -m pip install 'koordgen[prove]'") from None
+        raise Failure(SURROUNDINGS, str(error), install("koordgen[prove]")) from None
 
 
 def _total(options: Namespace) -> float:

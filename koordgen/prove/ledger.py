@@ -16,13 +16,15 @@ from koordgen.source import Span
 AGENTS = (
     "agents and simulator check it at each call; where it does not hold, the event is discarded (runtime/extern.py)"
 )
-DISCARDED = "agents discard an event that would; a property that compares NaN has no value (docs/proofs.md)"
-SIMULATOR = "the simulator watches it in each run (docs/sim.md)"
+DISCARDED = "agents discard an event that would; a property that compares NaN has no value (`koordgen docs proofs`)"
+SIMULATOR = "the simulator watches it in each run (`koordgen docs sim`)"
 UNCHECKED = ""
 HARMLESS = "nothing has to: it can make a proof fail, and never makes one"
 STARTED = "every robot's init has a result: otherwise no mission begins"
-AGENTS_START = "agents hold before round 1 until all have it, and a robot whose init is discarded ends (docs/safety.md)"
-COMPARED = "koordgen's own tests compare it with what robots compute (docs/proofs.md)"
+AGENTS_START = (
+    "agents hold before round 1 until all have it, and a robot whose init is discarded ends (`koordgen docs safety`)"
+)
+COMPARED = "koordgen's own tests compare it with what robots compute (`koordgen docs proofs`)"
 LEMMAS = frozenset((DISTANCES, PATHS))
 
 

@@ -11,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Literal
 
-from koordgen.runtime.host import REQUIREMENTS, host
+from koordgen.runtime.host import host, install_requirements
 from koordgen.runtime.platform import Finding
 
 OK, WRONG, SURROUNDINGS = 0, 1, 5
@@ -80,7 +80,7 @@ def _whole(finding: Finding) -> str:
 
 def tell_unloadable(root: Path, argv: Sequence[str], error: ImportError) -> int:
     """For a bundle that cannot even be imported: what can be told, all of it for `--doctor`. Returns the status."""
-    install = f"{sys.executable} -m pip install -r {root / REQUIREMENTS}"
+    install = install_requirements(root)
     what = f"the Python package {error.name!r} is missing or does not load: {error}"
     found = [*host(root), Finding("import", "fail", what, why=install)]
     if "--doctor" in argv:

@@ -7,14 +7,17 @@ import ctypes
 import os
 import platform
 import re
+import shlex
 import shutil
 import struct
 import sys
+import sysconfig
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
 from pathlib import Path
 
 from koordgen.runtime.platform import Finding
@@ -72,8 +75,39 @@ def packages(root: Path, installed: Callable[[str], str] = version) -> Finding:
     if not missing and not others:
         return Finding("packages", "ok", f"all {right} as {REQUIREMENTS} wants")
     told = "; ".join([f"not installed: {', '.join(missing)}"] * bool(missing) + others)
-    install = f"{sys.executable} -m pip install -r {root / REQUIREMENTS}"
-    return Finding("packages", "fail" if missing else "warn", told, f"what {REQUIREMENTS} names", install)
+    wanted = f"what {REQUIREMENTS} names"
+    return Finding("packages", "fail" if missing else "warn", told, wanted, install_requirements(root))
+
+
+def install_requirements(root: Path) -> str:
+    """Return how to install what the bundle in `root` needs; a virtual environment goes beside the bundle."""
+    return pip_install(f"-r {shlex.quote(str(root / REQUIREMENTS))}", root.resolve().parent / "venv")
+
+
+def pip_install(what: str, venv: Path | None = None) -> str:
+    """Return the shell command that installs `what`, the arguments of `pip install`, for the running Python.
+
+    On Debian and Raspberry Pi OS pip refuses to change the system's Python (PEP 668). There the command makes the
+    virtual environment `venv` (default: ~/koordgen-venv), and the text says to use its Python.
+    """
+    python = shlex.quote(sys.executable)
+    if _externally_managed():
+        folder = venv or Path(os.path.expanduser("~/koordgen-venv"))
+        own = shlex.quote(str(folder / "bin/python"))
+        reason = f"pip installs nothing into {sys.executable} (externally-managed-environment)"
+        command = f"{python} -m venv {shlex.quote(str(folder))} && {own} -m pip install {what}"
+        return f"{command}; then start it with {own}, because {reason}"
+    if find_spec("pip") is None:
+        if shutil.which("uv"):
+            return f"uv pip install --python {python} {what}"
+        return f"{python} -m ensurepip && {python} -m pip install {what}"
+    return f"{python} -m pip install {what}"
+
+
+def _externally_managed() -> bool:
+    """Return whether pip refuses to install into the running Python, as pip itself finds out."""
+    in_venv = sys.prefix != sys.base_prefix
+    return not in_venv and (Path(sysconfig.get_path("stdlib")) / "EXTERNALLY-MANAGED").is_file()
 
 
 def _applies(named: re.Match[str]) -> bool:

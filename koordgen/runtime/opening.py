@@ -9,8 +9,6 @@ from koordgen.runtime.settings import BadSettings, Settings, load
 from koordgen.runtime.transport import CannotOpen, Transport
 from koordgen.runtime.udp import GroupTransport, UnicastTransport
 
-INSTALL_ZENOH = "pip install 'eclipse-zenoh>=1.10'"
-
 
 def open_settings(root: Path, overrides: Path | None, pid: int | None) -> Settings:
     """The settings in a bundle's folder, laid over by others and by a pid; or the others alone. Raises BadSettings."""
@@ -46,7 +44,10 @@ def open_transport(settings: Settings, native: bool = True) -> Transport:
     try:
         from koordgen.runtime.zenoh_transport import ZenohTransport
     except ImportError as error:
+        from koordgen.runtime.host import pip_install
+
+        install = pip_install("'eclipse-zenoh>=1.10'")
         raise CannotOpen(
-            f"robot {settings.robot}: transport zenoh needs a package that does not load ({error}): {INSTALL_ZENOH}"
+            f"robot {settings.robot}: transport zenoh needs a package that does not load ({error}): {install}"
         ) from None
     return ZenohTransport(settings)

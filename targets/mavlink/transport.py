@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from koordgen.runtime.host import pip_install
 from koordgen.runtime.platform import Unready
 
 Address = tuple[Any, ...]
@@ -275,7 +276,7 @@ def opened(url: str) -> Udp | Tcp | Serial:
             return Tcp(address, family)
         return Udp(address, None, family) if scheme == "udpin" else Udp(None, address, family)
     except ImportError:
-        raise Unready(f"autopilot: {url} needs pyserial", "pip install -r requirements.txt") from None
+        raise Unready(f"autopilot: {url} needs pyserial", pip_install("pyserial")) from None
     except (*_GONE, OverflowError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise Unready(f"autopilot: cannot open {url}: {reason}", _hint(scheme)) from None

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import replace
 
+from koordgen.runtime.host import install_requirements
 from targets.sim import faults
 from targets.sim.folder import SOURCE, Foreign, RunFolder
 from targets.sim.scatter import scattered
@@ -75,8 +76,7 @@ def main(root: Path, argv: list[str] | None = None) -> int:
     except Foreign as error:
         return _fail(SURROUNDINGS, str(error), error.hint)
     except ModuleNotFoundError as error:
-        hint = f"{sys.executable} -m pip install -r {root / 'requirements.txt'}"
-        return _fail(SURROUNDINGS, f"the Python package {error.name!r} is missing", hint)
+        return _fail(SURROUNDINGS, f"the Python package {error.name!r} is missing", install_requirements(root))
     except OSError as error:
         full = error.errno in (errno.ENOSPC, errno.EDQUOT)
         where = f"{error.filename}: " if error.filename else ""

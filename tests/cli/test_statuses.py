@@ -32,12 +32,14 @@ MISSING = [
 UNWRITABLE = [
     "key new fleet.yaml/fleet.key", f"build {APP} {FLEET} -o fleet.yaml/out",
     "prove geofence.koord --emit fleet.yaml/out", f"campaign {APP} {FLEET} --runs 1 --lockstep --out fleet.yaml/out",
-    f"sim {APP} {FLEET} --lockstep --duration 1 --out fleet.yaml/out",
+    f"sim {APP} {FLEET} --lockstep --duration 1 --out fleet.yaml/out", "new taken",
+    "examples copy election fleet.yaml/out",
 ]  # fmt: skip
 USAGE = [f"{name} --no-such-option" for name in (*COMMANDS, *harnesses())] + [
     f"build {APP} --target boat", "explain K999", "help boat", "estop", "estop --address robot --key no.key",
     f"build {APP} {FLEET} --param nope=1", f"sim {APP} {FLEET} --param nope=1", f"prove {APP} --param nope=1",
-    f"validate geofence.koord {FLEET} --param nope=1",
+    f"validate geofence.koord {FLEET} --param nope=1", "new no-name", "examples copy boat", "examples copy",
+    "docs boat", "docs fleet#boat",
 ]  # fmt: skip
 
 
@@ -46,6 +48,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     shutil.copytree(ROOT / "examples/lineform", tmp_path, dirs_exist_ok=True)
     fleet = (tmp_path / "fleet.yaml").read_text()
     (tmp_path / "feed.yaml").write_text(fleet.replace("flight_height: 1.5", "flight_height: 1.5, positioning: vision"))
+    (tmp_path / "taken").write_text("")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -62,7 +65,9 @@ def test_the_status_of_a_failure(status: int, command: str, capfd: pytest.Captur
 
 def test_every_command_is_tested() -> None:
     tested = {command.split()[0] for command in (*MISSING, *UNWRITABLE)}
-    assert {*COMMANDS, *harnesses()} - tested == {"explain", "help"}, "these read and write no files of the user"
+    assert {*COMMANDS, *harnesses()} - tested == {"docs", "explain", "help"}, (
+        "these read and write no files of the user"
+    )
 
 
 def test_the_table_in_the_docs_has_every_status() -> None:

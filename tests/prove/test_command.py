@@ -54,16 +54,16 @@ PROVED         (well-defined)  (1 obligation, T)
 
 assumed:
   - port assumption: Motion: Motion.position' in Rect(Motion.position, Motion.target) (app.koord:7);
-    checked: the simulator watches it in each run (docs/sim.md)
+    checked: the simulator watches it in each run (`koordgen docs sim`)
   - initially: forall i in ID: Motion.position[i] in Rect(lo, hi) (app.koord:20); checked: the
-    simulator watches it in each run (docs/sim.md)
+    simulator watches it in each run (`koordgen docs sim`)
   - start: every robot's init has a result: otherwise no mission begins (app.koord:12); checked:
     agents hold before round 1 until all have it, and a robot whose init is discarded ends
-    (docs/safety.md)
+    (`koordgen docs safety`)
   - arithmetic: numbers are real numbers; robots round each result to 53 bits, and to infinity
     beyond 1.8e308; unchecked
   - arithmetic: no event compares NaN, nor keeps or sends NaN or infinity; checked: agents discard
-    an event that would; a property that compares NaN has no value (docs/proofs.md)
+    an event that would; a property that compares NaN has no value (`koordgen docs proofs`)
 """
     )
 

@@ -6,6 +6,8 @@ import errno
 import os
 import shutil
 import struct
+import sys
+import sysconfig
 from collections import namedtuple
 from hashlib import sha256
 from importlib.metadata import PackageNotFoundError
@@ -50,6 +52,48 @@ def test_packages_that_are_missing_or_others(tmp_path: Path) -> None:
     )  # fmt: skip
     assert found.why.endswith(f" -m pip install -r {tmp_path / 'requirements.txt'}")
     assert packages(tmp_path, "here==1.2.3\n", here="1.2.4").state == "warn"
+
+
+@pytest.fixture
+def system_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on Debian: a Python outside of any virtual environment, marked by its distribution (PEP 668)."""
+    (tmp_path / "stdlib").mkdir()
+    (tmp_path / "stdlib/EXTERNALLY-MANAGED").write_text("[externally-managed]\n")
+    monkeypatch.setattr(sysconfig, "get_path", lambda name: str(tmp_path / name))
+    monkeypatch.setattr(sys, "executable", "/usr/bin/python3")
+    monkeypatch.setattr(sys, "prefix", "/usr")
+    monkeypatch.setattr(sys, "base_prefix", "/usr")
+
+
+def test_packages_of_a_python_that_the_system_manages(tmp_path: Path, system_python: None) -> None:
+    """pip refuses there, so it needs a virtual environment, and the robot's agent must be started with it."""
+    folder = tmp_path / "a robot"
+    folder.mkdir()
+    why = packages(folder, "never==1\n").why
+    venv = tmp_path / "venv"
+    assert f"/usr/bin/python3 -m venv {venv} && " in why
+    assert f"{venv}/bin/python -m pip install -r '{folder / 'requirements.txt'}'" in why
+    assert f"start it with {venv}/bin/python" in why and "externally-managed-environment" in why
+    assert not (folder / "venv").exists()
+
+
+def test_a_virtual_environment_of_such_a_python(
+    tmp_path: Path, system_python: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "prefix", "/home/pi/venv")
+    monkeypatch.setattr(sys, "executable", "/home/pi/venv/bin/python")
+    requirements = tmp_path / "requirements.txt"
+    assert packages(tmp_path, "never==1\n").why == f"/home/pi/venv/bin/python -m pip install -r {requirements}"
+
+
+def test_an_environment_without_pip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As uv makes it."""
+    monkeypatch.setattr(host, "find_spec", lambda name: None)
+    monkeypatch.setattr(shutil, "which", lambda name: f"/usr/bin/{name}")
+    assert host.pip_install("'koordgen[sim]'") == f"uv pip install --python {sys.executable} 'koordgen[sim]'"
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    command = f"{sys.executable} -m ensurepip && {sys.executable} -m pip install 'koordgen[sim]'"
+    assert host.pip_install("'koordgen[sim]'") == command
 
 
 def test_a_bundle_without_requirements(tmp_path: Path) -> None:

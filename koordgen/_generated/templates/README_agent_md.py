@@ -30,7 +30,7 @@ def root(context, missing=missing):
     yield str((undefined(name='target') if l_0_target is missing else l_0_target))
     yield '`: '
     yield str((undefined(name='summary') if l_0_summary is missing else l_0_summary))
-    yield '.\nThis folder is all the robot needs beside Python 3.10 or later and, to be quickest, a C compiler (`apt install gcc`).\n\n```\npython3 -m pip install -r requirements.txt      # once\npython3 . --doctor                              # looks at settings, packages and devices; moves nothing\npython3 .                                       # runs; Ctrl-C brings the robot to a safe rest\npython3 . --status                              # while it runs: whom it hears how well, why it skips\n```\n\n'
+    yield ".\nThe robot needs this folder, Python 3.10 or later with venv (on Debian and Raspberry Pi OS: `sudo apt install python3-venv`) and, to be\nquickest, a C compiler (`sudo apt install gcc`). In this folder:\n\n```\npython3 -m venv ../venv                                  # once: a virtual environment beside this folder\n../venv/bin/python -m pip install -r requirements.txt    # once\n../venv/bin/python . --doctor                            # checks settings, packages and devices; moves nothing\n../venv/bin/python .                                     # runs the robot; Ctrl-C lands or brakes it, then ends\n../venv/bin/python . --status                            # while it runs: how well it hears the others, why it skips\n```\n\nThe system's own Python on Debian and Raspberry Pi OS refuses `pip install` (`externally-managed-environment`), hence the virtual\nenvironment. Keep it outside of this folder: a build replaces the folder only while nothing was added to it.\n\n"
     if (undefined(name='robot') if l_0_robot is missing else l_0_robot):
         pass
         yield '`settings.json` is robot '
@@ -62,4 +62,4 @@ def root(context, missing=missing):
     yield ': robots whose hashes differ refuse one another.\nKeep clear of the robot from its start: one that flies takes off at once, whoever else is there, and hovers. All robots\nfollow the program as soon as the whole fleet is there.\n'
 
 blocks = {}
-debug_info = '1=22&3=26&13=34&14=37&15=44&24=51&26=53&30=55&33=59'
+debug_info = '1=22&3=26&18=34&19=37&20=44&29=51&31=53&35=55&38=59'

@@ -24,7 +24,7 @@ def root(context, missing=missing):
     yield str((undefined(name='target') if l_0_target is missing else l_0_target))
     yield '`: '
     yield str((undefined(name='summary') if l_0_summary is missing else l_0_summary))
-    yield ".\n\n```\npython3 -m pip install -r requirements.txt                 # once\npython3 . --duration 30 --seed 1 --out run                 # prints where the report is\n```\n\n`agents/` holds the robots' own bundles, byte for byte"
+    yield ".\n\n```\npython3 -m venv ../venv                                    # once: a virtual environment beside this folder\n../venv/bin/python -m pip install -r requirements.txt      # once\n../venv/bin/python . --duration 30 --seed 1 --out run      # prints where the report is\n```\n\n`agents/` holds the robots' own bundles, byte for byte"
     if (not (undefined(name='robots') if l_0_robots is missing else l_0_robots)):
         pass
         yield '; built without a fleet file, so there is no\n`scenario.json` that says which robots there are: build with `--fleet FILE`'
@@ -40,4 +40,4 @@ def root(context, missing=missing):
     l_1_name = l_1_target = missing
 
 blocks = {}
-debug_info = '1=18&3=20&10=28&12=32&13=36'
+debug_info = '1=18&3=20&11=28&13=32&14=36'

@@ -68,10 +68,8 @@ def _write(to: str, path: Path, header: Header, records: Iterator[Record]) -> No
 
             tables.write(path, header, records)
         case "mcap":
-            try:
-                from targets.sim.view import recording
-            except ModuleNotFoundError as error:
-                raise CannotMake(f"the package {error.name} is missing", "pip install mcap") from None
+            from targets.sim.view import recording
+
             recording.write(path, header, records)
         case "png" | "gif" | "mp4":
             from targets.sim.view import film, plots

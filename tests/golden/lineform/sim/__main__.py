@@ -9,7 +9,9 @@ if __name__ == "__main__":
     try:
         from targets.sim.harness import main
     except ModuleNotFoundError as missing:
+        from koordgen.runtime.host import install_requirements
+
         print(f"error: the Python package {missing.name!r} is missing\n"
-              f"  help: {sys.executable} -m pip install -r {HERE / 'requirements.txt'}", file=sys.stderr)
+              f"  help: {install_requirements(HERE)}", file=sys.stderr)
         raise SystemExit(5) from None
     raise SystemExit(main(HERE, sys.argv[1:]))
