@@ -1,4 +1,4 @@
-"""The tracker where something is in the way, and with PyBullet's racecar."""
+"""The tracker where something is in the way, and with the simulated racecar."""
 
 from __future__ import annotations
 
@@ -131,19 +131,18 @@ def test_the_slalom_is_as_sharp_and_as_fast_as_it_says() -> None:
 
 @pytest.fixture(scope="module")
 def racecar() -> ModuleType:
-    pytest.importorskip("pybullet")
     import tests.car.racecar
 
     return tests.car.racecar
 
 
-def test_pybullets_racecar_keeps_to_the_slalom(racecar: ModuleType) -> None:
+def test_the_simulated_racecar_keeps_to_the_slalom(racecar: ModuleType) -> None:
     figures = racecar.slalom(4)
     assert figures.finished and figures.rms < 0.02 and figures.largest < 0.05 and figures.median_speed > 1.45
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_pybullets_racecar_parks_at_a_pose(racecar: ModuleType, seed: int) -> None:
+def test_the_simulated_racecar_parks_at_a_pose(racecar: ModuleType, seed: int) -> None:
     found = racecar.parked(seed)
     assert found.finished and found.away <= 0.05 and found.turned <= 0.15, found
 
