@@ -59,6 +59,7 @@ FLOORS = {
     "scenario": {"node", "source", "located"},
     "cli": BASE
     | {
+        "runtime",  # which knows whether a requirement is for this computer
         "scenario",
         "pipeline",
         "bundle",
@@ -90,6 +91,7 @@ FLOORS = {
 GENERATED_READERS = {"syntax": "koordgen._generated.grammar"}
 HEAVY = {
     "pybullet",
+    "mujoco",
     "casadi",
     "ompl",
     "pymavlink",
