@@ -42,16 +42,15 @@ class Avoidance:
         world = World(
             settings.geofence, settings.obstacles, own.clearance, own.width / 2, flies=False,
             footprint=(own.length, own.width), overhang=own.overhang, height=own.height, wheelbase=own.wheelbase,
-            turning_radius=own.planned_radius, reverse=own.reverse,
+            turning_radius=own.planned_radius, reverse=own.reverse, error=own.tracking_error + own.position_error,
         )  # fmt: skip
         self.area = area(world, min(MARGIN, own.reached_radius / 2))
         self._name = own.planner
         self._ground = ground(world)
         self._program = planning(own.planner, world, settings.planner_budget, JUDGE)
         self._driving = planning(OWN, world, settings.planner_budget, JUDGE)
-        self._guard = Guard(settings.obstacles, world.radius)
+        self._guard = Guard(settings.obstacles, {"half the width": world.radius})
         self._names = dict(enumerate(peer.name for peer in settings.peers))
-        self._clearance = own.clearance
         self._others: tuple[Path, ...] = ()
         self._paths: dict[str, Path] = {}  # the others' by their names
         self._plans: dict[Path, Curve] = {}
@@ -144,7 +143,7 @@ class Avoidance:
     def explained(self, start: Point2, target: Point2, reason: str) -> str:
         """Why there is no way from `start` to `target`, to follow the target's name; `reason` as `answer` gave it."""
         fixed = (shape for *_, shape in self._ground.fixed.kept)
-        return unreachable(start, target, reason, fixed, self._paths, self._clearance)
+        return unreachable(start, target, reason, fixed, self._paths, self._ground.clearance)
 
     def clear(self, start: Triple, target: Point2, curve: Curve) -> bool:
         """Whether a curve towards a target may be driven."""
@@ -153,12 +152,12 @@ class Avoidance:
         return ground.around(start, target, seen).clear(curve)
 
     def strayed(self, state: State) -> bool:
-        """Return whether a car that has left its way is nearer to an obstacle of the fleet file than half the
+        """Return whether a car that has left its way is nearer to an obstacle of the fleet file than half of the
         clearance: there no way back is driven that was not planned."""
         ground, middle = self._ground, self._ground.middle
         x, y = state.x + middle * math.cos(state.yaw), state.y + middle * math.sin(state.yaw)
         near = (ground.body.distance(state.x, state.y, state.yaw, shape) for *_, shape in ground.fixed.around(x, y))
-        return min(near, default=math.inf) < ground.clearance / 2
+        return min(near, default=math.inf) < ground.least
 
     def free(self, curve: Curve, station: float, ahead: float) -> float:
         """How many metres of a curve, from a station on, are out of the ways that the others have published, as far as

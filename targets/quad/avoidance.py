@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from itertools import pairwise
 from typing import Any
 
 import msgspec
@@ -19,6 +21,7 @@ from targets.planning.room import room as room_of
 from targets.planning.world import Path, Scene, World
 from targets.quad.motion import room
 from targets.quad.rejoin import LEG
+from targets.quad.trajectory import BULGE, CORNER
 
 LEG_SECONDS = 0.2  # that a leg back to the path may take to plan: the vehicle stands meanwhile
 RETREATS = (0.1, 0.2, 0.3, 0.4)  # m, how far away from an obstacle places are looked for,
@@ -27,18 +30,30 @@ DIRECTIONS = 16  # ... and in how many directions
 MakePlanning = Callable[[str, World, float], Planning]
 
 
+@dataclass(frozen=True, slots=True)
+class Size:
+    """Metres that a commanded way keeps from obstacles, added up. The settings have the same names."""
+
+    radius: float
+    tracking_error: float = 0.0
+    position_error: float = 0.0
+
+
 class Avoidance:
     """Metres. `height` is that which targets are raised to: the quad plans where it flies, from there upwards."""
 
     def __init__(
-        self, settings: Settings, height: float, radius: float, clearance: float, planner: str, planning: MakePlanning
+        self, settings: Settings, height: float, size: Size, clearance: float, planner: str, planning: MakePlanning
     ) -> None:
         self._fence, self._room = settings.geofence, room(settings.geofence, height)
         self._name = planner
-        world = World(self._room, settings.obstacles, clearance, radius)
+        error = size.tracking_error + size.position_error
+        world = World(self._room, settings.obstacles, clearance, size.radius, error=error)
         self._world, self._standing = world, fixed(settings.obstacles)
         self._planning = planning(planner, world, settings.planner_budget)
-        self._guard = Guard(settings.obstacles, radius)
+        self._guard = Guard(settings.obstacles, asdict(size))
+        # Of a tracking error, the reference cuts corners by as much itself.
+        self._swerving = size.radius + size.position_error + max(0.0, size.tracking_error - CORNER) - BULGE
         self._names = dict(enumerate(peer.name for peer in settings.peers))
         self._publishers: set[str] = set()  # robots that have published paths
         self._others: tuple[Path, ...] = ()
@@ -114,7 +129,7 @@ class Avoidance:
     def clear(self, start: Point, end: Point, margin: float) -> bool:
         """See `rejoin.Ways`."""
         here = Room(start)
-        here.keep(self._standing, self._kept(margin))
+        here.keep(self._standing, self._kept(margin), self._world.least)
         return here.clear(start, end)
 
     def apart(self, start: Point, end: Point, margin: float) -> bool:
@@ -122,8 +137,14 @@ class Avoidance:
         kept = self._kept(margin)
         return all(thing.distance(start, end, kept) >= kept for thing in self._standing)
 
+    def flyable(self, way: Path) -> bool:
+        """See `rejoin.Ways`."""
+        here = Room(way[0])
+        here.keep(self._standing, self._swerving)
+        return all(here.clear(a, b) for a, b in pairwise(way))
+
     def _kept(self, margin: float) -> float:
-        return self._world.radius + margin * self._world.clearance
+        return max(self._world.least, self._world.radius + margin * self._world.clearance)
 
     def retreat(self, position: Point) -> Point:
         """See `rejoin.Ways`."""

@@ -28,7 +28,7 @@ from targets.mavlink.transport import Transport, opened
 from targets.planning.process import Beside
 from targets.planning.route import commanded, passed
 from targets.planning.unplanned import Unplanned
-from targets.quad.avoidance import Avoidance, MakePlanning
+from targets.quad.avoidance import Avoidance, MakePlanning, Size
 from targets.quad.check import listen
 from targets.quad.diagnosis import findings
 from targets.quad.firmware import Firmware
@@ -55,6 +55,8 @@ class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     reached_dwell: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 0.3
     scans: str = ""
     radius: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.2
+    tracking_error: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.1
+    position_error: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.05
     clearance: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.3
     planner: str = "rrt-smoothed"
     positioning: Literal["own", "gps_input", "vision", "odometry"] = "own"
@@ -105,7 +107,8 @@ class Quad:
             raise BadSettings(
                 f"settings of {settings.robot}: body: yaw {body.yaw!r} is not keep, forward or an angle"
             ) from None
-        self._avoidance = Avoidance(settings, body.flight_height, body.radius, body.clearance, body.planner, planning)
+        size = Size(body.radius, body.tracking_error, body.position_error)
+        self._avoidance = Avoidance(settings, body.flight_height, size, body.clearance, body.planner, planning)
         self._motion = Motion(
             self._frame, fence, body.flight_height, body.max_speed, body.max_acceleration, body.max_climb,
             body.reached_radius, body.reached_dwell, yaw, ways=self._avoidance, action=settings.safety.missed_action,

@@ -18,7 +18,7 @@ from targets.planning.world import Path
 from targets.quad.check import coordinates
 from targets.quad.reference import STANDING, Reference
 from targets.quad.setpoint import RUN_ON, Aim, Shaping
-from targets.quad.trajectory import norm
+from targets.quad.trajectory import Trajectory, norm
 
 LATE = 0.3  # s without a setpoint after which the vehicle may have run on past its reference
 OFF = 0.2  # m from its reference beyond which the straight line back to it is checked
@@ -51,6 +51,10 @@ class Ways(Protocol):
         """Return what `clear` does, but obstacles that are near to the start must be kept away from as well."""
         ...
 
+    def flyable(self, way: Path) -> bool:
+        """Return whether the reference may go on along these points, which are its own: corners are cut already."""
+        ...
+
     def retreat(self, position: Point) -> Point:
         """Return a place nearby that keeps the distance of a leg, from where the body may be nearer to an obstacle;
         `position` where that is far enough away, or no such place is found."""
@@ -77,6 +81,9 @@ class OpenSpace:
         return True
 
     def apart(self, start: Point, end: Point, margin: float) -> bool:
+        return True
+
+    def flyable(self, way: Path) -> bool:
         return True
 
     def retreat(self, position: Point) -> Point:
@@ -114,6 +121,7 @@ class Rejoin:
         self._polled: float | None = None
         self._standstill = Standstill(action)
         self._no_leg = ""  # why no leg is flown, in words
+        self._checked: Trajectory | None = None  # the reference's, which may be flown
         self._from = Point()  # where the leg that is looked for begins: near the vehicle
         self.held = False
 
@@ -148,6 +156,8 @@ class Rejoin:
             self._brake(position, velocity, now)
         self._look(position, velocity, now)
         self._reference.advance(position, now, self._most(position))
+        if self._stage is Stage.FLYING and not self.held and not self._goes_clear():
+            self._brake(position, velocity, now)
         moves = self._stage is Stage.FLYING and not self.held and not arrived
         if self._standstill.look(position, moves, coordinates(self._reference.ahead[0]), now):
             self._brake(position, velocity, now)
@@ -174,6 +184,14 @@ class Rejoin:
             self._answered(position, velocity, now)
         elif self._stage is Stage.STANDING and now - self._since > RETRY:
             self._choose(position, velocity, now)
+
+    def _goes_clear(self) -> bool:
+        """Return whether the reference keeps away from obstacles. A way that is straight and clear for a vehicle that
+        stands may lead one that moves into an obstacle: it turns in a bow. A target in motion is overshot."""
+        if self._reference.trajectory is self._checked:
+            return True
+        self._checked = self._reference.trajectory
+        return self._ways.flyable(self._reference.way())
 
     def _may_resume(self, position: Point) -> bool:
         """Return whether the reference may go on from where it was paused, at once."""

@@ -45,3 +45,7 @@ def test_a_quad_goes_on_behind_the_door_that_it_has_passed(tmp_path: Path, event
 def test_a_run_of_the_campaign_without_contacts(tmp_path: Path) -> None:
     """A quad is frozen before a door. `make clearance-campaign` runs many seeds, and for longer."""
     assert ran(18, tmp_path, duration=6.0)["contacts"] == []
+
+
+def test_a_run_of_the_campaign_after_targets(tmp_path: Path) -> None:
+    assert ran(2, tmp_path, duration=4.0, scenes=("targets",))["contacts"] == []
