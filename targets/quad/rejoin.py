@@ -17,7 +17,7 @@ from targets.planning.standstill import Standstill
 from targets.planning.world import Path
 from targets.quad.check import coordinates
 from targets.quad.reference import STANDING, Reference
-from targets.quad.setpoint import RUN_ON, Aim, Shaping
+from targets.quad.setpoint import Aim, Shaping, runs_on
 from targets.quad.trajectory import Trajectory, norm
 
 LATE = 0.3  # s without a setpoint after which the vehicle may have run on past its reference
@@ -35,7 +35,6 @@ LEG = 0.75  # ... on a leg back to the path, which may begin a little beside it:
 TIGHT, NEARBY = 0.15, 2.0
 LOOK = 1.0  # s: a reference that heads for an obstacle is no faster than the distance from it over this time,
 SLOWEST = 0.15  # m/s, but always so fast
-RUNS_ON = RUN_ON + 0.5  # s of the last velocity in which an autopilot has run on and stopped
 BISECTIONS = 6  # of a distance that an obstacle limits
 
 
@@ -268,10 +267,11 @@ class Rejoin:
         if aim.velocity is None:
             return Aim(self._free(position, aim.position), None, aim.yaw)
         p, v = aim.position, aim.velocity
-        level, free, speed = shaping.late[0], distance(p, self._free(p, p + v * RUNS_ON)), norm(v)
-        if free >= RUNS_ON * speed - 1e-9:
+        level, speed, seconds = shaping.late[0], norm(v), runs_on(norm(v))
+        free = distance(p, self._free(p, p + v * seconds))
+        if free >= seconds * speed - 1e-9:
             return aim
-        kept = v * (max(0.0, free - level * speed) / ((RUNS_ON - level) * speed))
+        kept = v * (max(0.0, free - level * speed) / ((seconds - level) * speed))
         given = v - kept
         ahead = Point(given.x * level, given.y * level, given.z * shaping.late[1])
         return Aim(p + ahead * min(1.0, free / max(norm(ahead), 1e-9)), kept, aim.yaw)

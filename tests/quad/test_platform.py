@@ -203,6 +203,38 @@ def test_when_the_agent_dies_in_motion_the_vehicle_stays_within_the_fence() -> N
         assert max(beyond) < 0.0, dead_at
 
 
+@pytest.mark.parametrize(("speed", "dead_at"), [(1.0, 8.2), (1.0, 8.9), (1.0, 9.6), (2.0, 3.9), (2.0, 4.6), (3.0, 3.5)])
+def test_a_vehicle_that_flies_at_the_fence_when_its_agent_dies_stops_before_it(speed: float, dead_at: float) -> None:
+    """After 3 s with the last velocity it still needs room to stop."""
+    rig = Rig(position=(-4.0, -2.0, 0.0), max_speed=speed, max_climb=1.0)
+    rig.fly()
+    rig.go(5.9, -2.0)
+    rig.run(dead_at)
+    assert rig.body.velocity[0] > 0.5
+    farthest = nearest_to_the_fence(rig, 5.0)
+    assert farthest < 0.0
+
+
+@pytest.mark.parametrize("dead_at", [1.2, 1.8, 2.3])
+def test_a_vehicle_that_climbs_when_its_agent_dies_stops_below_the_fence(dead_at: float) -> None:
+    rig = Rig(position=(0.0, 0.0, 0.0), max_climb=1.5, max_speed=1.5)
+    rig.fly()
+    rig.go(0.0, 0.0, 3.9)
+    rig.run(dead_at)
+    assert rig.body.velocity[2] > 0.3
+    assert nearest_to_the_fence(rig, 5.0) < 0.0
+
+
+def nearest_to_the_fence(rig: Rig, seconds: float) -> float:
+    """Let the autopilot fly alone. How far outside the fence the vehicle was, m; negative: it stayed inside."""
+    beyond: list[float] = []
+    for _ in range(round(seconds / 0.05)):
+        rig.pass_time(0.05)
+        x, y, z = rig.body.position
+        beyond.append(max(x - FENCE.hi.x, y - FENCE.hi.y, z - FENCE.hi.z))
+    return max(beyond)
+
+
 def test_it_waits_for_its_first_target_at_the_flight_height() -> None:
     rig = Rig()
     rig.fly()
