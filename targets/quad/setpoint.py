@@ -42,7 +42,7 @@ YAW = 0x400  # taken away when a yaw is given
 
 OBEYED = 0.5  # the part of a demanded change of velocity that is there a third of a second later: 1 - exp(-KPa t)
 RUN_ON = 3.0  # s for which an autopilot keeps the last velocity (GUID_TIMEOUT)
-# How it stops then: after so many seconds of going on, by so many m/s^2, horizontally (WP_ACC) and vertically (WP_ACC_Z).
+# How it stops then: after so many seconds of going on, by so many m/s^2, horizontally (WP_ACC) and up (WP_ACC_Z).
 LEANING = 0.3
 BRAKING = (2.5, 1.0)
 
