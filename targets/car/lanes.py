@@ -1,6 +1,6 @@
-"""Lanes: the ground that a path takes which another robot has published, and how far a car may drive with respect to it.
+"""Lanes: the ground that paths of other robots take, and how far a car may drive with respect to them.
 
-The path says where its robot will be, not where it is now. So a car that is outside a lane stands before it. One that
+A path says where its robot will be, not where it is now. So a car that is outside a lane stands before it. One that
 is in it may leave, if that takes it a short way, on which it comes no nearer to the middle of the lane, nor to the
 place where the path begins: a robot that waits stands there. So two cars that stand in each other's lane do not meet.
 Metres, local ENU.

@@ -20,7 +20,7 @@ from targets.planning.room import Room, fixed
 from targets.planning.room import room as room_of
 from targets.planning.world import Path, Scene, World
 from targets.quad.motion import room
-from targets.quad.rejoin import LEG
+from targets.quad.rejoin import LEG, RUNNING
 from targets.quad.trajectory import BULGE, CORNER
 
 LEG_SECONDS = 0.2  # that a leg back to the path may take to plan: the vehicle stands meanwhile
@@ -55,8 +55,7 @@ class Avoidance:
         # Of a tracking error, the reference cuts corners by as much itself.
         self._swerving = size.radius + size.position_error + max(0.0, size.tracking_error - CORNER) - BULGE
         self._names = dict(enumerate(peer.name for peer in settings.peers))
-        self._publishers: set[str] = set()  # robots that have published paths
-        self._others: tuple[Path, ...] = ()
+        self.published: dict[str, Path] = {}  # the other robots' paths, by their names
         self._named = Scene()  # what the program named when it called the planner last
         self._asked = False  # for a leg
         self._admitted: Path | None = None  # what was commanded last and may be flown
@@ -79,8 +78,27 @@ class Avoidance:
 
     def others(self, paths: Mapping[int, Path]) -> None:
         """What the other robots have published."""
-        self._others = tuple(paths.values())
-        self._publishers = {self._names.get(pid, str(pid)) for pid in paths}
+        self.published = {self._names.get(pid, str(pid)): path for pid, path in paths.items()}
+
+    @property
+    def _others(self) -> tuple[Path, ...]:
+        return tuple(self.published.values())
+
+    @property
+    def spacing(self) -> float:
+        """The distance that planned paths keep from those of other robots."""
+        return self._world.radius + self._world.kept
+
+    def may_land(self, position: Point, place: Point) -> bool:
+        """See `landing.Surroundings`. Where something stands under the quad, it may land on something else, too."""
+        lifted = self._lifted(place)
+        within = (lifted.x, lifted.y) == (place.x, place.y)
+        way = self.clear(position, place, RUNNING)
+        return within and way and (self._has_ground(place) or not self._has_ground(position))
+
+    def _has_ground(self, place: Point) -> bool:
+        """Return whether no obstacle is below a place."""
+        return self.apart(place, Point(place.x, place.y, self._fence.lo.z), 0.0)
 
     def plan(self, position: Point | None, goal: Point, named: Any) -> Path:
         """A way from `position` to `goal` around the fleet file's obstacles, those that the program names, and the
@@ -101,7 +119,7 @@ class Avoidance:
 
     def _explained(self, position: Point, reason: str) -> str:
         """Why the planner found no way from here, to follow the goal."""
-        past = f", past the paths of {', '.join(sorted(self._publishers))}" if self._publishers else ""
+        past = f", past the paths of {', '.join(sorted(self.published))}" if self.published else ""
         here = f"({position.x:.2f}, {position.y:.2f}, {position.z:.2f})"
         return f"has no path: {reason}" if reason else f"has no path from {here}{past}"
 

@@ -8,6 +8,7 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from koordgen.runtime.geometry import path_distance
 from koordgen.runtime.platform import Platform, Unready
 from koordgen.runtime.values import Point, distance
 from targets.quad.motion import MARGIN
@@ -267,3 +268,41 @@ def test_a_vehicle_that_does_not_follow_is_noticed_also_in_motion() -> None:
     rig.go(5.0, 3.0)
     with pytest.raises(Unready, match="does not follow"):
         rig.run(15.0)
+
+
+def landed(rig: Rig) -> Point:
+    """End the run. Where the quad stands then."""
+    for _ in range(60):
+        rig.quad.rest(rig.now)
+        if rig.run(0.5, lambda: rig.quad.rested):
+            break
+    assert rig.quad.rested
+    return at(rig)
+
+
+@pytest.mark.parametrize(
+    "below", [(Point(1.2, -2.0, 0.0),), (Point(1.0, -2.0, 1.0),), (Point(-3.0, -2.0), Point(4.0, -2.0))]
+)
+def test_a_quad_lands_beside_a_robot_that_is_below_it(below: tuple[Point, ...]) -> None:
+    """A car, another quad, a path."""
+    rig = Rig()
+    rig.fly()
+    rig.quad.others({1: below})
+    rig.quad.hold(True, rig.now)
+    place = landed(rig)
+    assert path_distance((Point(place.x, place.y),), tuple(Point(p.x, p.y) for p in below)) > 0.6
+    assert distance(place, Point(1.0, -2.0, 0.0)) < 1.2
+    (line,) = rig.quad.news()
+    assert line.startswith("robot 1 may be below: moving to (")
+
+
+def test_a_quad_lands_where_it_is_beside_others_as_high_and_without_a_free_place() -> None:
+    rig = Rig()
+    rig.fly()
+    rig.quad.others({1: (Point(1.4, -2.0, 1.45),)})
+    assert distance(landed(rig), Point(1.0, -2.0, 0.0)) < 0.2 and rig.quad.news() == []
+    rig = Rig()
+    rig.fly()
+    rig.quad.others({pid: (Point(-3.0, 0.5 * pid - 5.0), Point(4.0, 0.5 * pid - 5.0)) for pid in range(1, 12)})
+    assert distance(landed(rig), Point(1.0, -2.0, 0.0)) < 0.2
+    assert "there is no free place within 1.6 m" in rig.quad.news()[0]
