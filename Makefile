@@ -52,6 +52,7 @@ prover-campaign: $(STAMP)
 # again, it goes on where it ended.
 clearance-campaign: $(STAMP)
 	$(PY) -m tests.sim.clearance_campaign --from 0 --count 500 --folder build/clearance-campaign
+	$(PY) -m tests.sim.clearance_campaign --scenes targets --from 0 --count 100 --folder build/clearance-targets
 
 bench: $(STAMP)
 	$(PY) benchmarks/compile.py

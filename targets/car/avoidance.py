@@ -15,6 +15,7 @@ from koordgen.runtime.values import Point, transmissible
 from targets.car.bicycle import State, wrap
 from targets.car.curves import Curve, Triple
 from targets.car.ground import MARGIN, area, ground
+from targets.car.lanes import Lane
 from targets.car.planner import JUDGE, Plan, Point2, Wish
 from targets.car.reasons import unreachable
 from targets.car.settings import CarSettings
@@ -29,8 +30,6 @@ MakePlanning = Callable[[str, World, float, str], Planning]
 REMEMBERED = 8  # answers of the planner that the program may command
 BEGIN, TURNED = 0.3, 0.3  # metres and radians from where a way begins within which it is driven as it was planned
 FIRST, PATIENCE = 0.04, 0.8  # seconds in which a way is made short, and until which one is looked for at all
-LOOK = 0.05  # metres between two places of a way that are looked at for others
-ROUGH = 0.01  # metres: as exactly as the car's place is known
 OWN = "rrt-smoothed"  # ways to single targets; the program's planner is the one of the settings
 
 
@@ -42,23 +41,22 @@ class Avoidance:
         world = World(
             settings.geofence, settings.obstacles, own.clearance, own.width / 2, flies=False,
             footprint=(own.length, own.width), overhang=own.overhang, height=own.height, wheelbase=own.wheelbase,
-            turning_radius=own.planned_radius, reverse=own.reverse,
+            turning_radius=own.planned_radius, reverse=own.reverse, error=own.tracking_error + own.position_error,
         )  # fmt: skip
         self.area = area(world, min(MARGIN, own.reached_radius / 2))
         self._name = own.planner
         self._ground = ground(world)
         self._program = planning(own.planner, world, settings.planner_budget, JUDGE)
         self._driving = planning(OWN, world, settings.planner_budget, JUDGE)
-        self._guard = Guard(settings.obstacles, world.radius)
+        self._guard = Guard(settings.obstacles, {"half the width": world.radius})
         self._names = dict(enumerate(peer.name for peer in settings.peers))
-        self._clearance = own.clearance
         self._others: tuple[Path, ...] = ()
         self._paths: dict[str, Path] = {}  # the others' by their names
         self._plans: dict[Path, Curve] = {}
         self._admitted: Path | None = None
         self._news: list[str] = []
         self.refusal = ""  # why what was commanded last is not driven, in words
-        self.blocker = ""  # whose path `free` met last
+        self.blocker = ""  # what `free` met last, in words
         self.unplanned = ""  # why the program's planner found no way last, in words
 
     def start(self) -> None:
@@ -144,7 +142,7 @@ class Avoidance:
     def explained(self, start: Point2, target: Point2, reason: str) -> str:
         """Why there is no way from `start` to `target`, to follow the target's name; `reason` as `answer` gave it."""
         fixed = (shape for *_, shape in self._ground.fixed.kept)
-        return unreachable(start, target, reason, fixed, self._paths, self._clearance)
+        return unreachable(start, target, reason, fixed, self._paths, self._ground.clearance)
 
     def clear(self, start: Triple, target: Point2, curve: Curve) -> bool:
         """Whether a curve towards a target may be driven."""
@@ -153,34 +151,28 @@ class Avoidance:
         return ground.around(start, target, seen).clear(curve)
 
     def strayed(self, state: State) -> bool:
-        """Return whether a car that has left its way is nearer to an obstacle of the fleet file than half the
+        """Return whether a car that has left its way is nearer to an obstacle of the fleet file than half of the
         clearance: there no way back is driven that was not planned."""
         ground, middle = self._ground, self._ground.middle
         x, y = state.x + middle * math.cos(state.yaw), state.y + middle * math.sin(state.yaw)
         near = (ground.body.distance(state.x, state.y, state.yaw, shape) for *_, shape in ground.fixed.around(x, y))
-        return min(near, default=math.inf) < ground.clearance / 2
+        return min(near, default=math.inf) < ground.least
 
     def free(self, curve: Curve, station: float, ahead: float) -> float:
         """How many metres of a curve, from a station on, are out of the ways that the others have published, as far as
-        `ahead` metres; infinite when all of these are. Where the car is in one already, it may get out, not deeper."""
-        if not self._others:
+        `ahead` metres; infinite when all of these are. Where the car is in one already, it may get out: see
+        `Lane`."""
+        if not self._paths:
             return math.inf
-        body, here = self._ground.body, curve.at(station)
-        reach = body.reach
-        least = [
-            (shape, min(0.0, body.distance(*here, shape) - ROUGH), name)
-            for name, path in self._paths.items()
-            for shape in named(Scene(others=(path,)), body, here[:2], self._ground.clearance)
-        ]
-        for i in range(1, math.ceil(min(ahead, curve.length - station) / LOOK) + 1):
-            x, y, yaw = curve.at(min(station + i * LOOK, curve.length))
-            for shape, away, name in least:
-                west, south, east, north = shape.bounds
-                near = west - reach <= x <= east + reach and south - reach <= y <= north + reach
-                if near and body.distance(x, y, yaw, shape) < away:
-                    self.blocker = f"robot {name}'s path"
-                    return (i - 1) * LOOK
-        return math.inf
+        ground, best = self._ground, math.inf
+        for name, path in self._paths.items():
+            lane = Lane(path, ground.body, curve.at(station), ground.clearance)
+            free = lane.free(curve, station, min(ahead, best))
+            if free < best:
+                best = free
+                inside = f"the car stands in robot {name}'s path, and its way does not soon lead out of it"
+                self.blocker = inside if free == 0.0 and lane.inside else f"robot {name}'s path is {free:.1f} m ahead"
+        return best
 
     def news(self) -> list[str]:
         """What went wrong since this was asked last, for the log."""

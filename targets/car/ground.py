@@ -26,6 +26,9 @@ CELL = 0.5  # metres: what is near is remembered for squares of this size
 LEAST_STEP = 0.004  # metres between two poses that are looked at
 PAD = 0.006  # metres kept besides on planned ways: the outline moves less than this in a least step
 LEAVING = 0.95  # of the distance that the start has from what is too near: so much is kept on the way out
+# ... but no less than this part of the clearance, if the start has that: a car whose ways are planned again and again,
+# from ever nearer places, would touch at last.
+LEAST = 0.5
 MARGIN = 0.05  # metres kept from the arena's edge, for tracking errors
 POINT = Footprint(0.02, 0.02, 0.01)  # metres: for distances around what stands there, which a search steers by
 WIDE = 0.17  # turning radii: the width of the cells of these distances
@@ -67,6 +70,7 @@ class Ground:
     def __init__(self, body: Footprint, curvature: float, area: Area, fixed: Iterable[Shape], clearance: float) -> None:
         """`curvature` is the sharpest, 1/m; `clearance` is kept between the outline and all else."""
         self.body, self.area, self.clearance = body, area, clearance
+        self.least = LEAST * clearance
         self.pace = body.pace(curvature)
         self._radius = 1 / curvature
         self.middle = body.length / 2 - body.overhang
@@ -168,7 +172,10 @@ class Way:
         away = self._ground.body.distance(*self._start, shape)
         if away < 0:
             return None
-        return clearance if away >= clearance + PAD else LEAVING * away - PAD
+        if away >= clearance + PAD:
+            return clearance
+        nearly, least = LEAVING * away - PAD, self._ground.least
+        return nearly if away < least + PAD else max(nearly, least)
 
     def _middle(self, x: float, y: float, yaw: float) -> tuple[float, float]:
         return x + self._ground.middle * math.cos(yaw), y + self._ground.middle * math.sin(yaw)
@@ -244,4 +251,4 @@ def ground(world: World) -> Ground:
     """The car and what stands there. Raises ZeroDivisionError for a car that turns on the spot."""
     body = Footprint(*world.footprint, world.overhang)
     fixed = standing(world.obstacles, world.height)
-    return Ground(body, 1 / world.turning_radius, area(world), fixed, world.clearance)
+    return Ground(body, 1 / world.turning_radius, area(world), fixed, max(world.clearance, world.error))

@@ -237,7 +237,7 @@ class Navigator:
             self._stirred = now  # it knows why it stands
             self._crossed = True
             if standing and self._target is not None:
-                self._no_way.blocked(self._target, f"{self._avoidance.blocker} is {free:.1f} m ahead")
+                self._no_way.blocked(self._target, self._avoidance.blocker)
             if standing and now >= self._retry_at:
                 self._considered, self._retry_at = None, now + RETRY
         return free

@@ -36,6 +36,8 @@ class CarSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     width: Annotated[float, msgspec.Meta(ge=0.02, le=5.0)] = 0.28
     overhang: Annotated[float, msgspec.Meta(ge=0.0, le=5.0)] = 0.085
     height: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.25
+    tracking_error: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.08
+    position_error: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.02
     clearance: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.1
     planner: str = "rrt-smoothed"
     reverse: bool = True

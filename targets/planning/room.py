@@ -1,8 +1,9 @@
 """Where a robot may go: the obstacles of one question, each with the distance to be kept from it.
 
 What stands nearer to the start than that is kept at nearly the distance that it has there: a robot may leave a tight
-place. The answer to "is this straight line clear" is exact (`exact.py`, `mesh.py`): of all obstacles, those whose box
-comes near the line's are measured.
+place. It keeps a least distance where it has that at the start: a way that is asked for again and again from ever
+nearer places would come as near as can be otherwise. The answer to "is this straight line clear" is exact (`exact.py`,
+`mesh.py`): of all obstacles, those whose box comes near the line's are measured.
 """
 
 from __future__ import annotations
@@ -47,28 +48,41 @@ class Thing:
 
 class Room:
     """What is to be kept away from on the way from `start`, and how far. `inside` names the first that contains the
-    start, and so cannot be kept away from; else it is ""."""
+    start, and so cannot be kept away from; else it is "". `lowered` has the distances that are kept from what is too
+    near to the start, by names."""
 
     def __init__(self, start: Point) -> None:
         self._start = start
         self._kept: list[tuple[Bounds, float, Thing]] = []
         self._boxes: np.ndarray[tuple[int, int], np.dtype[np.float64]] | None = None
         self.inside = ""
+        self.lowered: dict[str, float] = {}
 
-    def keep(self, things: Iterable[Thing], kept: float) -> None:
-        """Keep so many metres away from these; from one that is nearer to the start, nearly what it has there."""
+    def keep(self, things: Iterable[Thing], kept: float, least: float = 0.0) -> None:
+        """Keep so many metres away from these; from one that is nearer to the start, nearly what it has there, but no
+        less than `least` if it has that."""
         at = self._start
         for thing in things:
             bounds, margin = thing.grown(kept), kept
             if _overlap(bounds, at.x, at.x, at.y, at.y, at.z, at.z):
                 near = thing.distance(at, at, kept)
                 if near < kept:
-                    margin = LEAVING * near
+                    margin = LEAVING * near if near < least else max(LEAVING * near, least)
                     bounds = thing.grown(margin)
+                    self.lowered[thing.name] = margin
                 if not near:
                     self.inside = self.inside or thing.name
-            if margin > 0.0:
-                self._kept.append((bounds, margin, thing))
+            self._add(thing, bounds, margin)
+
+    def keep_all(self, things: Iterable[Thing], kept: Callable[[str], float]) -> None:
+        """Keep the distance that `kept` tells for a name, even from what is nearer to the start."""
+        for thing in things:
+            margin = kept(thing.name)
+            self._add(thing, thing.grown(margin), margin)
+
+    def _add(self, thing: Thing, bounds: Bounds, margin: float) -> None:
+        if margin > 0.0:
+            self._kept.append((bounds, margin, thing))
         self._boxes = None
 
     def clear(self, a: Point, b: Point) -> bool:
@@ -115,7 +129,7 @@ def fixed(obstacles: Iterable[Obstacle]) -> list[Thing]:
 def room(world: World, standing: Iterable[Thing], scene: Scene, start: Point) -> Room:
     """What is to be kept away from on the way from `start`; `standing` are the world's obstacles, made by `fixed`."""
     found = Room(start)
-    found.keep(standing, world.kept)
+    found.keep(standing, world.kept, world.least)
     stuck = found.inside  # of what a program names, what it stands in is left out: it was seen wrongly, or is itself
     found.keep(_columns(scene, world.kept, start), world.kept)
     for path in scene.others:

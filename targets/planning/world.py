@@ -34,13 +34,19 @@ class World(msgspec.Struct, frozen=True):
     wheelbase: float = 0.0
     turning_radius: float = 0.0  # the smallest; 0: it turns on the spot
     reverse: bool = True  # whether such a vehicle goes backwards, too
+    error: float = 0.0  # how far the body may be from where it is sent: errors of tracking and of its position
     seed: int | None = None  # with `iterations`, an answer depends on nothing but the question
     iterations: int | None = None  # bounds the work instead of `seconds`
 
     @property
     def kept(self) -> float:
-        """The least distance of the reference point from obstacles."""
-        return self.radius + self.clearance
+        """The distance of planned paths from obstacles."""
+        return self.radius + max(self.clearance, self.error)
+
+    @property
+    def least(self) -> float:
+        """The distance from obstacles below which the body may touch one."""
+        return self.radius + self.error
 
 
 class Scene(msgspec.Struct, frozen=True):

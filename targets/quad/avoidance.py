@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from itertools import pairwise
 from typing import Any
 
 import msgspec
@@ -18,7 +20,8 @@ from targets.planning.room import Room, fixed
 from targets.planning.room import room as room_of
 from targets.planning.world import Path, Scene, World
 from targets.quad.motion import room
-from targets.quad.rejoin import LEG
+from targets.quad.rejoin import LEG, RUNNING
+from targets.quad.trajectory import BULGE, CORNER
 
 LEG_SECONDS = 0.2  # that a leg back to the path may take to plan: the vehicle stands meanwhile
 RETREATS = (0.1, 0.2, 0.3, 0.4)  # m, how far away from an obstacle places are looked for,
@@ -27,21 +30,32 @@ DIRECTIONS = 16  # ... and in how many directions
 MakePlanning = Callable[[str, World, float], Planning]
 
 
+@dataclass(frozen=True, slots=True)
+class Size:
+    """Metres that a commanded way keeps from obstacles, added up. The settings have the same names."""
+
+    radius: float
+    tracking_error: float = 0.0
+    position_error: float = 0.0
+
+
 class Avoidance:
     """Metres. `height` is that which targets are raised to: the quad plans where it flies, from there upwards."""
 
     def __init__(
-        self, settings: Settings, height: float, radius: float, clearance: float, planner: str, planning: MakePlanning
+        self, settings: Settings, height: float, size: Size, clearance: float, planner: str, planning: MakePlanning
     ) -> None:
         self._fence, self._room = settings.geofence, room(settings.geofence, height)
         self._name = planner
-        world = World(self._room, settings.obstacles, clearance, radius)
+        error = size.tracking_error + size.position_error
+        world = World(self._room, settings.obstacles, clearance, size.radius, error=error)
         self._world, self._standing = world, fixed(settings.obstacles)
         self._planning = planning(planner, world, settings.planner_budget)
-        self._guard = Guard(settings.obstacles, radius)
+        self._guard = Guard(settings.obstacles, asdict(size))
+        # Of a tracking error, the reference cuts corners by as much itself.
+        self._swerving = size.radius + size.position_error + max(0.0, size.tracking_error - CORNER) - BULGE
         self._names = dict(enumerate(peer.name for peer in settings.peers))
-        self._publishers: set[str] = set()  # robots that have published paths
-        self._others: tuple[Path, ...] = ()
+        self.published: dict[str, Path] = {}  # the other robots' paths, by their names
         self._named = Scene()  # what the program named when it called the planner last
         self._asked = False  # for a leg
         self._admitted: Path | None = None  # what was commanded last and may be flown
@@ -64,8 +78,27 @@ class Avoidance:
 
     def others(self, paths: Mapping[int, Path]) -> None:
         """What the other robots have published."""
-        self._others = tuple(paths.values())
-        self._publishers = {self._names.get(pid, str(pid)) for pid in paths}
+        self.published = {self._names.get(pid, str(pid)): path for pid, path in paths.items()}
+
+    @property
+    def _others(self) -> tuple[Path, ...]:
+        return tuple(self.published.values())
+
+    @property
+    def spacing(self) -> float:
+        """The distance that planned paths keep from those of other robots."""
+        return self._world.radius + self._world.kept
+
+    def may_land(self, position: Point, place: Point) -> bool:
+        """See `landing.Surroundings`. Where something stands under the quad, it may land on something else, too."""
+        lifted = self._lifted(place)
+        within = (lifted.x, lifted.y) == (place.x, place.y)
+        way = self.clear(position, place, RUNNING)
+        return within and way and (self._has_ground(place) or not self._has_ground(position))
+
+    def _has_ground(self, place: Point) -> bool:
+        """Return whether no obstacle is below a place."""
+        return self.apart(place, Point(place.x, place.y, self._fence.lo.z), 0.0)
 
     def plan(self, position: Point | None, goal: Point, named: Any) -> Path:
         """A way from `position` to `goal` around the fleet file's obstacles, those that the program names, and the
@@ -86,7 +119,7 @@ class Avoidance:
 
     def _explained(self, position: Point, reason: str) -> str:
         """Why the planner found no way from here, to follow the goal."""
-        past = f", past the paths of {', '.join(sorted(self._publishers))}" if self._publishers else ""
+        past = f", past the paths of {', '.join(sorted(self.published))}" if self.published else ""
         here = f"({position.x:.2f}, {position.y:.2f}, {position.z:.2f})"
         return f"has no path: {reason}" if reason else f"has no path from {here}{past}"
 
@@ -114,7 +147,7 @@ class Avoidance:
     def clear(self, start: Point, end: Point, margin: float) -> bool:
         """See `rejoin.Ways`."""
         here = Room(start)
-        here.keep(self._standing, self._kept(margin))
+        here.keep(self._standing, self._kept(margin), self._world.least)
         return here.clear(start, end)
 
     def apart(self, start: Point, end: Point, margin: float) -> bool:
@@ -122,8 +155,14 @@ class Avoidance:
         kept = self._kept(margin)
         return all(thing.distance(start, end, kept) >= kept for thing in self._standing)
 
+    def flyable(self, way: Path) -> bool:
+        """See `rejoin.Ways`."""
+        here = Room(way[0])
+        here.keep(self._standing, self._swerving)
+        return all(here.clear(a, b) for a, b in pairwise(way))
+
     def _kept(self, margin: float) -> float:
-        return self._world.radius + margin * self._world.clearance
+        return max(self._world.least, self._world.radius + margin * self._world.clearance)
 
     def retreat(self, position: Point) -> Point:
         """See `rejoin.Ways`."""

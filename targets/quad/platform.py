@@ -17,7 +17,7 @@ from koordgen.runtime.datagrams import DatagramLink
 from koordgen.runtime.feed import listen_for_poses
 from koordgen.runtime.geodesy import LocalFrame
 from koordgen.runtime.platform import Finding, Sensed, Unready
-from koordgen.runtime.safety import clamp
+from koordgen.runtime.safety import clamp, inside
 from koordgen.runtime.scans import ScanPort, listen_for_scans
 from koordgen.runtime.settings import BadSettings, Settings
 from koordgen.runtime.values import Point, transmissible
@@ -28,11 +28,12 @@ from targets.mavlink.transport import Transport, opened
 from targets.planning.process import Beside
 from targets.planning.route import commanded, passed
 from targets.planning.unplanned import Unplanned
-from targets.quad.avoidance import Avoidance, MakePlanning
+from targets.quad.avoidance import Avoidance, MakePlanning, Size
 from targets.quad.check import listen
 from targets.quad.diagnosis import findings
 from targets.quad.firmware import Firmware
 from targets.quad.flight import Flight, Phase
+from targets.quad.landing import Landing
 from targets.quad.motion import Motion
 from targets.quad.positioning import Positioning
 from targets.quad.setpoint import Aim, setpoint
@@ -55,6 +56,8 @@ class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     reached_dwell: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 0.3
     scans: str = ""
     radius: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.2
+    tracking_error: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.1
+    position_error: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.05
     clearance: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.3
     planner: str = "rrt-smoothed"
     positioning: Literal["own", "gps_input", "vision", "odometry"] = "own"
@@ -105,11 +108,14 @@ class Quad:
             raise BadSettings(
                 f"settings of {settings.robot}: body: yaw {body.yaw!r} is not keep, forward or an angle"
             ) from None
-        self._avoidance = Avoidance(settings, body.flight_height, body.radius, body.clearance, body.planner, planning)
+        size = Size(body.radius, body.tracking_error, body.position_error)
+        self._avoidance = Avoidance(settings, body.flight_height, size, body.clearance, body.planner, planning)
         self._motion = Motion(
             self._frame, fence, body.flight_height, body.max_speed, body.max_acceleration, body.max_climb,
             body.reached_radius, body.reached_dwell, yaw, ways=self._avoidance, action=settings.safety.missed_action,
         )  # fmt: skip
+        self._landing = Landing(settings.pid, self._avoidance.spacing, self._avoidance)
+        self._steered = False  # whether the last poll steered the quad, and nothing was wrong
         self._connect, self._clock, self._sleep, self._wall = connect, clock, sleep, wall
         self._lidar = ScanPort(body.scans, settings.robot, key, scans)
         self._positioning: Positioning | None = None  # None: the vehicle's own
@@ -184,7 +190,7 @@ class Quad:
         """See Platform."""
         if self._flight is None or self._link is None:
             raise Unready("the quad was not started")
-        self._now = now
+        self._now, self._steered = now, False
         self._lidar.poll(now)
         self._avoidance.poll()
         self._flight.poll(now)
@@ -197,6 +203,7 @@ class Quad:
             self._motion.coast(now)
         elif self._telemetry.fresh(now):
             self._motion.steer(self._link, self._telemetry, now)
+            self._steered = self._positioning is None or not self._positioning.held
         else:
             self._motion.halt(self._link, now)
 
@@ -294,7 +301,7 @@ class Quad:
     def news(self) -> list[str]:
         """See Platform."""
         told = self._positioning.news() if self._positioning is not None else []
-        return [*told, *self._avoidance.news(), *self._motion.news()]
+        return [*told, *self._avoidance.news(), *self._motion.news(), *self._landing.news()]
 
     def hold(self, on: bool, now: float) -> None:
         """See Platform."""
@@ -304,9 +311,22 @@ class Quad:
             self._flight.grounded = on
 
     def rest(self, now: float) -> None:
-        """See Platform: lands. A vehicle that a pilot or a failsafe has taken is left to them."""
-        if self._flight is not None:
+        """See Platform: lands, beside what other robots have published. A vehicle that a pilot or a failsafe has taken
+        is left to them."""
+        if self._flight is not None and not self._moves_aside(now):
             self._flight.rest(now)
+
+    def _moves_aside(self, now: float) -> bool:
+        """Return whether the quad flies to another place to land, because a robot may be below."""
+        position = self._telemetry.position
+        if not self._steered or position is None or not inside(self._fence, position):
+            return False
+        place = self._landing.aside(position, self._telemetry.velocity, self._avoidance.published, now)
+        if place is not None:
+            self._held = False
+            self._motion.hold(False, now)
+            self._motion.command((place,), now)
+        return place is not None
 
     @property
     def rested(self) -> bool:

@@ -14,6 +14,7 @@ from itertools import pairwise
 
 from koordgen.runtime.safety import clamp
 from koordgen.runtime.values import Point, distance
+from targets.planning.world import Path
 from targets.quad.trajectory import ZERO, Limits, State, Trajectory, norm, plan, standing
 
 LEASH_TIME, LEASH_LENGTH = 0.5, 0.5  # s, m: the leash is LEASH_LENGTH + LEASH_TIME * speed
@@ -139,6 +140,22 @@ class Reference:
         self._passed, self._trajectory = self._behind(), None
         self._pursuit.forget()
         return None if state is None else self._halt(state)
+
+    @property
+    def trajectory(self) -> Trajectory | None:
+        """What it runs along now: another one whenever something new has come."""
+        return self._trajectory
+
+    def way(self) -> Path:
+        """Return places ahead on the trajectory, which is near to the straight lines between them: see
+        `Trajectory.chords`. A target in motion is accompanied until it counts as standing. Only when it was started."""
+        trajectory = self._trajectory
+        assert trajectory is not None
+        way = trajectory.chords(self._elapsed)
+        if trajectory.end.velocity != ZERO:
+            until = self._elapsed + self._pursuit.until - self._time
+            way.append(trajectory.at(max(trajectory.seconds, until)).position)
+        return tuple(way)
 
     def follow(self, points: tuple[Point, ...], now: float) -> None:
         """Go by these points from now on; none: stop."""

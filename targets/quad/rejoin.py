@@ -17,8 +17,8 @@ from targets.planning.standstill import Standstill
 from targets.planning.world import Path
 from targets.quad.check import coordinates
 from targets.quad.reference import STANDING, Reference
-from targets.quad.setpoint import RUN_ON, Aim, Shaping
-from targets.quad.trajectory import norm
+from targets.quad.setpoint import Aim, Shaping, runs_on
+from targets.quad.trajectory import Trajectory, norm
 
 LATE = 0.3  # s without a setpoint after which the vehicle may have run on past its reference
 OFF = 0.2  # m from its reference beyond which the straight line back to it is checked
@@ -35,7 +35,6 @@ LEG = 0.75  # ... on a leg back to the path, which may begin a little beside it:
 TIGHT, NEARBY = 0.15, 2.0
 LOOK = 1.0  # s: a reference that heads for an obstacle is no faster than the distance from it over this time,
 SLOWEST = 0.15  # m/s, but always so fast
-RUNS_ON = RUN_ON + 0.5  # s of the last velocity in which an autopilot has run on and stopped
 BISECTIONS = 6  # of a distance that an obstacle limits
 
 
@@ -49,6 +48,10 @@ class Ways(Protocol):
 
     def apart(self, start: Point, end: Point, margin: float) -> bool:
         """Return what `clear` does, but obstacles that are near to the start must be kept away from as well."""
+        ...
+
+    def flyable(self, way: Path) -> bool:
+        """Return whether the reference may go on along these points, which are its own: corners are cut already."""
         ...
 
     def retreat(self, position: Point) -> Point:
@@ -77,6 +80,9 @@ class OpenSpace:
         return True
 
     def apart(self, start: Point, end: Point, margin: float) -> bool:
+        return True
+
+    def flyable(self, way: Path) -> bool:
         return True
 
     def retreat(self, position: Point) -> Point:
@@ -114,6 +120,7 @@ class Rejoin:
         self._polled: float | None = None
         self._standstill = Standstill(action)
         self._no_leg = ""  # why no leg is flown, in words
+        self._checked: Trajectory | None = None  # the reference's, which may be flown
         self._from = Point()  # where the leg that is looked for begins: near the vehicle
         self.held = False
 
@@ -148,6 +155,8 @@ class Rejoin:
             self._brake(position, velocity, now)
         self._look(position, velocity, now)
         self._reference.advance(position, now, self._most(position))
+        if self._stage is Stage.FLYING and not self.held and not self._goes_clear():
+            self._brake(position, velocity, now)
         moves = self._stage is Stage.FLYING and not self.held and not arrived
         if self._standstill.look(position, moves, coordinates(self._reference.ahead[0]), now):
             self._brake(position, velocity, now)
@@ -174,6 +183,14 @@ class Rejoin:
             self._answered(position, velocity, now)
         elif self._stage is Stage.STANDING and now - self._since > RETRY:
             self._choose(position, velocity, now)
+
+    def _goes_clear(self) -> bool:
+        """Return whether the reference keeps away from obstacles. A way that is straight and clear for a vehicle that
+        stands may lead one that moves into an obstacle: it turns in a bow. A target in motion is overshot."""
+        if self._reference.trajectory is self._checked:
+            return True
+        self._checked = self._reference.trajectory
+        return self._ways.flyable(self._reference.way())
 
     def _may_resume(self, position: Point) -> bool:
         """Return whether the reference may go on from where it was paused, at once."""
@@ -250,10 +267,11 @@ class Rejoin:
         if aim.velocity is None:
             return Aim(self._free(position, aim.position), None, aim.yaw)
         p, v = aim.position, aim.velocity
-        level, free, speed = shaping.late[0], distance(p, self._free(p, p + v * RUNS_ON)), norm(v)
-        if free >= RUNS_ON * speed - 1e-9:
+        level, speed, seconds = shaping.late[0], norm(v), runs_on(norm(v))
+        free = distance(p, self._free(p, p + v * seconds))
+        if free >= seconds * speed - 1e-9:
             return aim
-        kept = v * (max(0.0, free - level * speed) / ((RUNS_ON - level) * speed))
+        kept = v * (max(0.0, free - level * speed) / ((seconds - level) * speed))
         given = v - kept
         ahead = Point(given.x * level, given.y * level, given.z * shaping.late[1])
         return Aim(p + ahead * min(1.0, free / max(norm(ahead), 1e-9)), kept, aim.yaw)

@@ -10,7 +10,8 @@ circle of 2 m at 0.8 m/s. The velocity v + p''/KPa gives it back: x = p. What is
 s), and a setpoint takes the link's time. So velocity is sent for 1/KPa and the lean ahead, by the mean of p'' over the
 next third of a second, because p'' jumps; and position and velocity both for the link ahead.
 
-KPv p + v is all that counts. So near the fence, velocity is exchanged for position: 1/KPv metres for each m/s. PX4's
+KPv p + v is all that counts. So near the fence, velocity is exchanged for position: 1/KPv metres for each m/s. When
+setpoints cease, the vehicle runs on to p + RUN_ON v at v, and then needs room to stop. PX4's
 gains come to much the same (MPC_XY_P 0.95/s, MPC_XY_VEL_P_ACC 1.8/s).
 
 The demand KPv (p - x) + v is what the vehicle's velocity goes to. Nothing else limits it, neither for a position alone
@@ -32,7 +33,7 @@ from koordgen.runtime.values import Point
 from targets.mavlink.framing import Message
 from targets.mavlink.link import Vehicle
 from targets.quad.reference import Reference
-from targets.quad.trajectory import ZERO, Limits, State
+from targets.quad.trajectory import ZERO, Limits, State, norm
 
 # Bits of the type mask say what to ignore; position, velocity and acceleration are each used whole or not at all.
 POSITION = 0xDF8
@@ -41,6 +42,9 @@ YAW = 0x400  # taken away when a yaw is given
 
 OBEYED = 0.5  # the part of a demanded change of velocity that is there a third of a second later: 1 - exp(-KPa t)
 RUN_ON = 3.0  # s for which an autopilot keeps the last velocity (GUID_TIMEOUT)
+# How it stops then: after so many seconds of going on, by so many m/s^2, horizontally (WP_ACC) and up (WP_ACC_Z).
+LEANING = 0.3
+BRAKING = (2.5, 1.0)
 
 
 class NotSendable(ValueError):
@@ -106,35 +110,41 @@ def bounded(aim: Aim, here: State, shaping: Shaping, limits: Limits) -> Aim:
     return replace(aim, position=clamp(reach, at + _scaled(demand - velocity, shaping.late)))
 
 
+def runs_on(speed: float, braking: float = BRAKING[0]) -> float:
+    """Return the seconds of a speed (m/s) in which a vehicle would go as far as it does after the last setpoint."""
+    return RUN_ON + LEANING + speed / (2 * braking)
+
+
 def _scaled(p: Point, by: tuple[float, float]) -> Point:
     """The vector times a factor for its horizontal and one for its vertical part."""
     return Point(p.x * by[0], p.y * by[0], p.z * by[1])
 
 
 def _exchanged(position: Point, velocity: Point, shaping: Shaping, box: Box) -> Aim:
-    """The same demand, with as much velocity as leads to no face of the box in RUN_ON."""
+    """The same demand, with as much velocity as leads to no face of the box when the vehicle runs on."""
     axes = [
-        _axis(p, v, lo, hi, late)
-        for p, v, lo, hi, late in zip(
+        _axis(p, v, lo, hi, late, runs_on(abs(v), braking))
+        for p, v, lo, hi, late, braking in zip(
             (position.x, position.y, position.z),
             (velocity.x, velocity.y, velocity.z),
             (box.lo.x, box.lo.y, box.lo.z),
             (box.hi.x, box.hi.y, box.hi.z),
             (shaping.late[0], *shaping.late),
+            (BRAKING[0], *BRAKING),
             strict=True,
         )
     ]
     return Aim(Point(*(p for p, _ in axes)), Point(*(v for _, v in axes)))
 
 
-def _axis(p: float, v: float, lo: float, hi: float, late: float) -> tuple[float, float]:
-    """One axis: position and velocity with p' + RUN_ON v' within lo to hi, and p' + late v' as it was if that is
+def _axis(p: float, v: float, lo: float, hi: float, late: float, seconds: float) -> tuple[float, float]:
+    """One axis: position and velocity with p' + seconds v' within lo to hi, and p' + late v' as it was if that is
     there."""
     p = max(lo, min(p, hi))
     face = hi if v > 0 else lo
-    if (face - p - RUN_ON * v) * (1 if v > 0 else -1) >= 0:
+    if (face - p - seconds * v) * (1 if v > 0 else -1) >= 0:
         return p, v
-    kept = (face - p - late * v) / (RUN_ON - late)
+    kept = (face - p - late * v) / (seconds - late)
     if kept * v <= 0:
         return max(lo, min(p + late * v, hi)), 0.0
     return p + late * (v - kept), kept
@@ -142,7 +152,7 @@ def _axis(p: float, v: float, lo: float, hi: float, late: float) -> tuple[float,
 
 def setpoint(vehicle: Vehicle, frame: LocalFrame, fence: Box, aim: Aim) -> Message:
     """The message for an aim: the position clamped to the fence, the velocity shortened until it leads to no face of it
-    in RUN_ON. Raises NotSendable unless all is finite.
+    when the vehicle runs on. Raises NotSendable unless all is finite.
 
     GLOBAL_INT, because robots share no local frame; AMSL (frame 5), because a height above home would be a height
     above where this vehicle happened to arm. Unused fields are zero, never NaN.
@@ -155,8 +165,9 @@ def setpoint(vehicle: Vehicle, frame: LocalFrame, fence: Box, aim: Aim) -> Messa
     mask, north, east, down = POSITION, 0.0, 0.0, 0.0
     if v is not None:
         mask = POSITION_VELOCITY
-        end = clamp(fence, q + v * RUN_ON)
-        north, east, down = frame.ned(latitude, longitude, *_vector((end - q) / RUN_ON))
+        seconds = runs_on(norm(v))
+        end = clamp(fence, q + v * seconds)
+        north, east, down = frame.ned(latitude, longitude, *_vector((end - q) / seconds))
     heading = 0.0
     if yaw is not None:
         mask, heading = mask & ~YAW, math.remainder(math.pi / 2 - yaw, math.tau)

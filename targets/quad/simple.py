@@ -113,7 +113,7 @@ class SimpleQuad(Quad):
         )  # fmt: skip
         self._phase = Phase.GROUNDED
         self._started = False
-        self._landing = 0.0  # when it began to land
+        self._descent = 0.0  # when it began to land
         self._low: float | None = None  # since when it is as low as the ground, landing
 
     def diagnose(self) -> list[Finding]:
@@ -130,19 +130,20 @@ class SimpleQuad(Quad):
         """See Platform."""
         if not self._started:
             raise Unready("the quad was not started")
-        self._now = now
+        self._now, self._steered = now, False
         self._lidar.poll(now)
         self._avoidance.poll()
         self._see(now)
         if self._phase is Phase.FLYING:
             if self._telemetry.fresh(now):
                 self._direct.fly(self._flyer, self._telemetry, now)
+                self._steered = True
                 return
             self._motion.coast(now)
             self._flyer.fly((0.0, 0.0, 0.0), 0.0)
         elif self._telemetry.position is not None:
             self._move(self._telemetry.position, now)
-        if self._phase is Phase.LANDING and now - max(self._landing, self._telemetry.time or 0.0) > GONE:
+        if self._phase is Phase.LANDING and now - max(self._descent, self._telemetry.time or 0.0) > GONE:
             raise Unready(f"nothing has been heard of the simulated body for {GONE:g} s", "did its simulator end?")
 
     def _see(self, now: float) -> None:
@@ -190,8 +191,10 @@ class SimpleQuad(Quad):
 
     def rest(self, now: float) -> None:
         """See Platform: lands."""
+        if self._moves_aside(now):
+            return
         if self._phase in (Phase.CLIMBING, Phase.FLYING):
-            self._phase, self._landing = Phase.LANDING, now
+            self._phase, self._descent = Phase.LANDING, now
             self._motion.coast(now)
         elif self._phase is Phase.GROUNDED:
             self._phase = Phase.RESTED

@@ -23,6 +23,7 @@ from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point, distance
 
 CORNER = 0.1  # m by which a corner is cut at most, and by which braking amid it leaves the polyline at most
+BULGE = 0.005  # m by which the trajectory differs from its chords at most
 CLOSE = 1e-3  # m; a waypoint nearer than that to the one behind it is the same
 _STILL = 1e-9
 _BISECTIONS = 10
@@ -108,6 +109,21 @@ class Trajectory:
         if i == len(self.pieces):
             return State(self.end.position + self.end.velocity * (t - self.seconds), self.end.velocity)
         return self.pieces[i].at(t - self._ends[i] + self.pieces[i].seconds)
+
+    def chords(self, t: float) -> list[Point]:
+        """Return places from t seconds after the beginning on, to `end`. The trajectory is within BULGE of the straight
+        lines between them."""
+        found = [self.at(t).position]
+        for piece, behind in zip(self.pieces, self._ends, strict=True):
+            begun = behind - piece.seconds
+            if behind <= t:
+                continue
+            v, a = piece.start.velocity, piece.acceleration
+            straight = norm(Point(v.y * a.z - v.z * a.y, v.z * a.x - v.x * a.z, v.x * a.y - v.y * a.x)) < _STILL
+            steps = 1 if straight else math.ceil(piece.seconds * math.sqrt(norm(a) / (8 * BULGE)))
+            times = (begun + piece.seconds * i / steps for i in range(1, steps + 1))
+            found += [self.at(time).position for time in times if time > t]
+        return found
 
     def ahead(self, t: float) -> int:
         """The index of the waypoint that comes next, or the number of waypoints at the end."""

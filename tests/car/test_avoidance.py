@@ -13,6 +13,7 @@ from koordgen.runtime.obstacles import Block, Obstacle
 from koordgen.runtime.platform import Unready
 from koordgen.runtime.values import Point
 from targets.car.avoidance import MakePlanning
+from targets.car.ground import PAD, ground
 from targets.car.platform import Car
 from targets.planning.pipe import Answer
 from targets.planning.process import JUDGE, Inside
@@ -226,3 +227,47 @@ def test_a_car_stops_before_a_path_that_another_publishes_across_its_own_and_goe
     world.car.others({})
     world.run(12.0)
     assert world.value("reached") is True and world.distance(3.0, 0.0) < 0.1
+
+
+@pytest.mark.parametrize("aside", [0.0, 0.1, 0.3])
+def test_a_car_does_not_drive_along_a_lane_in_which_it_stands(aside: float) -> None:
+    """Two cars that have published paths through each other's starts would meet."""
+    world = among()
+    world.car.others({1: (Point(3.0, aside, 0.0), Point(0.0, aside, 0.0))})
+    world.go(3.0, 0.0)
+    world.run(6.0)
+    assert standing(world) and world.distance(0.0, 0.0) < 0.05
+    assert world.car.stall.startswith("target (3.00, 0.00) is not approached: the car stands in robot 1's path")
+    world.car.others({})
+    world.run(8.0)
+    assert world.value("reached") is True and world.distance(3.0, 0.0) < 0.1
+
+
+@pytest.mark.parametrize(
+    "theirs", [(Point(0.1, -3.0, 0.0), Point(0.1, 3.0, 0.0)), (Point(-3.0, 0.5, 0.0), Point(0.3, 0.1, 0.0))]
+)
+def test_a_car_leaves_a_lane_that_its_way_soon_leads_out_of(theirs: tuple[Point, Point]) -> None:
+    world = among()
+    world.car.others({1: theirs})
+    world.go(3.0, 0.0)
+    world.run(12.0)
+    assert world.value("reached") is True and world.distance(3.0, 0.0) < 0.1
+
+
+def test_ways_planned_again_and_again_keep_half_of_the_clearance() -> None:
+    """From a place that is too near to an obstacle a way may lead a little nearer: not each time anew."""
+    standing, away = ground(scenes.world((BOX,))), 0.099
+    for _ in range(50):
+        pose = (1.4, 0.6 + BODY.radius + away, 0.0)
+        kept = away - standing.around(pose, (9.0, 0.0)).slack(*pose)
+        away = min(away, kept + PAD + 1e-9)
+    assert away > 0.5 * BODY.clearance
+
+
+def test_a_clearance_below_the_errors_of_a_car_is_raised_to_them() -> None:
+    world = among(BOX, clearance=0.0, tracking_error=0.1, position_error=0.05)
+    world.go(1.5, 1.0)
+    assert drive(world, 8.0, BOX) > 0.1
+    world.go(1.5, 0.8)
+    world.run(3.0)
+    assert "is too near to obstacle 0 for the car (clearance 0.15 m)" in world.car.stall

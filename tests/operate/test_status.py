@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
+from benchmarks.fixtures.fleet import NAMES
 from koordgen.cli import main
-from tests.runtime.fleet import NAMES
 from tests.runtime.test_process import bundles, start, started
 
 __all__ = ["bundles", "started"]  # fixtures

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
@@ -135,6 +136,21 @@ def test_a_quad_that_is_to_hold_runs_on_by_0_7_m() -> None:
     rig.run(2.0)
     assert 0.4 < max(way) - began < 0.75
     assert max(way) - way[-1] < 0.43
+
+
+def test_a_quad_whose_own_agent_was_frozen_goes_on_from_where_it_has_come_to() -> None:
+    """It runs on with its last velocity, and does not fly back to where its reference waited."""
+    rig = Rig(max_speed=1.0, position=(-5.0, -2.0, 0.0))
+    rig.fly()
+    rig.go(5.5, -2.0)
+    assert rig.run(15.0, lambda: at(rig).x > -1.5)
+    began = at(rig).x
+    rig.pass_time(2.0)
+    assert 1.8 < at(rig).x - began < 2.1
+    way: list[float] = []
+    rig.watch = lambda: way.append(at(rig).x)
+    rig.run(6.0)
+    assert all(b > a - 0.03 for a, b in itertools.pairwise(way)) and way[-1] - began > 4.0
 
 
 def test_a_leg_at_1_m_s_is_flown_faster_by_a_tenth_where_setpoints_lead() -> None:

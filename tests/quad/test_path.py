@@ -13,6 +13,7 @@ from koordgen.runtime.geometry import path_distance
 from koordgen.runtime.obstacles import Block
 from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.values import Grid, Point, distance
+from targets.planning.exact import solid_distance
 from targets.planning.process import Inside
 from targets.quad.platform import Quad
 
@@ -68,8 +69,8 @@ def test_the_planner_answers_from_the_present_place_and_refuses_the_ground() -> 
     assert len(rig.quad.call("Motion.planner", (goal, wall))) > 2
 
 
-def rig_with(obstacle: Block, **body: Any) -> Rig:
-    rig = Rig()
+def rig_with(obstacle: Block, noise: float = 0.0, **body: Any) -> Rig:
+    rig = Rig(noise=noise)
     rig.quad = Quad(
         msgspec.structs.replace(settings(**body), obstacles=(obstacle,)), None, connect=lambda url: rig.wire,
         clock=lambda: rig.now, sleep=rig.pass_time, planning=Inside,
@@ -105,10 +106,63 @@ def test_a_way_into_an_obstacle_is_not_flown_and_told() -> None:
     assert distance(at(rig), here) < 0.1
     (told,) = rig.quad.news()
     assert told.startswith("not flown, holding instead: the way from (1.0")
-    assert "comes within 0.00 m of obstacle 0; the body's radius is 0.2 m" in told
+    rule = "0.35 m are kept: radius 0.2 + tracking_error 0.1 + position_error 0.05"
+    assert f"comes within 0.00 m of obstacle 0; {rule}" in told
     rig.quad.command({"Motion.path": (Point(1.0, 3.0, 1.5), Point(4.0, 3.0, 1.5))}, rig.now)
     assert rig.run(20.0, rig.reached) and distance(at(rig), Point(4.0, 3.0, 1.5)) < 0.3
     assert rig.quad.news() == []
+
+
+PILLAR = Block(Point(-0.2, -0.2, 0.0), Point(0.2, 0.2, 3.8))
+
+
+@pytest.mark.parametrize(("away", "flown"), [(0.3, False), (0.4, True)])
+def test_a_commanded_way_keeps_the_errors_of_tracking_and_position(away: float, flown: bool) -> None:
+    rig = rig_with(PILLAR)
+    rig.fly()
+    rig.quad.command({"Motion.target": Point(0.2 + away, -2.0, 1.5)}, rig.now)
+    rig.run(3.0)
+    rig.quad.command({"Motion.target": Point(0.2 + away, 2.0, 1.5)}, rig.now)
+    assert bool(rig.quad.stall) is not flown
+    rig.quad = rig_with(PILLAR, tracking_error=0.05, position_error=0.02).quad
+    rig.quad.command({"Motion.target": Point(0.2 + away, 2.0, 1.5)}, rig.now)
+    assert rig.quad.stall == ""
+
+
+def nearest(rig: Rig, obstacle: Block) -> list[float]:
+    """The distances of the quad from an obstacle, from now on."""
+    found: list[float] = []
+    rig.watch = lambda: found.append(solid_distance(obstacle, at(rig), at(rig)))
+    return found
+
+
+@pytest.mark.parametrize("noise", [0.005, 0.02])
+def test_a_target_that_creeps_into_an_obstacle_is_not_followed_there(noise: float) -> None:
+    """Each step of it is a small part of the distance that is left."""
+    rig = rig_with(PILLAR, noise=noise)
+    rig.fly()
+    rig.go(1.0, 0.0)
+    rig.run(6.0)
+    gaps, away = nearest(rig, PILLAR), 0.8
+    for _ in range(80):
+        rig.quad.command({"Motion.target": Point(0.2 + away, 0.0, 1.5)}, rig.now)
+        rig.run(0.1)
+        away *= 0.97
+    assert 0.25 < min(gaps) < 0.4
+    assert "comes within" in rig.quad.stall
+
+
+def test_a_quad_in_motion_does_not_turn_into_an_obstacle() -> None:
+    """The straight way to the new target is clear; the bow, on which a quad turns that flies at 1 m/s, is not."""
+    rig = rig_with(PILLAR)
+    rig.fly()
+    rig.quad.command({"Motion.path": (Point(-2.0, -1.0, 1.5), Point(4.0, -1.0, 1.5))}, rig.now)
+    assert rig.run(20.0, lambda: at(rig).x > -0.9 and rig.body.velocity[0] > 0.9)
+    gaps = nearest(rig, PILLAR)
+    back = Point(-0.9, 2.0, 1.5)
+    rig.quad.command({"Motion.target": back}, rig.now)
+    assert rig.run(15.0, rig.reached) and distance(at(rig), back) < 0.2
+    assert min(gaps) > 0.3
 
 
 def test_a_quad_waits_for_its_planner_and_does_not_start_without_one() -> None:

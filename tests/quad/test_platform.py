@@ -9,6 +9,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from benchmarks.fixtures.quad_rig import FENCE, SETPOINT, Rig, at, commands, sent, told
+from koordgen.runtime.geometry import path_distance
 from koordgen.runtime.platform import Platform, Unready
 from koordgen.runtime.values import Point, distance
 from targets.quad.motion import MARGIN
@@ -203,6 +204,38 @@ def test_when_the_agent_dies_in_motion_the_vehicle_stays_within_the_fence() -> N
         assert max(beyond) < 0.0, dead_at
 
 
+@pytest.mark.parametrize(("speed", "dead_at"), [(1.0, 8.2), (1.0, 8.9), (1.0, 9.6), (2.0, 3.9), (2.0, 4.6), (3.0, 3.5)])
+def test_a_vehicle_that_flies_at_the_fence_when_its_agent_dies_stops_before_it(speed: float, dead_at: float) -> None:
+    """After 3 s with the last velocity it still needs room to stop."""
+    rig = Rig(position=(-4.0, -2.0, 0.0), max_speed=speed, max_climb=1.0)
+    rig.fly()
+    rig.go(5.9, -2.0)
+    rig.run(dead_at)
+    assert rig.body.velocity[0] > 0.5
+    farthest = nearest_to_the_fence(rig, 5.0)
+    assert farthest < 0.0
+
+
+@pytest.mark.parametrize("dead_at", [1.2, 1.8, 2.3])
+def test_a_vehicle_that_climbs_when_its_agent_dies_stops_below_the_fence(dead_at: float) -> None:
+    rig = Rig(position=(0.0, 0.0, 0.0), max_climb=1.5, max_speed=1.5)
+    rig.fly()
+    rig.go(0.0, 0.0, 3.9)
+    rig.run(dead_at)
+    assert rig.body.velocity[2] > 0.3
+    assert nearest_to_the_fence(rig, 5.0) < 0.0
+
+
+def nearest_to_the_fence(rig: Rig, seconds: float) -> float:
+    """Let the autopilot fly alone. How far outside the fence the vehicle was, m; negative: it stayed inside."""
+    beyond: list[float] = []
+    for _ in range(round(seconds / 0.05)):
+        rig.pass_time(0.05)
+        x, y, z = rig.body.position
+        beyond.append(max(x - FENCE.hi.x, y - FENCE.hi.y, z - FENCE.hi.z))
+    return max(beyond)
+
+
 def test_it_waits_for_its_first_target_at_the_flight_height() -> None:
     rig = Rig()
     rig.fly()
@@ -235,3 +268,41 @@ def test_a_vehicle_that_does_not_follow_is_noticed_also_in_motion() -> None:
     rig.go(5.0, 3.0)
     with pytest.raises(Unready, match="does not follow"):
         rig.run(15.0)
+
+
+def landed(rig: Rig) -> Point:
+    """End the run. Where the quad stands then."""
+    for _ in range(60):
+        rig.quad.rest(rig.now)
+        if rig.run(0.5, lambda: rig.quad.rested):
+            break
+    assert rig.quad.rested
+    return at(rig)
+
+
+@pytest.mark.parametrize(
+    "below", [(Point(1.2, -2.0, 0.0),), (Point(1.0, -2.0, 1.0),), (Point(-3.0, -2.0), Point(4.0, -2.0))]
+)
+def test_a_quad_lands_beside_a_robot_that_is_below_it(below: tuple[Point, ...]) -> None:
+    """A car, another quad, a path."""
+    rig = Rig()
+    rig.fly()
+    rig.quad.others({1: below})
+    rig.quad.hold(True, rig.now)
+    place = landed(rig)
+    assert path_distance((Point(place.x, place.y),), tuple(Point(p.x, p.y) for p in below)) > 0.6
+    assert distance(place, Point(1.0, -2.0, 0.0)) < 1.2
+    (line,) = rig.quad.news()
+    assert line.startswith("robot 1 may be below: moving to (")
+
+
+def test_a_quad_lands_where_it_is_beside_others_as_high_and_without_a_free_place() -> None:
+    rig = Rig()
+    rig.fly()
+    rig.quad.others({1: (Point(1.4, -2.0, 1.45),)})
+    assert distance(landed(rig), Point(1.0, -2.0, 0.0)) < 0.2 and rig.quad.news() == []
+    rig = Rig()
+    rig.fly()
+    rig.quad.others({pid: (Point(-3.0, 0.5 * pid - 5.0), Point(4.0, 0.5 * pid - 5.0)) for pid in range(1, 12)})
+    assert distance(landed(rig), Point(1.0, -2.0, 0.0)) < 0.2
+    assert "there is no free place within 1.6 m" in rig.quad.news()[0]

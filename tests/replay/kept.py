@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from benchmarks.fixtures.fleet import NAMES
 from koordgen.runtime.trace_parts import Parts
 from tests.replay.runs import Run, _start
-from tests.runtime.fleet import NAMES
 
 
 class Kept(Run):

@@ -14,9 +14,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from benchmarks.fixtures.fleet import NAMES, settings
 from koordgen.runtime.notify import Notifier
 from koordgen.runtime.settings import Peer
-from tests.runtime.fleet import NAMES, settings
 from tests.runtime.transports import free_ports
 
 MAIN = str(Path(__file__).with_name("robot_main.py"))

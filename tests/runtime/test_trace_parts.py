@@ -14,14 +14,14 @@ from typing import Any
 
 import pytest
 
+from benchmarks.fixtures.fleet import Fleet, settings
+from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime import doctor
 from koordgen.runtime.agent import _open_trace
 from koordgen.runtime.settings import BadSettings, load
 from koordgen.runtime.trace import Trace
 from koordgen.runtime.trace_parts import Parts
 from tests.disk import small_disk
-from tests.runtime.fleet import Fleet, settings
-from tests.runtime.lineform import PROGRAM
 from tests.runtime.test_settings import written
 
 

@@ -1,10 +1,12 @@
-"""Paths through doors, windows and pillars in lockstep, with freezes, holds, restarts and losses: does a body touch?
+"""Paths and targets amid obstacles in lockstep, with freezes, holds, restarts and losses: does a body touch?
 
     python -m tests.sim.clearance_campaign --from 0 --count 500 --folder build/clearance
+    python -m tests.sim.clearance_campaign --scenes targets --from 0 --count 100 --folder build/clearance-targets
 
-Each seed is one run of a small fleet of quads and cars at fidelity `full`. Results go into `results-FROM.jsonl`, one
-line a seed; called again with the same `--from`, the command goes on behind the last line. Bundle and trace of a run in
-which anything touched stay in the folder. Several slices may run at once.
+Each seed is one run of a small fleet of quads and cars at fidelity `full`: along planned paths through doors, windows
+and pillars, or, in the scene `targets`, after targets that are set every round, near to pillars and in them. Results go
+into `results-FROM.jsonl`, one line a seed; called again with the same `--from`, the command goes on behind the last
+line. Bundle and trace of a run in which anything touched stay in the folder. Several slices may run at once.
 """
 
 from __future__ import annotations
@@ -12,10 +14,11 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import math
 import shutil
 import time
 from argparse import ArgumentParser
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -26,9 +29,12 @@ from targets.sim import harness
 DURATION = 20.0  # seconds of each mission
 NORTH, SOUTH = (5.4, 6.8), (1.2, 2.6)  # metres: where starts and goals lie, on both sides of the wall
 ROOM = 8.0  # metres: the sides of the square arena
+TARGETS = ("quad", "car")
 WALL = (3.95, 4.05)  # metres: the faces of the wall
 NAMES, COLUMNS = ("ann", "bob"), (2.0, 6.0)  # robots, and the metres from west of their starts and goals
 HIGH = 3.1  # metres, higher than the geofence
+EACH = 150  # targets of a robot: rounds
+SIZE = {"quad": 0.2, "car": 0.14}  # metres: half of a robot's width
 
 PROGRAM = """\
 # Each robot goes to `each` goals along planned paths, and is held by its monitor for a while when it is startled.
@@ -105,10 +111,43 @@ Beat:
 invariant Calm: forall i in ID: calm[i]
 """
 
+FOLLOWING = """\
+# Each robot is given a target in every round.
+param List<Point> targets max 300 = [Point(0, 0, 0)]
+param int each = 1
+
+using Motion:
+  actuators: Point target
+  sensors: Point position
+
+local:
+  int beats = 0
+
+init:
+  Motion.target = targets[pid * each]
+
+Follow:
+  pre: beats < each
+  eff: atomic:
+    Motion.target = targets[pid * each + beats]
+    beats += 1
+"""
+
 
 def box(lo: tuple[float, float, float], hi: tuple[float, float, float]) -> dict[str, Any]:
     """An obstacle of the fleet file."""
     return {"lo": [round(v, 3) for v in lo], "hi": [round(v, 3) for v in hi]}
+
+
+def pillar(x: float, y: float, radius: float) -> dict[str, Any]:
+    """An obstacle as high as the walls."""
+    return {"base": [round(x, 3), round(y, 3), 0.0], "radius": round(radius, 3), "height": HIGH}
+
+
+def robot(pid: int, target: str, place: tuple[float, float], yaw: float) -> dict[str, Any]:
+    """A robot of the fleet file, with its start."""
+    start = {"position": [*place, 0.0], "yaw": round(yaw, 3)}
+    return {"name": NAMES[pid], "target": target, "address": f"127.0.0.1:{47100 + pid}", "start": start}
 
 
 def wall_with(west: float, east: float) -> list[dict[str, Any]]:
@@ -147,20 +186,20 @@ def pillars(dice: Random) -> list[dict[str, Any]]:
         x = dice.uniform(0.4, 1.6)
         while x < ROOM - 0.3:
             radius = dice.uniform(0.12, 0.25)
-            base = [round(x, 3), round(y + dice.uniform(-0.1, 0.1), 3), 0.0]
-            found.append({"base": base, "radius": round(radius, 3), "height": HIGH})
+            found.append(pillar(x, y + dice.uniform(-0.1, 0.1), radius))
             x += dice.uniform(1.5, 2.1)
     return found
 
 
-SCENES = {"door": door, "window": window, "pillars": pillars}
+PATHS = {"door": door, "window": window, "pillars": pillars}
+SCENES = (*sorted(PATHS), "targets")
 
 
 def fleet(dice: Random, scene: str) -> dict[str, Any]:
     """The fleet file of a seed: two robots, each with a goal beyond the wall and one back."""
     robots, goals, startles = [], [], []
     for pid, x in enumerate(COLUMNS):
-        target = dice.choice(("quad", "car"))
+        target = dice.choice(TARGETS)
         z = 0.0 if target == "car" else dice.uniform(1.4, 1.7)
         there, here = dice.choice(((NORTH, SOUTH), (SOUTH, NORTH)))
 
@@ -168,27 +207,65 @@ def fleet(dice: Random, scene: str) -> dict[str, Any]:
             return [round(x + dice.uniform(-0.7, 0.7), 3), round(dice.uniform(*band), 3), round(z, 3)]
 
         start = place(here)
-        robots.append(
-            {
-                "name": NAMES[pid], "target": target, "address": f"127.0.0.1:{47100 + pid}",
-                "start": {"position": [*start[:2], 0.0], "yaw": round(dice.uniform(-3.1, 3.1), 3)},
-            }
-        )  # fmt: skip
+        robots.append(robot(pid, target, (start[0], start[1]), dice.uniform(-3.1, 3.1)))
         goals += [place(there), place(here)]
         scared = sorted(dice.randint(10, 150) for _ in range(dice.randint(0, 2)))
         startles += scared + [-1] * (2 - len(scared))
+    more = {"avoid": "ways", "planner_budget": 0.05, "monitors": {"Calm": "hold"}}
+    return common(robots, {"goals": goals, "startles": startles}, PATHS[scene](dice)) | more
+
+
+def common(robots: list[dict[str, Any]], params: dict[str, Any], obstacles: list[dict[str, Any]]) -> dict[str, Any]:
+    """What all fleet files have."""
     return {
         "delta": 0.1,
         "origin": {"latitude": 47.4, "longitude": 8.5, "altitude": 488.0},
         "geofence": {"lo": [0.0, 0.0, -0.5], "hi": [ROOM, ROOM, 3.0]},
-        "avoid": "ways",
-        "planner_budget": 0.05,
-        "monitors": {"Calm": "hold"},
-        "params": {"goals": goals, "startles": startles},
+        "params": params,
         "robots": robots,
         "sim": {"boot": 0.5},
-        "obstacles": SCENES[scene](dice),
+        "obstacles": obstacles,
     }
+
+
+def following(dice: Random) -> dict[str, Any]:
+    """The fleet file of a seed: each robot has half of the room for itself, and follows targets among pillars."""
+    robots, targets, obstacles = [], [], []
+    for pid, x in enumerate(COLUMNS):
+        target = dice.choice(TARGETS)
+        z = 0.0 if target == "car" else 1.5
+        here = (x, 1.0)
+        places = [(x + dice.uniform(-1.4, 1.4), y + dice.uniform(-0.3, 0.3)) for y in (2.8, 4.6, 6.4)]
+        radii = [dice.uniform(0.15, 0.5) for _ in places]
+        obstacles += [pillar(*place, radius) for place, radius in zip(places, radii, strict=True)]
+        robots.append(robot(pid, target, here, dice.uniform(-3.1, 3.1)))
+        near = [(*place, radius + SIZE[target]) for place, radius in zip(places, radii, strict=True)]
+        targets += [[round(p, 3), round(q, 3), z] for p, q in moving(dice, here, x, near)]
+    found = common(robots, {"targets": targets, "each": EACH}, obstacles)
+    found["sim"]["position_noise"] = dice.choice((0.005, 0.02))
+    return found
+
+
+def moving(
+    dice: Random, here: tuple[float, float], x: float, near: list[tuple[float, float, float]]
+) -> Iterator[tuple[float, float]]:
+    """Targets of all rounds: each jumps or glides to the next place. `near` are circles (x, y, radius) by which many of
+    these lie; a robot with a target on a circle just touches the pillar."""
+    left = EACH
+    while left > 0:
+        a, b, radius = dice.choice(near)
+        turn, away = dice.uniform(-math.pi, math.pi), radius + dice.uniform(-0.1, 0.5)
+        there = (a + away * math.cos(turn), b + away * math.sin(turn))
+        there = (max(x - 1.7, min(x + 1.7, there[0])), max(0.5, min(ROOM - 0.5, there[1])))
+        steps = dice.randint(4, 30)
+        if dice.random() < 0.5:
+            steps = max(1, round(math.dist(here, there) / (0.1 * dice.uniform(0.3, 1.1))))
+        glides = dice.random() < 0.5
+        for i in range(1, min(steps, left) + 1):
+            share = i / steps if glides else 1.0
+            yield here[0] + share * (there[0] - here[0]), here[1] + share * (there[1] - here[1])
+        left -= steps
+        here = there
 
 
 def faults(dice: Random) -> dict[str, Any]:
@@ -208,10 +285,12 @@ def faults(dice: Random) -> dict[str, Any]:
     return {"network": {"loss": round(dice.choice((0.0, 0.1, 0.3)), 2), "jitter": 0.005}, "events": events}
 
 
-def simulated(folder: Path, fleet: dict[str, Any], faults: dict[str, Any], seed: int, duration: float) -> Any:
+def simulated(
+    folder: Path, fleet: dict[str, Any], faults: dict[str, Any], seed: int, duration: float, program: str = PROGRAM
+) -> Any:
     """Build and run a fleet in lockstep; `folder` gets program, fleet file, bundle and run. The summary. Raises
     RuntimeError when it cannot be run."""
-    files = {"tour.koord": PROGRAM, "fleet.yaml": json.dumps(fleet), "faults.json": json.dumps(faults)}
+    files = {"tour.koord": program, "fleet.yaml": json.dumps(fleet), "faults.json": json.dumps(faults)}
     for name, text in files.items():
         (folder / name).write_text(text)
     said = io.StringIO()
@@ -229,14 +308,17 @@ def simulated(folder: Path, fleet: dict[str, Any], faults: dict[str, Any], seed:
     return json.loads((folder / "run" / "summary.json").read_text())
 
 
-def ran(seed: int, folder: Path, duration: float = DURATION) -> dict[str, Any]:
+def ran(seed: int, folder: Path, duration: float = DURATION, scenes: Sequence[str] = tuple(PATHS)) -> dict[str, Any]:
     """Run one seed. `contacts` are those of the mission: a quad that lands in a window after it stands on a sill."""
     dice = Random(seed)
-    scene = sorted(SCENES)[seed % len(SCENES)]
+    scene = sorted(scenes)[seed % len(scenes)]
     began = time.process_time()
-    made, meanwhile = fleet(dice, scene), faults(dice)
-    meanwhile["events"] = [event for event in meanwhile["events"] if event["at"] + event["for"] < duration]
-    summary = simulated(folder, made, meanwhile, seed, duration)
+    if scene in PATHS:
+        made, meanwhile, program = fleet(dice, scene), faults(dice), PROGRAM
+    else:
+        made, meanwhile, program = following(dice), {}, FOLLOWING
+    meanwhile["events"] = [event for event in meanwhile.get("events", []) if event["at"] + event["for"] < duration]
+    summary = simulated(folder, made, meanwhile, seed, duration, program)
     found: dict[bool, list[str]] = {True: [], False: []}
     for v in summary["violations"]:
         if v["what"] != "property":  # a robot that is startled
@@ -260,7 +342,7 @@ def told(log: Path) -> list[str]:
     return [line for line in log.read_text().splitlines() if any(words in line for words in wanted)]
 
 
-def slice_of(first: int, count: int, folder: Path) -> Iterator[dict[str, Any]]:
+def slice_of(first: int, count: int, folder: Path, scenes: Sequence[str]) -> Iterator[dict[str, Any]]:
     """Results of these seeds, those of an earlier call included."""
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / f"results-{first}.jsonl"
@@ -270,7 +352,7 @@ def slice_of(first: int, count: int, folder: Path) -> Iterator[dict[str, Any]]:
         own = folder / f"seed-{seed}"
         shutil.rmtree(own, ignore_errors=True)
         own.mkdir()
-        result = ran(seed, own)
+        result = ran(seed, own, scenes=scenes)
         with file.open("a") as out:
             out.write(json.dumps(result) + "\n")
         if not result["contacts"]:
@@ -284,9 +366,10 @@ def main() -> int:
     parser.add_argument("--from", dest="first", type=int, default=0)
     parser.add_argument("--count", type=int, default=500)
     parser.add_argument("--folder", type=Path, default=Path("build/clearance"))
+    parser.add_argument("--scenes", nargs="+", choices=SCENES, default=tuple(PATHS))
     options = parser.parse_args()
     touched = 0
-    for runs, result in enumerate(slice_of(options.first, options.count, options.folder), 1):
+    for runs, result in enumerate(slice_of(options.first, options.count, options.folder, options.scenes), 1):
         touched += bool(result["contacts"])
         print(f"{runs} runs, {touched} with a contact: {json.dumps(result)}", flush=True)
     return 1 if touched else 0

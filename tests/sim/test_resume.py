@@ -1,4 +1,4 @@
-"""Whole fleets that hold and resume amid obstacles, in lockstep: nothing touches, and all arrive."""
+"""Whole fleets in lockstep that hold and resume amid obstacles, and land: nothing touches, and all arrive."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from tests.sim.clearance_campaign import ran, simulated, wall_with
+from tests.sim.clearance_campaign import common, ran, robot, simulated, wall_with
 
 HALF = 0.65  # metres: half of the door's width
 
@@ -45,3 +45,40 @@ def test_a_quad_goes_on_behind_the_door_that_it_has_passed(tmp_path: Path, event
 def test_a_run_of_the_campaign_without_contacts(tmp_path: Path) -> None:
     """A quad is frozen before a door. `make clearance-campaign` runs many seeds, and for longer."""
     assert ran(18, tmp_path, duration=6.0)["contacts"] == []
+
+
+def test_a_run_of_the_campaign_after_targets(tmp_path: Path) -> None:
+    assert ran(2, tmp_path, duration=4.0, scenes=("targets",))["contacts"] == []
+
+
+MEETING = """\
+param List<Point> goals max 2 = [Point(0, 0, 0), Point(0, 0, 0)]
+
+using Motion:
+  actuators: Point target
+  sensors:
+    Point position
+    bool reached
+
+allread:
+  Point places[N_SYS]
+
+init:
+  Motion.target = goals[pid]
+  places[pid] = goals[pid]
+
+Stay:
+  pre: False
+  eff: places[pid] = Motion.position
+"""
+
+
+@pytest.mark.parametrize(("lower", "height"), [("car", 0.0), ("quad", 1.5)])
+def test_a_quad_that_ends_above_another_robot_lands_beside_it(tmp_path: Path, lower: str, height: float) -> None:
+    robots = [robot(0, "quad", (2.0, 1.0), 0.0), robot(1, lower, (4.0, 4.0), 0.0)]
+    fleet = common(robots, {"goals": [[4.0, 4.0, 2.6], [4.0, 4.0, height]]}, [])
+    fleet |= {"avoid": "places", "sim": {"boot": 0.5, "fidelity": "simple"}}
+    summary = simulated(tmp_path, fleet, {"events": []}, seed=0, duration=7.0, program=MEETING)
+    assert summary["violations"] == []
+    log = (tmp_path / "run" / "robots" / "ann" / "log.txt").read_text()
+    assert "robot bob may be below: moving to (" in log
