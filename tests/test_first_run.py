@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.cli.options import parsed
+from koordgen.cli.commands import parsed
 
 ROOT = Path(__file__).parents[1]
 
