@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import shutil
 import subprocess
 import sys
 from itertools import pairwise
@@ -204,7 +205,7 @@ def test_a_disk_that_is_full_ends_the_trace_once_and_what_stands_is_read(tmp_pat
 def test_doctor_says_whether_there_is_room_for_the_trace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "trace-1.jsonl").write_bytes(bytes(3_000_000))
     free = SimpleNamespace(free=10_000_000)
-    monkeypatch.setattr("shutil.disk_usage", lambda place: free)
+    monkeypatch.setattr(shutil, "disk_usage", lambda place: free)
     assert doctor._trace(tmp_path / "trace.jsonl", 12.0).state == "ok"
     little, unlimited = doctor._trace(tmp_path / "trace.jsonl", 14.0), doctor._trace(tmp_path / "trace.jsonl", None)
     assert (little.state, little.wanted, unlimited.state) == ("warn", "11 MB free", "warn")
