@@ -54,7 +54,7 @@ ITERATIONS = 200
 RUNS = 5  # of ours with 40 ms in each scene
 BUDGETS = (0.01, 0.04, 0.06, 0.3, 0.6)  # seconds, in rooms with walls
 QUICK_STEP = 12  # with --quick: every so many queries
-PEERS_STEP = 6  # the peers answer every sixth of the queries: one answer can take 10 s
+PEERS_STEP = 6  # the peers answer every sixth of the queries: one answer can take a minute
 
 
 @dataclass
