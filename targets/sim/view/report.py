@@ -23,6 +23,7 @@ from targets.sim.summary import (
     stalled,
     summarise,
     told,
+    waits,
     warned,
 )
 from targets.sim.trace import Header, Log, Monitor, Phase, Record, Round, Verdict, Violation, fault_text, read
@@ -167,6 +168,8 @@ def _facts(summary: Summary) -> str:
             f"real-time factor {summary.real_time_factor:.3f}; {summary.late_steps} of {summary.steps} steps late, "
             f"{summary.late_in_mission} of them in the mission"
         )
+    if summary.host_waits:
+        facts["host"] = waits(summary.host_waits)
     return _pairs(facts)
 
 
