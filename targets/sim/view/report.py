@@ -134,7 +134,7 @@ def _properties(found: Sequence[Verdict]) -> str:
 
 
 def _warnings(robots: list[RobotSummary]) -> str:
-    """What robots warned of, and when they had no way."""
+    """The warnings of robots, and their times without a way."""
     found = sorted(
         [(each.since, warned(robot.name, each)) for robot in robots for each in robot.warnings]
         + [(each.since, stalled(robot.name, each)) for robot in robots for each in robot.stalls]
