@@ -36,8 +36,8 @@ class Stalled(msgspec.Struct):
 
 
 class Warned(msgspec.Struct):
-    """A warning of a robot's agent, such as a command clamped at the geofence or a set-point refused: when first (s), in
-    which words then, and how often. The numbers in the words may differ."""
+    """A warning of a robot's agent, such as a command clamped at the geofence or a set-point refused: when first (s),
+    in which words then, and how often. The numbers in the words may differ."""
 
     since: float
     text: str
