@@ -101,7 +101,7 @@ def _own(of: Of, values: Values) -> Iterator[Change]:
 
 
 def _set(belief: Belief, change: Change) -> bool:
-    """Whether the value is another than before."""
+    """Keep the value; return whether it is another than before."""
     groups = {"sensor": belief.sensors, "local": belief.locals, "actuator": belief.actuators, "shared": belief.shared}
     group = groups[change.of]
     key: Any = change.name

@@ -40,10 +40,7 @@ if TYPE_CHECKING:
     from targets.sim.windows import Windows
 
 HELD, BAD_FILES, USAGE, VIOLATED, SURROUNDINGS, HOST, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 5, 6, 70, 130
-STATUS = {
-    "held": HELD, "violated": VIOLATED, "host overloaded": HOST, "interrupted": INTERRUPTED,
-    "not started": SURROUNDINGS,
-}  # fmt: skip
+STATUS = {"held": HELD, "violated": VIOLATED, "interrupted": INTERRUPTED, "not started": SURROUNDINGS}
 REAL_TIME = (
     "real time on this host: the same seed gives the same world and the same sensor noise, but not the same timing of "
     "processes and datagrams"
@@ -271,6 +268,8 @@ def _run(
     _print(f"{'run' if options.no_report else 'report'}: {left}")
     if guide is not None and outcome.ended != "interrupted":
         return _followed(guide, outcome)
+    if found.verdict == "host overloaded":
+        return _fail(HOST, "the host was overloaded, so this run does not judge the program", summary.AGAIN)
     return STATUS[found.verdict] if outcome.ended != "died" else VIOLATED
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Literal
 
@@ -23,7 +23,7 @@ Verdict = Literal["held", "violated", "host overloaded", "interrupted", "not sta
 
 LEFT_OPEN = "; not judged to the end: "  # in the reason of a run that held, before its properties
 MOST_WARNINGS = 50  # different ones of a robot
-AGAIN = "The run does not judge the program: run it again with --lockstep, or when the host has less to do"
+AGAIN = "run it again with --lockstep, or when the host has less to do"
 
 
 class Stalled(msgspec.Struct):
@@ -37,8 +37,8 @@ class Stalled(msgspec.Struct):
 
 
 class Warned(msgspec.Struct):
-    """What a robot's agent warned of, a command clamped at the geofence or a set-point refused, say: when first (s), in
-    which words then, and how often; the numbers in the words may differ."""
+    """A warning of a robot's agent, such as a command clamped at the geofence or a set-point refused: when first (s),
+    in which words then, and how often. The numbers in the words may differ."""
 
     since: float
     text: str
@@ -119,14 +119,8 @@ def summarise(header: Header, records: Iterable[Record], outcome: Outcome) -> Su
         match record:
             case Monitor() if not ended:
                 monitored.take(record)
-            case Pose(pid=pid) if pid in tallies:
-                tallies[pid].pose(record, ended)
-            case Round(pid=pid) if pid in tallies and not ended:
-                tallies[pid].round(record)
-            case Stall(pid=pid) if pid in tallies and not ended:
-                tallies[pid].stall(record)
-            case Log(pid=pid) if pid in tallies:
-                tallies[pid].log(record)
+            case Pose() | Round() | Stall() | Log() if record.pid in tallies:
+                tallies[record.pid].take(record, ended)
             case Violation():
                 violations.append(record)
             case Found():
@@ -186,6 +180,18 @@ class _Tally:
         self._delta = delta
         self._last: Vector | None = None
         self._round = 0
+
+    def take(self, record: Pose | Round | Stall | Log, ended: bool) -> None:
+        """Take in a record of the robot; `ended`: the mission is over."""
+        match record:
+            case Pose():
+                self.pose(record, ended)
+            case Log():
+                self.log(record)
+            case Round() if not ended:
+                self.round(record)
+            case Stall() if not ended:
+                self.stall(record)
 
     def pose(self, pose: Pose, ended: bool) -> None:
         own = self.summary
@@ -249,7 +255,7 @@ def _verdict(outcome: Outcome, violations: list[Violation], properties: list[Fou
     if own:
         return "violated", first
     if violations:
-        return "host overloaded", f"{first}. {AGAIN}"
+        return "host overloaded", f"{first}. The run does not judge the program: {AGAIN}"
     how = "all robots ended by themselves" if outcome.ended == "stopped" else "the whole duration was simulated"
     left = "; ".join(f"{_named(found)}, {found.outcome}{_since(found)}" for found in properties if _open(found))
     return "held", f"{how}, and nothing was violated" + (f"{LEFT_OPEN}{left}" if left else "")
@@ -301,6 +307,13 @@ def stalled(robot: str, stall: Stalled) -> str:
     return f"{robot} from {seconds(stall.since)} s {until}: {stall.why}"
 
 
+def waits(seconds_of: Mapping[str, float]) -> str:
+    """For how long processes waited for a processor core, in words."""
+    longest = max(seconds_of, key=seconds_of.__getitem__)
+    whole = sum(seconds_of.values())
+    return f"processes waited {whole:.2f} s for a processor core, {longest} the longest: {seconds_of[longest]:.2f} s"
+
+
 def warned(robot: str, warning: Warned) -> str:
     """A warning in one line."""
     often = f" ({warning.times} times)" if warning.times > 1 else ""
@@ -342,11 +355,7 @@ def as_text(summary: Summary) -> str:
     late = f"{summary.late_steps} late, {summary.late_in_mission} of them in the mission"
     lines.append(f"world: {summary.steps} steps, {late}, real-time factor {summary.real_time_factor:.3f}")
     if summary.host_waits:
-        longest = max(summary.host_waits, key=summary.host_waits.__getitem__)
-        lines.append(
-            f"the host: processes waited {sum(summary.host_waits.values()):.2f} s for a processor core, the longest: "
-            f"{longest}, {summary.host_waits[longest]:.2f} s"
-        )
+        lines.append(f"the host: {waits(summary.host_waits)}")
     if summary.shares:
         parts = (f"{part} {share:.0%}" for part, share in summary.shares.items())
         lines.append(f"the processor's time: {', '.join(parts)}")

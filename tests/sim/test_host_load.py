@@ -164,7 +164,8 @@ def test_a_run_whose_agents_had_no_core_has_its_own_status(
         assert found["verdict"] == verdict
         assert "the host gave r0's agent no core" in found["violations"][0]["host"]
         assert set(found["host_waits"]) == {"r0", "r1", SIMULATOR}
-        said = capsys.readouterr().out
+        said, error = capsys.readouterr()
+        assert error.startswith("error: the host was overloaded") == (status == 6)
         assert ":0:" not in said and (report or ":0:" not in (out / "report.html").read_text())
         assert ("--lockstep" in said) == (status == 6)
         assert ("a.koord:3: 1 / 0" in found["why"]) == (status == 3)

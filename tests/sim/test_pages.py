@@ -127,7 +127,7 @@ def test_the_report_shows_what_each_robot_knew(tmp_path: Path) -> None:
 
 
 def believed(pid: int, at: float) -> str:
-    """What the page shows of a robot's copy and its locals."""
+    """The robot's copy and its locals, as the page shows them."""
     return (
         f"(() => {{ const robot = model.robots[{pid}], at = {at}, copy = {{}}, own = {{}}; "
         "for (const v of model.shared) for (const [k, s] of v.series) { "

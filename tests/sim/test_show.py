@@ -1,4 +1,4 @@
-"""What each robot of a run knew at a time: by `koordgen show`, as tables, and as its agent itself knew it."""
+"""The knowledge of each robot of a run at a time: by `koordgen show`, as tables, and as its agent itself knew it."""
 
 from __future__ import annotations
 

@@ -7,8 +7,8 @@ from typing import Any
 # Okabe and Ito, Color Universal Design (2008), without the yellow that vanishes on white. page/draw.js has the same.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 DASHES: tuple[Any, ...] = ("-", (0, (6, 2)), (0, (2, 1.5)), (0, (6, 2, 1.5, 2)))
-RED, AMBER, GREEN, DIM, GREY, STONE = "#B00020", "#E69F00", "#1B7F4B", "#5F6368", "#777777", "#CCCCCC"
-STATES = (DIM, AMBER, GREEN)  # of markers: to do, taken, done
+RED, AMBER, GREEN, VIOLET, GREY, STONE = "#B00020", "#E69F00", "#1B7F4B", "#6B4C9A", "#777777", "#CCCCCC"
+STATES = (VIOLET, AMBER, GREEN)  # of markers: to do, taken, done
 
 
 def of_robot(pid: int) -> str:

@@ -1,4 +1,4 @@
-"""What can be made of a run that is over: `koordgen report`, `koordgen export` and `koordgen show`."""
+"""Commands on a run that is over: `koordgen report`, `koordgen export` and `koordgen show`."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ def export(given: str, to: str, out: str | None) -> Path:
 
 
 def show(given: str, at: float | None, form: str) -> str:
-    """What each robot of a run's folder or merged trace knew at a time (s since round 1), as `text` or `json`; without
-    a time at the first violation, else at the mission's end. Raises BadTrace."""
+    """Return what each robot of a run's folder or merged trace knew at a time (s since round 1), as `text` or `json`;
+    without a time at the first violation, else at the mission's end. Raises BadTrace."""
     from targets.sim.trace import read
     from targets.sim.view import show
 

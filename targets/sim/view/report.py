@@ -23,6 +23,7 @@ from targets.sim.summary import (
     stalled,
     summarise,
     told,
+    waits,
     warned,
 )
 from targets.sim.trace import Header, Log, Monitor, Phase, Record, Round, Verdict, Violation, fault_text, read
@@ -133,7 +134,7 @@ def _properties(found: Sequence[Verdict]) -> str:
 
 
 def _warnings(robots: list[RobotSummary]) -> str:
-    """What robots warned of, and when they had no way."""
+    """The warnings of robots, and their times without a way."""
     found = sorted(
         [(each.since, warned(robot.name, each)) for robot in robots for each in robot.warnings]
         + [(each.since, stalled(robot.name, each)) for robot in robots for each in robot.stalls]
@@ -167,6 +168,8 @@ def _facts(summary: Summary) -> str:
             f"real-time factor {summary.real_time_factor:.3f}; {summary.late_steps} of {summary.steps} steps late, "
             f"{summary.late_in_mission} of them in the mission"
         )
+    if summary.host_waits:
+        facts["host"] = waits(summary.host_waits)
     return _pairs(facts)
 
 

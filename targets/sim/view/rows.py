@@ -152,7 +152,7 @@ class Rows:
                 self._markers.value(name, value, t)
 
     def _writes(self, record: Init | Round, number: int, t: float) -> None:
-        """What was written: into the shared store, locals, and where to go, a path or a single target."""
+        """Add rows for what was written: locals, the shared store, and where to go, a path or a single target."""
         for name, raw in record.locals.items():
             self._add("locals", [record.pid, t, number, name, _decoder.decode(raw)])
         for name, raw in record.shared.items():

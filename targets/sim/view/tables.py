@@ -64,7 +64,7 @@ def write(folder: Path, header: Header, records: Iterable[Record]) -> None:
 
 
 def _believed(record: Record, beliefs: Beliefs, names: dict[int, str]) -> Iterator[tuple[str, Row]]:
-    """What a robot knows from now on of locals and, by its copy, of shared variables; others' rows are in `values`."""
+    """Rows for what a robot knows from now on: locals, and shared variables by its own copy."""
     for change in beliefs.take(record):
         if change.of in ("local", "shared") and isinstance(record, (Init, Round)):
             robot, slot = names[record.pid], "" if change.slot is None else names.get(change.slot, str(change.slot))

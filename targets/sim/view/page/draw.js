@@ -5,7 +5,7 @@
 const COLOURS = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000"];
 const DASHES = [[], [9, 4], [3, 3], [10, 3, 3, 3]];
 const RED = "#B00020", INK = "#1d1d1f", DIM = "#5f6368", AMBER = "#b36b00", LINE = "#e4e4e7", STONE = "#cfcfd3", STONE_EDGE = "#8a8a90";
-const STATES = [[DIM, "to do"], ["#E69F00", "taken"], ["#1B7F4B", "done"]];
+const STATES = [["#6B4C9A", "to do"], ["#E69F00", "taken"], ["#1B7F4B", "done"]];
 const FONT = "12px system-ui, 'DejaVu Sans', sans-serif";
 
 const colour = (pid) => COLOURS[pid % COLOURS.length];
