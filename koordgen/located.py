@@ -13,6 +13,7 @@ from typing import Any
 import yaml
 
 from koordgen.source import Source, Span
+from koordgen.yaml_mistakes import mistake
 
 # The C parser of libyaml is ten times faster; wheels of PyYAML have it, some distributions do not.
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -40,14 +41,12 @@ class Reader:
             if self._is_too_large():
                 return None
             node = yaml.compose(self._source.text, Loader=_LOADER)
-        except yaml.MarkedYAMLError as error:
-            mark = error.problem_mark or error.context_mark
-            line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
-            place = Span(line, column, line, column + 1)
-            self._report("F001", f"not YAML: {error.problem or error.context}", place, "")
+        except yaml.YAMLError as error:
+            line, column, message, help = mistake(error, self._source.text)
+            self._report("F001", message, Span(line, column, line, column + 1), help)
             return None
-        except (yaml.YAMLError, RecursionError) as error:
-            self._report("F001", f"not YAML: {str(error).splitlines()[0]}", Span(1, 1, 1, 2), "")
+        except RecursionError:
+            self._report("F001", "collections stand within one another too deep", Span(1, 1, 1, 2), "")
             return None
         if node is None:
             self._report("F001", "the file is empty", Span(1, 1, 1, 2), "")

@@ -64,7 +64,7 @@ class Target(Node):
     `robot` is what a harness lets the file say of each robot, single settings and groups of them, without defaults: the
     harness has these. `footprint` names the settings (m) that tell how much room the body takes: `radius` about its
     reference point, or `length`, `width` and `behind`, which is how much of the length is behind that; and `height`, if
-    not the radius."""
+    not the radius. `alone` of a harness is the target of the one robot that it runs without a fleet file."""
 
     name: str
     summary: str
@@ -82,6 +82,7 @@ class Target(Node):
     robot: Offered
     footprint: dict[str, str]
     actions: tuple[str, ...] = ACTIONS
+    alone: str = ""
 
     @property
     def modules(self) -> set[str]:
@@ -139,6 +140,7 @@ def _target(raw: dict[str, Any], path: Path) -> Target:
         robot={key: _offered(key, value) for key, value in raw.get("robot", {}).items()},
         footprint=raw.get("footprint", {}),
         actions=(*ACTIONS, "land") if raw.get("lands", False) else ACTIONS,
+        alone=raw.get("alone", ""),
     )
 
 

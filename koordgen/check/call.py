@@ -21,6 +21,7 @@ from koordgen.check.name import (
     module_named,
     names_a_value,
     not_called,
+    unknown,
     word_of,
 )
 from koordgen.ir import decl
@@ -240,7 +241,7 @@ def _applied(
 
 
 def _method(node: ast.Call, function: ast.Attribute, c: Context) -> ir.Expr:
-    if isinstance(function.value, ast.Name) and _unknown(function.value.name, c) and function.name in FUNCTIONS:
+    if isinstance(function.value, ast.Name) and unknown(function.value.name, c) and function.name in FUNCTIONS:
         skip(node, c)  # math.sqrt(2)
         name = function.value.name
         return c.error("K010", f"{name} is not defined", function.value.span, f"write {function.name}(...)")
@@ -261,10 +262,6 @@ def _method(node: ast.Call, function: ast.Attribute, c: Context) -> ir.Expr:
         help = f"write 'x = {text}.pop()', and use x" if name == "pop" else "write it on a line of its own"
         return c.error("K027", f"{name} changes {text}: it has no place within an expression", node.span, help)
     return no_method(operand, function, c)
-
-
-def _unknown(name: str, c: Context) -> bool:
-    return c.temp(name) is None and not names_a_value(name, c) and name not in c.broken and name not in c.owners
 
 
 def no_method(operand: ir.Expr, function: ast.Attribute, c: Context) -> ir.Expr:
@@ -374,6 +371,9 @@ def _record(record: decl.Record, node: ast.Call, c: Context) -> ir.Expr:
         poisoned = not _field(type_.name, type_, name, value, span, given, takes, c) or poisoned
     if poisoned:
         return c.poison(node.span)
+    if len(record.defaults) < len(names):  # within a record's own declaration
+        message = f"a field's first value cannot make a {type_.name}, whose own first values are not known here"
+        return c.error("K025", message, node.span, "leave it out, and set the field in init")
     parts = zip(names, record.defaults, strict=True)
     return ir.Make(tuple([given.get(name, value) for name, value in parts]), type_, node.span)
 

@@ -55,7 +55,10 @@ FOREIGN = {
     "nil": _NOTHING,
     "self": "a variable stands by its own name; this robot's index is pid",
     "this": "a variable stands by its own name; this robot's index is pid",
+    **dict.fromkeys(("math", "np", "numpy"), "functions and constants stand by their own names: sqrt(x), sin(x), pi"),
 }
+# Constants of Python's math -> how Koord has it.
+_MATHS = {"pi": "pi", "tau": "2 * pi", "e": "exp(1.0)"}
 # Functions of other languages -> how Koord has it.
 NO_FUNCTIONS = {
     "int": "a float never becomes an int by itself: floor, ceil and round make one",
@@ -288,6 +291,9 @@ def check_attribute(node: ast.Attribute, c: Context, wanted: Type | None = None)
     if module is not None:
         port = declared_port(module, node, c)
         return c.poison(node.span) if port is None else _read_port(module.name, port, node.span, c)
+    if type(node.value) is ast.Name and unknown(node.value.name, c) and node.name.lower() in _MATHS:
+        name = node.value.name  # math.pi
+        return c.error("K010", f"{name} is not defined", node.value.span, f"write {_MATHS[node.name.lower()]}")
     operand = check_expr(node.value, c)
     if operand.type is POISON:
         return c.poison(node.span)
@@ -388,6 +394,11 @@ def no_field(operand: ir.Expr, node: ast.Attribute, c: Context) -> ir.Expr:
 def _listed(fields: dict[str, Type]) -> str:
     *others, last = (f".{name}" for name in fields)
     return f"{', '.join(others)} and {last}" if others else last
+
+
+def unknown(name: str, c: Context) -> bool:
+    """Return whether nothing has a name, as far as the text could be read."""
+    return c.temp(name) is None and not names_a_value(name, c) and name not in c.broken and name not in c.owners
 
 
 def names_a_value(name: str, c: Context) -> bool:

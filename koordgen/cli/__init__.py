@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import gc
 import sys
 from typing import TYPE_CHECKING
@@ -37,10 +38,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
     collecting = gc.isenabled()
     gc.disable()  # nothing here lives long enough to be collected, and trees have no cycles
     try:
-        return _run(parsed(arguments))
+        try:
+            return _run(parsed(arguments))
+        finally:
+            sys.stdout.flush()
+    except OSError as error:
+        return _unwritten(error)
     finally:
         if collecting:
             gc.enable()
+
+
+def _unwritten(error: OSError) -> int:
+    """End a command whose output cannot be written: quietly when its reader has gone, as in `koordgen help | head -1`.
+    Python flushes once more at its end, and complains where that fails."""
+    import os
+
+    if not isinstance(error, BrokenPipeError):
+        _say(f"error: {error.filename or 'standard output'}: {error.strerror}")
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    return SURROUNDINGS
 
 
 def _run(options: Namespace) -> int:
@@ -52,9 +73,6 @@ def _run(options: Namespace) -> int:
     except KeyboardInterrupt:
         _say("interrupted")
         return INTERRUPTED
-    except BrokenPipeError:  # the reader of our output has gone: nothing to tell anyone
-        sys.stderr.close()
-        return SURROUNDINGS
     except Exception as error:
         from koordgen.pipeline import Rejected
 
@@ -63,6 +81,8 @@ def _run(options: Namespace) -> int:
         ):
             _say(f"error: the Python package {error.name} is missing\n  help: {install('koordgen[sim]')}")
             return SURROUNDINGS
+        if isinstance(error, OSError) and error.errno in (errno.EPIPE, errno.ENOSPC):
+            raise  # `main` ends the command
         if not isinstance(error, Rejected):
             return _internal(error)
         _show(error, options)
@@ -159,20 +179,22 @@ def _explore(options: Namespace) -> int:
 
 def _explain(options: Namespace) -> int:
     from koordgen.diagnostics import CATALOGUE
+    from koordgen.explain import explanation, show, topic, topics
 
-    if options.code is None:
+    if not options.code:
         print("\n".join(f"{code}  {title}" for code, title in CATALOGUE.items()))
+        print(f"words: {', '.join(topics())}")
         return HOLDS
-    code = options.code.upper()
-    if code not in CATALOGUE:
-        from difflib import get_close_matches
+    word = " ".join(options.code)
+    code = word.upper()
+    text = show(explanation(code)) if code in CATALOGUE else topic(word)
+    if not text:
+        from koordgen.cli.parser import nearest
 
-        near = get_close_matches(code, CATALOGUE, 1)
-        help = f"did you mean {near[0]}? " if near else ""
-        raise Failure(USAGE, f"no code {options.code!r}", f"{help}`koordgen explain` lists all codes")
-    from koordgen.explain import explanation, show
-
-    print(show(explanation(code)))
+        near = nearest(code, [*CATALOGUE, *topics()]) if word else ""
+        help = f"did you mean {near}? " if near else ""
+        raise Failure(USAGE, f"no code {word!r}", f"{help}`koordgen explain` lists all codes and words")
+    print(text)
     return HOLDS
 
 
@@ -340,7 +362,10 @@ def _left_out(bundles: Mapping[str, Mapping[str, bytes]], targets: Collection[st
 def _planned(
     options: Namespace, targets: list[str] | None, more: Mapping[str, Value] = {}
 ) -> tuple[dict[str, dict[str, bytes]], str]:
-    """The bundles, and the app's name; `more` are params that neither the fleet nor the command names."""
+    """The bundles, and the app's name; `more` are params that neither the fleet nor the command names.
+
+    Warnings and notes are told, or, for a command that prints a document of its own, put into `options.collected`.
+    """
     from koordgen.check.params import BadParam
     from koordgen.manifest import ManifestError
     from koordgen.pipeline import plan_file
@@ -352,7 +377,11 @@ def _planned(
         raise Failure(USAGE, str(error)) from None
     except ManifestError as error:
         raise Failure(SURROUNDINGS, str(error), "the target's folder is damaged; install koordgen anew") from None
-    _tell([(checked.source, d) for d in checked.noticed], options)
+    noticed = [(checked.source, d) for d in checked.noticed]
+    if options.format == "json" and (collected := getattr(options, "collected", None)) is not None:
+        collected += noticed
+    else:
+        _tell(noticed, options)
     return bundles, checked.program.name
 
 
@@ -402,6 +431,16 @@ def _require_packages() -> None:
     if missing:
         message = f"packages are missing: {', '.join(sorted(missing))}"
         raise Failure(SURROUNDINGS, message, install("koordgen[sim]"))
+
+
+def _print_document(options: Namespace, results: Mapping[str, object]) -> None:
+    """Print the one JSON document of a command: the diagnostics that were collected, and its results."""
+    import json
+
+    from koordgen.diagnostics import as_data
+
+    diagnostics = [as_data(source, diagnostic) for source, diagnostic in options.collected]
+    print(json.dumps({"diagnostics": diagnostics, **results}, indent=2), flush=True)
 
 
 def _show(rejected: Rejected, options: Namespace) -> None:

@@ -27,6 +27,7 @@ from koordgen.manifest import Target
 
 SUMS = "SHA256SUMS"
 SCENARIO = "scenario"
+STATUS = {"held": cli.HOLDS, "violated": cli.VIOLATED, "failed": cli.SURROUNDINGS}
 OWN = {
     "out",
     "live",
@@ -50,6 +51,7 @@ def campaign(options: Namespace) -> int:
         raise cli.Failure(cli.USAGE, str(error), way) from None
     if options.verdict and not Path(options.verdict).is_file():
         raise cli.Failure(cli.WRONG, f"--verdict {options.verdict}: no such file")
+    options.collected = []
     bundles, app = cli._planned(options, [harness.name])
     cli._require_packages()
     fixed = _fixed(options)
@@ -68,21 +70,34 @@ def campaign(options: Namespace) -> int:
                 job = _jobs(options, out, fixed, harness, scenarios)
                 carry_out = partial(drive.carry_out, runs, kept, workers, made, job, show)
                 ended = _ended(carry_out, kept, count, line)
-                _show_table(kept, app, count, vary.cells(varied), ended is None)
+                _show_table(options, kept, app, count, vary.cells(varied), ended is None)
         except (store.Unusable, crew.Unreachable) as error:
             raise cli.Failure(cli.SURROUNDINGS, str(error), error.help) from None
         except OSError as error:
             raise cli.Failure(cli.SURROUNDINGS, f"{error.filename or out}: {error.strerror}") from None
     if isinstance(ended, BaseException):
         raise ended
+    return STATUS[_verdict(kept)]
+
+
+def _verdict(kept: store.Store) -> str:
+    """Return the worst outcome of all runs: `held`, `failed` (a run could not be made) or `violated`."""
     outcomes = {result.outcome for result in kept.results.values()}
-    return cli.VIOLATED if "violated" in outcomes else cli.SURROUNDINGS if "failed" in outcomes else cli.HOLDS
+    return "violated" if "violated" in outcomes else "failed" if "failed" in outcomes else "held"
 
 
-def _show_table(kept: store.Store, app: str, planned: int, cells: Sequence[Mapping[str, str]], whole: bool) -> None:
+def _show_table(
+    options: Namespace, kept: store.Store, app: str, planned: int, cells: Sequence[Mapping[str, str]], whole: bool
+) -> None:
     try:
-        print(drive.write_table(kept, app, planned, cells), end="")
-        print(f"table and pictures: {kept.folder}")
+        text = drive.write_table(kept, app, planned, cells)
+        if options.format == "json":
+            found = json.loads((kept.folder / "campaign.json").read_bytes())
+            verdict = _verdict(kept) if whole else "interrupted"
+            cli._print_document(options, {"verdict": verdict, "folder": str(kept.folder), **found})
+            return
+        print(text, end="", file=cli._output(options))
+        print(f"table and pictures: {kept.folder}", file=cli._output(options))
     except OSError:
         if whole:  # else what ended the campaign is what there is to tell
             raise

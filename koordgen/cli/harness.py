@@ -8,24 +8,49 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from argparse import Namespace
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from koordgen import cli
+from koordgen import cli, manifest
 from koordgen.cli.options import PASSED
+
+# One robot in the middle of a free space: metres (local ENU), radians, seconds.
+ALONE = """\
+delta: 0.1
+origin: {{latitude: 47.397742, longitude: 8.545594, altitude: 488.0}}
+geofence: {{lo: [-10, -10, -1], hi: [10, 10, 10]}}
+robots:
+  - {{name: robot, target: {target}, address: 127.0.0.1:47100, start: {{position: [0, 0, 0], yaw: 0}}}}
+"""
 
 
 def harness(options: Namespace) -> int:
-    """Build, run, and hand its exit status on."""
+    """Build, run, and hand its exit status on. Without a fleet file one default robot runs."""
+    if options.fleet is not None:
+        return _harness(options)
+    if options.follow is not None:
+        raise cli.Failure(cli.USAGE, "--follow needs --fleet", "name a fleet of as many robots as the trace has")
+    with tempfile.TemporaryDirectory(prefix="koordgen-") as folder:
+        options.fleet = f"{folder}/fleet.yaml"
+        target = manifest.load(options.command).alone
+        Path(options.fleet).write_text(ALONE.format(target=target), encoding="utf-8")
+        cli._say(f"note: no --fleet: one simulated {target} runs alone; a fleet file names more robots (docs/fleet.md)")
+        return _harness(options)
+
+
+def _harness(options: Namespace) -> int:
+    options.collected = []
     more, plan = _followed(options)
     bundles, app = cli._planned(options, [options.command], more)
     cli._require_packages()
     bundle = bundles[options.command]
     scenario = read_scenario(options.scenario, bundle, options.duration) if options.scenario else None
     passed = [f"--{key}={value}" for key in PASSED if (value := getattr(options, key)) is not None]
-    passed.append(f"--out={options.out or f'run-{app}'}")
+    out = Path(options.out or f"run-{app}")
+    passed.append(f"--out={out}")
     passed.append(f"--invoked-as={shlex.join(['koordgen', *sys.argv[1:]])}")
     flags = ("lockstep", "gui", "quiet", "no-report")
     passed += [f"--{flag}" for flag in flags if getattr(options, flag.replace("-", "_"))]
@@ -39,7 +64,24 @@ def harness(options: Namespace) -> int:
             file = Path(folder) / "scenario.json"
             file.write_text(json.dumps(scenario), encoding="utf-8")
             passed.append(f"--scenario={file}")
-        return _run([sys.executable, f"{folder}/{options.command}", *passed], options)
+        began = time.time()
+        status = _run([sys.executable, f"{folder}/{options.command}", *passed], options)
+    if options.format == "json":
+        _print_verdict(options, out, status, began)
+    return status
+
+
+def _print_verdict(options: Namespace, out: Path, status: int, began: float) -> None:
+    """Print what the run left, as JSON; nothing for a run that left no summary, whose error was told."""
+    summary = out / "summary.json"
+    try:
+        if summary.stat().st_mtime < began:
+            return
+        found = json.loads(summary.read_bytes())
+    except (OSError, ValueError):
+        return
+    results = {"verdict": found["verdict"], "status": status, "folder": str(out), "summary": found}
+    cli._print_document(options, results)
 
 
 def _followed(options: Namespace) -> tuple[dict[str, Any], dict[str, Any] | None]:

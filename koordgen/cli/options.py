@@ -111,7 +111,7 @@ def explore(command: Parser) -> None:
 def fmt(command: Parser) -> None:
     """Options of `koordgen fmt`."""
     files = "programs; `-` reads standard input and writes standard output"
-    command.positional.add_argument("files", metavar="FILE", nargs="+", help=files)
+    command.positional.add_argument("files", metavar="FILE", type=values.program, nargs="+", help=files)
     mode = command.add_argument_group("what to do")
     mode.add_argument("--check", action="store_true", help="write nothing; status 1 when a file would change")
     mode.add_argument("--diff", action="store_true", help="as --check, and show the changes")
@@ -121,8 +121,8 @@ def fmt(command: Parser) -> None:
 
 def explain(command: Parser) -> None:
     """Options of `koordgen explain`."""
-    code = "a code such as K030, a verdict such as VACUOUS, or `skip` (default: list all codes)"
-    command.positional.add_argument("code", metavar="CODE", nargs="?", help=code)
+    code = "a code such as K030, a verdict such as NOT INDUCTIVE, or `skip` (default: list all codes)"
+    command.positional.add_argument("code", metavar="CODE", nargs="*", help=code)
 
 
 def estop(command: Parser) -> None:
@@ -182,7 +182,7 @@ def harness(command: Parser) -> None:
     """Options of a command that runs a harness's bundle."""
     _program(command)
     run = command.add_argument_group("run")
-    _fleet(run, "the fleet file (YAML)", required=True)
+    _fleet(run, "the fleet file (YAML) (default: one simulated robot)")
     _duration(run, "seconds of mission, from its first round (default: 30)")
     run.add_argument("--lockstep", action="store_true", help="run all robots in one process: repeatable, and faster")
     run.add_argument("--seed", metavar="N", type=int, help="seed of all random numbers (default: 0)")
@@ -204,7 +204,7 @@ def harness(command: Parser) -> None:
     later = "make no report; `koordgen report` makes it later"
     output.add_argument("--no-report", action="store_true", help=later)
     _quiet(output)
-    _diagnostics(output)
+    _results(output)
 
 
 def campaign(command: Parser) -> None:
@@ -228,7 +228,7 @@ def campaign(command: Parser) -> None:
     output.add_argument("--reports", action="store_true", help="make the report of each run: some seconds a run")
     output.add_argument("--resume", action="store_true", help="continue the campaign in DIR")
     _quiet(output)
-    _diagnostics(output)
+    _results(output)
 
 
 def validate(command: Parser) -> None:
@@ -306,7 +306,7 @@ def help_(command: Parser) -> None:
 
 
 def _program(command: Parser) -> None:
-    command.positional.add_argument("program", metavar="APP.koord", help="the program")
+    command.positional.add_argument("program", metavar="APP.koord", type=values.program, help="the program")
 
 
 def _trace(command: Parser) -> None:
@@ -316,13 +316,13 @@ def _trace(command: Parser) -> None:
 def _of_a_trace(command: Parser) -> None:
     program = command.add_argument_group("the trace's program")
     where = "the program (default: that in the run's folder)"
-    program.add_argument("--program", metavar="APP.koord", help=where)
+    program.add_argument("--program", metavar="APP.koord", type=values.program, help=where)
     _fleet(program, "a fleet file (YAML), for the values of params")
     _params(program)
 
 
 def _fleet(group: Group, help: str, required: bool = False) -> None:
-    group.add_argument("--fleet", metavar="FILE", required=required, help=help)
+    group.add_argument("--fleet", metavar="FILE", type=values.fleet, required=required, help=help)
 
 
 def _params(group: Group) -> None:
@@ -350,6 +350,9 @@ def _format(group: Group) -> None:
     group.add_argument("--format", choices=("text", "json"), default="text", help=help)
 
 
-def _diagnostics(group: Group) -> None:
-    help = "format of the diagnostics (default: text)"
+def _results(group: Group) -> None:
+    _diagnostics(group, "text; json: diagnostics and verdict as one document; sarif: diagnostics only (default: text)")
+
+
+def _diagnostics(group: Group, help: str = "format of the diagnostics (default: text)") -> None:
     group.add_argument("--format", choices=("text", "json", "sarif"), default="text", help=help)

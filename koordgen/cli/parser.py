@@ -96,7 +96,9 @@ class Parser(argparse.ArgumentParser):
             if action.option_strings and action.required:
                 words.append(f"{action.option_strings[-1]} {metavar}")
             elif not action.option_strings:
-                words.append({"+": f"{metavar}...", "?": f"[{metavar}]"}.get(str(action.nargs), metavar))
+                words.append(
+                    {"+": f"{metavar}...", "?": f"[{metavar}]", "*": f"[{metavar}...]"}.get(str(action.nargs), metavar)
+                )
         return " ".join([*words, "[options]"]).replace("%", "%%")
 
 

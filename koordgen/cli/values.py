@@ -10,6 +10,21 @@ MOST_PROVED = 1000  # robots for which `prove --robots` proves
 LONGEST = 86400.0  # seconds
 
 
+def program(text: str) -> str:
+    """Return the path of a program; refuse a YAML file."""
+    if text.endswith((".yaml", ".yml")):
+        way = f"`koordgen build APP.koord --fleet {text}` checks a fleet file together with its program"
+        raise argparse.ArgumentTypeError(f"expected a program (.koord), not the YAML file {text}; {way}")
+    return text
+
+
+def fleet(text: str) -> str:
+    """Return the path of a fleet file; refuse a program."""
+    if text.endswith(".koord"):
+        raise argparse.ArgumentTypeError(f"expected a fleet file (YAML), not the program {text}")
+    return text
+
+
 def seconds(text: str) -> float:
     """Return a time in seconds, 0.01 to 86400."""
     return _number(text, 0.01, LONGEST, "seconds")

@@ -2,6 +2,7 @@
 
 A section is headed by its code alone (titles stand in the catalogue) and has this form: what the rule is, why it
 matters on robots, a line and a wrong example, a line and a right one. `tests/explain` runs every example.
+topics.md explains words of reports that are no codes: verdicts, and why robots skip rounds.
 """
 
 from __future__ import annotations
@@ -41,15 +42,32 @@ def explanation(code: str) -> Explanation:
 
 def show(found: Explanation) -> str:
     """For a terminal: the title, and the section with its listings indented instead of fenced."""
-    lines = [f"{found.code}: {found.title}", ""]
+    return f"{found.code}: {found.title}\n\n{_plain(found.markdown)}"
+
+
+def topic(word: str) -> str:
+    """Return the text of a verdict, of `skip`, or of the name of one reason to skip, for a terminal; else ''."""
+    for heading, body in topics().items():
+        if word.casefold() == heading.casefold() or f"\n- `{word.casefold()}`:" in body:
+            return f"{heading}\n\n{_plain(body)}"
+    return ""
+
+
+def topics() -> dict[str, str]:
+    """Return the sections of topics.md by their headings."""
+    return _sections("topics")
+
+
+def _plain(markdown: str) -> str:
+    lines: list[str] = []
     inside = False
-    for line in found.markdown.split("\n"):
+    for line in markdown.split("\n"):
         if line.startswith(_FENCE):
             inside = not inside
             lines.append("")
         elif inside:
             lines.append(f"    {line}".rstrip(" "))
-        elif line or lines[-1]:
+        elif line or (lines and lines[-1]):
             lines.append(line)
     return "\n".join(lines).rstrip("\n")
 
@@ -60,7 +78,7 @@ def _listing(part: str) -> str:
 
 
 @cache
-def _sections(letter: str) -> dict[str, str]:
-    text = Path(__file__).with_name(f"{letter}.md").read_text(encoding="utf-8")
+def _sections(name: str) -> dict[str, str]:
+    text = Path(__file__).with_name(f"{name}.md").read_text(encoding="utf-8")
     sections = (section.partition("\n") for section in text.split("\n## ")[1:])
     return {code: body.strip("\n") for code, _, body in sections}

@@ -7,11 +7,10 @@ from typing import Any
 
 from koordgen.ir import decl
 from koordgen.replay.values import plain
+from koordgen.runtime.skips import NO_EVENT
 from koordgen.semantics.step import initial
 
 Shown = Mapping[str, Any]  # a store in JSON: of an allread variable a list by pid
-
-IDLE = "no event enabled"  # why a robot that looked at its copy of the store skipped
 
 
 class Writes:
@@ -53,4 +52,4 @@ class Writes:
 def had_frame(record: Mapping[str, Any]) -> bool:
     """Whether a robot looked at its copy of the store in a round: it did unless it skipped before that."""
     looked = record.get("event") is not None or record.get("fault") is not None
-    return looked or record.get("skipped") == IDLE
+    return looked or record.get("skipped") == NO_EVENT

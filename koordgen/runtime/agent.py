@@ -106,7 +106,9 @@ def main(
 
 def _arguments(program: Program, argv: Sequence[str]) -> argparse.Namespace | int:
     parser = argparse.ArgumentParser(
-        prog=f"python3 <bundle of {program.name}>", description=f"Runs one robot of {program.name}."
+        prog=f"python3 <bundle of {program.name}>",
+        description=f"Runs one robot of {program.name}.",
+        allow_abbrev=False,
     )
     parser.add_argument(
         "--check", action="store_true", help="look whether all is well, up to the first that is not; move nothing"

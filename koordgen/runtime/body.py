@@ -12,6 +12,7 @@ from koordgen.runtime.platform import Platform, Resumes, Sensed, Unready
 from koordgen.runtime.program import Program
 from koordgen.runtime.safety import clamped
 from koordgen.runtime.settings import Box
+from koordgen.runtime.skips import NO_SENSOR_VALUE
 from koordgen.runtime.values import Point, transmissible
 
 _GOALS, _REACHED = ("target", "path"), ".reached"
@@ -157,5 +158,6 @@ def unusable(sensors: Mapping[str, Any]) -> str | None:
     """The first sensor whose value no program may see, in words, or None."""
     for name, value in sensors.items():
         if not transmissible(value):
-            return f"{name} has no value" if value is None else f"{name} is not finite"
+            why = "has no value" if value is None else "is not finite"
+            return f"{NO_SENSOR_VALUE}: {name} {why}"
     return None

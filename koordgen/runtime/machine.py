@@ -29,6 +29,7 @@ from koordgen.runtime.rounds import Lost, Rounds
 from koordgen.runtime.runner import Limit, Runner, unlimited
 from koordgen.runtime.safety import Guard
 from koordgen.runtime.settings import Settings
+from koordgen.runtime.skips import NO_POSITION, STOPPED
 from koordgen.runtime.stall import Stalls
 from koordgen.runtime.store import Keeper
 from koordgen.runtime.trace import Observe, Trace
@@ -335,7 +336,7 @@ class Agent:
         self._rounds.watched = self.monitors.wanted
         self._enter("running", f"mission {epoch.hex()}, round 1 at {start:.3f} s of fleet time")
         if self._rounds.stopped:
-            self._body.hold("stopped", True, now)
+            self._body.hold(STOPPED, True, now)
         self._next_body = now
 
     def _judge(self, now: float) -> None:
@@ -345,7 +346,7 @@ class Agent:
             self._rest(told, SURROUNDINGS)
         elif self._body.hold("position", verdict.action == "hold", now):
             self._journal.warn(told if verdict.action == "hold" else "own position is fresh again")
-        self._unready = verdict.reason if verdict.action != "go" else None
+        self._unready = f"{NO_POSITION}: {verdict.reason}" if verdict.action != "go" else None
         if self.phase == "running" and self.round > 0:
             self._body.hold("joining", False, now)
 

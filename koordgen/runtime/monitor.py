@@ -17,8 +17,9 @@ from koordgen.runtime.property import UNKNOWN, Assumption, Known, Outcome, Prope
 from koordgen.runtime.runner import Limit, Overrun
 from koordgen.runtime.safety import GO, Verdict
 from koordgen.runtime.settings import Action, Settings
+from koordgen.runtime.skips import LEFT
 from koordgen.runtime.told import told
-from koordgen.runtime.trace import LEFT, Record
+from koordgen.runtime.trace import Record
 from koordgen.runtime.watched import FOR_GOOD, OWN, SENSED, SHARED, Change, Moment, Watched, usable
 
 SHARE = 0.03  # of the agent's processor time: what properties that are only logged may take

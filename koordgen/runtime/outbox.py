@@ -13,6 +13,7 @@ from msgspec.structs import replace
 
 from koordgen.runtime.memory import Memory
 from koordgen.runtime.program import Effects, Life
+from koordgen.runtime.skips import LOST_CONTENTION, NOT_COUNTED
 from koordgen.runtime.trace import Record
 
 MOST_WAITING = 64  # records; behind so many that of a round in which nothing was done is not told
@@ -75,7 +76,7 @@ class Outbox:
             if waiting.life is not None:
                 self.lives.append(waiting.life)
             return True
-        why = f"{waiting.record.event} gave way to another robot's transaction"
+        why = f"{LOST_CONTENTION}: {waiting.record.event}, to another robot's transaction"
         waiting.record = replace(waiting.record, event=None, effects=None, frame=None, skipped=why)
         waiting.life = None
         self._look()
@@ -115,7 +116,7 @@ class Outbox:
             record = waiting.record
             if (record.effects is not None or record.frame is not None) and record.round > acted:
                 record = replace(
-                    record, event=None, effects=None, frame=None, skipped="not counted: the others went on"
+                    record, event=None, effects=None, frame=None, skipped=f"{NOT_COUNTED}: the others went on"
                 )
             found.append(record)
         self._waiting.clear()

@@ -19,6 +19,7 @@ from koordgen.runtime.link import Link, Usuals, as_usual
 from koordgen.runtime.memory import AHEAD, Memory
 from koordgen.runtime.news import News
 from koordgen.runtime.patience import asked, few, helps
+from koordgen.runtime.skips import NOT_CURRENT
 from koordgen.runtime.views import Out, Views, Vote, Word, fits, majority
 from koordgen.runtime.wire import (
     Accept,
@@ -101,8 +102,8 @@ class Replica:
     def status(self) -> str:
         """Why there is no store, in words."""
         if self.comeback is not None and self.comeback.incarnation(self.views.view) >= 0:
-            return "not current: let in again, gathers the shared store"
-        return "not current: does not count in the fleet, asks to be let in"
+            return f"{NOT_CURRENT}: let in again, gathers the shared store"
+        return f"{NOT_CURRENT}: does not count in the fleet, asks to be let in"
 
     def begin(self, round_: int) -> bool:
         """From now on all is heard in this round, at its first tick; whether nothing is due at that, so no `poll`."""

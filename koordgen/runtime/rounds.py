@@ -24,7 +24,8 @@ from koordgen.runtime.platform import Sensed
 from koordgen.runtime.program import Effects, Frame, Life
 from koordgen.runtime.replica import SLOTS, Replica, Talk
 from koordgen.runtime.runner import LATE, Outcome, Runner
-from koordgen.runtime.trace import LEFT, Observe, Record
+from koordgen.runtime.skips import FAULT, LEFT, NO_EVENT, NOT_CONFIRMED, NOT_CURRENT, STOPPED, WOKE_LATE
+from koordgen.runtime.trace import Observe, Record
 from koordgen.runtime.watched import OWN, SENSED, SHARED, Moment
 
 PUBLISH = 0.5  # of delta: when a round's closing leaves at the latest
@@ -33,7 +34,6 @@ PUNCTUAL = 0.5  # of a slot: who wakes so much later than something was due is l
 GATHER = 300e-6  # seconds that the closing of one more robot may take to come after another's
 MOST_GATHER = 0.2  # of a round, for all of them: one of its SLOTS
 LINGER = 20  # rounds after all have stopped
-WOKE_LATE = "woke after the publish deadline"
 
 
 @dataclass(slots=True)
@@ -225,7 +225,7 @@ class Rounds:
         self._runner.locals, self.stopped = life.locals, life.stopped
         self._restored = life
         self._body.restore(life.actuators, now)
-        self._body.hold("stopped", self.stopped, now)
+        self._body.hold(STOPPED, self.stopped, now)
         for record in records:
             self._observe(record)
         self._published = memory.held[self._pid]
@@ -252,11 +252,11 @@ class Rounds:
             if effects is not None:
                 self._replica.keep()  # our own word is one of the majority's
                 self._body.command(effects.actuators, now)
-                self._body.hold("stopped", effects.stopped or self.stopped, now)
+                self._body.hold(STOPPED, effects.stopped or self.stopped, now)
                 self._sure = record.round
             self._observe(record)
         if outbox.first is None:
-            self._body.hold("not confirmed", False, now)
+            self._body.hold(NOT_CONFIRMED, False, now)
 
     def _decide(self, now: float, into: float, current: bool, unready: str | None) -> None:
         """Run an event, or find that there will be none; or leave the round open for what may still arrive."""
@@ -268,7 +268,7 @@ class Rounds:
         if self._left:
             reason: str | None = LEFT
         elif self.stopped and current:
-            reason = "stopped"
+            reason = STOPPED
         else:
             reason = self._unsettled(current)
             lagging = reason is not None
@@ -283,8 +283,8 @@ class Rounds:
         self.counters.in_a_row = self.counters.in_a_row + 1 if late else 0
         self.reason = reason
         self.moment = self._moment(now, sensed.time, sensors, current) if self.watched and not self._left else None
-        self._body.hold("not current", lagging and not current, now)
-        self._body.hold("not confirmed", self._outbox.first is not None, now)
+        self._body.hold(NOT_CURRENT, lagging and not current, now)
+        self._body.hold(NOT_CONFIRMED, self._outbox.first is not None, now)
         if reason is not None:
             self.counters.skipped += 1
             self._close()
@@ -310,15 +310,17 @@ class Rounds:
             return self._replica.status
         if not current:
             if memory.frozen:
-                return "not current: the fleet decides who counts"
-            return f"not current: lacks {', '.join(self.lacking)}"
+                return f"{NOT_CURRENT}: the fleet decides who counts"
+            return f"{NOT_CURRENT}: lacks {', '.join(self.lacking)}"
         if self._outbox.first is not None or self._outbox.undecided:
             unaware = memory.unaware(self._outbox.first or round_ - 1)
-            return f"not confirmed: waits for the word of a majority, not heard from {self._named(unaware)}"
+            return (
+                f"{NOT_CONFIRMED}: waits for the acknowledgement of a majority, not heard from {self._named(unaware)}"
+            )
         if round_ - AHEAD > self._sure and not memory.stable(round_ - AHEAD):
-            return f"not confirmed: not heard from {self._named(memory.unaware(round_ - AHEAD))}"
+            return f"{NOT_CONFIRMED}: not heard from {self._named(memory.unaware(round_ - AHEAD))}"
         if memory.crowded():
-            return f"not current: {self._names[memory.laggard]} lags behind"
+            return f"{NOT_CURRENT}: {self._names[memory.laggard]} lags behind"
         return None
 
     def _named(self, pids: list[int]) -> str:
@@ -327,12 +329,12 @@ class Rounds:
     def _finish(self, outcome: Outcome, frame: Frame, now: float, into: float) -> None:
         """Close a round in which an event could run; its record is made when all others have their closing."""
         fault, effects = outcome.fault, outcome.effects
-        self._body.hold("fault", fault is not None, now)
+        self._body.hold(FAULT, fault is not None, now)
         life = self._close(effects, outcome.lock)
         if fault is not None:
             self.counters.faults += 1
             self.counters.discarded += fault.reason == LATE
-        skipped = None if effects is not None else "no event enabled" if fault is None else "fault"
+        skipped = None if effects is not None else NO_EVENT if fault is None else FAULT
         calls = self._body.calls()
         record = Record(self.round, now, into, frame.sensors, frame, outcome.event, effects, skipped, fault, calls)
         self._wait(record, outcome.lock, life)

@@ -19,7 +19,6 @@ if TYPE_CHECKING:  # it is made of what this module has
     from koordgen.runtime.watched import Change
 
 FORMAT = "koord-trace/1"
-LEFT = "left the mission"  # why a robot that comes to rest skips
 
 Calls = tuple[tuple[str, tuple[Any, ...], Any], ...]  # of callable ports: port, arguments, answer
 

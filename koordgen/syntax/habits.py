@@ -82,6 +82,11 @@ _SECTIONS = frozenset(
         "initially", "init",
     )
 )  # fmt: skip
+# Names that people give to the parts of an event.
+_PARTS = {
+    "effect": "eff", "effects": "eff", "action": "eff", "actions": "eff",
+    "precondition": "pre", "preconditions": "pre", "condition": "pre", "guard": "pre", "when": "pre", "requires": "pre",
+}  # fmt: skip
 _EVENT = "only events stand indented under 'priority:': 'Name:', and under it 'pre:' and 'eff:'"
 
 
@@ -279,7 +284,8 @@ def headers(spot: Spot) -> Diagnostic | None:
     if {"pre", "eff"} & spot.expected and spot.level() <= 1 and spot.kind == "atomic":
         return spot.error("expected 'pre' or 'eff', found 'atomic'", "'atomic:' stands under 'eff:'")
     if {"pre", "eff"} & spot.expected and spot.level() == 1 and spot.kind == "NAME" and spot.next == ":":
-        help = "an event begins at the left margin, or indented under 'priority:'"
+        meant = _PARTS.get(spot.text.lower())
+        help = f"write '{meant}:'" if meant else "an event begins at the left margin, or indented under 'priority:'"
         return spot.error(f"expected 'pre' or 'eff', found '{shown(spot.text)}'", help)
     if {"pre", "eff"} & spot.expected and spot.level() <= 1 and spot.kind in ("NAME", "GENERIC") and spot.next in (
         "NAME", "=", "<", ".", "[", "+=", "-=", "(",

@@ -141,6 +141,7 @@ class _Layout:
         self.chunks: list[Chunk] = []
         self.chunk = Chunk()
         self.indents = [0]
+        self.lines = [1]  # the first line of each block that is open
         self.brackets: list[Token] = []
 
     def read(self, text: str) -> None:
@@ -202,18 +203,27 @@ class _Layout:
             self._end_chunk(line, 1)
         elif indent > self.indents[-1]:
             self.indents.append(indent)
+            self.lines.append(line)
             if len(self.indents) == DEEPEST_BLOCKS + 2:
                 self._report("K007", f"blocks are nested more than {DEEPEST_BLOCKS} deep", line, indent + 1)
             self.chunk.tokens.append(("INDENT", "", line, indent + 1))
         while indent < self.indents[-1]:
-            self.indents.pop()
+            left, begun = self.indents.pop(), self.lines.pop()
             if indent > self.indents[-1]:
-                levels = ", ".join(map(str, self.indents))
-                help = f"the blocks around this line stand at {levels} spaces"
-                self._report("K005", f"{indent} spaces match no enclosing block", line, indent + 1, help)
+                self._between(line, indent, begun, left)
                 self.indents.append(indent)  # the innermost block goes on here
+                self.lines.append(line)
                 break
             self.chunk.tokens.append(("DEDENT", "", line, indent + 1))
+
+    def _between(self, line: int, indent: int, begun: int, left: int) -> None:
+        """Report a line that stands less deep than the block that begins in line `begun`, and deeper than the one
+        around it."""
+        around = self.indents[-1]
+        ends = f", or this line by {around} to end the block" if around else ""
+        help = f"indent this line by {left} spaces as line {begun}, or line {begun} by {indent}{ends}"
+        label = Label(Span(begun, left + 1, begun, left + 2), f"this block stands at {left} spaces")
+        self._report("K005", f"{indent} spaces match no enclosing block", line, indent + 1, help, (label,))
 
     def _end_line(self, line: int, column: int, first: int) -> None:
         tokens = self.chunk.tokens
@@ -228,7 +238,7 @@ class _Layout:
             chunk.tokens.append(("$END", "", line, column))
             self.chunks.append(chunk)
             self.chunk = Chunk()
-        self.indents = [0]
+        self.indents, self.lines = [0], [line]
 
     def _bracket(self, token: Token) -> None:
         _, text, line, column = token

@@ -8,7 +8,7 @@ from koordgen.syntax.habits import HABITS, headers
 from koordgen.syntax.layout import KEYWORDS, Token
 from koordgen.syntax.marks import MARKS
 from koordgen.syntax.spelling import misspelt
-from koordgen.syntax.spot import Spot, behind, place, shown
+from koordgen.syntax.spot import Spot, behind, place, shown, start_of_line
 
 _EXPRESSION = {"NAME", "INT", "FLOAT", "STRING", "True", "False", "(", "[", "{", "-", "not", "forall", "exists"}
 _STATEMENT = {
@@ -57,7 +57,9 @@ def explain(tokens: list[Token], position: int, states: list[int]) -> Diagnostic
 
 def _indentation(spot: Spot) -> Diagnostic | None:
     if spot.kind == "INDENT":
-        help = "only what belongs to a block stands deeper than the line before"
+        before = spot.tokens[start_of_line(spot.tokens, spot.position - 1)]
+        depth = f"indent it by {before[3] - 1} spaces as line {before[2]}"
+        help = f"{depth}: only what belongs to a block stands deeper than the line before"
         return spot.error("unexpected indentation", help, code="K008")
     if spot.expected == {"INDENT"} and spot.position > 1:
         colon = spot.tokens[spot.position - 2]

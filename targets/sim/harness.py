@@ -8,6 +8,7 @@ import hashlib
 import importlib.util
 import json
 import math
+import os
 import platform
 import shlex
 import shutil
@@ -95,6 +96,7 @@ def _parser(root: Path, argv: list[str]) -> argparse.ArgumentParser:
         prog=" ".join(invoked.split()[:2]) if invoked else f"python3 {root}",
         usage=invoked and invoked.replace("%", "%%"),
         description="Run the whole fleet on this host.",
+        allow_abbrev=False,
     )
     parser.add_argument("--duration", type=_seconds, default=DURATION, metavar="S", help="mission time, default 30 s")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all randomness in the world, default 0")
@@ -131,7 +133,8 @@ def _condition(name: str) -> Callable[[str], float]:
         except ValueError:
             value = math.nan
         if not 0.0 <= value <= most:
-            raise argparse.ArgumentTypeError(f"{text} is no {name}; give 0 to {most:g}")
+            unit = "" if name in PROBABILITIES else " s"
+            raise argparse.ArgumentTypeError(f"{name} is 0 to {most:g}{unit}, not {text}")
         return value
 
     return parse
@@ -159,6 +162,14 @@ def _port(text: str) -> int:
     if not (text.isdecimal() and int(text) <= 65535):
         raise argparse.ArgumentTypeError(f"{text} is no port; give 1 to 65535, or none for any free one")
     return int(text)
+
+
+def _print(text: str) -> None:
+    """Print a result. The verdict stands, and is the exit status, also when the reader of the output has gone."""
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _fail(status: int, message: str, hint: str) -> int:
@@ -243,12 +254,12 @@ def _run(
     summary.write(found, folder)
     left = folder if options.no_report else folder / "report.html"
     if not options.no_report:
-        progress.say("drawing the report")
+        progress.step("drawing the report")
         _report(folder)
     if view:
         view.close(f"{summary.headline(found)}: {found.why}. The report: {left.resolve()}")
-    print(summary.as_text(found))
-    print(f"{'run' if options.no_report else 'report'}: {left}")
+    _print(summary.as_text(found))
+    _print(f"{'run' if options.no_report else 'report'}: {left}")
     if guide is not None and outcome.ended != "interrupted":
         return _followed(guide, outcome)
     return STATUS[found.verdict] if outcome.ended != "died" else VIOLATED
@@ -258,7 +269,7 @@ def _followed(guide: Guide, outcome: Outcome) -> int:
     status, message = guide.result(outcome)
     if status == INTERNAL:
         return _fail(status, message, "agents do not as their program means: please report it with the trace")
-    print(message)
+    _print(message)
     return status
 
 

@@ -1,4 +1,4 @@
-"""What a run shows on the terminal: one line that is rewritten, or few plain ones when nobody watches."""
+"""Progress of a run on a terminal: one line that is rewritten. Elsewhere only what went wrong is written."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from typing import TextIO
 from targets.sim.crew import Agent
 from targets.sim.stage import Watch
 
-PLAIN_EVERY = 10.0  # seconds between lines where they cannot be rewritten
-LIVE_EVERY = 0.2
+EVERY = 0.2  # seconds between two states
 
 
 class Progress:
@@ -27,8 +26,13 @@ class Progress:
         self._next = 0.0
         self._open = False  # a line stands that will be rewritten
 
+    def step(self, text: str) -> None:
+        """Write a line about the usual course of the run, on a terminal only."""
+        if self._live:
+            self.say(text)
+
     def say(self, text: str) -> None:
-        """A line that stays."""
+        """Write a line that stays."""
         if not self._quiet:
             self._write(("\r\x1b[K" if self._open else "") + text + "\n")
             self._open = False
@@ -38,21 +42,16 @@ class Progress:
     ) -> None:
         """The present state, when it is time for it again."""
         host = time.monotonic()
-        if self._quiet or host < self._next:
+        if self._quiet or not self._live or host < self._next:
             return
-        first = self._next == 0.0
-        self._next = host + (LIVE_EVERY if self._live else PLAIN_EVERY)
-        if first and not self._live:
-            return
+        self._next = host + EVERY
         text = _starting(agents) if zero is None else _running(now - zero, duration, agents, watch)
         if self._free and zero is not None:
             text += f", {factor:.1f} times real time"
         elif zero is not None and factor < 0.98:
             text += f", the host is too slow: real-time factor {factor:.2f}"
-        if self._live:
-            text = text[: max(20, shutil.get_terminal_size().columns - 1)]
-        self._write("\r\x1b[K" + text if self._live else text + "\n")
-        self._open = self._live
+        self._write("\r\x1b[K" + text[: max(20, shutil.get_terminal_size().columns - 1)])
+        self._open = True
 
     def finish(self) -> None:
         """End the line that stands."""

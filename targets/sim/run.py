@@ -114,12 +114,12 @@ class Run:
         launched = self.conduct.now()
         self.conduct.launch(self.stage)
         timeout = launched + self.scenario.number("start_timeout", START_TIMEOUT)
-        self._progress.say("1 robot is starting" if count == 1 else f"{count} robots are starting")
+        self._progress.step("1 robot is starting" if count == 1 else f"{count} robots are starting")
         ended = self._until(lambda now: self._before_start(now, timeout))
         zero = launched if self.zero is None else self.zero
         waiting = {agent.robot.name: agent.waiting_for() for agent in agents} if ended else {}
         if not ended:
-            self._progress.say(f"round 1 began {zero - launched:.1f} s after the launch")
+            self._progress.step(f"round 1 began {zero - launched:.1f} s after the launch")
             before = self.conduct.late
             ended = self._until(lambda now: self._during_mission(now, zero))
             self._late = self.conduct.late - before
@@ -208,7 +208,10 @@ class Run:
 
     def _rest(self, ended: str) -> None:
         """Tell the agents to come to rest, and give them the world and the time for it."""
-        self._progress.say({"completed": "the mission is over, robots come to rest"}.get(ended, f"{ended}: ending"))
+        if ended == "completed":
+            self._progress.step("the mission is over, robots come to rest")
+        else:
+            self._progress.say(f"{ended}: ending")
         for agent in self.conduct.agents:
             self._hear(agent)
             agent.tell_end()

@@ -9,6 +9,7 @@ from typing import Literal
 
 import msgspec
 
+from koordgen.runtime.skips import name_of
 from targets.sim.bodies import Vector
 from targets.sim.noticed import Monitored, Noticed
 from targets.sim.noticed import as_text as noticed_text
@@ -197,7 +198,7 @@ class _Tally:
             own.faults += 1
             own.first_fault = own.first_fault or fault_text(record.fault)
         elif record.skipped is not None:
-            reason = record.skipped.partition(":")[0]
+            reason = name_of(record.skipped)
             own.skips[reason] = own.skips.get(reason, 0) + 1
         elif record.event is not None:
             own.events[record.event] = own.events.get(record.event, 0) + 1

@@ -17,6 +17,7 @@ from koordgen.node import replace
 from koordgen.runtime.commits import winner
 from koordgen.runtime.platform import Sensed
 from koordgen.runtime.program import Frame
+from koordgen.runtime.skips import LOST_CONTENTION, name_of
 from koordgen.runtime.trace import Record
 from koordgen.runtime.values import Point
 from koordgen.semantics import step
@@ -30,7 +31,6 @@ from tests.agree.programs import N_SYS, random_program
 from tests.runtime.fleet import FakePlatform, Fleet
 
 ROUNDS = 10
-GAVE_WAY = " gave way to another robot's transaction"
 Winner = Callable[[list[int], int, int, int], int]  # those who try, lock, round, robots -> pid
 
 
@@ -133,7 +133,7 @@ class _Both:
         for pid, record in enumerate(records):
             if record.frame is None:
                 may = "stopped" if state.robots[pid].stopped else "runs"
-                gave_way = may == "runs" and pid in trying and (record.skipped or "").endswith(GAVE_WAY)
+                gave_way = may == "runs" and pid in trying and name_of(record.skipped or "") == LOST_CONTENTION
                 self.same(may if gave_way else record.skipped, may, f"{number}, {pid}")
             else:
                 expected = self.keys(self.generated.frame(state, pid))

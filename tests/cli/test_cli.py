@@ -5,6 +5,7 @@ from __future__ import annotations
 import filecmp
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ import pytest
 
 from koordgen.cli import main
 from koordgen.diagnostics import CATALOGUE
+from koordgen.runtime import skips
 from tests.disk import small_disk
 
 ROOT = Path(__file__).parents[2]
@@ -77,7 +79,25 @@ def test_standard_output_is_one_document_also_of_a_build_that_passes(format: str
 
 def test_explain_lists_all_codes(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["explain"]) == 0
-    assert capsys.readouterr().out.splitlines() == [f"{code}  {title}" for code, title in CATALOGUE.items()]
+    *codes, words = capsys.readouterr().out.splitlines()
+    assert codes == [f"{code}  {title}" for code, title in CATALOGUE.items()]
+    assert words.startswith("words: PROVED, NOT INDUCTIVE, ") and words.endswith(", skip")
+
+
+@pytest.mark.parametrize("words", ["NOT INDUCTIVE", "not inductive", "VACUOUS", "skip", "not current", "SKIP"])
+def test_explain_a_word_of_a_report(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["explain", words]) == 0
+    told = capsys.readouterr().out
+    assert main(["explain", *words.split()]) == 0
+    assert capsys.readouterr().out == told
+    assert "More: `koordgen docs " in told and max(map(len, told.splitlines())) <= 80
+
+
+def test_every_reason_to_skip_has_one_name_everywhere(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["explain", "skip"]) == 0
+    assert tuple(re.findall(r"^- `(.*?)`:", capsys.readouterr().out, re.MULTILINE)) == skips.NAMES
+    page = (ROOT / "docs/cli.md").read_text(encoding="utf-8").partition("### Skipped rounds")[2].partition("\n### ")[0]
+    assert tuple(re.findall(r"^\| `(.*?)` \|", page, re.MULTILINE)) == skips.NAMES
 
 
 @pytest.mark.parametrize("code", ["K030", "k030"])
@@ -90,7 +110,8 @@ def test_explain_a_code(code: str, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("code", "words"), [("K30", "did you mean K030?"), ("wing", "lists all codes"), ("", "no code ''")]
+    ("code", "words"),
+    [("K30", "did you mean K030?"), ("wing", "lists all codes"), ("NOT INDUCTIV", "did you mean NOT INDUCTIVE?")],
 )
 def test_explain_an_unknown_code(code: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["explain", code]) == 2

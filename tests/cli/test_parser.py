@@ -47,6 +47,13 @@ def left(arguments: Sequence[str]) -> int:
         ("validate a.koord --offset -1,0,0", "koordgen validate APP.koord", "--offset=-1,0,0"),
         ("prove app.koord --robots 0", "koordgen prove APP.koord", "a number from 1 to 1000"),
         ("check", "koordgen check APP.koord", "required: APP.koord"),
+        ("check fleet.yaml", "koordgen check APP.koord", "expected a program (.koord), not the YAML file fleet.yaml"),
+        (
+            "fmt a.koord fleet.yml",
+            "koordgen fmt FILE...",
+            "`koordgen build APP.koord --fleet fleet.yml` checks a fleet",
+        ),
+        ("build a.koord --fleet b.koord", "koordgen build APP.koord", "expected a fleet file (YAML), not the program"),
         ("help chek", "", "did you mean check?"),
     ],
 )

@@ -57,7 +57,7 @@ def test_a_right_one_is_plain_values() -> None:
         ("network: {loss: 0.1, loss: 0.2}", "F006", 1, 22, "'loss' stands twice"),
         ("events: [{at: 2020-01-01, crash: ann}]", "F004", 1, 15, "a number, a bool, a text"),
         ("- 1", "F004", 1, 1, "the scenario must be a mapping"),
-        ("events: ]", "F001", 1, 9, "not YAML"),
+        ("events: ]", "F001", 1, 9, "a value is expected here"),
         ("", "F001", 1, 1, "empty"),
         ("events: &e [*e]", "F001", 1, 13, "*e stands within its own value"),
         ("events: [*e]", "F001", 1, 10, "undefined alias"),

@@ -127,7 +127,7 @@ LAUGHS = "a: &a [1, 2, 3, 4, 5, 6, 7, 8, 9, 0]\n" + "".join(
         (("delta: 0.1", "delta: 0.1\ndelta: 0.2"), "F006", 2, 1, "stands twice"),
         (("delta: 0.1", "key: ../fleet.key\ndelta: 0.1"), "F005", 1, 6, "without folders"),
         (("delta: 0.1", "key: my.key\ninsecure: true\ndelta: 0.1"), "F005", 1, 6, "not both"),
-        (("delta: 0.1", "delta: [0.1"), "F001", 2, 7, "not YAML"),
+        (("delta: 0.1", "delta: [0.1"), "F001", 1, 8, "this '[' is not closed"),
         (("delta: 0.1", "delta: " + "[" * 50_000), "F001", 1, 107, "more than 100 deep"),
         (("delta: 0.1", "delta: " + "[" * 50_000 + "]" * 50_000), "F001", 1, 107, "more than 100 deep"),
         (("delta: 0.1", "delta: " + "{a: " * 50_000), "F001", 1, 404, "more than 100 deep"),

@@ -92,7 +92,7 @@ def test_a_commit_that_lost_never_happened() -> None:
     assert outbox.decide(store.as_memory()) is False and outbox.first is None
     [record] = outbox.ready(store.as_memory())
     assert (record.round, record.event, record.effects, record.frame) == (5, None, None, None)
-    assert record.skipped == "Event gave way to another robot's transaction"
+    assert record.skipped == "lost contention: Event, to another robot's transaction"
     assert outbox.lives == [life(0)]
 
 

@@ -100,10 +100,10 @@ def test_who_gives_way_skips_and_does_not_fall_through() -> None:
                 assert (record.event, record.skipped) == ("Count", None)
             else:
                 assert record.event is None and record.effects is None and record.frame is None
-                assert record.skipped == "Count gave way to another robot's transaction"
+                assert record.skipped == "lost contention: Count, to another robot's transaction"
         traced = robot.trace("round")[:6]
         assert [t["skipped"] for t in traced] == [r.skipped for r in robot.records[:6]]
-        told = sum("gave way" in (r.skipped or "") for r in robot.records)
+        told = sum("lost contention" in (r.skipped or "") for r in robot.records)
         assert robot.agent.counters()["gave_way"] - told in (0, 1)  # a last one may not be told yet
         assert not robot.held()
 

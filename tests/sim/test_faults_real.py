@@ -80,8 +80,8 @@ def test_with_conditions_agents_send_to_the_relay(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "status", "said"),
     [
-        (["--loss=1.5"], 2, "1.5 is no loss; give 0 to 1"),
-        (["--delay=nan"], 2, "nan is no delay; give 0 to 10"),
+        (["--loss=1.5"], 2, "loss is 0 to 1, not 1.5"),
+        (["--delay=nan"], 2, "delay is 0 to 10 s, not nan"),
         (["--scenario=nowhere.json"], 1, "nowhere.json: No such file"),
         ([{"events": [{"at": 5, "crash": "r0"}]}], 1, "the crash at 5 s would come after the run's end, at 1 s"),
         ([{"events": [{"at": 5, "crash": "r7"}]}], 1, "events[0].crash: no robot 'r7' in this fleet"),

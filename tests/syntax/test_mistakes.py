@@ -164,7 +164,7 @@ STATEMENTS = [
     ("= 3", "=", "expected a statement, found '='", ""),
     ("def f():\n      pass", "def", "expected a statement, found 'def'", "it stands at the left margin"),
     ("eff: x = 3", "eff", "expected a statement, found 'eff'", "stands indented once"),
-    ("x == 3\n      y = 4", "", "unexpected indentation", "only what belongs to a block"),
+    ("x == 3\n      y = 4", "", "unexpected indentation", "indent it by 4 spaces as line"),
 ]
 
 
@@ -245,6 +245,10 @@ SECTIONS = [
     ("Go:\n  pre: a\n  eff\n    pass", "", "expected ':' after 'eff'", ""),
     ("Go:\n  rpe: a\n  eff: pass", "rpe", "'rpe' is no word of the language", "did you mean 'pre'?"),
     ("Go:\n  pre: a\n  eff: pass\n  x = 3", "x", "expected 'pre' or 'eff', found 'x'", "statements stand under 'eff:'"),
+    ("Go:\n  pre: a\n  effect: pass", "effect", "expected 'pre' or 'eff', found 'effect'", "write 'eff:'"),
+    ("Go:\n  guard: a\n  eff: pass", "guard", "expected 'pre' or 'eff', found 'guard'", "write 'pre:'"),
+    ("Go:\n    pre: a\n  eff: pass", "e", "2 spaces match no enclosing block", "or line 2 by 2"),
+    ("Go:\n  pre: a\n    eff: pass", "", "unexpected indentation", "indent it by 2 spaces as line 2"),
     ("Go:\n  pre: a,\n  eff: pass", ",", "expected one value, found ','", "a tuple stands in brackets"),
     ("Go:\n  pre: a = 3\n  eff: pass", "=", "'=' assigns and cannot stand in a condition", "'==' compares"),
     ("Go:\n  pre:\n  eff: pass", "", "expected an indented block after 'pre'", ""),
