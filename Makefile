@@ -1,12 +1,17 @@
 # The two commands of the README are `make demo` and `make test`; each sets itself up.
-# A fresh machine needs Python 3.11 with venv, and make.
-PYTHON ?= $(shell command -v python3.11 || command -v python3)
+# A fresh machine needs a Python of 3.11 to 3.14 with venv, and make. PyBullet is there with 3.11 alone, so that is the
+# first choice: with it the tests run both contact engines.
+SUPPORTED := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 14))
+ifndef PYTHON
+PYTHON := $(shell for p in python3.11 python3.12 python3.13 python3.14 python3; do \
+	$$p -c '$(SUPPORTED)' 2>/dev/null && echo $$p && break; done)
+endif
 VENV := .venv
 PY := $(VENV)/bin/python
 STAMP := $(VENV)/.ready
 QUIET := PIP_DISABLE_PIP_VERSION_CHECK=1
 
-.PHONY: demo test lint slow prover-campaign clearance-campaign bench generated lock clean
+.PHONY: demo test test-sim lint slow prover-campaign clearance-campaign bench generated lock clean
 
 demo: $(STAMP)
 	$(PY) -m koordgen sim examples/lineform/lineform.koord --fleet examples/lineform/fleet.yaml \
@@ -18,6 +23,11 @@ demo: $(STAMP)
 # are kept, whatever the shell says: both, and all processes that tests start, would else compile everything anew.
 test: lint
 	PYTHONDONTWRITEBYTECODE= $(PY) -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow"
+
+# Of the same tests those that depend most on the Python version and its packages.
+test-sim: $(STAMP)
+	PYTHONDONTWRITEBYTECODE= $(PY) -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow" \
+	  tests/sim tests/emit tests/bundle
 
 lint: $(STAMP)
 	$(VENV)/bin/ruff check .
@@ -59,19 +69,24 @@ generated: $(STAMP)
 	$(PY) -m targets.car.solver.generate
 
 $(STAMP): requirements.lock pyproject.toml
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' || \
-	  { echo "error: Python 3.11 is needed and $(PYTHON) is another; name it with: make $(MAKECMDGOALS) PYTHON=/path/to/python3.11" >&2; exit 5; }
+	@test -n "$(PYTHON)" && $(PYTHON) -c '$(SUPPORTED)' || \
+	  { echo "error: Python 3.11 to 3.14 is needed and $(or $(PYTHON),python3) is none of these; name one with: make $(MAKECMDGOALS) PYTHON=/path/to/python3" >&2; exit 5; }
 	@$(PYTHON) -c 'import ensurepip' || \
-	  { echo "error: $(PYTHON) has no venv; on Debian: apt-get install python3.11-venv" >&2; exit 5; }
+	  { echo "error: $(PYTHON) has no venv; on Debian: apt-get install $(notdir $(PYTHON))-venv" >&2; exit 5; }
 	@test -x $(PY) || $(PYTHON) -m venv $(VENV)
-	@echo "setting up $(VENV) (once)"
+	@echo "setting up $(VENV) with $$($(PY) -V) (once)"
 	@$(QUIET) $(PY) -m pip install --quiet -r requirements.lock
 	@$(QUIET) $(PY) -m pip install --quiet --no-deps --no-build-isolation --editable .
 	@touch $@
 
-# Takes the versions of the present environment as the locked ones.
+# Takes the versions of the present environment as the locked ones, with the markers that the lock has. Python 3.11 on
+# x86-64 has all packages; any other would lose some.
 lock:
-	$(PY) -m pip freeze --exclude-editable --exclude koordgen > requirements.lock
+	$(PY) -m pip freeze --exclude-editable --exclude koordgen > requirements.new
+	awk -F== 'NR == FNR { at = index($$0, ";"); if (at) marker[$$1] = substr($$0, at); next } { print $$0 marker[$$1] }' \
+	  requirements.lock requirements.new > requirements.marked
+	mv requirements.marked requirements.lock
+	rm requirements.new
 
 clean:
 	rm -rf $(VENV) build dist

@@ -23,7 +23,9 @@ import numpy as np
 
 from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.values import Point
+from targets.sim.bullet import Bullet
 from targets.sim.car import SimulatedCar
+from targets.sim.contacts import PYBULLET
 from targets.sim.first_order import SimpleCar, SimpleQuadrotor
 from targets.sim.quadrotor import SimulatedQuadrotor
 from targets.sim.sight import Eye
@@ -198,7 +200,7 @@ class Lidars:
 
 def lidars(count: int, turns: int) -> Lidars:
     """Measured."""
-    world = World()
+    world = World(engine=PYBULLET)
     for obstacle in ROOM:
         world.obstacle(obstacle)
     driven: list[SimulatedCar] = []
@@ -209,12 +211,13 @@ def lidars(count: int, turns: int) -> Lidars:
         if room > 0.5 and all(math.dist(place, car.state().position) > 0.8 for car in driven):
             driven.append(SimulatedCar(world, place, dice.uniform(-3.0, 3.0), 0.33, 0.4))
     world.step()
-    bullet, own = world.bullet.bullet, {"physicsClientId": world.bullet.client}
+    assert isinstance(world.engine, Bullet)
+    bullet, own = world.engine.bullet, {"physicsClientId": world.engine.client}
     eyes = []
     for car in driven:
         motion = car.motion()
         eyes.append(Eye((*car.state().position[:2], motion.position[2] + 1e-3), RAYS, 6.0, car.rigid.number))
-        world.bullet.take(car.rigid.number, motion.position, motion.orientation)  # its rays see those that it has
+        world.engine.take(car.rigid.number, motion.position, motion.orientation)  # its rays see those that it has
 
     def theirs() -> list[list[float]]:
         return [_cast(world, bullet, own, eye) for eye in eyes]
@@ -236,7 +239,8 @@ def _near(apart: Sequence[list[float]]) -> float:
 def _cast(world: World, bullet: Any, own: dict[str, int], eye: Eye) -> list[float]:
     """PyBullet's rays, with the robot itself hidden from them."""
     x, y, z = eye.place
-    number = world.bullet.number(eye.unseen)
+    assert isinstance(world.engine, Bullet)
+    number = world.engine.number(eye.unseen)
     bullet.setCollisionFilterGroupMask(number, -1, 0, 0, **own)
     ends = [(x + eye.range * c, y + eye.range * s, z) for c, s in WAYS]
     found = bullet.rayTestBatch([eye.place] * len(ends), ends, **own)

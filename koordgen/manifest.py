@@ -60,6 +60,7 @@ class Target(Node):
     (`entry` is its main function), both as "module:name". `sensors`, `actuators` and `callables` are keyed by
     "Module.port" and say the Koord type. `simulation` names the body and the device that stand in for the real ones;
     `feed` how a base station finds it; `also` the other folders of targets/ whose files this one's code imports.
+    `one_of` names packages among `requirements` of which one is enough.
     `actions` are what its robots can do when a property is violated: hold, come to rest (stop), land.
     `robot` is what a harness lets the file say of each robot, single settings and groups of them, without defaults: the
     harness has these. `footprint` names the settings (m) that tell how much room the body takes: `radius` about its
@@ -83,6 +84,7 @@ class Target(Node):
     footprint: dict[str, str]
     actions: tuple[str, ...] = ACTIONS
     alone: str = ""
+    one_of: tuple[str, ...] = ()
 
     @property
     def modules(self) -> set[str]:
@@ -141,6 +143,7 @@ def _target(raw: dict[str, Any], path: Path) -> Target:
         footprint=raw.get("footprint", {}),
         actions=(*ACTIONS, "land") if raw.get("lands", False) else ACTIONS,
         alone=raw.get("alone", ""),
+        one_of=tuple(raw.get("one_of", ())),
     )
 
 

@@ -60,6 +60,7 @@ FLOORS = {
     "scenario": {"node", "source", "located"},
     "cli": BASE
     | {
+        "runtime",  # which knows whether a requirement is for this computer
         "scenario",
         "runtime",
         "pipeline",
@@ -92,6 +93,7 @@ FLOORS = {
 GENERATED_READERS = {"syntax": "koordgen._generated.grammar"}
 HEAVY = {
     "pybullet",
+    "mujoco",
     "casadi",
     "ompl",
     "pymavlink",

@@ -415,19 +415,24 @@ def _write(bundles: dict[str, dict[str, bytes]], folder: object) -> None:
 
 def _require_packages() -> None:
     """The harness and the agents run with this very Python."""
-    import re
     from importlib.metadata import PackageNotFoundError, version
 
     from koordgen import manifest
+    from koordgen.runtime.host import needed
+
+    def is_missing(name: str) -> bool:
+        try:
+            version(name)
+        except PackageNotFoundError:
+            return True
+        return False
 
     missing = set()
     for target in map(manifest.load, manifest.available()):
-        for line in target.requirements:
-            name = re.split(r"[^A-Za-z0-9._-]", line)[0]
-            try:
-                version(name)
-            except PackageNotFoundError:
-                missing.add(name)
+        wanted = set(filter(None, map(needed, target.requirements)))
+        missing |= set(filter(is_missing, wanted - set(target.one_of)))
+        if target.one_of and all(map(is_missing, target.one_of)):
+            missing.add(" or ".join(target.one_of))
     if missing:
         message = f"packages are missing: {', '.join(sorted(missing))}"
         raise Failure(SURROUNDINGS, message, install("koordgen[sim]"))

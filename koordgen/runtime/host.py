@@ -27,7 +27,8 @@ ROOM = 100_000_000  # bytes: a trace soon fills less
 JUMP = 0.05  # seconds by which the wall clock may leave the monotonic one during a look
 _REQUIREMENT = re.compile(
     r"(?P<name>[A-Za-z0-9._-]+)\s*(?P<relation>==|>=)\s*(?P<version>[0-9][^\s;]*)"
-    r"(?:\s*;\s*python_version\s*(?P<when>[<>]=?)\s*'(?P<python>[0-9.]+)')?"
+    r"(?:\s*;\s*python_version\s*(?P<when>[<>]=?)\s*'(?P<python>[0-9.]+)'"
+    r"(?:\s+and\s+platform_machine\s*==\s*'(?P<machine>\w+)')?)?"
 )
 _UNSYNCHRONISED = 5  # TIME_ERROR of adjtimex(2)
 
@@ -110,9 +111,20 @@ def _externally_managed() -> bool:
     return not in_venv and (Path(sysconfig.get_path("stdlib")) / "EXTERNALLY-MANAGED").is_file()
 
 
+def needed(line: str) -> str:
+    """Return the package that a line of requirements names; "" if its markers exclude this Python or this computer.
+    Raises ValueError for a line that is not understood."""
+    named = _REQUIREMENT.fullmatch(line)
+    if named is None:
+        raise ValueError(f"{line!r} is not understood")
+    return named["name"] if _applies(named) else ""
+
+
 def _applies(named: re.Match[str]) -> bool:
     if named["when"] is None:
         return True
+    if named["machine"] not in (None, platform.machine()):
+        return False
     here, there = sys.version_info[:2], _numbers(named["python"])
     return {"<": here < there, "<=": here <= there, ">": here > there, ">=": here >= there}[named["when"]]
 

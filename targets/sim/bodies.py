@@ -1,6 +1,6 @@
 """The seam between the simulated world, its bodies and the devices that stand in for real ones.
 
-A body lives in the PyBullet world and moves; a device (a simulated autopilot, a simulated motor controller) talks to
+A body lives in the simulated world and moves; a device (a simulated autopilot, a simulated motor controller) talks to
 the robot's agent exactly as the real one would and drives its body. Frames: local ENU metres, yaw in radians.
 """
 

@@ -1,9 +1,7 @@
-"""PyBullet, asked for contacts: floor, obstacles, and those bodies that may touch something. The only module that knows
-pybullet, which has no types.
+"""PyBullet as contact engine (see contacts.py). The only module that knows pybullet, which has no types.
 
-A body that is far from everything is not moved here: it sleeps and touches nothing. One that is taken moves as PyBullet
-finds it should, from the velocity that it is given in each step, in which all forces but those of contacts are in
-already. Gravity is one of these, so there is none here. PyBullet repeats itself only in a fresh client.
+A body that is not taken sleeps and touches nothing. PyBullet multiplies the friction of two surfaces by itself. It
+repeats itself only in a fresh client.
 """
 
 from __future__ import annotations
@@ -11,53 +9,17 @@ from __future__ import annotations
 import ctypes
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
 from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.values import Point
 from targets.sim.bodies import Vector
+from targets.sim.contacts import FLOOR_FRICTION, TOUCHING, Moved, NoWindow, Solid, Touched
 
 # Collision groups: what is in one touches those of its mask.
 ROBOT, OBSTACLE, FLOOR, NOTHING = 1, 2, 4, 0
 EVERYTHING = ROBOT | OBSTACLE | FLOOR
-TOUCHING = 1e-3  # m; PyBullet keeps points of contact where surfaces are still up to 2 cm apart
-FLOOR_FRICTION = 0.5  # of a floor of friction 1; PyBullet multiplies it by the body's
-
-Quaternion = tuple[float, float, float, float]
-Moved = tuple[Vector, Quaternion, Vector, Vector]  # position, orientation, velocity, spin
-
-
-class NoDisplay(OSError):
-    """PyBullet's window was asked for where there is no display."""
-
-
-@dataclass(frozen=True, slots=True)
-class Solid:
-    """What a body is to contacts: a box of edges `size`, or, `round`, an upright cylinder in it (m); mass (kg), inertia
-    about its own axes (kg m^2), friction."""
-
-    size: Vector
-    mass: float
-    inertia: Vector
-    friction: float = 0.0
-    round: bool = False
-
-    @property
-    def reach(self) -> float:
-        """The radius of the sphere about its centre that it never leaves (m)."""
-        x, y, z = self.size
-        across = x if self.round else (x * x + y * y) ** 0.5
-        return float((across * across + z * z) ** 0.5 / 2)
-
-
-@dataclass(frozen=True, slots=True)
-class Touched:
-    """What touched in a step: pairs of bodies (the lower number first), and bodies with obstacles."""
-
-    bodies: frozenset[tuple[int, int]] = frozenset()
-    obstacles: frozenset[tuple[int, int]] = frozenset()
 
 
 def _pybullet() -> ModuleType:
@@ -97,11 +59,11 @@ def _vector(p: Point) -> Vector:
 
 
 class Bullet:
-    """One client. Bodies and obstacles are numbered from 0, each in the order in which they came. Raises NoDisplay."""
+    """One client. Bodies and obstacles are numbered from 0, each in the order in which they came. Raises NoWindow."""
 
     def __init__(self, step: float, friction: float = 1.0, gui: bool = False) -> None:
         if gui and not _displayed():
-            raise NoDisplay("there is no display to open PyBullet's window on; leave out --gui, or set DISPLAY")
+            raise NoWindow("there is no display to open PyBullet's window on; leave out --gui, or set DISPLAY")
         bullet: Any = _pybullet()
         self.bullet, self.shown = bullet, gui
         self._client: int = bullet.connect(bullet.GUI if gui else bullet.DIRECT)
@@ -207,7 +169,7 @@ class Bullet:
         for point in self.bullet.getContactPoints(**self._own):
             a, b, distance = point[1], point[2], point[8]
             if distance > TOUCHING:
-                continue  # it may come to a contact
+                continue  # PyBullet keeps points of contact where surfaces are still up to 2 cm apart
             if a in self._bodies and b in self._bodies:
                 one, other = self._bodies[a], self._bodies[b]
                 bodies.add((min(one, other), max(one, other)))

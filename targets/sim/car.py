@@ -1,8 +1,8 @@
 """Simulated cars: a rigid body on four tyres, with a servo that is late and a motor that holds a speed.
 
 Within what its tyres hold it follows the kinematic bicycle (S. M. LaValle, Planning Algorithms (2006), section
-13.1.2.1) exactly; beyond that it slides (tyres.py). Its wheels carry it without PyBullet as long as it stands on them
-and nothing is near. The reference point is the middle of the rear axle, on the floor.
+13.1.2.1) exactly; beyond that it slides (tyres.py). Its wheels carry it without a contact engine as long as it stands
+on them and nothing is near. The reference point is the middle of the rear axle, on the floor.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from targets.sim.bodies import BodyState, Vector
-from targets.sim.bullet import Solid
+from targets.sim.contacts import Solid
 from targets.sim.rigid import Array, Mask, yaws
 from targets.sim.tyres import Chassis, impulses
 from targets.sim.world import GRAVITY, STEP, Kind, Motion, World
@@ -74,7 +74,7 @@ class RollingKind(Kind):
 
     def carry(self, taken: Mask) -> Mask:
         """What the floor does to them by their wheels; which of all have these on the floor. A suspension holds those
-        level, without PyBullet's contacts: in these a box that slides sinks in and shakes."""
+        level, without an engine's contacts: on PyBullet's floor a box that slides sinks in and shakes."""
         now = self.motions
         if not taken.any():
             now.velocity[2] = now.spin[0] = now.spin[1] = 0.0

@@ -23,6 +23,7 @@ from msgspec.structs import replace
 
 from koordgen.runtime.host import install_requirements
 from targets.sim import faults
+from targets.sim.contacts import NoEngine, choose
 from targets.sim.folder import SOURCE, Foreign, RunFolder
 from targets.sim.scatter import scattered
 from targets.sim.scenario import FILE, BadScenario, Scenario, load
@@ -44,7 +45,7 @@ REAL_TIME = (
     "real time on this host: the same seed gives the same world and the same sensor noise, but not the same timing of "
     "processes and datagrams"
 )
-NEEDED = ("numpy", "pybullet", "matplotlib")
+NEEDED = ("numpy", "matplotlib")  # and a contact engine
 
 
 def main(root: Path, argv: list[str] | None = None) -> int:
@@ -56,6 +57,7 @@ def main(root: Path, argv: list[str] | None = None) -> int:
     try:
         scenario = scattered(replace(load(root, options.settings), gui=options.gui), options.seed)
         out: Path = options.out or Path(f"run-{scenario.app}")
+        scenario = replace(scenario, harness={**scenario.harness, "engine": choose(scenario.engine)})
         plan = _plan(scenario, options)
         _require(scenario, placed=plan is not None)
         schedule, told = _schedule(scenario, options)
@@ -70,7 +72,7 @@ def main(root: Path, argv: list[str] | None = None) -> int:
             return _run(root, scenario, schedule, plan, folder, options, view)
     except BadScenario as error:
         return _fail(BAD_FILES, str(error), error.hint)
-    except Foreign as error:
+    except (Foreign, NoEngine) as error:
         return _fail(SURROUNDINGS, str(error), error.hint)
     except ModuleNotFoundError as error:
         return _fail(SURROUNDINGS, f"the Python package {error.name!r} is missing", install_requirements(root))
@@ -113,7 +115,7 @@ def _parser(root: Path, argv: list[str]) -> argparse.ArgumentParser:
     later = "no report and no pictures; `koordgen report` and `export` make them of the folder"
     parser.add_argument("--no-report", action="store_true", help=later)
     parser.add_argument("--windows", action="store_true", help="tell of every window of every robot, in windows.jsonl")
-    parser.add_argument("--gui", action="store_true", help="show PyBullet's window")
+    parser.add_argument("--gui", action="store_true", help="show PyBullet's window (MuJoCo has none: see --live)")
     parser.add_argument("--check", action="store_true", help="check the bundle and its packages; run nothing")
     parser.add_argument("--invoked-as", metavar="TEXT", help="the command to name in the report, if not this one")
     live = "show the run on a page at 127.0.0.1, on PORT or any free one"
@@ -212,7 +214,7 @@ def _check(root: Path, scenario: Scenario) -> int:
     print(f"ok: {root / FILE}: {scenario.app}, {len(scenario.robots)} robots, delta {scenario.delta:g} s")
     for robot in scenario.robots:
         print(f"ok: {robot.name}: {robot.target}, {robot.body} with {robot.device}, {robot.bundle}")
-    print(f"ok: packages {', '.join(NEEDED)}")
+    print(f"ok: packages {', '.join(NEEDED)}; contact engine {scenario.engine}")
     return HELD
 
 

@@ -1,4 +1,4 @@
-"""Which bodies may touch something soon: the others need no contacts, and so no PyBullet."""
+"""Broad phase: which bodies may touch something soon. The others need no contact engine."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from targets.sim.rigid import Array, Mask, Motions, total
 
 LOOK_EVERY = 12  # steps
 MOST_ACCELERATION = 40.0  # m/s^2, more than motors and gravity together give
-MARGIN = 0.05  # m; PyBullet finds contacts from about 0.02 on
+MARGIN = 0.05  # m; PyBullet finds contacts at 0.02 or less
 
 
 class Near:

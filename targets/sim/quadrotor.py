@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from targets.sim.bodies import BodyState, Vector
-from targets.sim.bullet import Solid
+from targets.sim.contacts import Solid
 from targets.sim.rigid import Array, Mask, rotations, total, yaws
 from targets.sim.world import GRAVITY, STEP, Kind, Motion, World
 
@@ -88,7 +88,7 @@ class Quadrotors(Kind):
         self.motors += speeds
         given = _GIVEN @ (self.motors * self.motors)
         gained = given[1:]
-        gained[:2] += _GYROSCOPIC * spin[1::-1] * (spin[2] * ~taken)  # PyBullet has this term of its own
+        gained[:2] += _GYROSCOPIC * spin[1::-1] * (spin[2] * ~taken)  # contact engines have this term of their own
         fallen, spun = now.velocity, now.spin
         spun += total(turned * gained, 1)
         fallen -= (fallen if air is None else fallen - air) * (DRAG * STEP)

@@ -46,7 +46,7 @@ total = np.add.reduce  # over the first axis; half the price of `sum` for arrays
 
 def advance(motions: Motions, seconds: float) -> None:
     """Move and turn all bodies by their velocities and spins. With the velocities of the step's end this is the
-    semi-implicit Euler method, which is PyBullet's, too."""
+    semi-implicit Euler method, which is the contact engines', too."""
     position = motions.position
     position += motions.velocity * seconds
     turn(motions.orientation, motions.spin, seconds)

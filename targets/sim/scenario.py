@@ -12,6 +12,7 @@ import msgspec
 from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.values import Point, distance, transmissible
 from targets.sim.bodies import Vector
+from targets.sim.contacts import AUTO, PACKAGES
 
 FILE = "scenario.json"
 
@@ -150,7 +151,12 @@ class Scenario(msgspec.Struct, frozen=True):
     shared: tuple[Shared, ...] = ()
     records: dict[str, tuple[tuple[str, str], ...]] = {}
     application_id: int = 0
-    gui: bool = False  # whether PyBullet shows its window: no file says so, but --gui
+    gui: bool = False  # whether the contact engine shows its window: no file says so, but --gui
+
+    @property
+    def engine(self) -> str:
+        """The contact engine that is wanted; see targets/sim/contacts.py."""
+        return str(self.harness.get("engine", AUTO))
 
     def number(self, setting: str, default: float) -> float:
         """One of the harness's settings."""
@@ -172,6 +178,8 @@ def load(root: Path, settings: Path | None = None) -> Scenario:
     _check(path, root, scenario)
     if settings is not None:
         scenario = msgspec.structs.replace(scenario, harness=_laid_over(scenario.harness, settings))
+    if scenario.engine not in (AUTO, *PACKAGES):
+        raise BadScenario(f"engine is {scenario.engine!r}", f"there are: {', '.join((AUTO, *PACKAGES))}")
     return msgspec.structs.replace(scenario, robots=tuple(_filled(robot, scenario) for robot in scenario.robots))
 
 

@@ -137,9 +137,10 @@ class Stage:
         wiring: Wiring | None = None,
         clock: Clock = raw_clock,
     ) -> None:
-        """`wiring` is how agents are reached, `clock` the one by which they stamp what arrives. Raises BadScenario, and
-        bullet.NoDisplay when a window is asked for where there is none."""
-        self.world = World(scenario.world.wind, scenario.world.floor_friction, seed, scenario.gui)
+        """`wiring` is how agents are reached, `clock` the one by which they stamp what arrives. Raises BadScenario,
+        contacts.NoEngine, and contacts.NoWindow when a window is asked for where there is none."""
+        world = scenario.world
+        self.world = World(world.wind, world.floor_friction, seed, scenario.gui, scenario.engine)
         self.actors: list[Actor] = []
         self.watch = Watch(scenario.number("min_separation", 0.0))
         self.spent = 0.0  # host seconds on devices
@@ -208,7 +209,7 @@ def check(scenario: Scenario) -> None:
 
 def _check_contacts(scenario: Scenario) -> None:
     """In a world of its own, for one step: what touches then did so at the start."""
-    world = World()
+    world = World(engine=scenario.engine)
     try:
         for obstacle in scenario.obstacles:
             world.obstacle(obstacle)

@@ -1,5 +1,5 @@
-"""The world: robots and obstacles on a floor. All bodies of a kind move together, in arrays; PyBullet is asked where
-contact is possible (bullet.py, near.py).
+"""The world: robots and obstacles on a floor. All bodies of a kind move together, in arrays; a contact engine moves
+those that may touch something (contacts.py, near.py).
 
 Frame: local ENU, metres. The same bodies, seed and commands give the same motion to the last bit; a world serves one
 run.
@@ -16,7 +16,7 @@ import numpy as np
 
 from koordgen.runtime.obstacles import Obstacle
 from targets.sim.bodies import BodyState, Vector
-from targets.sim.bullet import Bullet, Solid, Touched
+from targets.sim.contacts import AUTO, Solid, Touched, make
 from targets.sim.near import LOOK_EVERY, Near
 from targets.sim.rigid import Array, Mask, Motions, advance, rotations
 from targets.sim.scenario import Wind
@@ -63,7 +63,7 @@ class Kind(ABC):
     @abstractmethod
     def push(self, air: Array | None, taken: Mask) -> None:
         """Change velocities and spins by all that acts in one step but contacts. `air` is the wind; those `taken` are
-        PyBullet's to move."""
+        the contact engine's to move."""
 
     def steady(self) -> Mask:
         """Of a kind that rolls, which ones stand on the floor as they should."""
@@ -114,10 +114,13 @@ class Rigid:
 
 
 class World:
-    """A floor at z = 0 and what was put on it. `steps` counts what was simulated. Raises bullet.NoDisplay."""
+    """A floor at z = 0 and what was put on it. `steps` counts what was simulated. Raises
+    contacts.NoEngine and contacts.NoWindow."""
 
-    def __init__(self, wind: Wind | None = None, friction: float = 1.0, seed: int = 0, gui: bool = False) -> None:
-        self.bullet = Bullet(STEP, friction, gui)
+    def __init__(
+        self, wind: Wind | None = None, friction: float = 1.0, seed: int = 0, gui: bool = False, engine: str = AUTO
+    ) -> None:
+        self.engine = make(engine, STEP, friction, gui)
         self.friction = friction  # of the floor; 1 is the usual one
         self.steps = 0
         self._near = Near()
@@ -145,7 +148,7 @@ class World:
         self._near.stand(obstacle)
         self._scenery.stand(obstacle)
         self.look_again()
-        return self.bullet.obstacle(obstacle)
+        return self.engine.obstacle(obstacle)
 
     def blow(self, wind: Wind) -> None:
         """From now on there is this wind."""
@@ -169,7 +172,7 @@ class World:
         self._solids.insert(row, solid)
         self._reach = np.array([each.reach for each in self._solids])
         self._taken = np.insert(self._taken, row, False)
-        number = self.bullet.body(solid)
+        number = self.engine.body(solid)
         self._numbers.insert(row, number)
         self._shapes = (
             np.array([each.size for each in self._solids]).T, np.array([each.round for each in self._solids]),
@@ -213,7 +216,7 @@ class World:
         self.steps += 1
 
     def _look(self) -> None:
-        """Find who may touch something until the next look, and hand these over to PyBullet."""
+        """Find who may touch something until the next look, and hand these over to the contact engine."""
         seconds = LOOK_EVERY * STEP
         floor = self._near.to_floor(self._motions, self._reach, seconds)
         for kind, rows in self._parts():
@@ -222,30 +225,30 @@ class World:
         others = self._near.to_others(self._motions, self._reach, seconds)
         taken = floor | others
         for row in np.flatnonzero(taken & ~self._taken).tolist():
-            self.bullet.take(self._numbers[row], *self._pose(row))
+            self.engine.take(self._numbers[row], *self._pose(row))
         for row in np.flatnonzero(self._taken & ~taken).tolist():
-            self.bullet.release(self._numbers[row])
+            self.engine.release(self._numbers[row])
         self._taken, self._rows = taken, np.flatnonzero(taken).tolist()
         self._crowded = bool(others.any())
         self._next_look = self.steps + LOOK_EVERY
-        if self.bullet.shown:
+        if self.engine.shown:
             for row in np.flatnonzero(~taken).tolist():
-                self.bullet.show(self._numbers[row], *self._pose(row))
+                self.engine.show(self._numbers[row], *self._pose(row))
 
     def _pose(self, row: int) -> tuple[list[float], list[float]]:
         return self._motions.position[:, row].tolist(), self._motions.orientation[:, row].tolist()
 
     def _contact(self) -> Touched:
-        """Let PyBullet move those that are taken; what touched."""
+        """Let the contact engine move those that are taken; return what touched."""
         now, rows = self._motions, self._rows
         velocity, spin = now.velocity[:, rows].T.tolist(), now.spin[:, rows].T.tolist()
         numbers = [self._numbers[row] for row in rows]
-        moved = self.bullet.step(zip(numbers, velocity, spin, strict=True))
+        moved = self.engine.step(zip(numbers, velocity, spin, strict=True))
         found = [np.array(values).T for values in zip(*moved, strict=True)]
         now.position[:, rows], now.orientation[:, rows], now.velocity[:, rows], now.spin[:, rows] = found
         if not self._crowded:
             return Touched()
-        touched = self.bullet.touched()
+        touched = self.engine.touched()
         if touched.bodies or touched.obstacles:
             self._next_look = self.steps + 1  # what was hit may be much faster now
         return touched
@@ -258,7 +261,7 @@ class World:
         """Whether a body stands on the floor."""
         row = self._numbers.index(body.number)
         if self._taken[row]:
-            return self.bullet.grounded(body.number)
+            return self.engine.grounded(body.number)
         return any(kind.rolling and rows.start <= row < rows.stop for kind, rows in self._parts())
 
     def look(self, eyes: Sequence[Eye]) -> list[Array]:
@@ -269,4 +272,4 @@ class World:
 
     def close(self) -> None:
         """Idempotent."""
-        self.bullet.close()
+        self.engine.close()

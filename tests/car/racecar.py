@@ -1,4 +1,4 @@
-"""PyBullet's racecar driven by the tracker: in one process, without network and real time.
+"""The simulated racecar driven by the tracker: in one process, without network and real time.
 
 20 times a second of simulated time the tracker commands the simulated car (tyres, servo and motor that lag), from its
 true pose with the noise of a motion-capture system on it.

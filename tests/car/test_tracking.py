@@ -1,11 +1,10 @@
-"""The tracker where something is in the way, and with PyBullet's racecar."""
+"""The tracker where something is in the way, and with the simulated racecar."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from itertools import pairwise
-from types import ModuleType
 
 import pytest
 
@@ -13,6 +12,7 @@ from targets.car.bicycle import State
 from targets.car.mpc import BLIND_STEPS, STEP, STEPS, Command, Limits, Mpc
 from targets.car.planner import PathPose, Segment
 from targets.car.tracker import Track, Tracker
+from tests.car import racecar
 from tests.car.slalom import LIMITS, aside, slalom_path
 from tests.car.world import TestBody, World
 
@@ -129,21 +129,13 @@ def test_the_slalom_is_as_sharp_and_as_fast_as_it_says() -> None:
     assert aside(path, path.poses[7].x, path.poses[7].y) == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.fixture(scope="module")
-def racecar() -> ModuleType:
-    pytest.importorskip("pybullet")
-    import tests.car.racecar
-
-    return tests.car.racecar
-
-
-def test_pybullets_racecar_keeps_to_the_slalom(racecar: ModuleType) -> None:
+def test_the_simulated_racecar_keeps_to_the_slalom() -> None:
     figures = racecar.slalom(4)
     assert figures.finished and figures.rms < 0.02 and figures.largest < 0.05 and figures.median_speed > 1.45
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_pybullets_racecar_parks_at_a_pose(racecar: ModuleType, seed: int) -> None:
+def test_the_simulated_racecar_parks_at_a_pose(seed: int) -> None:
     found = racecar.parked(seed)
     assert found.finished and found.away <= 0.05 and found.turned <= 0.15, found
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import platform
 import shutil
 import struct
 import sys
@@ -42,6 +43,15 @@ def test_packages_as_they_were_tested(tmp_path: Path) -> None:
     wanted = "here==1.2.3\nlater>=1.10\n\nother==2; python_version < '3.2'\nthis==4.5; python_version >= '3.10'\n"
     found = packages(tmp_path, wanted, here="1.2.3", later="1.11.0", this="4.5")
     assert (found.state, found.found) == ("ok", "all 3 as requirements.txt wants")
+
+
+def test_a_package_for_other_computers_is_not_needed() -> None:
+    here, version = platform.machine(), ".".join(platform.python_version_tuple()[:2])
+    assert host.needed(f"a==1; python_version <= '{version}' and platform_machine == '{here}'") == "a"
+    assert host.needed(f"a==1; python_version <= '{version}' and platform_machine == 'vax'") == ""
+    assert host.needed(f"a==1; python_version < '{version}' and platform_machine == '{here}'") == ""
+    with pytest.raises(ValueError, match="not understood"):
+        host.needed("a==1; os_name == 'posix'")
 
 
 def test_packages_that_are_missing_or_others(tmp_path: Path) -> None:

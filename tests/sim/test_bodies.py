@@ -14,20 +14,20 @@ from koordgen.runtime.obstacles import Block
 from koordgen.runtime.values import Point
 from targets.sim import quadrotor
 from targets.sim.bodies import BodyState, Vector
-from targets.sim.bullet import NoDisplay
 from targets.sim.car import SimulatedCar
 from targets.sim.first_order import MAX_ACCELERATION, VELOCITY_LAG, SimpleCar, SimpleQuadrotor
 from targets.sim.quadrotor import Quadrotors, SimulatedQuadrotor
 from targets.sim.rigid import rotations, turn
 from targets.sim.scenario import Wind
 from targets.sim.world import GRAVITY, STEP, World
+from tests.sim.engines import ENGINES
 
 WALL = Block(Point(1.0, -2.0, 0.0), Point(1.2, 2.0, 3.0))
 
 
-@pytest.fixture
-def world() -> Iterator[World]:
-    made = World()
+@pytest.fixture(params=ENGINES)
+def world(request: pytest.FixtureRequest) -> Iterator[World]:
+    made = World(engine=request.param)
     yield made
     made.close()
 
@@ -285,7 +285,7 @@ def test_a_car_that_rams_a_box_stops_there_and_can_back_off(
     car.drive(-1.0, 0.0)
     run(world, 2.0)
     assert car.state().position[0] < -0.3
-    assert not world._rows, "far from everything PyBullet is not asked"
+    assert not world._rows, "far from everything no engine is asked"
 
 
 def test_wind_blows_no_car_away_and_a_slippery_floor_is_one() -> None:
@@ -301,9 +301,9 @@ def test_wind_blows_no_car_away_and_a_slippery_floor_is_one() -> None:
         world.close()
 
 
-def swarm(far: bool) -> list[list[BodyState]]:
+def swarm(engine: str, far: bool) -> list[list[BodyState]]:
     """A crowd with gusts, walls and collisions; and the same with a bystander who is looked at from time to time."""
-    world = World(Wind((0.5, 0.0, 0.0), 0.5, 1.0), seed=5)
+    world = World(Wind((0.5, 0.0, 0.0), 0.5, 1.0), seed=5, engine=engine)
     world.obstacle(WALL)
     quads = [SimulatedQuadrotor(world, (0.5 * k - 1.5, 0.3 * k, 0.0), 0.1 * k) for k in range(4)]
     simple = [SimpleQuadrotor(world, (0.5 * k - 1.5, -1.0, 0.5), 0.0) for k in range(3)]
@@ -327,12 +327,7 @@ def swarm(far: bool) -> list[list[BodyState]]:
     return seen[::7] if far else seen
 
 
-def test_the_same_commands_give_the_same_motion_to_the_last_bit() -> None:
-    first = swarm(True)
-    assert first == swarm(True) == swarm(False), "looking changes nothing"
-
-
-def test_without_a_display_there_is_no_window(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("DISPLAY", raising=False)
-    with pytest.raises(NoDisplay, match="no display"):
-        World(gui=True)
+@pytest.mark.parametrize("engine", ENGINES)
+def test_the_same_commands_give_the_same_motion_to_the_last_bit(engine: str) -> None:
+    first = swarm(engine, True)
+    assert first == swarm(engine, True) == swarm(engine, False), "looking changes nothing"

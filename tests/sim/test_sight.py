@@ -13,10 +13,13 @@ from hypothesis import strategies as st
 from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.values import Point
 from targets.sim.bodies import Vector
+from targets.sim.bullet import Bullet
 from targets.sim.car import HEIGHT, SimulatedCar
+from targets.sim.contacts import PYBULLET
 from targets.sim.quadrotor import RADIUS, SimulatedQuadrotor
 from targets.sim.sight import Eye
 from targets.sim.world import World
+from tests.sim.engines import needs_pybullet
 
 # Nothing is ever exactly where a lidar is: these are whole millimetres, lidars stand between two.
 place = st.integers(-5000, 5000).map(lambda mm: mm / 1000)
@@ -109,15 +112,17 @@ def test_ranges_are_those_of_plane_geometry(
 
 def bullet_rays(world: World, eye: Eye) -> list[float]:
     """The same by PyBullet."""
+    assert isinstance(world.engine, Bullet)
     x, y, z = eye.place
     ways = [(math.cos(a), math.sin(a)) for a in (math.tau * i / eye.rays for i in range(eye.rays))]
-    found = world.bullet.bullet.rayTestBatch(
+    found = world.engine.bullet.rayTestBatch(
         [eye.place] * eye.rays, [(x + eye.range * c, y + eye.range * s, z) for c, s in ways],
-        physicsClientId=world.bullet.client,
+        physicsClientId=world.engine.client,
     )  # fmt: skip
     return [math.inf if number < 0 else share * eye.range for number, _, share, *_ in found]
 
 
+@needs_pybullet
 def test_they_are_pybullets_but_for_what_it_is_off_at_round_things() -> None:
     """Its rays end where an iteration finds them: up to 3 mm from a sphere that they meet at more than 10 degrees, and
     a centimetre from one that they graze. Faces are met exactly."""
@@ -127,7 +132,7 @@ def test_they_are_pybullets_but_for_what_it_is_off_at_round_things() -> None:
         (Sphere(Point(2.0, 0.5, 0.3), 0.6), 4e-3),
         (Cylinder(Point(2.0, -0.5, 0.0), 0.5, 1.0), 4e-3),
     ):
-        world = World()
+        world = World(engine=PYBULLET)
         world.obstacle(obstacle)
         SimulatedCar(world, (900.0, 0.0, 0.0), 0.0, 0.33, 0.4)
         eye = Eye((0.1, 0.05, 0.25), 720, 6.0)
