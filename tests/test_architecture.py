@@ -62,7 +62,6 @@ FLOORS = {
     | {
         "runtime",  # which knows whether a requirement is for this computer
         "scenario",
-        "runtime",
         "pipeline",
         "bundle",
         "check",
