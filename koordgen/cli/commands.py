@@ -68,6 +68,10 @@ COMMANDS: dict[str, Command] = {
         "koordgen estop --address 192.168.1.20:47100 --key fleet.key")),
     "help": Command(MORE, "list the commands, or explain one", options.help_, "docs/cli.md", (
         "koordgen help", "koordgen help build")),
+    "completion": Command(MORE, "print the script with which a shell completes commands and options",
+        options.completion, "docs/cli.md#completion", (
+        "koordgen completion bash > ~/.local/share/bash-completion/completions/koordgen",
+        "koordgen completion fish > ~/.config/fish/completions/koordgen.fish")),
 }  # fmt: skip
 
 
