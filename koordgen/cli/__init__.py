@@ -322,8 +322,15 @@ def _examples(options: Namespace) -> int:
     return examples(options)
 
 
+def _completion(options: Namespace) -> int:
+    from koordgen.cli.completion import completion
+
+    return completion(options)
+
+
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {
-    "help": _help, "check": _check, "dump": _dump, "build": _build, "prove": _prove, "explore": _explore, "fmt": _fmt,
+    "help": _help, "completion": _completion,
+    "check": _check, "dump": _dump, "build": _build, "prove": _prove, "explore": _explore, "fmt": _fmt,
     "explain": _explain, "estop": _estop, "basestation": _basestation, "doctor": _doctor, "key": _key,
     "report": _afterwards, "export": _afterwards, "campaign": _campaign, "replay": _replay,
     "validate": _validate, "audit": _audit, "docs": _docs, "new": _new, "examples": _examples,
@@ -480,7 +487,9 @@ def _output(options: Namespace) -> TextIO | None:
 
 
 def _say(text: str) -> None:
-    print(text, file=sys.stderr)
+    from koordgen.cli.terminal import coloured_message
+
+    print(coloured_message(text, sys.stderr), file=sys.stderr)
 
 
 def _internal(error: Exception) -> int:
