@@ -22,7 +22,7 @@ from koordgen.cli.docs import pages, sections
 ROOT = Path(__file__).parents[1]
 
 
-NEEDED = ("jinja2", "markupsafe", "msgspec", "pyyaml")  # of other people's packages
+NEEDED = ("jinja2", "markupsafe", "msgspec", "pyyaml", "shtab")  # of other people's packages
 
 
 def copied(name: str, site: Path) -> None:

@@ -76,13 +76,13 @@ def _run(options: Namespace) -> int:
     except Exception as error:
         from koordgen.pipeline import Rejected
 
-        if isinstance(error, OSError) and error.errno in (errno.EPIPE, errno.ENOSPC):
-            raise  # `main` ends the command
         if isinstance(error, ModuleNotFoundError) and not (error.name or "koordgen").startswith(
             ("koordgen", "targets")
         ):
             _say(f"error: the Python package {error.name} is missing\n  help: {install('koordgen[sim]')}")
             return SURROUNDINGS
+        if isinstance(error, OSError) and error.errno in (errno.EPIPE, errno.ENOSPC):
+            raise  # `main` ends the command
         if not isinstance(error, Rejected):
             return _internal(error)
         _show(error, options)
@@ -328,10 +328,16 @@ def _examples(options: Namespace) -> int:
     return examples(options)
 
 
+def _completion(options: Namespace) -> int:
+    from koordgen.cli.completion import completion
+
+    return completion(options)
+
+
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {
-    "help": _help, "check": _check, "dump": _dump, "build": _build, "prove": _prove, "explore": _explore, "fmt": _fmt,
-    "explain": _explain, "estop": _estop, "status": _status, "basestation": _basestation, "doctor": _doctor,
-    "key": _key, "report": _afterwards, "export": _afterwards, "show": _afterwards, "campaign": _campaign,
+    "help": _help, "completion": _completion, "check": _check, "dump": _dump, "build": _build,
+    "prove": _prove, "explore": _explore, "fmt": _fmt, "explain": _explain, "estop": _estop,
+    "status": _status, "basestation": _basestation, "doctor": _doctor, "key": _key, "report": _afterwards, "export": _afterwards, "show": _afterwards, "campaign": _campaign,
     "replay": _replay, "validate": _validate, "audit": _audit, "docs": _docs, "new": _new, "examples": _examples,
 }  # fmt: skip
 
@@ -486,7 +492,9 @@ def _output(options: Namespace) -> TextIO | None:
 
 
 def _say(text: str) -> None:
-    print(text, file=sys.stderr)
+    from koordgen.cli.terminal import coloured_message
+
+    print(coloured_message(text, sys.stderr), file=sys.stderr)
 
 
 def _internal(error: Exception) -> int:

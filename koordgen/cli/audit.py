@@ -17,7 +17,7 @@ from koordgen.audit.show import Audit, document, report
 from koordgen.audit.story import Mission, mission
 from koordgen.cli import HOLDS, INCONCLUSIVE, SURROUNDINGS, USAGE, VIOLATED, WRONG, Failure, install
 from koordgen.cli.alarm import alarm
-from koordgen.cli.terminal import Line
+from koordgen.cli.terminal import Line, coloured_verdicts
 from koordgen.cli.traced import program_of
 from koordgen.ir.decl import Program
 from koordgen.replay.functions import CannotCall
@@ -54,7 +54,7 @@ def audit(options: Namespace) -> int:
     if options.format == "json":
         print(json.dumps(document(made, status), indent=2), flush=True)
     else:
-        sys.stdout.write(report(made))
+        sys.stdout.write(coloured_verdicts(report(made), sys.stdout))
         sys.stdout.flush()
     if options.plot:
         _draw(made, Path(options.plot))

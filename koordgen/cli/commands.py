@@ -78,6 +78,10 @@ COMMANDS: dict[str, Command] = {
         "koordgen docs fleet", "koordgen docs cli#exit-statuses")),
     "help": Command(MORE, "list the commands, or explain one", options.help_, "cli", (
         "koordgen help", "koordgen help build")),
+    "completion": Command(MORE, "print the script with which a shell completes commands and options",
+        options.completion, "cli#completion", (
+        "koordgen completion bash > ~/.local/share/bash-completion/completions/koordgen",
+        "koordgen completion fish > ~/.config/fish/completions/koordgen.fish")),
 }  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from koordgen.check.params import BadParam, with_params
 from koordgen.cli import HOLDS, INCONCLUSIVE, INTERRUPTED, USAGE, VIOLATED, WRONG, Failure, _params, _tell
 from koordgen.cli.alarm import alarm
 from koordgen.cli.prove import hash_of, save
-from koordgen.cli.terminal import Line
+from koordgen.cli.terminal import Line, coloured_verdicts
 from koordgen.diagnostics import Diagnostic
 from koordgen.emit.program import functions_module
 from koordgen.explore.envfile import environment
@@ -54,7 +54,7 @@ def explore(options: Namespace) -> int:
     if options.format == "json":
         print(json.dumps(document(result, program, robots), indent=2), flush=True)
     else:
-        sys.stdout.write(report(result, program, options.program, robots))
+        sys.stdout.write(coloured_verdicts(report(result, program, options.program, robots), sys.stdout))
         sys.stdout.flush()
     if result.violation is not None:  # told before: a file that cannot be written costs nothing of a long search
         if options.trace:

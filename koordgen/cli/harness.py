@@ -37,7 +37,8 @@ def harness(options: Namespace) -> int:
         options.fleet = f"{folder}/fleet.yaml"
         target = manifest.load(options.command).alone
         Path(options.fleet).write_text(ALONE.format(target=target), encoding="utf-8")
-        cli._say(f"note: no --fleet: one simulated {target} runs alone; a fleet file names more robots (docs/fleet.md)")
+        more = "a fleet file names more robots (`koordgen docs fleet`)"
+        cli._say(f"note: no --fleet: one simulated {target} runs alone; {more}")
         return _harness(options)
 
 

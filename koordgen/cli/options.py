@@ -324,6 +324,11 @@ def help_(command: Parser) -> None:
     command.positional.add_argument("topic", metavar="COMMAND", nargs="?", help="a command (default: list all)")
 
 
+def completion(command: Parser) -> None:
+    """Options of `koordgen completion`."""
+    command.positional.add_argument("shell", choices=("bash", "zsh", "fish"), help="the shell that reads the script")
+
+
 def _program(command: Parser) -> None:
     command.positional.add_argument("program", metavar="APP.koord", type=values.program, help="the program")
 

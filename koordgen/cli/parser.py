@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import sys
 from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
 from typing import NamedTuple, NoReturn
@@ -72,7 +73,10 @@ class Parser(argparse.ArgumentParser):
                 help = f"write a value that begins with '-' as {before}={unknown}"
             elif near := nearest(unknown, options):
                 help = f"did you mean {near}? {help}"
-        self.exit(USAGE, f"{self.format_usage()}error: {message}\n  help: {help}\n")
+        from koordgen.cli.terminal import coloured_message
+
+        told = f"{self.format_usage()}error: {message}\n  help: {help}\n"
+        self.exit(USAGE, coloured_message(told, sys.stderr))
 
     def _unknown(self) -> tuple[str, str]:
         """Return the first argument that looks like an option and is none, and the argument before it; else empty."""

@@ -134,6 +134,7 @@ def status(found: list[list[Verdict]]) -> int:
 
 
 def tell(options: Namespace, found: list[list[Verdict]], attacks: list[Attacks]) -> None:
+    from koordgen.cli.terminal import coloured_verdicts
     from koordgen.prove.show import document, report
 
     if options.format == "json":
@@ -142,7 +143,7 @@ def tell(options: Namespace, found: list[list[Verdict]], attacks: list[Attacks])
         print(json.dumps(document(zip(found, attacks, strict=True)), indent=2), flush=True)
         return
     for verdicts, made in zip(found, attacks, strict=True):
-        sys.stdout.write(report(verdicts, options.program, made))
+        sys.stdout.write(coloured_verdicts(report(verdicts, options.program, made), sys.stdout))
 
 
 def files(

@@ -1,9 +1,26 @@
-"""A line on a terminal that is written over, again and again; nothing where there is no terminal."""
+"""Output on a terminal: a line that is written over again and again, and colours for errors and verdicts."""
 
 from __future__ import annotations
 
+import os
+import re
 import shutil
 from typing import TextIO
+
+_RED, _GREEN, _YELLOW, _CYAN = "1;31", "1;32", "1;33", "1;36"
+_COLOURS = {
+    "error": _RED, "warning": _YELLOW, "note": _CYAN, "help": _CYAN,
+    "PROVED": _GREEN, "HELD": _GREEN, "HOLDS": _GREEN, "VALIDATED": _GREEN, "held": _GREEN,
+    "FALSIFIED": _RED, "NOT INDUCTIVE": _RED, "VIOLATED": _RED, "UNSOUND": _RED, "violated": _RED,
+    "UNKNOWN": _YELLOW, "VACUOUS": _YELLOW, "INCONCLUSIVE": _YELLOW,
+}  # fmt: skip
+# What stands before the word is matched, too, and stays as it is.
+_KINDS = re.compile(r"(?m)^(.*?:\d+:\d+: | *= |  )?(error|warning|note|help)(?=(?:\[\w+\])?:)")
+_CARETS = re.compile(r"(?m)^( *\| *)(\^+)")
+_VERDICTS = re.compile(
+    r"(?m)(^|\b)(PROVED|HELD|HOLDS|VALIDATED|FALSIFIED|NOT INDUCTIVE|VIOLATED|UNSOUND|UNKNOWN|VACUOUS|INCONCLUSIVE|"
+    r"(?<![^\n])held|(?<![^\n])violated)\b"
+)
 
 
 class Line:
@@ -25,3 +42,24 @@ class Line:
         if self._shown:
             self._stream.write("\n")
             self._shown = False
+
+
+def has_colours(stream: TextIO) -> bool:
+    """Return whether a stream is a terminal whose user wants colours (https://no-color.org)."""
+    return stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
+
+
+def coloured_message(text: str, stream: TextIO) -> str:
+    """Return a message with its kind and the marks below a source line in colours, where the stream has colours."""
+    if not has_colours(stream):
+        return text
+    return _CARETS.sub(_word, _KINDS.sub(_word, text))
+
+
+def coloured_verdicts(text: str, stream: TextIO) -> str:
+    """Return a report with its verdicts in colours, where the stream has colours."""
+    return _VERDICTS.sub(_word, text) if has_colours(stream) else text
+
+
+def _word(found: re.Match[str]) -> str:
+    return f"{found[1] or ''}\x1b[{_COLOURS.get(found[2], _RED)}m{found[2]}\x1b[0m"

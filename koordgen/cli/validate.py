@@ -20,7 +20,7 @@ from koordgen.campaign.plan import VALIDATION, Plan, Run
 from koordgen.campaign.task import Job
 from koordgen.check.params import Value
 from koordgen.cli import campaign as campaigns
-from koordgen.cli.terminal import Line
+from koordgen.cli.terminal import Line, coloured_verdicts
 from koordgen.pipeline import Checked, check_file, fleet_params
 from koordgen.prove.solve import Limits, SolverMissing, solver_of
 from koordgen.prove.spell import spelled
@@ -178,5 +178,5 @@ def _tell(options: Namespace, found: table.Found, out: Path, whole: bool, reach:
     if options.format == "json":
         print(json.dumps(document, indent=2), flush=True)
     else:
-        print(text, end="")
+        print(coloured_verdicts(text, sys.stdout), end="")
         print(f"all of it: {out}" + (f"; picture: {found.picture}" if found.picture else ""))

@@ -3,6 +3,7 @@ Nothing moves."""
 
 from __future__ import annotations
 
+import ipaddress
 import shutil
 import socket
 import threading
@@ -116,6 +117,13 @@ def _network(settings: Settings, key: bytes | None) -> Iterator[Finding]:
     if missing:
         hint = "is the name server there? Write IP addresses into the fleet file, or names into /etc/hosts"
         yield Finding("peers", "fail", f"no address for {', '.join(missing)}", why=hint)
+    elif all(is_loopback(peer.host) for peer in settings.peers):
+        hosts = ", ".join(sorted({peer.host for peer in settings.peers}))
+        why = "agents on several computers cannot hear one another, and no other computer can stop them: write each "
+        why += "robot's own address into the fleet file, and build again. Right only where all agents run on this host"
+        yield Finding(
+            "peers", "warn", f"all {len(settings.peers)} robots are at {hosts}", "addresses in a network", why
+        )
     else:
         yield Finding("peers", "ok", f"all {len(settings.peers)} have addresses")
     own, network = settings.peers[settings.pid], settings.network
@@ -135,6 +143,14 @@ def _opens(name: str, told: str, open_and_close: Callable[[], None]) -> Finding:
     except CannotOpen as error:
         return Finding(name, "fail", str(error))
     return Finding(name, "ok", told)
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether a host name or IP address is this host's own, which no other computer reaches."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host.lower().rstrip(".") in ("localhost", "ip6-localhost", "ip6-loopback")
 
 
 def unknown(peers: Sequence[Peer], seconds: float) -> list[str]:

@@ -18,7 +18,8 @@ from targets.car.ground import PAD, Way, ground
 from targets.car.planner import Plan, Wish, points
 from targets.car.search import Search, Task
 from targets.car.shapes import named
-from targets.planning.ask import NAMES, finite, within
+from targets.planning import own_trees
+from targets.planning.ask import NAMES, BadPlanner, finite, within
 from targets.planning.ask import Asked as AskedForPoints
 from targets.planning.limit import Limit
 from targets.planning.pipe import Answer, Question
@@ -29,6 +30,8 @@ class Asked:
     """The car's judge: see `targets.planning.ask.Judge`."""
 
     def __init__(self, name: str, world: World) -> None:
+        if name == "rrt-star" and own_trees.is_needed():
+            raise BadPlanner(own_trees.NEEDS_OMPL)
         self._name, self._world = name, world
         self._own = AskedForPoints(name, world) if name not in NAMES else None
         self._ground = ground(world)

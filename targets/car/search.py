@@ -3,11 +3,8 @@
 `Search.ways` is one sequence of small units of work. It depends on the question alone, and a budget only ends it: so a
 larger budget finds every way that a smaller one finds, and answers one that is at least as cheap.
 
-OMPL measures curves and grows the trees of RRT*; the curves themselves (`curves.py`), and whether one is clear
-(`ground.py`), are ours. Of OMPL's Python binding only these calls are relied on (version 2.0.1, where out-parameters
-stay empty; a test holds that they work): those listed in `targets/planning/rrt.py` but those of vector spaces, and
-`ReedsSheppStateSpace`, `DubinsStateSpace`, `distance`, `setXY`, `setYaw`, `getX`, `getY`, `getYaw`,
-`GoalStates.addState`, `addStartState`, `setGoal`, `setRange`, `setGoalBias`.
+OMPL measures curves and grows the trees of RRT* (ompl_space.py); the curves themselves (`curves.py`), and whether one
+is clear (`ground.py`), are ours. Where OMPL has no wheel, the curves' own lengths measure, which takes longer.
 """
 
 from __future__ import annotations
@@ -17,22 +14,21 @@ import random
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import count
-from typing import Any
+from typing import TYPE_CHECKING
 
-from ompl import base, geometric, util
-
-from targets.car.bicycle import wrap
 from targets.car.curves import Curve, Piece, Triple, dubins, reeds_shepp
 from targets.car.field import Field
 from targets.car.ground import PAD, Way
 from targets.car.lattice import Aim, Lattice
 from targets.car.planner import Area, Point2, price
-from targets.planning.limit import STARTS, Limit
+from targets.planning import own_trees
+from targets.planning.limit import Limit
+
+if TYPE_CHECKING:
+    from targets.car.ompl_space import OmplSpace
 
 HEADINGS = 24  # candidates at the goal, besides those at which the shortest simple turns arrive
 DETOUR = 1.6  # a single curve that is so much longer than the shortest is not worth its time; and a turn more
-RANGE = 2.0  # metres: the longest edge of a tree
-GOAL_BIAS = 0.2  # of the samples of a forward tree
 WAITS = 4.0, 1.5  # of two lattices: see Lattice
 ALONE = 40  # batches of the first one before the second takes turns with it
 UNIT = 8  # short cuts that are tried in one unit of work
@@ -56,34 +52,35 @@ class Task:
 
 
 class Space:
-    """One of OMPL's spaces of poses, and the curves that are its distances."""
+    """The poses of a car, and the shortest curves between them."""
 
     def __init__(self, radius: float, reverse: bool, area: Area) -> None:
         self.radius, self.reverse = radius, reverse
-        self.ompl = (base.ReedsSheppStateSpace if reverse else base.DubinsStateSpace)(radius)
+        self.ompl = _ompl_space(radius, reverse, area)
         self._solve: Callable[[Triple, Triple, float, float | None], Curve] = reeds_shepp if reverse else dubins
-        self._a, self._b = self.ompl.allocState(), self.ompl.allocState()
-        bounds = base.RealVectorBounds(2)
-        for axis, (low, high) in enumerate(((area.west, area.east), (area.south, area.north))):
-            bounds.setLow(axis, low)
-            bounds.setHigh(axis, high)
-        self.ompl.setBounds(bounds)
-
-    def state(self, pose: Triple) -> Any:
-        return _put(self.ompl.allocState(), pose)
 
     def distance(self, a: Triple, b: Triple) -> float:
-        return float(self.ompl.distance(_put(self._a, a), _put(self._b, b)))
+        """Return the length of the shortest curve (m)."""
+        return self._solve(a, b, self.radius, None).length if self.ompl is None else self.ompl.distance(a, b)
 
     def curve(self, a: Triple, b: Triple, length: float | None = None) -> Curve:
-        return self._solve(a, b, self.radius, self.distance(a, b) if length is None else length)
+        if length is None and self.ompl is not None:
+            length = self.ompl.distance(a, b)
+        return self._solve(a, b, self.radius, length)
+
+
+def _ompl_space(radius: float, reverse: bool, area: Area) -> OmplSpace | None:
+    if own_trees.is_needed():
+        return None
+    from targets.car.ompl_space import OmplSpace
+
+    return OmplSpace(radius, reverse, area)
 
 
 class Search:
     """For one car in one world. With a `seed` and `iterations` in the Limits, the answer depends on the task alone."""
 
     def __init__(self, radius: float, reverse: bool, area: Area, seed: int | None) -> None:
-        util.setLogLevel(util.LogLevel.LOG_NONE)
         self._radius, self._seed, self._area = radius, seed, area
         self._forwards = Space(radius, False, area)
         self._spaces = (self._forwards, Space(radius, True, area)) if reverse else (self._forwards,)
@@ -188,38 +185,23 @@ class Search:
         return whole if way.clear(whole, 0.0) else None
 
     def grown(self, task: Task, way: Way, over: Limit) -> Curve | None:
-        """Return what RRT* finds."""
-        if self._seed is not None:
-            util.RNG.setSeed(self._seed * STARTS + 1)
+        """Return what RRT* finds. It needs OMPL."""
         space = self._space
-        information = base.SpaceInformation(space.ompl)
-        information.setStateValidityChecker(lambda state: True)  # the ends of every curve are looked at with the curve
-        validator = _Curves(information, space, way)
-        information.setMotionValidator(validator)
-        information.setup()
-        problem = base.ProblemDefinition(information)
-        problem.addStartState(space.state(task.start))
-        goals = base.GoalStates(information)
-        for heading in task.headings:
-            goals.addState(space.state((*task.goal, heading)))
-        problem.setGoal(goals)
-        planner = geometric.RRTstar(information)
-        planner.setRange(RANGE)
-        if not space.reverse:
-            planner.setGoalBias(GOAL_BIAS)
-        planner.setProblemDefinition(problem)
-        planner.setup()
-        planner.solve(base.PlannerTerminationCondition(over))
-        if not problem.hasExactSolution():
-            return None
-        return self._joined(task.start, problem.getSolutionPath(), way)
+        assert space.ompl is not None, own_trees.NEEDS_OMPL
 
-    def _joined(self, start: Triple, found: Any, way: Way) -> Curve | None:
+        def clear(a: Triple, b: Triple, length: float) -> bool:
+            return way.slack(*b) >= PAD and way.clear(space.curve(a, b, length))
+
+        goals = [(*task.goal, heading) for heading in task.headings]
+        poses = space.ompl.grown(task.start, goals, clear, over, self._seed)
+        return None if poses is None else self._joined(task.start, poses, way)
+
+    def _joined(self, start: Triple, poses: list[Triple], way: Way) -> Curve | None:
         """A solution as one curve. Of two equally short curves, a tree may have looked at the other one."""
         pieces: list[Piece] = []
         at = start
-        for i in range(1, found.getStateCount()):
-            curve = self._space.curve(at, _pose(found.getState(i)))
+        for pose in poses:
+            curve = self._space.curve(at, pose)
             if not way.clear(curve):
                 return None
             pieces += curve.pieces
@@ -235,25 +217,3 @@ def merged(pieces: list[Piece] | tuple[Piece, ...]) -> tuple[Piece, ...]:
             way += found.pop()[1]
         found.append((curvature, way))
     return tuple(found)
-
-
-class _Curves(base.MotionValidator):  # type: ignore[misc]
-    def __init__(self, information: Any, space: Space, way: Way) -> None:
-        super().__init__(information)
-        self._space, self._way = space, way
-
-    def checkMotion(self, a: Any, b: Any) -> bool:  # OMPL's name
-        end = _pose(b)
-        if self._way.slack(*end) < PAD:
-            return False
-        return self._way.clear(self._space.curve(_pose(a), end, float(self._space.ompl.distance(a, b))))
-
-
-def _pose(state: Any) -> Triple:
-    return state.getX(), state.getY(), state.getYaw()
-
-
-def _put(state: Any, pose: Triple) -> Any:
-    state.setXY(pose[0], pose[1])
-    state.setYaw(wrap(pose[2]))
-    return state

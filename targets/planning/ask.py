@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point
+from targets.planning import own_trees
 from targets.planning.pipe import Answer, Question
 from targets.planning.room import Room, fixed, room
 from targets.planning.world import InRoom, Path, Planner, Scene, World
@@ -43,6 +44,8 @@ def judging(judge: str, name: str, world: World) -> Judge:
 def make(name: str, world: World) -> Planner:
     """The planner of that name. Raises BadPlanner."""
     if name in NAMES:
+        if name == "rrt-star" and own_trees.is_needed():
+            raise BadPlanner(own_trees.NEEDS_OMPL)
         from targets.planning.rrt import PLANNERS  # its packages are loaded by who plans alone
 
         return PLANNERS[name](world)

@@ -1,12 +1,6 @@
 """The planners that come along: RRT-Connect, the same made short, RRT*, and straight ahead.
 
-OMPL samples and grows the trees; whether a straight line is clear is ours, and exact, so a tree's edges need no
-padding and are not looked at in steps. Of OMPL's Python binding only these calls are relied on (version 2.0.1, where
-out-parameters stay empty; a test holds that they work): `RealVectorStateSpace`, `RealVectorBounds.setLow/setHigh`,
-`setBounds`, `allocState`, states' `[i]`, `SpaceInformation` with `setStateValidityChecker`, `setMotionValidator` and
-`setup`, `MotionValidator` as a base class, `ProblemDefinition.setStartAndGoalStates/hasExactSolution/getSolutionPath`,
-`RRTConnect`, `RRTstar`, `setProblemDefinition`, `setup`, `solve`, `PlannerTerminationCondition` of a callable,
-`getStateCount`, `getState`, `RNG.setSeed`, `setLogLevel`.
+The trees are OMPL's (ompl_trees.py); where OMPL has no wheel, they are our own (own_trees.py), without RRT*.
 """
 
 from __future__ import annotations
@@ -14,13 +8,12 @@ from __future__ import annotations
 import random
 from collections.abc import Callable
 from itertools import pairwise
-from typing import Any
-
-from ompl import base, geometric, util
+from typing import Protocol
 
 from koordgen.runtime.settings import Box
 from koordgen.runtime.values import Point, distance
-from targets.planning.limit import STARTS, Limit
+from targets.planning import own_trees
+from targets.planning.limit import Limit
 from targets.planning.room import Room, fixed, room
 from targets.planning.world import Path, Planner, Scene, World
 
@@ -29,23 +22,32 @@ ENOUGH = 1.002  # a path so little longer than the straight line is short enough
 FLAT = 1e-6  # metres: a lower arena is a plane
 
 
+class Trees(Protocol):
+    """Searches for corners between two places of the arena."""
+
+    def connect(self, here: Room, start: Point, goal: Point, over: Limit, turn: int) -> list[Point] | None:
+        """Return the corners between start and goal that RRT-Connect finds; None without a path. `turn` numbers the
+        searches of a question: each has random numbers of its own."""
+        ...
+
+
 class Rrt:
     """RRT-Connect's first path."""
 
     def __init__(self, world: World) -> None:
-        util.setLogLevel(util.LogLevel.LOG_NONE)
         self._world = world
         self._standing = fixed(world.obstacles)
         self._low, self._high = _corners(world.arena)
         if not world.flies:
             self._low, self._high = Point(self._low.x, self._low.y, 0.0), Point(self._high.x, self._high.y, 0.0)
         self._flat = self._high.z - self._low.z < FLAT
-        self._space = base.RealVectorStateSpace(2 if self._flat else 3)
-        bounds = base.RealVectorBounds(2 if self._flat else 3)
-        for axis in range(2 if self._flat else 3):
-            bounds.setLow(axis, getattr(self._low, "xyz"[axis]))
-            bounds.setHigh(axis, getattr(self._high, "xyz"[axis]))
-        self._space.setBounds(bounds)
+        self._trees: Trees
+        if own_trees.is_needed():
+            self._trees = own_trees.OwnTrees(self._low, self._high, self._flat, world.seed)
+        else:
+            from targets.planning.ompl_trees import OmplTrees
+
+            self._trees = OmplTrees(self._low, self._high, self._flat, world.seed)
 
     def plan(self, start: Point, goal: Point, scene: Scene, seconds: float) -> Path:
         """See Planner."""
@@ -58,48 +60,31 @@ class Rrt:
         return self._planned(here, start, goal, Limit(seconds, self._world.iterations))
 
     def _planned(self, here: Room, start: Point, goal: Point, over: Limit) -> Path:
-        return self._search(geometric.RRTConnect, here, start, goal, over, 0)
+        return self._connected(here, start, goal, over, 0)
 
-    def _search(self, kind: Any, here: Room, start: Point, goal: Point, over: Limit, turn: int) -> Path:
-        """What one of OMPL's planners finds. `turn` numbers the searches of a question: each has random numbers of its
-        own."""
-        if self._world.seed is not None:
-            util.RNG.setSeed(self._world.seed * STARTS + turn + 1)
-        information = base.SpaceInformation(self._space)
-        information.setStateValidityChecker(lambda state: True)  # the ends of every line are looked at with the line
-        validator = _Lines(information, here, self._point)
-        information.setMotionValidator(validator)
-        information.setup()
-        problem = base.ProblemDefinition(information)
-        problem.setStartAndGoalStates(self._state(start), self._state(goal))
-        planner = kind(information)
-        planner.setProblemDefinition(problem)
-        planner.setup()
-        planner.solve(base.PlannerTerminationCondition(over))
-        if not problem.hasExactSolution():
+    def _connected(self, here: Room, start: Point, goal: Point, over: Limit, turn: int) -> Path:
+        found = self._trees.connect(here, self._held(start), self._held(goal), over, turn)
+        return self._whole(found, here, start, goal)
+
+    def _whole(self, between: list[Point] | None, here: Room, start: Point, goal: Point) -> Path:
+        """The path with its ends. A position's noise can put the start outside the arena: from there, the robot may
+        come back in."""
+        if between is None:
             return ()
-        found = problem.getSolutionPath()
-        between = [self._point(found.getState(i)) for i in range(1, found.getStateCount() - 1)]
         path = (start, *between, goal)
-        if not here.clear(path[0], path[1]):  # a start outside the arena was moved into it for the search
-            path = (start, self._point(self._state(start)), *between, goal)
+        if not here.clear(path[0], path[1]):
+            path = (start, self._held(start), *between, goal)
         return path if here.clear(path[0], path[1]) else ()
-
-    def _point(self, state: Any) -> Point:
-        return Point(state[0], state[1], self._low.z if self._flat else state[2])
 
     def _holds(self, p: Point) -> bool:
         """Whether a place is in the arena."""
         low, high = self._low, self._high
         return low.x <= p.x <= high.x and low.y <= p.y <= high.y and low.z <= p.z <= high.z
 
-    def _state(self, p: Point) -> Any:
-        """A position's noise can put the start outside: from there, the robot may come back in."""
-        state = self._space.allocState()
-        for axis in range(2 if self._flat else 3):
-            name = "xyz"[axis]
-            state[axis] = max(getattr(self._low, name), min(getattr(self._high, name), getattr(p, name)))
-        return state
+    def _held(self, p: Point) -> Point:
+        """The place in the arena that is nearest to a place."""
+        low, high = self._low, self._high
+        return Point(*(max(a, min(b, v)) for a, b, v in zip(_parts(low), _parts(high), _parts(p), strict=True)))
 
 
 class RrtSmoothed(Rrt):
@@ -108,13 +93,13 @@ class RrtSmoothed(Rrt):
     def _planned(self, here: Room, start: Point, goal: Point, over: Limit) -> Path:
         dice = random.Random(self._world.seed)
         straight = distance(start, goal)
-        best = self._search(geometric.RRTConnect, here, start, goal, over, 0)
+        best = self._connected(here, start, goal, over, 0)
         if not best:
             return ()
         best = shortened(best, here, dice, over, self._holds)
         turn = 1
         while length(best) > ENOUGH * straight and not over.spent(turn):
-            another = self._search(geometric.RRTConnect, here, start, goal, over, turn)
+            another = self._connected(here, start, goal, over, turn)
             if another:
                 best = min(best, shortened(another, here, dice, over, self._holds), key=length)
             turn += 1
@@ -122,10 +107,17 @@ class RrtSmoothed(Rrt):
 
 
 class RrtStar(Rrt):
-    """RRT*: goes on improving its tree for as long as there is time."""
+    """RRT*: goes on improving its tree for as long as there is time. It needs OMPL."""
+
+    def __init__(self, world: World) -> None:
+        from targets.planning.ompl_trees import OmplTrees
+
+        super().__init__(world)
+        self._improving = OmplTrees(self._low, self._high, self._flat, world.seed)
 
     def _planned(self, here: Room, start: Point, goal: Point, over: Limit) -> Path:
-        return self._search(geometric.RRTstar, here, start, goal, over, 0)
+        found = self._improving.improve(here, self._held(start), self._held(goal), over)
+        return self._whole(found, here, start, goal)
 
 
 class Straight:
@@ -193,13 +185,8 @@ def _at(points: list[Point], lengths: list[float], along: float) -> tuple[int, P
     return len(lengths) - 1, points[-1]
 
 
-class _Lines(base.MotionValidator):  # type: ignore[misc]
-    def __init__(self, information: Any, here: Room, point: Callable[[Any], Point]) -> None:
-        super().__init__(information)
-        self._here, self._point = here, point
-
-    def checkMotion(self, a: Any, b: Any) -> bool:  # OMPL's name
-        return self._here.clear(self._point(a), self._point(b))
+def _parts(p: Point) -> tuple[float, float, float]:
+    return p.x, p.y, p.z
 
 
 def _corners(arena: Box) -> tuple[Point, Point]:

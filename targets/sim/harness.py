@@ -10,6 +10,7 @@ import json
 import math
 import os
 import platform
+import re
 import shlex
 import shutil
 import sys
@@ -166,8 +167,14 @@ def _port(text: str) -> int:
     return int(text)
 
 
+def _coloured(found: re.Match[str]) -> str:
+    return f"{found[1]}\x1b[1;{32 if found[2] == 'HELD' else 31}m{found[2]}\x1b[0m"
+
+
 def _print(text: str) -> None:
     """Print a result. The verdict stands, and is the exit status, also when the reader of the output has gone."""
+    if sys.stdout.isatty() and not os.environ.get("NO_COLOR"):
+        text = re.sub(r"^(\S+: )(HELD|VIOLATED)", _coloured, text)
     try:
         print(text, flush=True)
     except BrokenPipeError:

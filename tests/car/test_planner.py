@@ -268,7 +268,7 @@ def test_a_price_counts_reverse_and_changes_of_gear() -> None:
 
 
 def test_ompl_has_what_is_relied_on() -> None:
-    """What the docstring of search.py lists; the rest of it is used by the tests above."""
+    """What the docstring of ompl_space.py lists; the rest of it is used by the tests above."""
     from ompl import base, geometric
 
     space = base.ReedsSheppStateSpace(1.0)

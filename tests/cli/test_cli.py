@@ -90,7 +90,7 @@ def test_explain_a_word_of_a_report(words: str, capsys: pytest.CaptureFixture[st
     told = capsys.readouterr().out
     assert main(["explain", *words.split()]) == 0
     assert capsys.readouterr().out == told
-    assert "More: docs/" in told and max(map(len, told.splitlines())) <= 80
+    assert "More: `koordgen docs " in told and max(map(len, told.splitlines())) <= 80
 
 
 def test_every_reason_to_skip_has_one_name_everywhere(capsys: pytest.CaptureFixture[str]) -> None:

@@ -65,7 +65,7 @@ def test_the_status_of_a_failure(status: int, command: str, capfd: pytest.Captur
 
 def test_every_command_is_tested() -> None:
     tested = {command.split()[0] for command in (*MISSING, *UNWRITABLE)}
-    assert {*COMMANDS, *harnesses()} - tested == {"docs", "explain", "help"}, (
+    assert {*COMMANDS, *harnesses()} - tested == {"completion", "docs", "explain", "help"}, (
         "these read and write no files of the user"
     )
 

@@ -226,7 +226,7 @@ def test_an_answer_that_is_no_way_is_refused(answer: str, said: str) -> None:
 
 
 def test_ompl_has_what_is_relied_on() -> None:
-    """What the module's docstring lists; the rest of it is used by the tests above."""
+    """What the docstring of ompl_trees.py lists; the rest of it is used by the tests above."""
     from ompl import base, geometric, util
 
     util.RNG.setSeed(1)

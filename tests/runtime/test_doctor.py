@@ -17,7 +17,7 @@ import pytest
 from benchmarks.fixtures.fleet import FakePlatform
 from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime import agent, courier, doctor, gate
-from koordgen.runtime.doctor import examine, unknown
+from koordgen.runtime.doctor import examine, is_loopback, unknown
 from koordgen.runtime.layout import TooLarge
 from koordgen.runtime.platform import Finding, Unready
 from koordgen.runtime.settings import BadSettings, Peer, Settings
@@ -47,7 +47,9 @@ def test_all_that_is_looked_at(bundles: list[Path], capsys: pytest.CaptureFixtur
         "port", "control", "fake", "clock",
     ]  # fmt: skip
     assert "robot bert, pid 1 of 3" in found["settings"]["found"]
-    assert {name for name, f in found.items() if f["state"] == "warn"} <= {"packages", "files", "processor", "clock"}
+    assert {name for name, f in found.items() if f["state"] == "warn"} <= {
+        "packages", "files", "processor", "clock", "peers",
+    }  # fmt: skip
 
 
 def test_as_a_table(bundles: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
@@ -101,6 +103,24 @@ def test_a_peer_without_an_address(bundles: list[Path], capsys: pytest.CaptureFi
     change(bundles[0], peers=peers)
     done, found = examined(bundles[0], capsys)
     assert done == 5 and found["peers"]["found"] == "no address for no..name" and "port" not in found
+
+
+def test_a_fleet_on_one_host_alone_is_warned_of(bundles: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
+    done, found = examined(bundles[0], capsys)
+    assert (done, found["peers"]["state"]) == (0, "warn")
+    assert found["peers"]["found"] == "all 3 robots are at 127.0.0.1" and "build again" in found["peers"]["why"]
+    peers = json.loads((bundles[0] / "settings.json").read_text())["peers"]
+    peers[2]["host"] = "192.0.2.7"
+    change(bundles[0], peers=peers)
+    assert examined(bundles[0], capsys)[1]["peers"]["state"] == "ok"
+
+
+@pytest.mark.parametrize(
+    ("host", "loopback"),
+    [("127.0.0.1", True), ("127.3.0.9", True), ("::1", True), ("localhost", True), ("192.0.2.7", False), ("a", False)],
+)
+def test_loopback_hosts(host: str, loopback: bool) -> None:
+    assert is_loopback(host) == loopback
 
 
 def test_names_are_not_waited_for_beyond_the_limit(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,49 @@
+"""`koordgen completion`: the script with which bash, zsh or fish complete commands, options and files.
+
+The package shtab makes the script from the very parsers of the commands. It is small, needs nothing else, and is
+imported here only: completing calls no Python.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any
+
+from koordgen.cli import HOLDS, SURROUNDINGS, Failure
+from koordgen.cli.commands import COMMANDS, command_of, harnesses
+from koordgen.cli.parser import Parser
+
+_FOLDERS = {"DIR", "BUNDLE"}
+_FILES = {"FILE", "APP.koord", "FLEET", "TRACE", "PATH"}
+
+
+def completion(options: argparse.Namespace) -> int:
+    """Print the script of a shell. Raises Failure."""
+    try:
+        import shtab
+    except ModuleNotFoundError:
+        help = f"{sys.executable} -m pip install shtab"
+        raise Failure(SURROUNDINGS, "the package shtab is missing", help) from None
+    print(shtab.complete(_all_commands(shtab), shell=options.shell))
+    return HOLDS
+
+
+def _all_commands(shtab: Any) -> argparse.ArgumentParser:
+    """Return a parser with all commands, in which arguments that name files are marked."""
+    parser = argparse.ArgumentParser("koordgen", description="fleets of robots")
+    parser.add_argument("-V", "--version", action="store_true", help="show the version and end")
+    commands = parser.add_subparsers(parser_class=_parser)  # type: ignore[type-var]
+    for name, command in {**COMMANDS, **harnesses()}.items():
+        for action in commands.add_parser(name, help=command.summary)._actions:
+            if action.metavar in _FOLDERS | _FILES:
+                complete = shtab.DIRECTORY if action.metavar in _FOLDERS else shtab.FILE
+                action.complete = complete  # type: ignore[attr-defined]
+    return parser
+
+
+def _parser(prog: str, **_: Any) -> Parser:
+    name = prog.rpartition(" ")[2]
+    command = command_of(name)
+    assert command is not None
+    return Parser(name, command)
