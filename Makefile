@@ -24,9 +24,10 @@ lint: $(STAMP)
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy koordgen targets tests benchmarks examples
 
-# An hour or more on two cores. The chaos tests lay cables between network namespaces: they need root, ip and nft.
+# Up to 90 minutes on two cores; ends with a table of each group's outcomes and times. The chaos tests lay cables between
+# network namespaces: they need root, ip and nft.
 slow: $(STAMP)
-	$(PY) -m pytest -m slow
+	$(PY) -m pytest -n 2 --dist loadfile --no-loadscope-reorder --durations=20 -m slow
 
 # Random programs against the prover: 20,000 take two hours or more. Run again, it goes on where it ended.
 prover-campaign: $(STAMP)
