@@ -33,12 +33,12 @@ def _all_commands(shtab: Any) -> argparse.ArgumentParser:
     """Return a parser with all commands, in which arguments that name files are marked."""
     parser = argparse.ArgumentParser("koordgen", description="fleets of robots")
     parser.add_argument("-V", "--version", action="store_true", help="show the version and end")
-    commands = parser.add_subparsers(parser_class=_parser)  # type: ignore[type-var]
+    commands = parser.add_subparsers(parser_class=_parser)  # type: ignore[call-overload]
     for name, command in {**COMMANDS, **harnesses()}.items():
         for action in commands.add_parser(name, help=command.summary)._actions:
             if action.metavar in _FOLDERS | _FILES:
                 complete = shtab.DIRECTORY if action.metavar in _FOLDERS else shtab.FILE
-                action.complete = complete  # type: ignore[attr-defined]
+                action.complete = complete
     return parser
 
 
