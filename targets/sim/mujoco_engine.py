@@ -145,7 +145,9 @@ class Mujoco:
         self._limit_friction()
         mujoco.mj_step2(self._model, self._data)
         if _warnings:
-            raise RuntimeError(f"MuJoCo: {_warnings.pop(0)}")
+            first = _warnings[0]
+            _warnings.clear()
+            raise RuntimeError(f"MuJoCo: {first}")
         poses, speeds = self._poses[rows], self._speeds[rows]
         orientations = poses[:, [4, 5, 6, 3]]
         orientations /= np.linalg.norm(orientations, axis=1, keepdims=True)

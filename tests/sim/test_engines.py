@@ -312,3 +312,9 @@ def test_a_step_that_cannot_be_computed_ends_the_run_and_leaves_no_file(
         engine.step([(quad, (math.nan, 0.0, 0.0), (0.0, 0.0, 0.0))])
     engine.close()
     assert not list(tmp_path.iterdir())
+    another = make(made, STEP)
+    again = another.body(quadrotor.SOLID)
+    another.take(again, (0.0, 0.0, 1.0), UPRIGHT)
+    ((position, *_),) = another.step([(again, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))])
+    another.close()
+    assert position == pytest.approx((0.0, 0.0, 1.0)), "the next world knows nothing of it"
