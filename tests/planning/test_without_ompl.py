@@ -7,6 +7,8 @@ from itertools import pairwise
 
 import pytest
 
+from benchmarks.fixtures import car_scenes as scenes
+from benchmarks.fixtures.car_checker import collisions
 from koordgen.runtime.obstacles import Block
 from koordgen.runtime.values import Point, distance
 from targets.car import ask as car
@@ -15,8 +17,6 @@ from targets.planning import own_trees
 from targets.planning.ask import Asked, BadPlanner
 from targets.planning.exact import solid_distance
 from targets.planning.world import Path, Scene, World
-from benchmarks.fixtures import car_scenes as scenes
-from benchmarks.fixtures.car_checker import collisions
 from tests.planning.test_contract import ARENA, CLEARANCE, GOAL, KEPT, RADIUS, START, WALL, keeps
 
 
