@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from targets.sim import harness
+from targets.sim import contacts, harness
 from tests.sim.fake_fleet import bundle, enlist
 from tests.sim.test_harness import sim, with_obstacles
 
@@ -59,6 +59,22 @@ def test_there_is_a_limit_to_obstacles(tmp_path: Path, capsys: pytest.CaptureFix
     box = ([4.0, 4.0, 0.0], [5.0, 5.0, 1.0])
     assert sim(with_obstacles(bundle(tmp_path / "sim", ["good"]), *[box] * 1001), tmp_path / "out") == 1
     assert "at most 1000" in capsys.readouterr().err
+
+
+def test_a_contact_engine_that_is_not_here_is_told_before_anything_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = bundle(tmp_path / "sim", ["good"])
+    scenario = json.loads((root / "scenario.json").read_text())
+    for engine, status, said in (
+        ("bullet", 1, "there are: auto, pybullet, mujoco"), ("mujoco", 5, "-m pip install mujoco-core"),
+        ("auto", 5, "pybullet or mujoco-core is needed"),
+    ):  # fmt: skip
+        scenario["harness"]["engine"] = engine
+        (root / "scenario.json").write_text(json.dumps(scenario))
+        monkeypatch.setattr(contacts, "is_installed", lambda name: False)
+        assert sim(root, tmp_path / "out") == status
+        assert said in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 
 def test_a_bundle_without_a_fleet_says_how_to_get_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
