@@ -15,7 +15,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 
-NEEDED = ("jinja2", "markupsafe", "pyyaml")  # of other people's packages
+NEEDED = ("jinja2", "markupsafe", "pyyaml", "shtab")  # of other people's packages
 
 
 def copied(name: str, site: Path) -> None:
@@ -58,6 +58,7 @@ def test_it_carries_templates_targets_runtime_and_explanations(wheel: Path) -> N
         "koordgen/explain/K.md",
         "koordgen/explain/F.md",
         "koordgen/explain/B.md",
+        "koordgen/explain/topics.md",
     } <= names
     assert not [n for n in names if n.startswith(("tests/", "benchmarks/")) or n.endswith(".pyc")]
 

@@ -18,7 +18,8 @@ from koordgen.runtime.monitor import LONGEST_WAIT, MOST_OVERRUNS, Monitors
 from koordgen.runtime.program import Effects, Fault, Frame
 from koordgen.runtime.property import Properties
 from koordgen.runtime.runner import Limit, Overrun, unlimited
-from koordgen.runtime.trace import LEFT, Record
+from koordgen.runtime.skips import LEFT
+from koordgen.runtime.trace import Record
 from koordgen.runtime.values import Point
 from koordgen.runtime.watched import OWN, SENSED, SHARED, Change, Moment
 from tests.emit.generated import checked
