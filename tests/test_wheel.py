@@ -65,6 +65,7 @@ def test_it_carries_templates_targets_runtime_and_explanations(wheel: Path) -> N
         "koordgen/explain/K.md",
         "koordgen/explain/F.md",
         "koordgen/explain/B.md",
+        "koordgen/explain/topics.md",
     } <= names
     assert not [n for n in names if n.startswith(("tests/", "benchmarks/")) or n.endswith(".pyc")]
 
