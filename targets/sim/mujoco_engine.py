@@ -26,7 +26,7 @@ from targets.sim.contacts import FLOOR_FRICTION, OBSTACLE_FRICTION, TOUCHING, Mo
 from targets.sim.rigid import Array, rotations
 
 THICKNESS = 5e-4  # m, of a mesh's surface
-THINNEST = 1e-12  # m^2; a triangle of less area has no surface
+NARROWEST = 1e-5  # m; of a narrower triangle MuJoCo can make no body, and its neighbours leave no gap to speak of
 ERP = 0.02  # of the depth, in each step
 IMPEDANCE = (0.999, 0.999, 0.001, 0.5, 2.0)  # the same at all depths
 FRICTION_BY_NORMAL = 10.0  # impedance of friction, by that of the normal direction: bodies at rest do not creep
@@ -249,12 +249,13 @@ def _shapes(obstacle: Obstacle) -> Iterator[dict[str, Any]]:
 
 
 def _prism(triangle: Array) -> Array | None:
-    """The six corners of a triangle that is THICKNESS thick, half to each side; None: it has no area."""
+    """The six corners of a triangle that is THICKNESS thick, half to each side; None: it is too narrow."""
     across = np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0])
-    area = float(np.linalg.norm(across)) / 2
-    if area < THINNEST:
+    twice_area = float(np.linalg.norm(across))
+    longest = max(float(np.linalg.norm(triangle[k] - triangle[k - 1])) for k in range(3))
+    if twice_area <= NARROWEST * longest:
         return None
-    half = across * (THICKNESS / 4 / area)
+    half = across * (THICKNESS / 2 / twice_area)
     return np.concatenate((triangle - half, triangle + half))
 
 

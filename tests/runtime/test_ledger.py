@@ -391,8 +391,14 @@ def test_nothing_is_written_beyond_its_room(n_sys: int, together: int, last: byt
 
 
 def test_what_nests_too_deeply_for_msgspec_is_left_to_others() -> None:
+    nested = b"\x91" * 1040 + b"\x00"  # a datagram has no room for much more
+    try:
+        msgspec.msgpack.decode(nested)
+        pytest.skip("this Python lets msgspec nest deeper than a datagram can")
+    except RecursionError:
+        pass
     table = held_by_all(2, 2)
-    deep = crafted(first=b"\x03", round_=b"\x03", writes=raw(b"\x93\x00" + b"\x91" * 1040 + b"\x00\xc2"))
+    deep = crafted(first=b"\x03", round_=b"\x03", writes=raw(b"\x93\x00" + nested + b"\xc2"))
     assert table.ledger.collect(3) is None
     judged = table.gate.take([table.datagram(deep)], 1.0, None)
     assert list(judged.usual or ()) == [] and table.ledger.held[1] == 3

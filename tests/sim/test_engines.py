@@ -87,6 +87,18 @@ def test_a_mesh_is_a_surface_and_not_its_hull(world: World) -> None:
     assert hits and furthest < 2.1, "and nothing leaves it"
 
 
+@pytest.mark.parametrize("height", [0.0, 1e-11, 1e-8, 1e-6, 2e-5, 1e-3])
+@pytest.mark.parametrize("length", [1e-3, 1.0, 100.0])
+def test_a_mesh_may_have_triangles_as_narrow_as_they_come(engine: Engine, height: float, length: float) -> None:
+    corners = Point(5.0, 5.0, 5.0), Point(5.0 + length, 5.0, 5.0), Point(5.0 + length / 3, 5.0 + height, 5.0)
+    engine.obstacle(Mesh(corners, ((0, 1, 2),)))
+    quad = engine.body(quadrotor.SOLID)
+    engine.take(quad, (0.0, 0.0, 1.0), UPRIGHT)
+    still = (0.0, 0.0, 0.0)
+    ((position, *_),) = engine.step([(quad, still, still)])
+    assert position == pytest.approx((0.0, 0.0, 1.0))
+
+
 def slid(engine: Engine, under: Callable[[Engine], float], friction: float) -> float:
     """The deceleration (m/s^2) of a brick that slides over something whose top is at the height returned."""
     top = under(engine)
