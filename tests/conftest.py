@@ -18,7 +18,7 @@ OUTCOMES = ("passed", "failed", "error", "skipped")
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
     """Print each group's outcomes and the seconds that its slow tests took; a group is a folder of tests/."""
-    if config.option.markexpr != "slow":
+    if config.option.markexpr != "slow" or config.option.collectonly:
         return
     counts: defaultdict[str, Counter[str]] = defaultdict(Counter)
     seconds: defaultdict[str, float] = defaultdict(float)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from koordgen.source import Source
 
 # One table for every command; docs/cli.md prints it.
-HOLDS, WRONG, USAGE, VIOLATED, INCONCLUSIVE, SURROUNDINGS, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 4, 5, 70, 130
+HOLDS, WRONG, USAGE, VIOLATED, INCONCLUSIVE, SURROUNDINGS, HOST, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 4, 5, 6, 70, 130
 
 
 class Failure(Exception):

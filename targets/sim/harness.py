@@ -174,7 +174,7 @@ def _coloured(found: re.Match[str]) -> str:
 def _print(text: str) -> None:
     """Print a result. The verdict stands, and is the exit status, also when the reader of the output has gone."""
     if sys.stdout.isatty() and not os.environ.get("NO_COLOR"):
-        text = re.sub(r"^(\S+: )(HELD|VIOLATED)", _coloured, text)
+        text = re.sub(r"^(\S+: )(HELD|VIOLATED|HOST OVERLOADED)", _coloured, text)
     try:
         print(text, flush=True)
     except BrokenPipeError:

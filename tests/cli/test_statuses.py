@@ -22,7 +22,7 @@ MISSING = [
     f"build {APP} --fleet no.yaml", f"prove {APP} --fleet no.yaml", f"explore {APP} --fleet no.yaml",
     "validate geofence.koord --fleet no.yaml", f"campaign {APP} --fleet no.yaml --runs 1", f"sim {APP} --fleet no.yaml",
     "basestation no.yaml --system vicon --host h", "estop no.yaml", "status no.yaml", "status fleet.yaml --key no.key",
-    "report no", "export no --to csv", "replay no",
+    "report no", "show no", "export no --to csv", "replay no",
     "audit no", "doctor no", f"explore {APP} --env no.yaml", f"sim {APP} {FLEET} --scenario no.yaml",
     f"sim {APP} {FLEET} --follow no", "prove geofence.koord --attack-from no",
     f"campaign {APP} {FLEET} --runs 1 --verdict no.py", "estop fleet.yaml", "estop fleet.yaml --key no.key",
@@ -74,6 +74,6 @@ def test_the_table_in_the_docs_has_every_status() -> None:
     page = (ROOT / "docs/cli.md").read_text(encoding="utf-8").partition("## Exit statuses")[2].partition("\n## ")[0]
     listed = [int(status) for status in re.findall(r"^\| (\d+) \|", page, re.MULTILINE)]
     assert listed == [
-        cli.HOLDS, cli.WRONG, cli.USAGE, cli.VIOLATED, cli.INCONCLUSIVE, cli.SURROUNDINGS, cli.INTERNAL,
+        cli.HOLDS, cli.WRONG, cli.USAGE, cli.VIOLATED, cli.INCONCLUSIVE, cli.SURROUNDINGS, cli.HOST, cli.INTERNAL,
         cli.INTERRUPTED,
     ]  # fmt: skip

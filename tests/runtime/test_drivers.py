@@ -106,7 +106,7 @@ def test_a_driver_that_does_not_sense_makes_its_robot_skip_until_it_does(failure
     robot = fleet.robots[0]
     last = robot.records[-1]
     assert last.effects is None
-    assert (last.skipped or "").startswith("HVAC.")
+    assert (last.skipped or "").startswith("no sensor value: HVAC.")
     vars(driver).update({key: before[key] for key in failure})
     fleet.run(0.5)
     last = robot.records[-1]

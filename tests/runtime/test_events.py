@@ -54,7 +54,7 @@ def reads_beyond(s: State) -> None:
 @pytest.mark.parametrize(
     ("effect", "reason"),
     [
-        (half_done_then_raise, "lineform.koord:0: ZeroDivisionError: division by zero"),
+        (half_done_then_raise, "lineform.koord: ZeroDivisionError: division by zero"),
         (writes_nan, "lineform.koord:21: Motion.target would become Point(x=nan"),
         (writes_beyond_64_bits, "lineform.koord:21: last would become an int beyond 64 bits"),
         (reads_beyond, "index 5 names no robot"),

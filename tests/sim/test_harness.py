@@ -20,7 +20,7 @@ from targets.sim import folder, harness, run, trace
 from targets.sim.scenario import load
 from targets.sim.stage import Stage
 from targets.sim.trace import Phase, Pose, Record, Round, Violation, read
-from tests.sim.fake_fleet import Telling, bundle, enlist
+from tests.sim.fake_fleet import Telling, bundle, enlist, wait_for_a_round
 
 REPOSITORY = Path(__file__).parents[2]
 
@@ -44,7 +44,7 @@ def records(out: Path) -> list[Record]:
 
 
 def no_process_left(root: Path) -> bool:
-    found = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=True).stdout
+    found = subprocess.run(["ps", "-eww", "-o", "args"], capture_output=True, text=True, check=True).stdout
     return str(root) not in found
 
 
@@ -187,10 +187,7 @@ def test_an_interrupted_run_leaves_a_report_and_no_process(tmp_path: Path, numbe
     root, out = bundle(tmp_path / "sim", ["good", "good"]), tmp_path / "out"
     command = [sys.executable, "-m", "tests.sim.fake_fleet", str(root), "--duration", "60", "--out", str(out)]
     process = subprocess.Popen(command, cwd=REPOSITORY, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    assert process.stderr is not None
-    for line in process.stderr:
-        if "round 1" in line:
-            break
+    wait_for_a_round(out)
     time.sleep(0.5)
     process.send_signal(number)
     _, said = process.communicate(timeout=30)
@@ -204,12 +201,9 @@ def test_an_interrupted_run_leaves_a_report_and_no_process(tmp_path: Path, numbe
 def test_agents_do_not_outlive_a_killed_harness(tmp_path: Path) -> None:
     root = bundle(tmp_path / "sim", ["good"])
     command = [sys.executable, "-m", "tests.sim.fake_fleet", str(root), "--out", str(tmp_path / "out")]
-    process = subprocess.Popen(command, cwd=REPOSITORY, stderr=subprocess.PIPE, text=True)
-    assert process.stderr is not None
-    with process.stderr as said:
-        for line in said:
-            if "round 1" in line:
-                break
+    process = subprocess.Popen(command, cwd=REPOSITORY, stderr=subprocess.DEVNULL)
+    wait_for_a_round(tmp_path / "out")
+    assert not no_process_left(root)
     process.kill()
     process.wait()
     until = time.monotonic() + 20

@@ -159,7 +159,7 @@ def test_a_run_whose_agents_had_no_core_has_its_own_status(
         ("late", 6, "host overloaded", []), ("late and faulty", 3, "violated", ["--no-report"]),
     ):  # fmt: skip
         root, out = bundle(tmp_path / how / "sim", [how, "good"]), tmp_path / how / "out"
-        assert harness.main(root, ["--duration", "1", "--out", str(out), "--quiet", *report]) == status
+        assert harness.main(root, ["--duration", "2", "--out", str(out), "--quiet", *report]) == status
         found: dict[str, Any] = json.loads((out / "summary.json").read_text())
         assert found["verdict"] == verdict
         assert "the host gave r0's agent no core" in found["violations"][0]["host"]

@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 
 from targets.sim import harness, run, trace
+from tests.sim.fake_fleet import wait_for_a_round
 from tests.sim.lockstep import Plan, built, played, summary
 
 CAR, QUAD = 1, 2  # pids of bert and cleo
@@ -95,10 +96,7 @@ def test_faults_repeat(lineform: Path, tmp_path: Path) -> None:
 def test_an_interrupted_run_leaves_a_report(lineform: Path, tmp_path: Path) -> None:
     command = [sys.executable, str(lineform), "--lockstep", "--duration", "1000", "--out", str(tmp_path / "out")]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    assert process.stderr is not None
-    for line in process.stderr:
-        if "round 1" in line:
-            break
+    wait_for_a_round(tmp_path / "out")
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130, said

@@ -95,7 +95,7 @@ def test_what_is_no_run_is_refused(run: Path, capsys: pytest.CaptureFixture[str]
     assert main(["show", str(run / "none"), "--at", "1"]) == 1
     with pytest.raises(SystemExit, match="2"):
         main(["show", str(run), "--at", "soon"])
-    assert "soon is no time; give seconds since round 1" in capsys.readouterr().err
+    assert "expected seconds since round 1" in capsys.readouterr().err
 
 
 def test_tables_have_each_change_of_what_a_robot_knew(run: Path) -> None:
