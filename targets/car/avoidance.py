@@ -157,13 +157,14 @@ class Avoidance:
         return self._nearest(state)[0] < self._ground.least
 
     def ahead(self, state: State, poses: Iterable[State]) -> str:
-        """Name the obstacle of the fleet file that a car meets at one of these poses: it comes nearer than the error of
-        its position, and than it is now; "" when it meets none."""
+        """Return the name of the first obstacle of the fleet file that is too near to the car at one of these poses; ""
+        if there is none. Too near is less than `position_error` (at most half of the clearance), and less than 95 % of
+        the car's present distance."""
         kept = min(self._kept, LEAVING * self._nearest(state)[0])
         return next((name for away, name in map(self._nearest, poses) if away < kept), "")
 
     def _nearest(self, state: State) -> tuple[float, str]:
-        """The obstacle of the fleet file that is nearest to the car: distance and name; infinite when none is near."""
+        """Distance and name of the nearest obstacle of the fleet file; infinite if no obstacle is near."""
         ground, middle = self._ground, self._ground.middle
         x, y = state.x + middle * math.cos(state.yaw), state.y + middle * math.sin(state.yaw)
         shapes = (shape for *_, shape in ground.fixed.around(x, y))

@@ -1,4 +1,4 @@
-"""Braking ways: where the car could still stop if it drove on until the next look, and whether inside the geofence.
+"""Braking path of the car after a command, and the check that it ends inside the geofence.
 
 The rollout is the kinematic bicycle's (bicycle.py) with the steering held: at the present speed, and at the commanded
 one, for REACTION, then with constant deceleration. Frame: local ENU; the point is the middle of the rear axle, as the
@@ -39,7 +39,7 @@ def stops_inside(fence: Box, state: State, command: Command, deceleration: float
 
 
 def braked(state: State, command: Command, deceleration: float, wheelbase: float) -> Iterator[State]:
-    """Yield places, a few centimetres apart, that the car passes until it stands when it is braked after this command.
+    """Yield the poses of the car, 2 or 3 cm apart, if it obeys this command and is then braked until it stands.
     `state.speed` is measured; all numbers are finite."""
     for moving in {state.speed, command.speed}:
         way = _way(moving, deceleration)

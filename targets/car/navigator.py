@@ -138,8 +138,8 @@ class Navigator:
             self._near_since = None
 
     def follow(self, curve: Curve, state: State) -> None:
-        """Drive a way that has been planned, to its end, which is the target. A car that rolls against its first gear
-        stands first, and has its way planned from there."""
+        """Drive a way that has been planned, to its end, which is the target. A car that rolls against the first gear
+        of the way stops first, and then has a way planned from there."""
         self.go_to(curve.end[:2])
         self._asked_for = None
         if _rolls_against(state, curve):
@@ -272,7 +272,7 @@ class Navigator:
             return False
         self._answered(state, away, now)
         if self._tracker.done and abs(state.speed) > STANDING:
-            self.progress = "braking before its way is planned"
+            self.progress = "braking: its way is planned when the car stands"
             return False
         driving = not self._tracker.done and self._tracker.error <= OFF_PATH
         if driving and _same(self._considered, target, MOVED + MOVED_SHARE * away):
@@ -340,7 +340,7 @@ class Navigator:
 
 
 def _rolls_against(state: State, curve: Curve) -> bool:
-    """Return whether the car rolls against the gear in which a way begins; it has to stand before it can follow."""
+    """Return whether the car rolls against the first gear of the curve. Such a car must stop before it can follow."""
     first = next((way for _, way in curve.pieces if abs(way) > SLIVER), 0.0)
     return abs(state.speed) > STANDING and state.speed * first < 0
 

@@ -271,7 +271,7 @@ class Car:
         return self._standstill.look(Point(state.x, state.y, 0.0), drives and not navigator.waits, goal, now)
 
     def _ahead(self, command: Command) -> str:
-        """What the car could not be braked before if it obeyed this command, in words; "" when there is nothing."""
+        """Name of what the car could no longer be braked before if it obeyed this command; "" if there is nothing."""
         own, state = self._settings, self._estimator.state
         if not stops_inside(self._fence, state, command, own.braking, own.wheelbase):
             return "the geofence"

@@ -200,6 +200,13 @@ def test_a_car_that_is_called_away_before_an_obstacle_does_not_touch_it(
     assert drive(world, 6.0, pillar) > 0.02
 
 
+@pytest.mark.parametrize("away", [0.015, 0.03])
+def test_a_car_that_stands_beside_an_obstacle_leaves_it(away: float) -> None:
+    world = among(BOX, body=TestBody(1.4, 0.6 + BODY.radius + away, 0.0))
+    world.go(3.5, 1.5)
+    assert drive(world, 10.0, BOX) > 0.0 and world.value("reached") is True, world.car.progress
+
+
 def test_until_the_first_way_is_planned_the_car_stands() -> None:
     world = among(BOX, planning=Late)
     world.go(3.0, 0.0)
