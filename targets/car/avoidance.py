@@ -4,7 +4,7 @@ and refuses ways through what the fleet file names."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import msgspec
@@ -14,7 +14,7 @@ from koordgen.runtime.settings import Settings
 from koordgen.runtime.values import Point, transmissible
 from targets.car.bicycle import State, wrap
 from targets.car.curves import Curve, Triple
-from targets.car.ground import MARGIN, area, ground
+from targets.car.ground import LEAVING, MARGIN, area, ground
 from targets.car.lanes import Lane
 from targets.car.planner import JUDGE, Plan, Point2, Wish
 from targets.car.reasons import unreachable
@@ -46,6 +46,7 @@ class Avoidance:
         self.area = area(world, min(MARGIN, own.reached_radius / 2))
         self._name = own.planner
         self._ground = ground(world)
+        self._kept = min(own.position_error, self._ground.least)
         self._program = planning(own.planner, world, settings.planner_budget, JUDGE)
         self._driving = planning(OWN, world, settings.planner_budget, JUDGE)
         self._guard = Guard(settings.obstacles, {"half the width": world.radius})
@@ -153,10 +154,22 @@ class Avoidance:
     def strayed(self, state: State) -> bool:
         """Return whether a car that has left its way is nearer to an obstacle of the fleet file than half of the
         clearance: there no way back is driven that was not planned."""
+        return self._nearest(state)[0] < self._ground.least
+
+    def ahead(self, state: State, poses: Iterable[State]) -> str:
+        """Return the name of the first obstacle of the fleet file that is too near to the car at one of these poses; ""
+        if there is none. Too near is less than `position_error` (at most half of the clearance), and less than 95 % of
+        the car's present distance."""
+        kept = min(self._kept, LEAVING * self._nearest(state)[0])
+        return next((name for away, name in map(self._nearest, poses) if away < kept), "")
+
+    def _nearest(self, state: State) -> tuple[float, str]:
+        """Distance and name of the nearest obstacle of the fleet file; infinite if no obstacle is near."""
         ground, middle = self._ground, self._ground.middle
         x, y = state.x + middle * math.cos(state.yaw), state.y + middle * math.sin(state.yaw)
-        near = (ground.body.distance(state.x, state.y, state.yaw, shape) for *_, shape in ground.fixed.around(x, y))
-        return min(near, default=math.inf) < ground.least
+        shapes = (shape for *_, shape in ground.fixed.around(x, y))
+        near = ((ground.body.distance(state.x, state.y, state.yaw, shape), shape.name) for shape in shapes)
+        return min(near, default=(math.inf, ""))
 
     def free(self, curve: Curve, station: float, ahead: float) -> float:
         """How many metres of a curve, from a station on, are out of the ways that the others have published, as far as

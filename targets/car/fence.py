@@ -1,4 +1,4 @@
-"""Brakes before the geofence: whether the car could still stop inside it, if it drove on until the next look.
+"""Braking path of the car after a command, and the check that it ends inside the geofence.
 
 The rollout is the kinematic bicycle's (bicycle.py) with the steering held: at the present speed, and at the commanded
 one, for REACTION, then with constant deceleration. Frame: local ENU; the point is the middle of the rear axle, as the
@@ -7,6 +7,8 @@ geofence is about a robot's position.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 from koordgen.runtime.settings import Box
@@ -30,15 +32,23 @@ def stops_inside(fence: Box, state: State, command: Command, deceleration: float
     if not state.finite() or not replace(state, speed=command.speed, steering=command.steering).finite():
         return False
     now = beyond(fence, state.x, state.y)
+    if now + max(_way(speed, deceleration) for speed in (state.speed, command.speed)) <= 0.0:
+        return True  # no way of this length leads out
+    poses = braked(state, command, deceleration, wheelbase)
+    return all(beyond(fence, pose.x, pose.y) <= max(0.0, now) for pose in poses)
+
+
+def braked(state: State, command: Command, deceleration: float, wheelbase: float) -> Iterator[State]:
+    """Yield the poses of the car, 2 or 3 cm apart, if it obeys this command and is then braked until it stands.
+    `state.speed` is measured; all numbers are finite."""
     for moving in {state.speed, command.speed}:
-        speed = abs(moving)
-        way = speed * REACTION + speed * speed / (2 * deceleration)
-        if now + way <= 0.0:  # no way of this length leads out
-            continue
+        way = _way(moving, deceleration)
         pieces = max(1, round(way / _PIECE))
-        unit = replace(state, speed=way / pieces if moving >= 0 else -way / pieces, steering=command.steering)
+        pose = replace(state, speed=math.copysign(way / pieces, moving), steering=command.steering)
         for _ in range(pieces):
-            unit = advance(unit, 1.0, wheelbase)
-            if beyond(fence, unit.x, unit.y) > max(0.0, now):
-                return False
-    return True
+            pose = advance(pose, 1.0, wheelbase)
+            yield pose
+
+
+def _way(speed: float, deceleration: float) -> float:
+    return abs(speed) * REACTION + speed * speed / (2 * deceleration)

@@ -12,7 +12,7 @@ from targets.car.avoidance import Avoidance
 from targets.car.bicycle import State
 from targets.car.curves import Curve
 from targets.car.mpc import BLIND_STEPS, STEP, Command, Limits, Mpc
-from targets.car.planner import Area, arc, segments
+from targets.car.planner import SLIVER, Area, arc, segments
 from targets.car.reasons import NoWay
 from targets.car.settings import CarSettings
 from targets.car.tracker import BRAKING, LATERAL, Tracker
@@ -137,11 +137,14 @@ class Navigator:
             self.reached = False
             self._near_since = None
 
-    def follow(self, curve: Curve) -> None:
-        """Drive a way that has been planned, to its end, which is the target."""
+    def follow(self, curve: Curve, state: State) -> None:
+        """Drive a way that has been planned, to its end, which is the target. A car that rolls against the first gear
+        of the way stops first, and then has a way planned from there."""
         self.go_to(curve.end[:2])
         self._asked_for = None
-        if self._target is not None:
+        if _rolls_against(state, curve):
+            self._tracker.stop()
+        elif self._target is not None:
             self._take(curve, self._target)
 
     def _take(self, curve: Curve, target: tuple[float, float]) -> None:
@@ -268,6 +271,9 @@ class Navigator:
             self.progress = "braking: off its way, and near to an obstacle"
             return False
         self._answered(state, away, now)
+        if self._tracker.done and abs(state.speed) > STANDING:
+            self.progress = "braking: its way is planned when the car stands"
+            return False
         driving = not self._tracker.done and self._tracker.error <= OFF_PATH
         if driving and _same(self._considered, target, MOVED + MOVED_SHARE * away):
             return True
@@ -318,7 +324,7 @@ class Navigator:
             self._failed_for, self._retry_at, self._arrival = target, now + RETRY, None
             self._tracker.stop()
             return
-        if math.dist((state.x, state.y), curve.start[:2]) > BEHIND:
+        if math.dist((state.x, state.y), curve.start[:2]) > (STRAYED if self._tracker.done else BEHIND):
             return
         self._considered, self._failed_for = target, None
         gears = [segment.direction for segment in segments(curve)]
@@ -327,7 +333,16 @@ class Navigator:
             within = max(LEAVE * self._settings.reached_radius, COMMIT * away)
             if _same(self._planned_for, target, within):
                 return
+        if _rolls_against(state, curve):
+            self._tracker.stop()
+            return
         self._take(curve, target)
+
+
+def _rolls_against(state: State, curve: Curve) -> bool:
+    """Return whether the car rolls against the first gear of the curve. Such a car must stop before it can follow."""
+    first = next((way for _, way in curve.pieces if abs(way) > SLIVER), 0.0)
+    return abs(state.speed) > STANDING and state.speed * first < 0
 
 
 def _cornering(limits: Limits, radius: float) -> float:

@@ -34,7 +34,7 @@ from targets.car.diagnosis import (
 )
 from targets.car.drive import Drive, opened
 from targets.car.estimator import Estimator
-from targets.car.fence import stops_inside
+from targets.car.fence import braked, stops_inside
 from targets.car.lag import LONGEST_LAG, Lag, is_long
 from targets.car.links import Links, RealLinks
 from targets.car.mpc import STEP, Command
@@ -238,8 +238,8 @@ class Car:
         if command is None:
             self._stands_still(navigator, False, now)
             drive.brake(now)
-        elif not self._stops_inside(command):
-            self._blocked = "braking: the geofence is ahead"
+        elif ahead := self._ahead(command):
+            self._blocked = f"braking: {ahead} is ahead"
             navigator.pause()
             drive.brake(now)
         elif self._stands_still(navigator, True, now):
@@ -270,9 +270,12 @@ class Car:
         goal = "no target" if target is None else f"({target[0]:.2f}, {target[1]:.2f})"
         return self._standstill.look(Point(state.x, state.y, 0.0), drives and not navigator.waits, goal, now)
 
-    def _stops_inside(self, command: Command) -> bool:
-        own = self._settings
-        return stops_inside(self._fence, self._estimator.state, command, own.braking, own.wheelbase)
+    def _ahead(self, command: Command) -> str:
+        """Name of what the car could no longer be braked before if it obeyed this command; "" if there is nothing."""
+        own, state = self._settings, self._estimator.state
+        if not stops_inside(self._fence, state, command, own.braking, own.wheelbase):
+            return "the geofence"
+        return self._avoidance.ahead(state, braked(state, command, own.braking, own.wheelbase))
 
     def _follow(self, navigator: Navigator) -> None:
         """Make for the next point of a path when one on the way has been passed."""
@@ -384,7 +387,7 @@ class Car:
             return
         while not self._route.last:
             self._route.passed()
-        navigator.follow(curve)
+        navigator.follow(curve, state)
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
         """See Platform. The only one is `planner(goal, obstacles)`."""

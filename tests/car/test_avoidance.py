@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.fixtures import car_scenes as scenes
 from benchmarks.fixtures.car_checker import gap, outline
-from koordgen.runtime.obstacles import Block, Obstacle
+from koordgen.runtime.obstacles import Block, Cylinder, Obstacle
 from koordgen.runtime.platform import Unready
 from koordgen.runtime.values import Point
 from targets.car.avoidance import MakePlanning
@@ -177,6 +177,34 @@ def test_while_a_way_is_planned_the_car_goes_on_and_does_not_stop() -> None:
         if k > 20:
             slowest = min(slowest, world.body.truth.speed)
     assert slowest > 0.25 and world.distance(-2.5 + 0.06 * 99, 0.5 * math.sin(0.06 * 99)) < 1.6
+
+
+@pytest.mark.parametrize(
+    ("target", "when", "speed", "planning"),
+    [
+        (Point(-2.2, -4.2, 0.0), -1.4, 2.0, Inside),  # the way back begins in reverse
+        (Point(-2.2, -4.2, 0.0), -1.9, 2.0, Late),
+        (Point(-2.5, 0.5, 0.0), -1.6, 2.0, Inside),  # it begins with a turn that the car is too fast for
+        (Point(-2.5, 0.5, 0.0), -1.6, 1.0, Late),  # it begins where the car no longer is
+    ],
+)
+def test_a_car_that_is_called_away_before_an_obstacle_does_not_touch_it(
+    target: Point, when: float, speed: float, planning: MakePlanning
+) -> None:
+    pillar = Cylinder(Point(0.0, 0.0, 0.0), 0.18, 1.0)
+    world = among(pillar, body=TestBody(-1.03, -3.25, 1.29), planning=planning, max_speed=speed)
+    world.go(0.54, 0.2)
+    while world.body.truth.y < when:
+        world.run(0.05)
+    world.go(target.x, target.y)
+    assert drive(world, 6.0, pillar) > 0.02
+
+
+@pytest.mark.parametrize("away", [0.015, 0.03])
+def test_a_car_that_stands_beside_an_obstacle_leaves_it(away: float) -> None:
+    world = among(BOX, body=TestBody(1.4, 0.6 + BODY.radius + away, 0.0))
+    world.go(3.5, 1.5)
+    assert drive(world, 10.0, BOX) > 0.0 and world.value("reached") is True, world.car.progress
 
 
 def test_until_the_first_way_is_planned_the_car_stands() -> None:
