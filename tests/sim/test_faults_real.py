@@ -32,14 +32,15 @@ def rounds(out: Path, pid: int) -> list[Round]:
 
 def test_a_crashed_robot_comes_back_and_a_frozen_one_goes_on(tmp_path: Path) -> None:
     root, out = bundle(tmp_path / "sim", ["good", "good", "good"]), tmp_path / "out"
-    told = scenario(tmp_path, events=[{"at": 0.4, "for": 0.5, "crash": "r1"}, {"at": 0.4, "for": 1, "freeze": "r2"}])
-    assert sim(root, out, told, "--duration=2.5") == 0
+    # By then all processes run, on a busy computer too, and there is time for the second life of r1.
+    told = scenario(tmp_path, events=[{"at": 1.5, "for": 0.5, "crash": "r1"}, {"at": 1.5, "for": 1, "freeze": "r2"}])
+    assert sim(root, out, told, "--duration=4.5") == 0
     causes = [record for record in records(out) if isinstance(record, Cause)]
     assert [(c.what, c.robots, c.lasts) for c in causes] == [
         ("crash", ("r1",), 0.5), ("freeze", ("r2",), 1.0), ("restart", ("r1",), None),
     ]  # fmt: skip
     times = [c.t for c in causes]
-    assert times == sorted(times) and times[0] >= 0.4 and times[2] >= 0.9
+    assert times == sorted(times) and times[0] >= 1.5 and times[2] >= 2.0
     assert [cause["what"] for cause in summary(out)["causes"]] == ["crash", "freeze", "restart"]
     assert f"at {times[0]:.2f} s crash (r1)" in (out / "summary.txt").read_text()
     first = [record.round for record in rounds(out, 1)]
