@@ -198,6 +198,7 @@ class Navigator:
             self.progress = "standing at the target"
             return None
         if self._tracker.done and not standing:
+            self._approach.drive(STEP)  # a car that is slow to stop would else circle its target for ever
             return None  # the end of a path, or of a pause: stand first
         if self._tracker.done and away <= self._settings.reached_radius:
             self._arrived = True

@@ -52,7 +52,7 @@ def test_noise_and_a_brake_are_no_lag() -> None:
 def test_a_car_that_circles_its_target_is_held_and_says_why() -> None:
     world = driven("rover", 2.0)
     assert world.car.stall == ""
-    world.run(30.0)
+    world.run(20.0)
     assert standing(world) and world.value("reached") is False
     assert world.car.stall.startswith("target (4.00, 2.00) is not approached: given up after "), world.car.stall
     assert "holding until another target comes; the motor's lag is 2.1 s, more than 0.5 s" in world.car.stall

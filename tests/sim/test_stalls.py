@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -127,13 +128,12 @@ def test_a_quad_whose_planner_finds_no_way() -> None:
     rig.device.close()
 
 
-def test_a_rover_whose_motor_is_slow_is_held_instead_of_circling_its_target(tmp_path: Path) -> None:
+def test_a_rover_whose_motor_is_slow_is_warned_of_and_stands_at_its_target(tmp_path: Path) -> None:
+    """That a car which does circle its target is given up: tests/car/test_lag.py."""
     run = went(tmp_path, SLOW, 21.0)
     log = (run / "robots/carl/log.txt").read_text()
     assert "warning: the motor follows its commands with a lag of 2." in log
-    assert "no way for 2 s: target (4.00, 2.00) is not approached: given up after 18 s of driving" in log
     poses = [json.loads(line) for line in (run / "trace.jsonl").read_text().splitlines() if '"kind":"pose"' in line]
-    late = [tuple(p["position"]) for p in poses if p["t"] > 20.0]
+    late = [tuple(p["position"]) for p in poses if p["t"] > 18.0]
     assert len(late) > 10 and len(set(late)) == 1, "it stands"
-    (told,) = summary(run)["robots"][0]["stalls"]
-    assert "the motor's lag is 2." in told["why"] and not told["over"]
+    assert math.dist(late[0][:2], (4.0, 2.0)) < 0.1
