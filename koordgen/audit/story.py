@@ -46,7 +46,7 @@ class Life:
 
     @property
     def tells(self) -> bool:
-        """Return whether a round is told of."""
+        """Return whether the trace has a record of this round."""
         return any(line.record["kind"] == "round" for line in self.lines)
 
 
@@ -180,8 +180,8 @@ def _of_one_version(logs: Sequence[Log]) -> tuple[list[Log], list[Log]]:
 
 
 def _joined(lives: Sequence[Life]) -> list[Life]:
-    """Give the parts of one start the mission that a later part names. What a robot told that started anew before its
-    first round is of no mission, and is left out."""
+    """Give each part the mission that a later part of the same start names. Records of a robot that started anew before
+    its first round belong to no mission and are left out."""
     joined: list[Life] = []
     later: dict[tuple[Path, int, int], Life] = {}  # the next life in the same files
     for life in reversed(lives):

@@ -206,7 +206,7 @@ def harness(command: Parser) -> None:
     watch = command.add_argument_group("watch")
     live = "show the run in a browser, on a page of 127.0.0.1 (default of PORT: any free one)"
     watch.add_argument("--live", metavar="PORT", type=values.port, nargs="?", const=0, help=live)
-    watch.add_argument("--gui", action="store_true", help="show PyBullet's window")
+    watch.add_argument("--gui", action="store_true", help="show PyBullet's window (MuJoCo has none: use --live)")
     pace = "run in lockstep at most this many times faster than real time (default: no limit)"
     watch.add_argument("--pace", metavar="FACTOR", type=values.factor, help=pace)
     output = command.add_argument_group("output")

@@ -45,7 +45,7 @@ class Parser(argparse.ArgumentParser):
         self.add_argument_group("help").add_argument("-h", "--help", action="help", help="show this help and end")
 
     def parsed(self, arguments: Sequence[str]) -> argparse.Namespace:
-        """Return the options. Leaves by SystemExit when they are wrong, or when help is asked for."""
+        """Return the options. Raises SystemExit when they are wrong, and after printing help."""
         self._arguments = arguments
         options, more = self.parse_known_args(arguments)
         if more:

@@ -36,8 +36,8 @@ def size_of(path: Path) -> int:
 
 
 def base_of(path: Path) -> tuple[Path, int | None]:
-    """Return the name of the current part, and the number of the older part that `path` names; None where `path` names
-    the current part or any other file. Raises OSError."""
+    """Return the path of the current part, and the number of the older part at `path`. The number is None if `path` is
+    the current part or another file. Raises OSError."""
     match = re.fullmatch(r"(.+)-([0-9]{1,15})", path.stem)
     if match is None or numbered(path):  # a name that ends in a number may be the current part's
         return path, None

@@ -24,7 +24,7 @@ THERE = 0.15  # m from the place at which it lands
 
 
 class Surroundings(Protocol):
-    """What the place depends on."""
+    """The geofence and the obstacles around the quad."""
 
     def may_land(self, position: Point, place: Point) -> bool:
         """Return whether a quad may fly straight to a place and land there, as far as fence and obstacles go."""
@@ -32,7 +32,7 @@ class Surroundings(Protocol):
 
 
 class Landing:
-    """Of one robot at the end of its run; robots keep `apart` metres from one another, seen from above."""
+    """Choice of one robot's landing place. Robots keep a horizontal distance of `apart` metres."""
 
     def __init__(self, pid: int, apart: float, surroundings: Surroundings) -> None:
         self._pid, self._apart, self._surroundings = pid, apart, surroundings

@@ -143,7 +143,7 @@ class Reference:
 
     @property
     def trajectory(self) -> Trajectory | None:
-        """What it runs along now: another one whenever something new has come."""
+        """The present trajectory; each new command replaces it by another object."""
         return self._trajectory
 
     def way(self) -> Path:

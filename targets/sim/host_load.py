@@ -118,7 +118,7 @@ class HostLoad:
             if not isinstance(record, Round) or record.fault is None:
                 continue
             if record.fault.get("reason") != LATE:
-                if name in self._late and name not in self._marked:  # the run tells of a robot's first fault alone
+                if name in self._late and name not in self._marked:  # the run reports only the first fault of a robot
                     self._marked.add(name)
                     self._run.mark(Violation(record.time, "fault", (name,), fault_text(record.fault)))
             elif why := self._why_late(name, record):

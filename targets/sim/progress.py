@@ -27,12 +27,12 @@ class Progress:
         self._open = False  # a line stands that will be rewritten
 
     def step(self, text: str) -> None:
-        """Write a line about the usual course of the run, on a terminal only."""
+        """Write a line about normal progress; only to a terminal."""
         if self._live:
             self.say(text)
 
     def say(self, text: str) -> None:
-        """Write a line that stays."""
+        """Write a line that is not overwritten."""
         if not self._quiet:
             self._write(("\r\x1b[K" if self._open else "") + text + "\n")
             self._open = False

@@ -18,7 +18,7 @@ from tests.emit.generated import checked
 
 
 def wait_for_a_round(out: Path) -> None:
-    """Return when an agent of the run that writes to the folder `out` has told of a round."""
+    """Wait until an agent has recorded a round in the run folder `out`."""
     while not any(b'"round"' in trace.read_bytes() for trace in out.glob("robots/*/trace.jsonl")):
         time.sleep(0.02)
 

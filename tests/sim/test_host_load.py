@@ -1,4 +1,4 @@
-"""Violations that the host caused, because it gave a process no core: measured, told apart, and told as such."""
+"""Violations that the host caused because a process got no core: they are measured and have their own verdict."""
 
 from __future__ import annotations
 
