@@ -65,7 +65,7 @@ class Entry:
 
 
 # What `back` leaves alone: all that belongs to the whole program.
-_LASTING = frozenset(("source", "program", "found", "owners", "entities", "types", "defaults", "calls", "broken"))
+_LASTING = frozenset(("source", "program", "found", "entities", "types", "defaults", "calls", "broken"))
 
 
 class Mark(NamedTuple):
