@@ -108,12 +108,12 @@ class Space {
       if (!pose) continue;
       if (tail > 10) group.add(gone(robot, -Infinity, now, { width: 1.4, alpha: 0.45 }));
       if (tail > 0) group.add(gone(robot, now - Math.min(10, tail), now, { width: 3, alpha: 0.95 }));
-      const scale = Math.max(1, LEAST * this._metres(pose, size[1]) / 0.5), figure = vehicle(robot);
+      const pixel = this._metres(pose, size[1]), scale = Math.max(1, (LEAST * pixel) / 0.5), figure = vehicle(robot);
       figure.position.set(...pose.slice(0, 3));
       figure.rotation.z = pose[3];
       figure.scale.setScalar(scale);
       group.add(figure, ...below(pose, scale), ...wanted(model, robot, now, pose), ...scanned(model, robot, now));
-      this.placed.push({ robot, pose, ...this._pixel(pose, size) });
+      this.placed.push({ robot, pose, beside: Math.max(0, (0.2 * scale) / pixel - 12), ...this._pixel(pose, size) });
     }
     return group;
   }
@@ -163,7 +163,7 @@ class Space {
     along(1, "y, north (m)");
     const seen = this.placed.filter((each) => each.ahead);
     alarms(chart, this.model, now, seen);
-    names(chart, seen);
+    names(chart, seen.map(({ robot, px, py, beside }) => ({ robot, px: px + beside, py: py - beside })));
   }
 
   // What is to be said of the robot near a pixel, or "".
@@ -319,7 +319,7 @@ function vehicle(robot) {
   };
   if (flies(robot)) {
     part(shapes().hull, own, 0.01, 0, 0.045);
-    part(shapes().nose, dark, 0.1, 0, 0.045);
+    part(shapes().nose, dark, 0.15, 0, 0.045);
     for (const angle of [1, -1]) part(shapes().arm, dark, 0, 0, 0.04).rotation.z = (angle * Math.PI) / 4;
     for (const [i, j] of [[1, 1], [1, -1], [-1, 1], [-1, -1]]) part(shapes().rotor, own, i * QUAD_ARM, j * QUAD_ARM, 0.07).rotation.x = Math.PI / 2;
   } else {
@@ -334,7 +334,7 @@ function vehicle(robot) {
 // The geometries of robots' parts, made once; metres.
 function shapes() {
   shapes.made = shapes.made || {
-    hull: new THREE.BoxGeometry(0.16, 0.09, 0.05), nose: new THREE.BoxGeometry(0.03, 0.05, 0.035), arm: new THREE.BoxGeometry(0.4, 0.022, 0.018),
+    hull: new THREE.BoxGeometry(0.16, 0.09, 0.05), nose: new THREE.BoxGeometry(0.14, 0.035, 0.035), arm: new THREE.BoxGeometry(0.4, 0.022, 0.018),
     rotor: new THREE.CylinderGeometry(ROTOR, ROTOR, 0.012, 24), chassis: new THREE.BoxGeometry(0.5, 0.22, 0.09),
     cabin: new THREE.BoxGeometry(0.22, 0.19, 0.07), glass: new THREE.BoxGeometry(0.02, 0.17, 0.055), wheel: new THREE.CylinderGeometry(0.06, 0.06, 0.05, 20),
   };
