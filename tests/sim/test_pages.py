@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import msgspec
@@ -200,6 +201,11 @@ def test_the_map_has_a_third_dimension(tmp_path: Path) -> None:
         assert page.complaints == []
         page.value("$('deep').click()")
         page.wait("$('top').hidden", bool)
+        box = {"shape": "box", "lo": [4.0, 4.0, 0.0], "hi": [5.0, 5.0, 1.0]}
+        page.value(f"model.extend({{obstacles: [[3.0, 0, {json.dumps(box)}]]}})")
+        middle = "state.space.standing.children.find((o) => o.geometry && o.geometry.type === 'BoxGeometry').position.x"
+        for at, x in ((2.9, -1.5), (3.1, 4.5), (2.9, -1.5)):
+            assert page.value(in_space(f"(seek({at}), draw(), {middle})")) == x
         page.value("state.space.renderer.forceContextLoss()")
         page.wait("$('space').hidden && $('deep').disabled", bool)
         assert page.text("space-why") == "the browser has taken WebGL away" and page.value(inked("top")) > 1000
