@@ -8,11 +8,12 @@ class Model {
     this.header = header;
     this.robots = header.robots.map((robot) => ({
       ...robot, shown: true, t: [], x: [], y: [], z: [], yaw: [],
-      rounds: [], phases: [], logs: [], paths: [], late: [], links: [], locals: new Map(),
+      rounds: [], phases: [], logs: [], paths: [], scans: [], late: [], links: [], locals: new Map(),
     }));
     this.shared = (header.shared || []).map((variable) => ({ ...variable, series: new Map() }));
     this.near = [];
     this.marks = [];
+    this.moved = []; // obstacles: t, number, the obstacle at its new place
     this.markers = ((header.world || {}).markers || []).map((marker) => ({ ...marker, states: [] }));
     this.first = 0;
     this.last = 0.1;
@@ -22,7 +23,7 @@ class Model {
 
   // Takes in a chunk of rows; unknown tables are passed over.
   extend(chunk) {
-    for (const table of ["poses", "phases", "logs", "paths", "late", "links", "rounds", "locals"])
+    for (const table of ["poses", "phases", "logs", "paths", "scans", "late", "links", "rounds", "locals"])
       for (const row of chunk[table] || []) {
         const robot = this.robots[row[0]];
         if (robot) { this["_" + table](robot, row); this._seen(row[1]); }
@@ -30,6 +31,7 @@ class Model {
     for (const row of chunk.shared || []) this._write(row);
     for (const row of chunk.near || []) this.near.push(row);
     for (const row of chunk.marks || []) this._mark(row);
+    for (const row of chunk.obstacles || []) this.moved.push(row);
     for (const [t, number, state, marker] of chunk.markers || []) {
       if (marker && !this.markers[number]) this.markers[number] = { ...marker, states: [] };
       if (this.markers[number]) this.markers[number].states.push([t, state]);
@@ -51,6 +53,11 @@ class Model {
   _phases(robot, row) { robot.phases.push(row); }
   _logs(robot, row) { robot.logs.push(row); }
   _paths(robot, row) { robot.paths.push(row); }
+  _scans(robot, row) {
+    robot.scans.push(row);
+    if (robot.scans.length > MOST_KEPT / 10) robot.scans.splice(0, robot.scans.length / 2);
+  }
+
   _late(robot, row) { robot.late.push(row); }
   _links(robot, row) { robot.links.push(row); }
 
@@ -86,6 +93,13 @@ class Model {
     this.marks.push(row);
     this.marks.sort((a, b) => a[0] - b[0]);
     if (row[1] === "end") this.end = row[0];
+  }
+
+  // The obstacles where they stand at a time: a fault can move them.
+  obstacles(t) {
+    const found = [...(this.header.obstacles || [])];
+    for (const [at, number, obstacle] of this.moved) if (at <= t && number < found.length) found[number] = obstacle;
+    return found;
   }
 
   pid(name) { return this.robots.findIndex((robot) => robot.name === name); }
