@@ -214,6 +214,7 @@ def _schedule(scenario: Scenario, options: argparse.Namespace) -> tuple[Schedule
     found, told = faults.load(options.scenario, names) if options.scenario else (Schedule(), None)
     faults.check_times(found, options.duration)
     faults.check_robots(found, scenario.robots)
+    faults.check_obstacles(found, len(scenario.obstacles))
     return faults.with_network(found, vars(options)), told
 
 
