@@ -149,7 +149,8 @@ def test_a_robot_is_frozen_until_it_continues_and_an_obstacle_moves() -> None:
         (3.0, ("move", (0, (1.0, 0.0, 2.0)))),
     ]
     assert made.marks[2:] == [
-        Cause(ZERO + 3, "obstacle", (), "number 0 by (1, 0, 2) m"), Moved(ZERO + 3, 0, Sphere(Point(1.0, 0.0, 2.0), 1.0)),
+        Cause(ZERO + 3, "obstacle", (), "number 0 by (1, 0, 2) m"),
+        Moved(ZERO + 3, 0, Sphere(Point(1.0, 0.0, 2.0), 1.0)),
     ]  # fmt: skip
 
 

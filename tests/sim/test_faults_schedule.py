@@ -113,7 +113,7 @@ def test_a_partition_alone_concerns_the_network() -> None:
         ({"events": [{"at": 1, "cut": ["ann"]}]}, "F004", ("events", 0, "cut"), "two robots, such as [ann, bob]"),
         ({"events": [{"at": 1, "cut": ["ann", "ann"]}]}, "F005", ("events", 0, "cut"), "names ann twice"),
         ({"events": [{"at": 1, "restore": ["ann", "zoe"]}]}, "F005", ("events", 0, "restore", 1), "no robot 'zoe'"),
-        ({"events": [{"at": 1, "for": 1, "continue": "ann"}]}, "F005", ("events", 0, "for"), "a continue takes no time"),
+        ({"events": [{"at": 1, "for": 1, "continue": "ann"}]}, "F005", ("events", 0, "for"), "continue takes no time"),
         ({"events": [{"at": 1, "network": {"loss": 2}}]}, "F005", ("events", 0, "network", "loss"), "is 2"),
         ({"events": [{"at": 1, "obstacle": {"number": -1, "by": [1, 0, 0]}}]}, "F005",
          ("events", 0, "obstacle", "number"), "from 0, not -1"),
