@@ -181,7 +181,7 @@ class Faults:
         return () if event.kind == "obstacle" else event.robots or tuple(self._names)
 
     def _begin(self, event: Event, at: float) -> None:
-        self._stamp(at, event.kind, self._concerned(event), _told(event), event.lasts)
+        self._stamp(at, event.kind, self._concerned(event), told(event), event.lasts)
         run = self._run
         match event.kind:
             case "partition":
@@ -263,7 +263,7 @@ def _conditions(conditions: Conditions) -> str:
     return ", ".join(f"{key} {getattr(conditions, key):g}" for key in CONDITIONS if getattr(conditions, key))
 
 
-def _told(event: Event) -> str:
+def told(event: Event) -> str:
     """A fault in words."""
     match event.kind:
         case "partition":

@@ -41,7 +41,7 @@ class History:
             for table in ("phases", "logs", "paths", "late", "links")
         }
         self._near = _Thinned(ALL_OTHERS)
-        self._kept: Chunk = {"marks": [], "markers": []}
+        self._kept: Chunk = {"marks": [], "markers": [], "obstacles": []}
 
     def extend(self, chunk: Chunk) -> None:
         """Take in rows, each table's in the order of their times."""
@@ -62,7 +62,7 @@ class History:
                 case "near":
                     for row in rows:
                         self._near.add(row)
-                case "marks" | "markers":
+                case "marks" | "markers" | "obstacles":
                     self._kept[table] += rows[: max(0, ALL_OTHERS - len(self._kept[table]))]
                 case _:
                     for row in rows:
