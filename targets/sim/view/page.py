@@ -81,14 +81,18 @@ not only because they waited for others.</figcaption></figure>
 """
 
 
-def page(title: str, header: Header, rows: Chunk, before: str, after: str, live: bool = False) -> str:
+def page(
+    title: str, header: Header, rows: Chunk, before: str, after: str, live: bool = False,
+    more: tuple[str, ...] = (), facts: dict[str, Any] | None = None,
+) -> str:  # fmt: skip
     """The whole page; `before` and `after` are HTML that stands around the pictures. It asks for nothing from anywhere,
-    but a live one for the events of the server that gave it."""
-    script = "\n".join((FOLDER / name).read_text(encoding="utf-8") for name in SCRIPTS)
+    but a live one for the events of the server that gave it. `more` names further scripts of the page's folder, `facts`
+    what they are given."""
+    script = "\n".join((FOLDER / name).read_text(encoding="utf-8") for name in (*SCRIPTS, *more))
     digest = b64encode(hashlib.sha256(script.encode()).digest()).decode()
     connect = "connect-src 'self'; " if live else ""
     policy = f"default-src 'none'; {connect}img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
-    given = {"header": msgspec.to_builtins(header), "rows": rows, "live": live}
+    given = {"header": msgspec.to_builtins(header), "rows": rows, "live": live, **(facts or {})}
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'

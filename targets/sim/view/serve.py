@@ -13,9 +13,10 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable
 from html import escape
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any
+from typing import Any, Protocol
 
 import msgspec
 
@@ -37,12 +38,21 @@ def event(name: str, what: Any) -> bytes:
     return b"event: %b\ndata: %b\n\n" % (name.encode(), _encoder.encode(what))
 
 
+class Rows(Protocol):
+    """Keeps the rows of which a new client gets all."""
+
+    def extend(self, chunk: dict[str, Any]) -> None: ...
+
+    def whole(self) -> dict[str, Any]: ...
+
+
 class Hub:
     """What clients are told. All its methods may be called from any thread; none waits for a client."""
 
-    def __init__(self, header: Header) -> None:
+    def __init__(self, header: Header, keep: Callable[[Header], Rows] = History) -> None:
         self.header = header
-        self._history = History(header)
+        self._keep = keep
+        self._history = keep(header)
         self._clients: set[queue.Queue[bytes]] = set()
         self._lock = threading.Lock()
         self.over = threading.Event()
@@ -55,12 +65,22 @@ class Hub:
     def begin(self) -> None:
         """Everything so far was before the run's clock began."""
         with self._lock:
-            self._history = History(self.header)
+            self._history = self._keep(self.header)
             self._tell(event("whole", self._history.whole()))
 
-    def end(self, words: str) -> None:
+    def renew(self, header: Header) -> None:
+        """Begin anew with another header. A page that is open shows the old one until it is loaded anew."""
         with self._lock:
-            self._tell(event("over", {"words": words}))
+            self.header = header
+            self._history = self._keep(header)
+
+    def send(self, name: str, what: Any) -> None:
+        """Send an event that is not kept for clients who come later."""
+        with self._lock:
+            self._tell(event(name, what))
+
+    def end(self, words: str) -> None:
+        self.send("over", {"words": words})
         deadline = time.monotonic() + FAREWELL
         while any(not client.empty() for client in self._clients) and time.monotonic() < deadline:
             time.sleep(0.05)
@@ -94,16 +114,18 @@ class Server(ThreadingHTTPServer):
     daemon_threads = True
     block_on_close = False
 
-    def __init__(self, port: int, hub: Hub) -> None:
-        super().__init__((HOST, port), Handler)
+    def __init__(self, port: int, hub: Hub, host: str = HOST, handler: type[Handler] | None = None) -> None:
+        super().__init__((host, port), handler or Handler)
         self.hub = hub
-        header = hub.header
-        title = f"{header.app}, live"
-        before = f"<h1>{escape(title)}</h1>"
-        self.page = page(title, header, {}, before, "", live=True).encode()
         own = self.server_address[1]
         # Another name that leads here is another site's: it may not read what we say (DNS rebinding).
         self.names = {f"{name}:{own}" for name in (HOST, "localhost")}
+
+    @property
+    def page(self) -> bytes:
+        """The page, of the fleet as it is now."""
+        title = f"{self.hub.header.app}, live"
+        return page(title, self.hub.header, {}, f"<h1>{escape(title)}</h1>", "", live=True).encode()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Clients come and go."""
@@ -115,15 +137,26 @@ class Handler(BaseHTTPRequestHandler):
     server_version, sys_version = "koordgen", ""
 
     def do_GET(self) -> None:
-        if self.headers.get_all("Host") not in [[name] for name in self.server.names]:
-            self.send_error(403, "This page is for the computer it runs on")
-        elif self.path == "/":
-            self._answer("text/html; charset=utf-8", str(len(self.server.page)))
-            self.wfile.write(self.server.page)
+        if not self.admitted():
+            return
+        if self.path == "/":
+            self.give("text/html; charset=utf-8", self.server.page)
         elif self.path == "/events":
             self._events()
         else:
             self.send_error(404)
+
+    def admitted(self) -> bool:
+        """Return whether the request may be answered; if not, it has been refused."""
+        if self.headers.get_all("Host") in [[name] for name in self.server.names]:
+            return True
+        self.send_error(403, "This page is for the computer it runs on")
+        return False
+
+    def give(self, kind: str, body: bytes) -> None:
+        """Answer with a whole document."""
+        self._answer(kind, str(len(body)))
+        self.wfile.write(body)
 
     def _answer(self, kind: str, length: str | None = None) -> None:
         self.send_response(200)

@@ -6,6 +6,7 @@ const model = new Model(given.header);
 const $ = (id) => document.getElementById(id);
 const state = { now: 0, playing: false, live: Boolean(given.live), zoom: 1, moved: true, due: 0 };
 const charts = {};
+let source = null; // of a live page's events
 
 function make(tag, words, attributes = {}) {
   const element = document.createElement(tag);
@@ -250,7 +251,7 @@ function follow(on) {
 // ---- live
 
 function listen() {
-  const source = new EventSource("events");
+  source = new EventSource("events");
   const hear = (name, act) => source.addEventListener(name, (event) => { act(JSON.parse(event.data)); refresh(); });
   $("status").textContent = "connecting";
   source.onopen = () => { $("status").textContent = ""; };
