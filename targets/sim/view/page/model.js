@@ -8,7 +8,7 @@ class Model {
     this.header = header;
     this.robots = header.robots.map((robot) => ({
       ...robot, shown: true, t: [], x: [], y: [], z: [], yaw: [],
-      rounds: [], phases: [], logs: [], paths: [], late: [], links: [], locals: new Map(),
+      rounds: [], phases: [], logs: [], paths: [], scans: [], late: [], links: [], locals: new Map(),
     }));
     this.shared = (header.shared || []).map((variable) => ({ ...variable, series: new Map() }));
     this.near = [];
@@ -22,7 +22,7 @@ class Model {
 
   // Takes in a chunk of rows; unknown tables are passed over.
   extend(chunk) {
-    for (const table of ["poses", "phases", "logs", "paths", "late", "links", "rounds", "locals"])
+    for (const table of ["poses", "phases", "logs", "paths", "scans", "late", "links", "rounds", "locals"])
       for (const row of chunk[table] || []) {
         const robot = this.robots[row[0]];
         if (robot) { this["_" + table](robot, row); this._seen(row[1]); }
@@ -51,6 +51,11 @@ class Model {
   _phases(robot, row) { robot.phases.push(row); }
   _logs(robot, row) { robot.logs.push(row); }
   _paths(robot, row) { robot.paths.push(row); }
+  _scans(robot, row) {
+    robot.scans.push(row);
+    if (robot.scans.length > MOST_KEPT / 10) robot.scans.splice(0, robot.scans.length / 2);
+  }
+
   _late(robot, row) { robot.late.push(row); }
   _links(robot, row) { robot.links.push(row); }
 

@@ -111,13 +111,19 @@ function trail(chart, robot, from, to, across, up, look) {
   stroke(chart.ctx, points, colour(robot.pid), { ...look, lines: dash(robot.pid) });
 }
 
-// A robot's path ahead: from its nearest point on, as far as its robot has not gone it.
-function ahead(chart, model, robot, now, pose, across, up) {
+// The path that a robot was given last, from the robot if it is one point; null when there is none, or its end is reached.
+function pathAhead(model, robot, now, pose) {
   const row = model.at(robot.paths, now);
-  if (!row || !pose || !row[2].length) return;
+  if (!row || !pose || !row[2].length) return null;
   const goal = row[2][row[2].length - 1];
-  if (Math.hypot(goal[0] - pose[0], goal[1] - pose[1]) < 0.05) return;
-  const points = (row[2].length > 1 ? row[2] : [pose, goal]).map((p) => [chart.x(p[across]), chart.y(p[up])]);
+  if (Math.hypot(goal[0] - pose[0], goal[1] - pose[1]) < 0.05) return null;
+  return row[2].length > 1 ? row[2] : [pose, goal];
+}
+
+function ahead(chart, model, robot, now, pose, across, up) {
+  const path = pathAhead(model, robot, now, pose);
+  if (!path) return;
+  const points = path.map((p) => [chart.x(p[across]), chart.y(p[up])]);
   stroke(chart.ctx, points, colour(robot.pid), { width: 1.4, lines: [2, 4] });
   const [px, py] = points[points.length - 1];
   stroke(chart.ctx, [[px - 4, py - 4], [px + 4, py + 4]], colour(robot.pid), { width: 1.8 });
@@ -155,8 +161,9 @@ function body(chart, robot, px, py, yaw) {
   ctx.restore();
 }
 
-// A robot that was ever off the ground is drawn as one that flies.
+// A quad is drawn as one that flies, and so is a robot of another target that was ever off the ground.
 function flies(robot) {
+  if (robot.target === "quad") return true;
   for (let k = robot.looked || 0; k < robot.z.length && !robot.flew; k++) robot.flew = robot.z[k] > 0.3;
   robot.looked = robot.z.length;
   return robot.flew;
