@@ -1,8 +1,7 @@
 """The dashboard's server: the live view's page with a table of the robots, fed by the reports of real agents.
 
-It changes nothing, but for `stop`: the emergency stop, if it was given one. A browser of another site can neither read
-the page (see Server) nor send that request: it needs a header with a number that only the page holds. With a token, a
-browser sends it once and has a cookie from then on.
+It changes nothing, but for `stop`: the emergency stop, if it was given one. Another site can neither read the page (see
+Server) nor send that command (see Guard). With a token, a browser sends it once and has a cookie from then on.
 """
 
 from __future__ import annotations
@@ -25,13 +24,14 @@ import msgspec
 
 from targets.sim.trace import FORMAT, Header, RobotName
 from targets.sim.view.fleet_rows import FRESH, FleetRows, Latest, completed, read_report
+from targets.sim.view.guard import Guard
 from targets.sim.view.page import page
 from targets.sim.view.serve import Handler, Hub, Server
 
 TICK = 0.2  # seconds from one event for the pages to the next
 MOST_BROWSERS = 64  # that have sent the token and hold a cookie
 LONGEST_BODY = 1024  # bytes
-COOKIE, PROOF = "koordgen-dashboard", "X-Koordgen-Proof"
+COOKIE = "koordgen-dashboard"
 Stop = Callable[[], list[dict[str, Any]]]
 
 HEAD = """<header id="head"><h1>{title}</h1><p id="summary">no report yet</p>{stop}</header>
@@ -130,13 +130,14 @@ class FleetServer(Server):
         self, host: str, port: int, dashboard: Dashboard, stop: Stop | None, token: str, tls: ssl.SSLContext | None
     ) -> None:
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        super().__init__(port, dashboard.hub, host, FleetHandler)
+        super().__init__(port, dashboard.hub, host=host, handler=FleetHandler)
         self.token, self.stop, self._tls, self._dashboard = token, stop, tls, dashboard
-        self.proof = secrets.token_urlsafe(16)
         self.cookies: list[str] = []
         name = f"[{host}]" if ":" in host else host
         self.names |= {f"{name}:{self.server_address[1]}"}
-        self.url = f"http{'s' if tls else ''}://{name}:{self.server_address[1]}/"
+        scheme = "https" if tls else "http"
+        self.url = f"{scheme}://{name}:{self.server_address[1]}/"
+        self.guard = None if stop is None else Guard(None if token else self.names, scheme)
 
     def server_bind(self) -> None:
         """Bind without looking up the host's name, which may take seconds."""
@@ -157,7 +158,8 @@ class FleetServer(Server):
         title = f"{header.app or 'fleet'}, dashboard"
         before = HEAD.format(title=escape(title), stop=STOP if self.stop is not None else "")
         axis = "time since the dashboard began (s)"
-        facts = {"proof": self.proof, "axis": axis, "version": self._dashboard.version}
+        token = "" if self.guard is None else self.guard.token
+        facts = {"token": token, "axis": axis, "version": self._dashboard.version}
         return page(title, header, {}, before, "", live=True, more=("fleet.js",), facts=facts).encode()
 
 
@@ -183,12 +185,10 @@ class FleetHandler(Handler):
         """Take the token, or stop the fleet."""
         if self.path == "/login" and self.server.token:
             self._login()
-        elif not self.admitted():
+        elif not self.admitted() or (command := self.ordered()) is None:
             return
-        elif self.path != "/stop" or self.server.stop is None:
-            self.send_error(404)
-        elif not hmac.compare_digest(self.headers.get(PROOF, "").encode(), self.server.proof.encode()):
-            self.send_error(403, "Only the dashboard's own page may ask for that")
+        elif command != {"do": "stop"} or self.server.stop is None:
+            self.send_error(400, "The only command is the emergency stop")
         else:
             answers = self.server.stop()
             self.server.hub.send("stopped", {"robots": answers, "by": self.client_address[0]})

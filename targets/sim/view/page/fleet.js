@@ -121,7 +121,8 @@ async function stopAll() {
   button.disabled = true;
   $("stopped").replaceChildren(phrase("Stopping …", "bad"));
   try {
-    const answer = await fetch("stop", { method: "POST", headers: { "X-Koordgen-Proof": given.proof }, signal: AbortSignal.timeout(10000) });
+    const headers = { "Content-Type": "application/json", "X-Koordgen-Token": given.token };
+    const answer = await fetch("control", { method: "POST", headers, body: JSON.stringify({ do: "stop" }), signal: AbortSignal.timeout(10000) });
     if (!answer.ok) throw new Error(`the dashboard answered ${answer.status}`);
     stopTold((await answer.json()).robots, "here");
   } catch (error) {

@@ -295,7 +295,8 @@ function listen() {
   source.onerror = () => { $("status").textContent = "no connection to the run"; };
   hear("whole", (chunk) => { Object.assign(model, new Model(given.header)); chips(); model.extend(chunk); });
   hear("rows", (chunk) => model.extend(chunk));
-  hear("over", ({ words }) => { source.close(); follow(false); $("status").textContent = words; });
+  if (given.control) hear("control", controlled);
+  hear("over", ({ words }) => { source.close(); follow(false); $("status").textContent = words; if (given.control) ended(); });
 }
 
 function wire() {

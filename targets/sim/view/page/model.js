@@ -13,6 +13,7 @@ class Model {
     this.shared = (header.shared || []).map((variable) => ({ ...variable, series: new Map() }));
     this.near = [];
     this.marks = [];
+    this.moved = []; // obstacles: t, number, the obstacle at its new place
     this.markers = ((header.world || {}).markers || []).map((marker) => ({ ...marker, states: [] }));
     this.first = 0;
     this.last = 0.1;
@@ -30,6 +31,7 @@ class Model {
     for (const row of chunk.shared || []) this._write(row);
     for (const row of chunk.near || []) this.near.push(row);
     for (const row of chunk.marks || []) this._mark(row);
+    for (const row of chunk.obstacles || []) this.moved.push(row);
     for (const [t, number, state, marker] of chunk.markers || []) {
       if (marker && !this.markers[number]) this.markers[number] = { ...marker, states: [] };
       if (this.markers[number]) this.markers[number].states.push([t, state]);
@@ -104,6 +106,13 @@ class Model {
     for (const { series } of this.shared) for (const writes of series.values()) drop(writes, (write) => write.t);
     for (const rows of [this.near, this.marks]) drop(rows, (row) => row[0]);
     this.first = Math.max(this.first, before);
+  }
+
+  // The obstacles where they stand at a time: a fault can move them.
+  obstacles(t) {
+    const found = [...(this.header.obstacles || [])];
+    for (const [at, number, obstacle] of this.moved) if (at <= t && number < found.length) found[number] = obstacle;
+    return found;
   }
 
   pid(name) { return this.robots.findIndex((robot) => robot.name === name); }

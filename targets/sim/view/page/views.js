@@ -187,7 +187,7 @@ function names(chart, placed) {
 function scene(canvas, model, now, { across, up, labels, most, tail, map }) {
   const box = room(model), chart = level(canvas, view(model, box, up), across, up, labels, most);
   if (map) drawMap(chart, map);
-  for (const obstacle of model.header.obstacles || []) solid(chart, obstacle, across, up);
+  for (const obstacle of model.obstacles(now)) solid(chart, obstacle, across, up);
   const arena = (model.header.world || {}).arena;
   if (arena) fence(chart, [arena.lo, arena.hi], across, up, [], STONE_EDGE);
   if (model.header.geofence) fence(chart, model.header.geofence, across, up, [6, 4], DIM);
