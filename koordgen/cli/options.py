@@ -148,6 +148,24 @@ def status(command: Parser) -> None:
     _format(command.add_argument_group("output"))
 
 
+def dashboard(command: Parser) -> None:
+    """Options of `koordgen dashboard`."""
+    fleet = "the fleet file (YAML), a folder that `koordgen build` wrote, or the folder of a simulated run"
+    command.positional.add_argument("fleet", metavar="FLEET", help=fleet)
+    robots = command.add_argument_group("robots")
+    _key(robots)
+    robots.add_argument("--control", action="store_true", help="show a button that stops all robots when it is held")
+    page = command.add_argument_group("page")
+    page.add_argument("--port", metavar="N", type=values.port, default=8470, help="the page's port (default: 8470)")
+    bind = "the address of this computer to serve the page at; any but 127.0.0.1 needs the three options below"
+    page.add_argument("--bind", metavar="ADDRESS", default="127.0.0.1", help=bind)
+    page.add_argument("--tls-cert", metavar="FILE", help="the page's certificate (PEM), for https")
+    page.add_argument("--tls-key", metavar="FILE", help="that certificate's private key (PEM, without a password)")
+    token = "the file of the token that a browser must send once; the command makes the file if there is none"
+    page.add_argument("--token", metavar="FILE", help=token)
+    page.add_argument("--no-browser", dest="browser", action="store_false", help="open no browser")
+
+
 def basestation(command: Parser) -> None:
     """Options of `koordgen basestation`."""
     command.positional.add_argument("fleet", metavar="FLEET", help="the fleet file (YAML)")

@@ -31,6 +31,9 @@ def overrides(
     """What is laid over a robot's settings.json: the devices and addresses of this run."""
     peers = [{"name": r.name, "host": "127.0.0.1", "port": p} for r, p in zip(robots, ports, strict=True)]
     return {
+        "robot": agent.robot.name,
+        "pid": agent.robot.pid,
+        "application_id": agent.application,  # with these three, the commands for real robots find those of the run
         "peers": peers,
         "bind": "",
         "network": {"transport": "unicast"},  # groups and endpoints are those of the real network
@@ -60,6 +63,15 @@ class Process(Agent):
         self._lives = [self.trace_file]  # a trace of each
         self._thaw: threading.Timer | None = None
         self._stopped: subprocess.Popen[bytes] | None = None  # the process that is frozen
+
+    @property
+    def application(self) -> int:
+        """The fleet's application_id, from the bundle's settings; 0 of a bundle without any."""
+        try:
+            settings = msgspec.json.decode((self._bundle / "settings.json").read_bytes())
+        except FileNotFoundError:
+            return 0
+        return int(settings["application_id"])
 
     def launch(self, settings: dict[str, Any], command: list[str] | None = None, path: str = "") -> None:
         """Start the process: the bundle, or in its place `command` with `path` as PYTHONPATH. Raises OSError."""

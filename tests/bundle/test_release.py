@@ -37,6 +37,15 @@ def test_all_robots_of_a_build_are_of_one_release_whichever_are_built() -> None:
     assert releases(bundles(wanted=("quad",))) == {release} == releases(bundles(wanted=("car",)))
 
 
+def test_vendored_code_is_in_the_simulators_bundle_with_its_licence_and_in_no_robots() -> None:
+    found = bundles()
+    vendor = "targets/sim/view/page/vendor"
+    carried = {path for path in found["sim"] if "vendor" in path}
+    assert carried == {f"{vendor}/three.min.js", f"{vendor}/LICENSE"}
+    assert found["sim"][f"{vendor}/LICENSE"].decode().strip() in found["sim"][f"{vendor}/three.min.js"].decode()
+    assert not [path for name in ROBOTS for path in found[name] if "vendor" in path or path.endswith(".js")]
+
+
 def test_another_setting_of_one_robot_is_another_release_of_all() -> None:
     assert releases(bundles()).isdisjoint(releases(bundles("\nsafety: {peer_timeout: 11}\n")))
 

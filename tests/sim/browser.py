@@ -8,19 +8,23 @@ import select
 import shutil
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 WITHIN = 60.0  # seconds for anything
+WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")  # by the processor
+NO_WEBGL = ("--disable-gpu", "--disable-3d-apis")
 
 
 class Browser:
     """One page. What goes wrong in its scripts is gathered in `complaints`."""
 
-    def __init__(self, profile: Path, width: int = 1300, height: int = 1000) -> None:
+    def __init__(
+        self, profile: Path, width: int = 1300, height: int = 1000, graphics: Sequence[str] = NO_WEBGL
+    ) -> None:
         assert CHROMIUM is not None
         to_read, self._out = os.pipe()
         self._in, to_write = os.pipe()
@@ -30,9 +34,9 @@ class Browser:
             for fd, wanted in zip(high, (3, 4), strict=True):
                 os.dup2(fd, wanted)
 
-        flags = ["--headless", "--no-sandbox", "--disable-gpu", "--remote-debugging-pipe", f"--user-data-dir={profile}"]
+        flags = ["--headless", "--no-sandbox", "--remote-debugging-pipe", f"--user-data-dir={profile}"]
         self._process = subprocess.Popen(
-            [CHROMIUM, *flags, f"--window-size={width},{height}", "about:blank"],
+            [CHROMIUM, *flags, *graphics, f"--window-size={width},{height}", "about:blank"],
             preexec_fn=ends, close_fds=False, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
         )  # fmt: skip
         os.close(to_read)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
 import pytest
 
+from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Sphere
+from koordgen.runtime.values import Point
 from targets.sim.trace import Cause, End, Mark, Verdict, Violation, read
 from targets.sim.view import report, show
-from tests.sim.browser import CHROMIUM, Browser
+from tests.sim.browser import CHROMIUM, WEBGL, Browser
 from tests.sim.canned import header, moving, write
 from tests.sim.test_export import ENDS, HEAD, STARTS, rounds
 from tests.sim.test_live import watched
@@ -135,6 +138,80 @@ def believed(pid: int, at: float) -> str:
         "for (const [name, s] of robot.locals) { const w = model.value(s, at); if (w) own[name] = w.value; } "
         "return [copy, own]; })()"
     )
+
+
+SOLIDS = (
+    Block(Point(-2.0, -2.0, 0.0), Point(-1.0, -1.0, 1.0)),
+    Sphere(Point(2.0, 2.0, 1.0), 0.5),
+    Cylinder(Point(3.0, -2.0, 0.0), 0.4, 2.0),
+    Mesh((Point(0, 3, 0), Point(1, 3, 0), Point(0, 4, 0), Point(0, 3, 1)), ((0, 1, 2), (0, 1, 3), (0, 2, 3))),
+)
+
+
+def in_space(code: str) -> str:
+    """What `code` says after a picture; `count(kind)`: how many objects of it there are; `seen(test)`: how many pixels
+    of it pass the test of red, green and blue."""
+    return (
+        "(() => { draw(); const count = (kind) => { let n = 0; "
+        "state.space.world.traverse((o) => { n += o.type === kind; }); return n; }; const seen = (test) => { const c = document.createElement('canvas'), w = $('space-view'); "
+        "[c.width, c.height] = [w.width, w.height]; const ctx = c.getContext('2d'); ctx.drawImage(w, 0, 0); "
+        "const d = ctx.getImageData(0, 0, c.width, c.height).data; let n = 0; "
+        f"for (let k = 0; k < d.length; k += 4) n += test(d[k], d[k + 1], d[k + 2]); return n; }}; return {code}; }})()"
+    )
+
+
+ORANGE = "seen((r, g, b) => r > 120 && b < 60 && g < 0.7 * r)"  # bert's
+
+
+def test_the_map_has_a_third_dimension(tmp_path: Path) -> None:
+    head = msgspec.structs.replace(HEAD, obstacles=SOLIDS)
+    scan = [[[1.0, 0.0, 0.0], [[0.0, 1.0, 2.0], [1.0, 6.0, 2.0], 6.0]]]
+    looked = {"kind": "round", "t": 0.0, "pid": 0, "round": 1, "sensors": {"MotionWithScan.pscan": scan}}
+    marks: list[Mark] = [Violation(2.0, "fault", ("bert",), "x"), End(10.0, "")]
+    trace = write(tmp_path / "trace.jsonl", head, [*moving(STARTS, ENDS), looked, *rounds()], marks)
+    report.write(tmp_path / "report.html", trace)
+    with Browser(tmp_path / "profile", graphics=WEBGL) as page:
+        page.open(f"file://{tmp_path}/report.html#t=0.5")
+        assert page.value("typeof THREE") == "undefined"  # nobody has looked yet
+        page.value("$('deep').click()")
+        page.wait("Boolean(state.space && state.space.standing) && $('top').hidden", bool)
+        assert page.value(in_space("seen((r, g, b) => r + g + b < 740)")) > 5000
+        assert page.value(in_space(ORANGE)) > 50
+        assert page.value(in_space("count('Points')")) == 1
+        assert page.value("state.space.standing.children.length") > len(SOLIDS) + 2
+        first = page.value(in_space("state.space.placed.map((each) => [each.px, each.py])"))
+        said = page.value(f"state.space.hovered({first[1][0]} + 3, {first[1][1]})")
+        assert said == "bert: (-0.95, 1.90, 0.00) m, heading 0° from east"
+        assert page.value("state.space.hovered(2, 2)") == ""
+        page.value("$('scrub').value = 9; $('scrub').oninput()")
+        later = page.value(in_space("state.space.placed.map((each) => [each.px, each.py])"))
+        assert all(abs(a[0] - b[0]) + abs(a[1] - b[1]) > 5 for a, b in zip(first, later, strict=True))
+        page.value("$('chase').value = '1'; $('chase').onchange()")
+        where = "(() => { const each = state.space.placed[1], c = state.space.flat; return [each.px / c.clientWidth, "
+        middle = page.value(in_space(f"{where}each.py / c.clientHeight]; }})()"))
+        assert middle == pytest.approx([0.5, 0.5], abs=0.01)
+        page.value("seek(2.5); model.robots[1].shown = false")
+        assert page.value(in_space("isMap(state.space.map)")) and page.value(in_space(ORANGE)) == 0
+        page.value("model.robots[1].shown = true; draw()")
+        assert page.value(reddish("space-names")) > 20  # who takes part in a violation has a ring
+        page.value("$('above').click()")
+        page.wait("!$('top').hidden && $('space').hidden", bool)
+        assert page.complaints == []
+        page.value("$('deep').click()")
+        page.wait("$('top').hidden", bool)
+        page.value("state.space.renderer.forceContextLoss()")
+        page.wait("$('space').hidden && $('deep').disabled", bool)
+        assert page.text("space-why") == "the browser has taken WebGL away" and page.value(inked("top")) > 1000
+
+
+def test_without_webgl_the_map_stays_flat_and_says_why(tmp_path: Path) -> None:
+    report.write(tmp_path / "report.html", write(tmp_path / "trace.jsonl", HEAD, moving(STARTS, ENDS)))
+    with Browser(tmp_path / "profile") as page:
+        page.open(f"file://{tmp_path}/report.html")
+        assert page.value("$('deep').disabled") and page.text("space-why") == "this browser has no WebGL 2"
+        page.value("$('deep').click()")
+        assert page.value("$('space').hidden") and page.value(inked("top")) > 1000
+        assert page.complaints == []
 
 
 @pytest.mark.slow

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 import json
 import re
-from base64 import b64encode
+from base64 import b64decode, b64encode
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -122,7 +123,7 @@ def test_the_report_stands_alone_and_escapes_all_it_was_told(canned: Path) -> No
     page = Page()
     page.feed(text)
     tags = [tag for tag, _ in page.tags]
-    assert tags.count("script") == 2 and not set(tags) & {"link", "iframe", "b", "img"}
+    assert tags.count("script") == 3 and not set(tags) & {"link", "iframe", "b", "img"}
     for address in re.findall(r"https?://[^\s\"']*", text):
         assert address == "http://www.w3.org/2000/svg"  # a name, which nothing is fetched from
     assert not any(name.startswith("on") or name == "src" for _, attributes in page.tags for name in attributes)
@@ -130,14 +131,21 @@ def test_the_report_stands_alone_and_escapes_all_it_was_told(canned: Path) -> No
     assert "a &amp; &lt;b&gt;" in text
 
 
-def test_the_page_runs_its_own_script_and_no_other(canned: Path) -> None:
+def test_the_page_runs_its_own_script_and_three_js_and_no_other(canned: Path) -> None:
     report.write(canned.parent / "report.html", canned)
     text = (canned.parent / "report.html").read_text()
     script = text.rpartition("<script>")[2].partition("</script>")[0]
-    digest = b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    packed = text.partition('id="three">')[2].partition("</script>")[0]
+    vendor = Path(report.__file__).parent / "page" / "vendor"
+    three = gzip.decompress(b64decode(packed))
+    assert three == (vendor / "three.min.js").read_bytes() and len(packed) < 205_000
+    assert (vendor / "LICENSE").read_text(encoding="utf-8") in text
+    own, other = (b64encode(hashlib.sha256(each).digest()).decode() for each in (script.encode(), three))
     policy = re.search(r'Content-Security-Policy" content="([^"]*)"', text)
     assert policy is not None
-    assert policy[1] == (f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'")
+    assert policy[1] == (
+        f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{own}' 'sha256-{other}'"
+    )
 
 
 def test_a_trace_alone_has_a_report_too(canned: Path) -> None:

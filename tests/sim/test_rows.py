@@ -68,6 +68,28 @@ def test_what_is_no_path_is_none(value: Any) -> None:
     assert "paths" not in rows(Round(1, "Go", actuators=raw(**{"Motion.path": value}), pid=0))
 
 
+def test_a_lidars_newest_scan_is_a_row_once_a_second() -> None:
+    def seen(*ranges: float) -> list[Any]:
+        return [[1.0, 2.0, 0.5], [[0.0, math.pi / 2, math.pi], ranges, 6.0]]
+
+    def at(t: float, *scans: Any, pid: int = 0) -> Round:
+        return Round(1, "Look", sensors=raw(**{"MotionWithScan.pscan": scans}), t=t, pid=pid)
+
+    found = rows(
+        at(0.0),
+        at(0.2, seen(1.0, 1.0, 1.0), seen(2.0, 6.0, 3.0)),  # the second ray met nothing
+        at(0.4, seen(5.0, 5.0, 5.0)),
+        at(1.2, seen(0.5, 1.25, 6.0)),
+        at(1.2, seen(6.0, 6.0, 6.0), pid=1),
+        at(2.3, [[1, 2, 3], "no scan"], pid=1),
+    )
+    assert found["scans"] == [
+        [0, 0.2, [1.0, 2.0, 0.5], [200, 0, -300, 0]],
+        [0, 1.2, [1.0, 2.0, 0.5], [50, 0, 0, 125]],
+        [1, 1.2, [1.0, 2.0, 0.5], []],
+    ]
+
+
 def test_the_closest_pair_is_that_of_all_robots_once_all_are_known() -> None:
     found = rows(
         Pose(1, (0.0, 0.0, 0.0), 0.0, t=0.0),

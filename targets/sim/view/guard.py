@@ -22,20 +22,24 @@ Refusal = tuple[int, str]  # HTTP status and reason
 
 
 class Guard:
-    """Checks requests to PATH. `names` are the hosts, with port, by which this server may be called."""
+    """Checks requests to PATH. `names` are the hosts, with port, by which this server may be called; None: by any, as a
+    browser has shown already that it may (by a cookie of this server)."""
 
-    def __init__(self, names: Collection[str]) -> None:
+    def __init__(self, names: Collection[str] | None, scheme: str = "http") -> None:
         self.token = secrets.token_urlsafe(32)
-        self._names = names
+        self._names, self._scheme = names, scheme
 
     def refusal(self, path: str, headers: Message) -> Refusal | None:
         """Return why a request is refused by its path and headers; None: it may be read."""
-        given = headers.get_all(HEADER) or []
-        if headers.get_all("Host") not in [[name] for name in self._names]:
+        given, hosts = headers.get_all(HEADER) or [], headers.get_all("Host") or []
+        names = hosts[:1] if self._names is None else self._names
+        if hosts not in [[name] for name in names]:
             return 403, "This page is for the computer it runs on"
         if path != PATH:
             return 404, "There are no other commands"
-        if any(origin not in {f"http://{name}" for name in self._names} for origin in headers.get_all("Origin") or []):
+        if any(
+            origin not in {f"{self._scheme}://{name}" for name in names} for origin in headers.get_all("Origin") or []
+        ):
             return 403, "Commands come from the page itself, not from another site"
         if len(given) != 1 or not hmac.compare_digest(given[0].encode(), self.token.encode()):
             return 403, "The token is missing or wrong: load the page again"

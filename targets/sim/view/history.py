@@ -17,6 +17,7 @@ MOST_SHARED, SHARED_BYTES = 600, 1_200_000
 MOST_LOCALS, LOCALS_BYTES, LOCALS_OF_ONE = 600, 600_000, 4
 MOST_ROUNDS, ALL_ROUNDS = 3000, 16_000
 ALL_OTHERS = 4000
+ALL_SCANS = 300
 MOST_MAPS = 60
 LONGEST = 3000  # bytes of a value that is shown
 Row = list[Any]
@@ -40,6 +41,7 @@ class History:
             table: [_Thinned(ALL_OTHERS // robots) for _ in header.robots]
             for table in ("phases", "logs", "paths", "late", "links")
         }
+        self._of_robots["scans"] = [_Thinned(ALL_SCANS // robots) for _ in header.robots]
         self._near = _Thinned(ALL_OTHERS)
         self._kept: Chunk = {"marks": [], "markers": [], "obstacles": []}
 

@@ -3,8 +3,10 @@ same scripts, `page/*.js`; whatever a trace says gets into them as JSON, and the
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 from base64 import b64encode
+from functools import cache
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,8 @@ from targets.sim.view.rows import Chunk
 
 FOLDER = Path(__file__).parent / "page"
 CONTROLS_SCRIPT = "controls.js"
-SCRIPTS = ("model.js", "draw.js", "views.js", "timeline.js", "main.js")
+SCRIPTS = ("model.js", "draw.js", "views.js", "space.js", "timeline.js", "main.js")
+VENDOR = FOLDER / "vendor"
 
 # Of a live run that takes commands: controls.js fills and wires it.
 CONTROLS = """
@@ -74,9 +77,17 @@ PLAYER = """
 <select id="map" title="map"></select>
 </div>
 <div class="views">
-<figure><canvas id="top" aria-label="the fleet from above"></canvas>
-<figcaption>From above. Dotted: where a robot was told to go. Dashed frame: geofence. Of a map: light is free, dark
-occupied.
+<figure><div class="tabs"><button id="above" aria-pressed="true">from above</button>
+<button id="deep" aria-pressed="false" title="the map in three dimensions">3D</button>
+<span id="space-bar" hidden><select id="chase" title="the camera goes along with a robot"></select>
+<button id="whole" title="show the whole room again">whole room</button></span>
+<span id="space-why" class="dim"></span></div>
+<canvas id="top" aria-label="the fleet from above"></canvas>
+<div id="space" hidden><canvas id="space-view" aria-label="the fleet in three dimensions"></canvas>
+<canvas id="space-names"></canvas></div>
+<figcaption><span id="space-help" hidden>Drag to turn; drag with the right button or two fingers to move; use the wheel
+or two fingers to zoom. Dots: each robot's last lidar scan.</span>
+Dotted: where a robot was told to go. Dashed frame: geofence. Of a map: light is free, dark occupied.
 <span id="closest"></span> <span id="alarm"></span></figcaption>
 <div class="chips robots"></div></figure>
 <div>
@@ -124,26 +135,42 @@ not only because they waited for others.</figcaption></figure>
 
 def page(
     title: str, header: Header, rows: Chunk, before: str, after: str, live: bool = False,
-    control: dict[str, Any] | None = None,
+    control: dict[str, Any] | None = None, more: tuple[str, ...] = (), facts: dict[str, Any] | None = None,
 ) -> str:  # fmt: skip
     """The whole page; `before` and `after` are HTML that stands around the pictures. It asks for nothing from anywhere,
     but a live one for the events of the server that gave it. `control`: what the controls of a live run offer
-    (`lockstep`, `faults`), and the `token` of their commands; None: there are no controls."""
-    scripts = (*SCRIPTS, CONTROLS_SCRIPT) if control is not None else SCRIPTS
-    script = "\n".join((FOLDER / name).read_text(encoding="utf-8") for name in scripts)
-    digest = b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    (`lockstep`, `faults`), and the `token` of their commands; None: there are no controls. `more` names further scripts
+    of the page's folder, `facts` what they are given."""
+    files = (*SCRIPTS, *((CONTROLS_SCRIPT,) if control is not None else ()), *more)
+    script = "\n".join((FOLDER / name).read_text(encoding="utf-8") for name in files)
+    digest, (packed, three) = _digest(script.encode()), _three()
     connect = "connect-src 'self'; " if live else ""
-    policy = f"default-src 'none'; {connect}img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
-    given = {"header": msgspec.to_builtins(header), "rows": rows, "live": live, "control": control}
+    scripts = f"script-src {digest} {three}"
+    policy = f"default-src 'none'; {connect}img-src data:; style-src 'unsafe-inline'; {scripts}"
+    given = {"header": msgspec.to_builtins(header), "rows": rows, "live": live, "control": control, **(facts or {})}
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(title)}</title>\n<style>{(FOLDER / 'page.css').read_text(encoding='utf-8')}</style>\n"
         f"</head>\n<body>\n{before}\n{CONTROLS if control is not None else ''}{PLAYER}\n{after}\n"
-        f'<script type="application/json" id="data">{_json(given)}</script>\n<script>{script}</script>\n'
+        f'<script type="application/json" id="data">{_json(given)}</script>\n'
+        f"<!-- three.js, packed by gzip:\n{(VENDOR / 'LICENSE').read_text(encoding='utf-8')}-->\n"
+        f'<script type="application/gzip" id="three">{packed}</script>\n<script>{script}</script>\n'
         "</body>\n</html>\n"
     )
+
+
+@cache
+def _three() -> tuple[str, str]:
+    """Three.js as base64 of gzip, a third of its size, and the policy's source expression that lets the page run it.
+    The page unpacks it only when somebody looks at the map in three dimensions."""
+    code = (VENDOR / "three.min.js").read_bytes()
+    return b64encode(gzip.compress(code, mtime=0)).decode(), _digest(code)
+
+
+def _digest(script: bytes) -> str:
+    return f"'sha256-{b64encode(hashlib.sha256(script).digest()).decode()}'"
 
 
 def _json(value: Any) -> str:

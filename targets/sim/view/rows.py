@@ -10,6 +10,7 @@ sends them on. `page/model.js` reads them; numbers are rounded to what can be se
 | shared | name, writer's pid, t, round, value as JSON |
 | locals | pid, t, round, name, value as JSON |
 | paths | pid, t, points |
+| scans | pid, t, place of the lidar, what its rays met: cm east and north of there, one after the other |
 | late | pid, t of a second, longest lateness in it (s), rounds, late rounds |
 | links | pid, t, [[peer, loss, delay p50, p99 (ms), silent (ms), repeats]], datagrams rejected |
 | near | t, distance of the closest pair (m), their pids |
@@ -21,11 +22,13 @@ sends them on. `page/model.js` reads them; numbers are rounded to what can be se
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from typing import Any
 
 import msgspec
 import numpy as np
 
+from koordgen.runtime.values import Point, Scan
 from targets.sim.bodies import Vector
 from targets.sim.noticed import Notable, said
 from targets.sim.trace import (
@@ -50,7 +53,9 @@ from targets.sim.view.markers import Markers
 
 EVENT, SKIPPED, FAULT = 0, 1, 2
 Chunk = dict[str, list[list[Any]]]
+SCAN_EVERY = 1.0  # seconds between the scans of one robot that become rows
 _decoder = msgspec.json.Decoder()
+_scan_decoder = msgspec.json.Decoder(list[tuple[Point, Scan]])
 
 
 class Rows:
@@ -65,6 +70,7 @@ class Rows:
         self._second: dict[int, list[Any]] = {}
         self._near = _Nearest(self._count)
         self._paths: dict[int, bytes] = {}
+        self._scanned: dict[int, float] = {}  # t of each robot's last row of `scans`
         self._markers = Markers(header)
         self._slots = {v.name for v in header.shared if v.kind == "allread"}
         self._begun: set[str] = set()  # variables of which a first value is known
@@ -122,6 +128,7 @@ class Rows:
             case Round():
                 self._first_values(record, t)
                 self._round(record, t)
+                self._scan(record, t)
 
     def _add(self, table: str, row: list[Any]) -> None:
         self._chunk.setdefault(table, []).append(row)
@@ -171,6 +178,23 @@ class Rows:
             points = [value] if port.endswith(".target") else value
             if isinstance(points, list) and all(map(_is_point, points)):
                 self._add("paths", [record.pid, t, [[_small(c) for c in point] for point in points]])
+
+    def _scan(self, record: Round, t: float) -> None:
+        """Add a row for the newest lidar scan that the round's event could see, at most every SCAN_EVERY seconds."""
+        if t < self._scanned.get(record.pid, -math.inf) + SCAN_EVERY:
+            return
+        for port, raw in record.sensors.items():
+            if not port.endswith(".pscan"):
+                continue
+            with suppress(msgspec.DecodeError):
+                if scans := _scan_decoder.decode(raw):
+                    place, scan = scans[-1]
+                    hits: list[int] = []
+                    for angle, reach in zip(scan.angles, scan.ranges, strict=False):
+                        if reach < scan.max_range:
+                            hits += round(100 * reach * math.cos(angle)), round(100 * reach * math.sin(angle))
+                    self._add("scans", [record.pid, t, [_small(c) for c in (place.x, place.y, place.z)], hits])
+                    self._scanned[record.pid] = t
 
     def _lateness(self, record: Round, t: float) -> None:
         second = math.floor(t)

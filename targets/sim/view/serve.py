@@ -21,7 +21,7 @@ import time
 from collections.abc import Callable
 from html import escape
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any
+from typing import Any, Protocol
 
 import msgspec
 
@@ -44,12 +44,21 @@ def event(name: str, what: Any) -> bytes:
     return b"event: %b\ndata: %b\n\n" % (name.encode(), _encoder.encode(what))
 
 
+class Rows(Protocol):
+    """Keeps the rows of which a new client gets all."""
+
+    def extend(self, chunk: dict[str, Any]) -> None: ...
+
+    def whole(self) -> dict[str, Any]: ...
+
+
 class Hub:
     """What clients are told. All its methods may be called from any thread; none waits for a client."""
 
-    def __init__(self, header: Header) -> None:
+    def __init__(self, header: Header, keep: Callable[[Header], Rows] = History) -> None:
         self.header = header
-        self._history = History(header)
+        self._keep = keep
+        self._history = keep(header)
         self._control: dict[str, Any] | None = None  # the state of the run's controls
         self._clients: set[queue.Queue[bytes]] = set()
         self._lock = threading.Lock()
@@ -63,7 +72,7 @@ class Hub:
     def begin(self) -> None:
         """Everything so far was before the run's clock began."""
         with self._lock:
-            self._history = History(self.header)
+            self._history = self._keep(self.header)
             self._tell(event("whole", self._history.whole()))
 
     def control(self, state: dict[str, Any]) -> None:
@@ -72,9 +81,19 @@ class Hub:
             self._control = {**state, "message": ""}
             self._tell(event("control", state))
 
-    def end(self, words: str) -> None:
+    def renew(self, header: Header) -> None:
+        """Begin anew with another header. A page that is open shows the old one until it is loaded anew."""
         with self._lock:
-            self._tell(event("over", {"words": words}))
+            self.header = header
+            self._history = self._keep(header)
+
+    def send(self, name: str, what: Any) -> None:
+        """Send an event that is not kept for clients who come later."""
+        with self._lock:
+            self._tell(event(name, what))
+
+    def end(self, words: str) -> None:
+        self.send("over", {"words": words})
         deadline = time.monotonic() + FAREWELL
         while any(not client.empty() for client in self._clients) and time.monotonic() < deadline:
             time.sleep(0.05)
@@ -124,21 +143,25 @@ class Server(ThreadingHTTPServer):
     block_on_close = False
 
     def __init__(
-        self, port: int, hub: Hub, offer: dict[str, Any] | None = None, obey: Callable[[dict[str, Any]], bool] = pass_on
-    ) -> None:
+        self, port: int, hub: Hub, offer: dict[str, Any] | None = None,
+        obey: Callable[[dict[str, Any]], bool] = pass_on, host: str = HOST, handler: type[Handler] | None = None,
+    ) -> None:  # fmt: skip
         """`offer`: what the page's controls offer; None: the page has no controls, and no command is accepted. `obey`
         gets each command, in any thread, and returns whether it took it."""
-        super().__init__((HOST, port), Handler)
-        self.hub, self.obey = hub, obey
+        super().__init__((host, port), handler or Handler)
+        self.hub, self.obey, self._offer = hub, obey, offer
         own = self.server_address[1]
         # Another name that leads here is another site's: it may not read what we say (DNS rebinding).
         self.names = {f"{name}:{own}" for name in (HOST, "localhost")}
         self.guard = None if offer is None else Guard(self.names)
-        control = None if offer is None or self.guard is None else {**offer, "token": self.guard.token}
-        header = hub.header
-        title = f"{header.app}, live"
+
+    @property
+    def page(self) -> bytes:
+        """The page, of the fleet as it is now."""
+        control = None if self._offer is None or self.guard is None else {**self._offer, "token": self.guard.token}
+        title = f"{self.hub.header.app}, live"
         before = f"<h1>{escape(title)}</h1>"
-        self.page = page(title, header, {}, before, "", live=True, control=control).encode()
+        return page(title, self.hub.header, {}, before, "", live=True, control=control).encode()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Clients come and go."""
@@ -150,31 +173,50 @@ class Handler(BaseHTTPRequestHandler):
     server_version, sys_version = "koordgen", ""
 
     def do_GET(self) -> None:
-        if self.headers.get_all("Host") not in [[name] for name in self.server.names]:
-            self.send_error(403, "This page is for the computer it runs on")
-        elif self.path == "/":
-            self._answer("text/html; charset=utf-8", str(len(self.server.page)))
-            self.wfile.write(self.server.page)
+        if not self.admitted():
+            return
+        if self.path == "/":
+            self.give("text/html; charset=utf-8", self.server.page)
         elif self.path == "/events":
             self._events()
         else:
             self.send_error(404)
 
+    def admitted(self) -> bool:
+        """Return whether the request may be answered; if not, it has been refused."""
+        if self.headers.get_all("Host") in [[name] for name in self.server.names]:
+            return True
+        self.send_error(403, "This page is for the computer it runs on")
+        return False
+
+    def give(self, kind: str, body: bytes) -> None:
+        """Answer with a whole document."""
+        self._answer(kind, str(len(body)))
+        self.wfile.write(body)
+
     def do_POST(self) -> None:
-        """A command to the run. Nothing is read of a request that the guard refuses."""
-        guard = self.server.guard
-        if guard is None:
-            self.send_error(404, "This page has no controls")
+        """A command to the run."""
+        command = self.ordered()
+        if command is None:
             return
-        refused = guard.refusal(self.path, self.headers)
-        command = None if refused else guard.command(self.rfile.read(guard.length(self.headers)))
-        if refused or command is None:
-            self.send_error(*(refused or (400, "A command is a JSON object")))
-        elif not self.server.obey(command):
+        if not self.server.obey(command):
             self.send_error(503, "The run has not obeyed earlier commands yet")
         else:
             self.send_response(204)
             self.end_headers()
+
+    def ordered(self) -> dict[str, Any] | None:
+        """Return the command that the page sent; None: the request has been refused. Nothing is read of a request that
+        the guard refuses."""
+        guard = self.server.guard
+        if guard is None:
+            self.send_error(404, "This page has no controls")
+            return None
+        refused = guard.refusal(self.path, self.headers)
+        command = None if refused else guard.command(self.rfile.read(guard.length(self.headers)))
+        if refused or command is None:
+            self.send_error(*(refused or (400, "A command is a JSON object")))
+        return command
 
     def _answer(self, kind: str, length: str | None = None) -> None:
         self.send_response(200)

@@ -6,6 +6,7 @@ const model = new Model(given.header);
 const $ = (id) => document.getElementById(id);
 const state = { now: 0, playing: false, live: Boolean(given.live), zoom: 1, moved: true, due: 0 };
 const charts = {};
+let source = null; // of a live page's events
 
 function make(tag, words, attributes = {}) {
   const element = document.createElement(tag);
@@ -83,6 +84,42 @@ function chosenMap() {
   const variable = name && model.shared.find((each) => each.name === name);
   const found = variable && model.value(variable.series.get(Number(key)), state.now);
   return found && found.value;
+}
+
+// ---- the map in three dimensions
+
+// Switches the map: to three dimensions, or back to the view from above; `why` there is no way back, if so.
+async function deepen(on, why = "") {
+  try {
+    if (on) await loadThree();
+    if (on && !state.space) state.space = new Space($("space-view"), $("space-names"), model, { moved: () => { state.moved = true; }, lost: () => deepen(false, "the browser has taken WebGL away") });
+  } catch (error) {
+    [on, why] = [false, `WebGL cannot be used: ${error.message}`];
+  }
+  state.deep = on;
+  $("top").hidden = on;
+  for (const id of ["space", "space-bar", "space-help"]) $(id).hidden = !on;
+  $("above").setAttribute("aria-pressed", String(!on));
+  $("deep").setAttribute("aria-pressed", String(on));
+  if (why) shallow(why);
+  state.moved = true;
+}
+
+function shallow(why) {
+  $("deep").disabled = true;
+  $("deep").title = $("space-why").textContent = why;
+}
+
+function chaseChoices() {
+  const choices = [["", "follow no robot"], ...model.robots.map((robot) => [String(robot.pid), `follow ${robot.name}`])];
+  if ($("chase").options.length !== choices.length) $("chase").replaceChildren(...choices.map(([value, words]) => make("option", words, { value })));
+}
+
+function drawMapView(now, tail, map) {
+  const labels = { xlabel: "x, east (m)", ylabel: "y, north (m)" };
+  if (!state.deep) return scene($("top"), model, now, { across: 0, up: 1, labels, most: 620, tail, map });
+  const chase = model.robots.find((robot) => String(robot.pid) === $("chase").value);
+  return state.space.draw(now, { tail, map, chase, height: Math.min(620, 0.75 * $("space").clientWidth) });
 }
 
 // ---- tables
@@ -177,7 +214,7 @@ function maximum(robot) {
 
 function draw() {
   const now = state.now, at = span(), tail = Number($("tail").value), map = chosenMap();
-  scene($("top"), model, now, { across: 0, up: 1, labels: { xlabel: "x, east (m)", ylabel: "y, north (m)" }, most: 620, tail, map });
+  drawMapView(now, tail, map);
   const across = Number($("side-axis").value), side = { xlabel: across ? "y, north (m)" : "x, east (m)", ylabel: "z, up (m)" };
   scene($("side"), model, now, { across, up: 2, labels: side, most: 260, tail });
   for (const axis of ["x", "y", "z"]) charts[axis] = coordinate($(`${axis}-t`), model, axis, at, now, 190);
@@ -210,6 +247,7 @@ function refresh() {
   for (const key of ["min", "max"]) $("scrub")[key] = key === "min" ? model.first : model.last;
   mapChoices();
   whoChoices();
+  chaseChoices();
   eventChips();
   marksTable();
   if ($("history").open) writes();
@@ -250,7 +288,7 @@ function follow(on) {
 // ---- live
 
 function listen() {
-  const source = new EventSource("events");
+  source = new EventSource("events");
   const hear = (name, act) => source.addEventListener(name, (event) => { act(JSON.parse(event.data)); refresh(); });
   $("status").textContent = "connecting";
   source.onopen = () => { $("status").textContent = ""; };
@@ -267,7 +305,12 @@ function wire() {
   $("follow").onclick = () => { play(false); follow(true); };
   $("in").onclick = () => { state.zoom = Math.min(64, state.zoom * 2); state.moved = true; };
   $("out").onclick = () => { state.zoom = Math.max(1, state.zoom / 2); state.moved = true; };
-  for (const id of ["tail", "map", "side-axis", "who"]) $(id).onchange = () => { state.moved = true; };
+  $("above").onclick = () => deepen(false);
+  $("deep").onclick = () => deepen(true);
+  $("whole").onclick = () => { $("chase").value = ""; state.space.look(); state.moved = true; };
+  $("space-view").onpointermove = (event) => tip(event, state.space && !event.buttons ? state.space.hovered(event.offsetX, event.offsetY) : "");
+  $("space-view").onpointerleave = () => tip(null, "");
+  for (const id of ["tail", "map", "side-axis", "who", "chase"]) $(id).onchange = () => { state.moved = true; };
   $("history").ontoggle = () => $("history").open && writes();
   for (const [name, id] of Object.entries({ x: "x-t", y: "y-t", z: "z-t", timeline: "timeline", near: "near", late: "late", loss: "loss" }))
     $(id).onclick = (event) => { play(false); follow(false); seek(charts[name].time(event.offsetX)); };
@@ -292,6 +335,8 @@ function tip(event, words) {
 model.extend(given.rows || {});
 chips();
 wire();
+const lacking = noSpace();
+if (lacking) shallow(lacking);
 refresh();
 const asked = /^#t=(-?[0-9.]+)$/.exec(location.hash); // so that a link can name a moment
 const violated = model.marks.find(([, kind]) => kind === "violation");

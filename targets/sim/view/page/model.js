@@ -8,7 +8,7 @@ class Model {
     this.header = header;
     this.robots = header.robots.map((robot) => ({
       ...robot, shown: true, t: [], x: [], y: [], z: [], yaw: [],
-      rounds: [], phases: [], logs: [], paths: [], late: [], links: [], locals: new Map(),
+      rounds: [], phases: [], logs: [], paths: [], scans: [], late: [], links: [], locals: new Map(),
     }));
     this.shared = (header.shared || []).map((variable) => ({ ...variable, series: new Map() }));
     this.near = [];
@@ -23,7 +23,7 @@ class Model {
 
   // Takes in a chunk of rows; unknown tables are passed over.
   extend(chunk) {
-    for (const table of ["poses", "phases", "logs", "paths", "late", "links", "rounds", "locals"])
+    for (const table of ["poses", "phases", "logs", "paths", "scans", "late", "links", "rounds", "locals"])
       for (const row of chunk[table] || []) {
         const robot = this.robots[row[0]];
         if (robot) { this["_" + table](robot, row); this._seen(row[1]); }
@@ -53,6 +53,11 @@ class Model {
   _phases(robot, row) { robot.phases.push(row); }
   _logs(robot, row) { robot.logs.push(row); }
   _paths(robot, row) { robot.paths.push(row); }
+  _scans(robot, row) {
+    robot.scans.push(row);
+    if (robot.scans.length > MOST_KEPT / 10) robot.scans.splice(0, robot.scans.length / 2);
+  }
+
   _late(robot, row) { robot.late.push(row); }
   _links(robot, row) { robot.links.push(row); }
 
@@ -88,6 +93,19 @@ class Model {
     this.marks.push(row);
     this.marks.sort((a, b) => a[0] - b[0]);
     if (row[1] === "end") this.end = row[0];
+  }
+
+  // Drops what is older than a time; what still holds stays: the last row before it of each series.
+  forget(before) {
+    const drop = (rows, end) => { let k = 0; while (k + 1 < rows.length && end(rows[k + 1]) < before) k++; rows.splice(0, k); };
+    for (const robot of this.robots) {
+      const k = Math.max(0, upTo(robot.t, before));
+      for (const key of ["t", "x", "y", "z", "yaw"]) robot[key].splice(0, k);
+      for (const table of ["rounds", "phases", "logs", "paths", "late", "links"]) drop(robot[table], (row) => row[1]);
+    }
+    for (const { series } of this.shared) for (const writes of series.values()) drop(writes, (write) => write.t);
+    for (const rows of [this.near, this.marks]) drop(rows, (row) => row[0]);
+    this.first = Math.max(this.first, before);
   }
 
   // The obstacles where they stand at a time: a fault can move them.

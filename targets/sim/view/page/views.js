@@ -111,13 +111,19 @@ function trail(chart, robot, from, to, across, up, look) {
   stroke(chart.ctx, points, colour(robot.pid), { ...look, lines: dash(robot.pid) });
 }
 
-// A robot's path ahead: from its nearest point on, as far as its robot has not gone it.
-function ahead(chart, model, robot, now, pose, across, up) {
+// The path that a robot was given last, from the robot if it is one point; null when there is none, or its end is reached.
+function pathAhead(model, robot, now, pose) {
   const row = model.at(robot.paths, now);
-  if (!row || !pose || !row[2].length) return;
+  if (!row || !pose || !row[2].length) return null;
   const goal = row[2][row[2].length - 1];
-  if (Math.hypot(goal[0] - pose[0], goal[1] - pose[1]) < 0.05) return;
-  const points = (row[2].length > 1 ? row[2] : [pose, goal]).map((p) => [chart.x(p[across]), chart.y(p[up])]);
+  if (Math.hypot(goal[0] - pose[0], goal[1] - pose[1]) < 0.05) return null;
+  return row[2].length > 1 ? row[2] : [pose, goal];
+}
+
+function ahead(chart, model, robot, now, pose, across, up) {
+  const path = pathAhead(model, robot, now, pose);
+  if (!path) return;
+  const points = path.map((p) => [chart.x(p[across]), chart.y(p[up])]);
   stroke(chart.ctx, points, colour(robot.pid), { width: 1.4, lines: [2, 4] });
   const [px, py] = points[points.length - 1];
   stroke(chart.ctx, [[px - 4, py - 4], [px + 4, py + 4]], colour(robot.pid), { width: 1.8 });
@@ -129,6 +135,7 @@ function body(chart, robot, px, py, yaw) {
   ctx.save();
   ctx.translate(px, py);
   ctx.rotate(-yaw);
+  ctx.globalAlpha = robot.silent ? 0.35 : 1; // where it was last
   ctx.setLineDash([]);
   ctx.fillStyle = colour(robot.pid);
   ctx.strokeStyle = "#fff";
@@ -154,8 +161,9 @@ function body(chart, robot, px, py, yaw) {
   ctx.restore();
 }
 
-// A robot that was ever off the ground is drawn as one that flies.
+// A quad is drawn as one that flies, and so is a robot of another target that was ever off the ground.
 function flies(robot) {
+  if (robot.target === "quad") return true;
   for (let k = robot.looked || 0; k < robot.z.length && !robot.flew; k++) robot.flew = robot.z[k] > 0.3;
   robot.looked = robot.z.length;
   return robot.flew;
@@ -165,14 +173,14 @@ function flies(robot) {
 function names(chart, placed) {
   const taken = [];
   for (const { robot, px, py } of placed) {
-    const wide = chart.ctx.measureText(robot.name).width + 4;
+    const words = robot.silent ? `${robot.name} (silent)` : robot.name, wide = chart.ctx.measureText(words).width + 4;
     const places = [[16, -10], [16, 16], [-16 - wide, -10], [-16 - wide, 16], [-wide / 2, -22], [-wide / 2, 30]];
     const boxes = places.map(([dx, dy]) => [px + dx, py + dy - 11, px + dx + wide, py + dy + 3]);
     const inside = (b) => b[0] > chart.left && b[2] < chart.width - chart.right && b[1] > chart.top && b[3] < chart.height - chart.bottom;
     const free = (b) => taken.every((o) => b[2] < o[0] || b[0] > o[2] || b[3] < o[1] || b[1] > o[3]);
     const k = Math.max(0, boxes.findIndex((b) => inside(b) && free(b)));
     taken.push(boxes[k]);
-    text(chart.ctx, robot.name, boxes[k][0], boxes[k][1] + 11, { ink: colour(robot.pid), halo: true, font: "bold " + FONT });
+    text(chart.ctx, words, boxes[k][0], boxes[k][1] + 11, { ink: colour(robot.pid), halo: true, font: "bold " + FONT });
   }
 }
 
