@@ -19,6 +19,7 @@ from koordgen.runtime.obstacles import Sphere
 from koordgen.runtime.values import Point
 from targets.sim import faults
 from targets.sim.folder import GIVEN
+from targets.sim.schedule import read
 from targets.sim.view.control import FOLLOWING, REAL_TIME, Control, Given
 from targets.sim.view.guard import HEADER, MOST_BYTES
 from targets.sim.view.live import Paced
@@ -148,10 +149,12 @@ class Controlled(FakeRun):
             SimpleNamespace(name=name, external=False, settings={}, sim=SimpleNamespace(fidelity="full"))
             for name in ROBOTS
         ]
-        schedule, _ = faults.read(scenario or {}, ROBOTS)
+        schedule, _ = read(scenario or {}, ROBOTS)
         given = None if follows else Given(faults.Faults(schedule, open=True), scenario, tmp_path)
-        self.control: Any = Control(self.page, given, Paced(None) if lockstep else None)  # type: ignore[arg-type]
-        self.control.launched(self)
+        page: Any = self.page
+        run: Any = self
+        self.control = Control(page, given, Paced(None) if lockstep else None)
+        self.control.launched(run)
         self.zero = self.now = ZERO
 
     def does(self, *commands: Any) -> list[tuple[str, bool]]:

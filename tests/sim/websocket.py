@@ -6,7 +6,7 @@ import json
 import socket
 import struct
 from types import TracebackType
-from typing import Any
+from typing import Any, Self
 
 MASK = b"koord"[:4]
 
@@ -27,7 +27,7 @@ class WebSocket:
         while self._file.readline().strip():
             pass
 
-    def __enter__(self) -> WebSocket:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
@@ -42,7 +42,7 @@ class WebSocket:
         length = bytes([0x80 | len(data)]) if len(data) < 126 else b"\xfe" + struct.pack(">H", len(data))
         self._socket.sendall(b"\x81" + length + MASK + bytes(b ^ MASK[k % 4] for k, b in enumerate(data)))
 
-    def receive(self) -> bytes | Any:
+    def receive(self) -> Any:
         """The next message: bytes, or the value of a JSON text."""
         kind, length = self._file.read(2)
         if length > 125:
