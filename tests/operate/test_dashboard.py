@@ -279,13 +279,14 @@ def test_wrong_options_start_nothing(tmp_path: Path, capsys: pytest.CaptureFixtu
         assert main([*line, "--port", str(port)]) == 5 and "--port" in capsys.readouterr().err
 
 
-def test_the_folder_of_a_build_gives_the_robots_in_the_order_of_their_pids(tmp_path: Path) -> None:
+@pytest.mark.parametrize("under", ["", "robots"], ids=["build", "run"])
+def test_a_folder_gives_the_robots_in_the_order_of_their_pids(tmp_path: Path, under: str) -> None:
     peers = [
         {"name": name, "host": "127.0.0.1", "port": 47100 + pid} for pid, name in enumerate(("zoe", "adam", "bob"))
     ]
     for pid in (0, 1):
-        folder = tmp_path / str(peers[pid]["name"])
-        folder.mkdir()
+        folder = tmp_path / under / str(peers[pid]["name"])
+        folder.mkdir(parents=True)
         settings = {
             "robot": peers[pid]["name"], "pid": pid, "peers": peers, "control": 48100 + pid, "application_id": 0,
             "insecure": True, "key_file": None, "obstacles": [{"shape": "sphere", "centre": [0, 0, 1], "radius": 1}],
