@@ -60,12 +60,12 @@ LOGIN_POLICY = "default-src 'none'; style-src 'unsafe-inline'; form-action 'self
 def first_header(robots: list[tuple[str, str]], facts: Mapping[str, Any]) -> Header:
     """Return the header of a fleet: names and targets of its robots by pid, and plain values of `facts` (delta,
     geofence, obstacles, world), as far as they are known."""
-    names = [{"name": name, "pid": pid, "target": target} for pid, (name, target) in enumerate(robots)]
-    plain = {"format": FORMAT, "app": "", "program_hash": "", "delta": 0.0, "seed": 0, **facts, "robots": names}
+    names = tuple(RobotName(name, pid, target) for pid, (name, target) in enumerate(robots))
+    bare = Header(FORMAT, "", "", 0.0, 0, names)
     try:
-        return msgspec.convert({"kind": "header", **plain}, Header)
+        return msgspec.convert({**msgspec.to_builtins(bare), **facts}, Header)
     except msgspec.ValidationError:  # a folder of another release: the map has no obstacles
-        return Header(FORMAT, "", "", 0.0, 0, tuple(RobotName(*each.values()) for each in names))
+        return bare
 
 
 class Dashboard:
