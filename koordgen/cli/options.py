@@ -204,7 +204,7 @@ _NETWORK = {
     "reordering": ("P", values.share, "share of datagrams that later datagrams overtake, 0 to 1"),
 }
 # Options of a harness's bundle that have the same name here.
-PASSED = ("duration", "seed", "live", "pace", *_NETWORK)
+PASSED = ("duration", "seed", "live", "foxglove", "pace", *_NETWORK)
 
 
 def harness(command: Parser) -> None:
@@ -225,6 +225,8 @@ def harness(command: Parser) -> None:
     watch = command.add_argument_group("watch")
     live = "show the run in a browser, on a page of 127.0.0.1 (default of PORT: any free one)"
     watch.add_argument("--live", metavar="PORT", type=values.port, nargs="?", const=0, help=live)
+    foxglove = "stream the run to Foxglove, at this port of 127.0.0.1 (default of PORT: 8765)"
+    watch.add_argument("--foxglove", metavar="PORT", type=values.port, nargs="?", const=8765, help=foxglove)
     watch.add_argument("--gui", action="store_true", help="show PyBullet's window (MuJoCo has none: use --live)")
     pace = "run in lockstep at most this many times faster than real time (default: no limit)"
     watch.add_argument("--pace", metavar="FACTOR", type=values.factor, help=pace)

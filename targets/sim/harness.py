@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import replace
 
-from koordgen.runtime.host import install_requirements
+from koordgen.runtime.host import install_requirements, pip_install
 from targets.sim import faults
 from targets.sim.contacts import NoEngine, choose
 from targets.sim.folder import GIVEN, SOURCE, Foreign, RunFolder
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from targets.sim.trace import Header
     from targets.sim.view.control import Given
     from targets.sim.view.live import Live, Paced
+    from targets.sim.view.stream import Streamed
     from targets.sim.watch import Watcher
     from targets.sim.windows import Windows
 
@@ -47,6 +48,8 @@ REAL_TIME = (
     "real time on this host: the same seed gives the same world and the same sensor noise, but not the same timing of "
     "processes and datagrams"
 )
+EXTRAS = {"foxglove-sdk": "'koordgen[foxglove]'"}  # what a bundle does not require, and how it is installed
+FOXGLOVE_PORT = 8765  # the one that Foxglove suggests
 NEEDED = ("numpy", "matplotlib")  # and a contact engine
 
 
@@ -65,20 +68,25 @@ def main(root: Path, argv: list[str] | None = None) -> int:
         schedule, told = _schedule(scenario, options)
         if options.check:
             return _check(root, scenario)
-        from targets.sim.view import live
+        from targets.sim.view import live, stream
 
-        # The view first: what is in its way must not cost what an earlier run left.
+        # The views first: what is in their way must not cost what an earlier run left.
         offer = {"lockstep": options.lockstep, "faults": plan is None}
-        with live.watched(_header(scenario, plan, options), options.live, offer) as view, RunFolder(out) as folder:
+        header = _header(scenario, plan, options)
+        with (
+            live.watched(header, options.live, offer) as view, stream.streamed(header, options.foxglove) as streamed,
+            RunFolder(out) as folder,
+        ):  # fmt: skip
             if told is not None:
                 (folder / "faults.json").write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
-            return _run(root, scenario, (schedule, told), plan, folder, options, view)
+            return _run(root, scenario, (schedule, told), plan, folder, options, (view, streamed))
     except BadScenario as error:
         return _fail(BAD_FILES, str(error), error.hint)
     except (Foreign, NoEngine) as error:
         return _fail(SURROUNDINGS, str(error), error.hint)
     except ModuleNotFoundError as error:
-        return _fail(SURROUNDINGS, f"the Python package {error.name!r} is missing", install_requirements(root))
+        hint = pip_install(EXTRAS[error.name]) if error.name in EXTRAS else install_requirements(root)
+        return _fail(SURROUNDINGS, f"the Python package {error.name!r} is missing", hint)
     except OSError as error:
         full = error.errno in (errno.ENOSPC, errno.EDQUOT)
         where = f"{error.filename}: " if error.filename else ""
@@ -123,6 +131,8 @@ def _parser(root: Path, argv: list[str]) -> argparse.ArgumentParser:
     parser.add_argument("--invoked-as", metavar="TEXT", help="the command to name in the report, if not this one")
     live = "show the run on a page at 127.0.0.1, on PORT or any free one"
     parser.add_argument("--live", type=_port, nargs="?", const=0, metavar="PORT", help=live)
+    foxglove = f"stream the run to Foxglove at ws://127.0.0.1:PORT, default {FOXGLOVE_PORT}; 0: any free one"
+    parser.add_argument("--foxglove", type=_port, nargs="?", const=FOXGLOVE_PORT, metavar="PORT", help=foxglove)
     pace = "of a run in lockstep: at most so many times real time"
     parser.add_argument("--pace", type=_factor, metavar="FACTOR", help=pace)
     parser.add_argument("--quiet", action="store_true", help="no progress")
@@ -230,7 +240,8 @@ def _check(root: Path, scenario: Scenario) -> int:
 
 def _run(
     root: Path, scenario: Scenario, wrong: tuple[Schedule, Any], plan: Plan | None, folder: Path,
-    options: argparse.Namespace, view: Live | None,
+    options: argparse.Namespace,
+    views: tuple[Live | None, Streamed | None],
 ) -> int:  # fmt: skip
     import msgspec
 
@@ -238,7 +249,7 @@ def _run(
     from targets.sim.host_load import HostLoad
     from targets.sim.progress import Progress
 
-    header = _header(scenario, plan, options)
+    header, view = _header(scenario, plan, options), views[0]
     progress = Progress(sys.stderr, options.quiet, free=options.lockstep)
     windows, guide = None, None
     if plan is not None:
@@ -247,7 +258,7 @@ def _run(
         run, watcher, windows = _made(root, scenario, folder, options, progress)
     given, paced = _steered(run, wrong, folder, options, view)
     load = None if options.lockstep else HostLoad(scenario.delta, watcher.moving)
-    run.companions += [each for each in (view, load) if each]
+    run.companions += [each for each in (*views, load) if each]
     began = time.perf_counter()
     try:
         outcome = run.execute()
@@ -370,9 +381,7 @@ def _report(folder: Path) -> None:
     commands.report(str(folder), None)
 
 
-def _reproduce(
-    root: Path, scenario: Scenario, folder: Path, options: argparse.Namespace, given: int
-) -> dict[str, str]:
+def _reproduce(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespace, given: int) -> dict[str, str]:
     """What one needs to do it again, by name. `given`: how many faults were given by hand."""
     command = ["python3", str(root), "--duration", f"{options.duration:g}", "--seed", str(options.seed)]
     if options.lockstep:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import msgspec
@@ -153,7 +154,8 @@ def in_space(code: str) -> str:
     of it pass the test of red, green and blue."""
     return (
         "(() => { draw(); const count = (kind) => { let n = 0; "
-        "state.space.world.traverse((o) => { n += o.type === kind; }); return n; }; const seen = (test) => { const c = document.createElement('canvas'), w = $('space-view'); "
+        "state.space.world.traverse((o) => { n += o.type === kind; }); return n; }; "
+        "const seen = (test) => { const c = document.createElement('canvas'), w = $('space-view'); "
         "[c.width, c.height] = [w.width, w.height]; const ctx = c.getContext('2d'); ctx.drawImage(w, 0, 0); "
         "const d = ctx.getImageData(0, 0, c.width, c.height).data; let n = 0; "
         f"for (let k = 0; k < d.length; k += 4) n += test(d[k], d[k + 1], d[k + 2]); return n; }}; return {code}; }})()"
@@ -199,6 +201,11 @@ def test_the_map_has_a_third_dimension(tmp_path: Path) -> None:
         assert page.complaints == []
         page.value("$('deep').click()")
         page.wait("$('top').hidden", bool)
+        box = {"shape": "box", "lo": [4.0, 4.0, 0.0], "hi": [5.0, 5.0, 1.0]}
+        page.value(f"model.extend({{obstacles: [[3.0, 0, {json.dumps(box)}]]}})")
+        middle = "state.space.standing.children.find((o) => o.geometry && o.geometry.type === 'BoxGeometry').position.x"
+        for at, x in ((2.9, -1.5), (3.1, 4.5), (2.9, -1.5)):
+            assert page.value(in_space(f"(seek({at}), draw(), {middle})")) == x
         page.value("state.space.renderer.forceContextLoss()")
         page.wait("$('space').hidden && $('deep').disabled", bool)
         assert page.text("space-why") == "the browser has taken WebGL away" and page.value(inked("top")) > 1000
@@ -227,11 +234,14 @@ def test_a_page_of_sixteen_robots_and_three_minutes_is_drawn_quickly_enough(tmp_
 
 
 def test_a_run_is_seen_while_it_goes_on_and_its_end_is_told(tmp_path: Path) -> None:
-    with watched(tmp_path) as (_, port), Browser(tmp_path / "profile") as page:
+    with watched(tmp_path) as (_, port), Browser(tmp_path / "profile", graphics=WEBGL) as page:
         page.open(f"http://127.0.0.1:{port}/")
         first = page.wait("model.last", lambda last: last > 0.5)
         page.wait("model.last", lambda last: last > first + 0.5)
         assert page.text("status") == ""
+        page.value("$('deep').click()")
+        before = page.wait("state.space && state.space.placed.length == 2 && state.now", bool)
+        page.wait("state.space.placed.every((each) => each.ahead) && state.now", lambda now: now > before)
         assert "Move" in page.text("events")
         assert page.text("closest") == "closest: r0 and r1, 2.00 m"
         said = page.wait("document.getElementById('status').textContent", lambda said: "held" in said)

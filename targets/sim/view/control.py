@@ -21,7 +21,7 @@ from targets.sim.crew import Agent
 from targets.sim.faults import Faults, check_obstacles, check_robots, told
 from targets.sim.folder import GIVEN
 from targets.sim.scenario import BadScenario
-from targets.sim.schedule import Schedule, read
+from targets.sim.schedule import Event, Schedule, read
 from targets.sim.trace import Record
 from targets.sim.view.live import Live, Paced
 
@@ -66,9 +66,7 @@ class Given:
         self.count += 1
         self.faults.give(found.events[0], at)
         (brought,) = found.events
-        who = "" if len(brought.robots) == len(run.scenario.robots) else " and ".join(brought.robots)
-        words = " ".join(filter(None, (brought.kind, who if brought.kind not in ("cut", "restore") else "", told(brought))))
-        return f"{words}, at {t:.2f} s" + (f" for {brought.lasts:g} s" if brought.lasts is not None else "")
+        return _said(brought, t)
 
     def _checked(self, run: Run, data: Any) -> Schedule:
         """The event alone. Raises Impossible."""
@@ -94,6 +92,13 @@ class Given:
         lines += [f"{key}: {_yaml(value)}" for key, value in self._scenario.items()]
         lines += ["events:", *(f"  - {_yaml(event)}" for event in self._events)]
         self._file.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _said(event: Event, t: float) -> str:
+    """A fault that was given, in words."""
+    who = event.robots[0] if len(event.robots) == 1 else ""  # of several the detail tells
+    lasts = "" if event.lasts is None else f" for {event.lasts:g} s"
+    return f"{' '.join(filter(None, (event.kind, who, told(event))))}, at {t:.2f} s{lasts}"
 
 
 class Control:

@@ -129,4 +129,3 @@ class Feed(ABC):
     def _violation(self, at: float, what: str, pids: tuple[int, ...], detail: str) -> None:
         t = self._t(at)
         self._take(Violation(t, what, tuple(self._names[pid] for pid in pids), detail), t)
-

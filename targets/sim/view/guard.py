@@ -1,9 +1,9 @@
 """Guard of a page's control channel: which POST requests are commands of the page that this computer's browser shows.
 
-A command changes what a run does, so a request must name this server as its host (DNS rebinding), come from no other
-site (`Origin`), be of a kind that a browser sends to its own site only (a header of ours, and JSON), and have the token.
-The token stands in the page and nowhere else: only a program that may read the page has it. These are all programs of
-this computer; the page is not for computers that people share whom you do not trust.
+A command changes what a run does. So a request must name this server as its host (DNS rebinding), come from no other
+site (`Origin`), be of a kind that a browser sends to its own site only (a header of ours, and JSON), and have the
+token. The token stands in the page and nowhere else. Every program of this computer can load the page: do not serve it
+on a computer whose other users you do not trust.
 """
 
 from __future__ import annotations

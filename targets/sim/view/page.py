@@ -26,8 +26,9 @@ CONTROLS = """
 <section id="controls" aria-label="controls of the run">
 <div><b>Run</b> <button id="run-pause">pause</button> <button id="run-step">step one round</button>
 <select id="run-speed" aria-label="speed of the run"><option value="">as fast as it goes</option>
-<option value="0.25">¼ × real time</option><option value="0.5">½ × real time</option><option value="1">1 × real time</option>
-<option value="2">2 × real time</option><option value="5">5 × real time</option><option value="10">10 × real time</option>
+<option value="0.25">¼ × real time</option><option value="0.5">½ × real time</option>
+<option value="1">1 × real time</option><option value="2">2 × real time</option>
+<option value="5">5 × real time</option><option value="10">10 × real time</option>
 </select> <output id="run-said" aria-live="polite"></output></div>
 <div class="faults">
 <span><b>Robot</b> <select id="fault-robot" aria-label="robot"></select> <button id="fault-crash">crash</button>
@@ -45,7 +46,8 @@ CONTROLS = """
 <span><b>Obstacle</b> <select id="fault-number" aria-label="number of the obstacle"></select> by
 <input id="fault-by-x" value="1" aria-label="east, m" inputmode="decimal">
 <input id="fault-by-y" value="0" aria-label="north, m" inputmode="decimal">
-<input id="fault-by-z" value="0" aria-label="up, m" inputmode="decimal"> m <button id="fault-obstacle">move</button></span>
+<input id="fault-by-z" value="0" aria-label="up, m" inputmode="decimal"> m
+<button id="fault-obstacle">move</button></span>
 <span><b>Position</b> <select id="fault-lost" aria-label="robot without good positions"></select> off by
 <input id="fault-bias-x" value="1" aria-label="east, m" inputmode="decimal">
 <input id="fault-bias-y" value="0" aria-label="north, m" inputmode="decimal">
@@ -55,7 +57,8 @@ CONTROLS = """
 <input id="fault-seconds" value="0.2" inputmode="decimal"> s <button id="fault-lag">set</button></span>
 <span><b>Battery</b> <select id="fault-empty" aria-label="robot with a low battery"></select> at most
 <input id="fault-level" value="10" inputmode="decimal"> % <button id="fault-battery">set</button></span>
-<span>Faults last <input id="fault-for" value="" placeholder="until ended" aria-label="seconds" inputmode="decimal"> s</span>
+<span>Faults last
+<input id="fault-for" value="" placeholder="until ended" aria-label="seconds" inputmode="decimal"> s</span>
 </div></section>
 """
 PLAYER = """

@@ -1,5 +1,5 @@
-// The fleet in three dimensions, by three.js (vendor/): metres, local ENU, z up. A second canvas above it has names,
-// the axes' figures and alarms. What does not move is built once; the rest is made anew for each picture.
+// The fleet in three dimensions, by three.js (vendor/): metres, local ENU, z up. A second canvas above it has the names,
+// the numbers along the axes, and the alarms. What stands is built once; what moves is made anew for each picture.
 "use strict";
 
 const LEAST = 26; // pixels that a robot measures at least, however far the camera is
@@ -7,7 +7,7 @@ const OUTLOOK = [-0.45, -1, 0.75]; // from the middle of the room to the camera,
 const LIFT = 0.1; // metres from a robot's reference point up to its lidar, about the middle of its body
 const TRAIL_POINTS = 600;
 
-// Why there is no third dimension, or "".
+// The reason why this browser cannot show the 3D map; "" if it can.
 function noSpace() {
   if (typeof DecompressionStream === "undefined") return "this browser is too old for the 3D map";
   const context = document.createElement("canvas").getContext("webgl2");
@@ -30,7 +30,7 @@ async function loadThree() {
 class Space {
   // `lost` is called when the browser takes WebGL away, `moved` when the camera has moved.
   constructor(canvas, flat, model, { moved, lost }) {
-    Object.assign(this, { canvas, flat, model, chased: null, placed: [] });
+    Object.assign(this, { canvas, flat, model, chased: null, placed: [], steered: false });
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true });
     this.renderer.setClearColor("#ffffff");
     canvas.addEventListener("webglcontextlost", lost);
@@ -40,6 +40,7 @@ class Space {
     this.controls.screenSpacePanning = false; // along the ground
     this.controls.maxPolarAngle = 0.499 * Math.PI; // not from below the ground
     this.controls.addEventListener("change", moved);
+    this.controls.addEventListener("start", () => { this.steered = true; }); // by the user
     this.world = new THREE.Scene();
     const sun = new THREE.DirectionalLight("#ffffff", 1.6);
     sun.position.set(-1, -2, 4);
@@ -57,7 +58,7 @@ class Space {
     this.camera.position.set(...OUTLOOK.map((v, k) => (k < 2 ? middle[k] : low[2]) + (v / long) * far));
     Object.assign(this.camera, { near: far / 200, far: far * 20 });
     Object.assign(this.controls, { minDistance: far / 60, maxDistance: far * 4 });
-    this.chased = null;
+    Object.assign(this, { chased: null, steered: false });
     this.controls.update();
   }
 
@@ -68,17 +69,22 @@ class Space {
     this.canvas.style.height = height + "px";
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
-    const { obstacles } = this.model.header, walls = room(this.model).join();
-    if (this.obstacles !== obstacles || this.walls !== walls) {
-      this._replace("standing", standing(this.model));
-      Object.assign(this, { obstacles, walls });
-    }
+    this._stand(now);
     this._chase(chase && this.model.pose(chase, now));
     this.controls.update();
     this.camera.updateMatrixWorld();
     this._replace("moving", this._moving(now, tail, map, [width, height]));
     this.renderer.render(this.world, this.camera);
     this._words(area, now);
+  }
+
+  // Builds what stands in the room, when an obstacle has moved or the room has grown.
+  _stand(now) {
+    const obstacles = this.model.obstacles(now), walls = room(this.model).join(), before = this.obstacles;
+    if (walls !== this.walls && this.walls && !this.steered) this.look();
+    if (walls === this.walls && obstacles.length === before.length && obstacles.every((each, k) => each === before[k])) return;
+    this._replace("standing", standing(this.model, obstacles));
+    Object.assign(this, { obstacles, walls });
   }
 
   // The camera goes along with a robot.
@@ -108,12 +114,12 @@ class Space {
       if (!pose) continue;
       if (tail > 10) group.add(gone(robot, -Infinity, now, { width: 1.4, alpha: 0.45 }));
       if (tail > 0) group.add(gone(robot, now - Math.min(10, tail), now, { width: 3, alpha: 0.95 }));
-      const scale = Math.max(1, LEAST * this._metres(pose, size[1]) / 0.5), figure = vehicle(robot);
+      const pixel = this._metres(pose, size[1]), scale = Math.max(1, (LEAST * pixel) / 0.5), figure = vehicle(robot);
       figure.position.set(...pose.slice(0, 3));
       figure.rotation.z = pose[3];
       figure.scale.setScalar(scale);
       group.add(figure, ...below(pose, scale), ...wanted(model, robot, now, pose), ...scanned(model, robot, now));
-      this.placed.push({ robot, pose, ...this._pixel(pose, size) });
+      this.placed.push({ robot, pose, beside: Math.max(0, (0.2 * scale) / pixel - 12), ...this._pixel(pose, size) });
     }
     return group;
   }
@@ -163,10 +169,10 @@ class Space {
     along(1, "y, north (m)");
     const seen = this.placed.filter((each) => each.ahead);
     alarms(chart, this.model, now, seen);
-    names(chart, seen);
+    names(chart, seen.map(({ robot, px, py, beside }) => ({ robot, px: px + beside, py: py - beside })));
   }
 
-  // What is to be said of the robot near a pixel, or "".
+  // Name, position and heading of the robot near a pixel; "" if there is none.
   hovered(px, py) {
     const near = (each) => Math.hypot(each.px - px, each.py - py), [best] = this.placed.filter((each) => each.ahead && near(each) < 18).sort((a, b) => near(a) - near(b));
     if (!best) return "";
@@ -187,14 +193,14 @@ function paint(kind, look) {
   return paint.made.get(key);
 }
 
-// ---- what does not move
+// ---- what stands
 
-function standing(model) {
+function standing(model, obstacles) {
   const group = new THREE.Group(), [low, high] = room(model), { arena } = model.header.world || {};
   group.add(ground(low, high));
   if (arena) group.add(edges(arena.lo, arena.hi, { color: STONE_EDGE }));
   if (model.header.geofence) group.add(edges(...model.header.geofence, { color: DIM, lines: true }));
-  for (const obstacle of model.header.obstacles || []) group.add(...stone(obstacle));
+  for (const obstacle of obstacles) group.add(...stone(obstacle));
   return group;
 }
 
@@ -308,9 +314,10 @@ function below([x, y, z], scale) {
   return z < 0.1 ? [shadow] : [shadow, new THREE.LineSegments(bare([x, y, 0, x, y, z]), paint("LineBasicMaterial", { color: "#b0b0b6" }))];
 }
 
-// A robot's figure, looking along x: a quadrotor with its nose, or a car.
+// A robot's body, heading along x: a quadrotor with its nose, or a car. One that is silent is faint: it was last there.
 function vehicle(robot) {
-  const group = new THREE.Group(), own = paint("MeshLambertMaterial", { color: colour(robot.pid) }), dark = paint("MeshLambertMaterial", { color: "#2b2b30" });
+  const faint = robot.silent ? { transparent: true, opacity: 0.35 } : {}, coat = (color) => paint("MeshLambertMaterial", { color, ...faint });
+  const group = new THREE.Group(), own = coat(colour(robot.pid)), dark = coat("#2b2b30");
   const part = (geometry, material, x, y, z) => {
     const found = new THREE.Mesh(geometry, material);
     found.position.set(x, y, z);
@@ -319,7 +326,7 @@ function vehicle(robot) {
   };
   if (flies(robot)) {
     part(shapes().hull, own, 0.01, 0, 0.045);
-    part(shapes().nose, dark, 0.1, 0, 0.045);
+    part(shapes().nose, dark, 0.15, 0, 0.045);
     for (const angle of [1, -1]) part(shapes().arm, dark, 0, 0, 0.04).rotation.z = (angle * Math.PI) / 4;
     for (const [i, j] of [[1, 1], [1, -1], [-1, 1], [-1, -1]]) part(shapes().rotor, own, i * QUAD_ARM, j * QUAD_ARM, 0.07).rotation.x = Math.PI / 2;
   } else {
@@ -334,7 +341,7 @@ function vehicle(robot) {
 // The geometries of robots' parts, made once; metres.
 function shapes() {
   shapes.made = shapes.made || {
-    hull: new THREE.BoxGeometry(0.16, 0.09, 0.05), nose: new THREE.BoxGeometry(0.03, 0.05, 0.035), arm: new THREE.BoxGeometry(0.4, 0.022, 0.018),
+    hull: new THREE.BoxGeometry(0.16, 0.09, 0.05), nose: new THREE.BoxGeometry(0.14, 0.035, 0.035), arm: new THREE.BoxGeometry(0.4, 0.022, 0.018),
     rotor: new THREE.CylinderGeometry(ROTOR, ROTOR, 0.012, 24), chassis: new THREE.BoxGeometry(0.5, 0.22, 0.09),
     cabin: new THREE.BoxGeometry(0.22, 0.19, 0.07), glass: new THREE.BoxGeometry(0.02, 0.17, 0.055), wheel: new THREE.CylinderGeometry(0.06, 0.06, 0.05, 20),
   };
