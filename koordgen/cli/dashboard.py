@@ -20,9 +20,9 @@ from koordgen.operate.dashboard_access import Refused, access
 def dashboard(options: Namespace) -> int:
     """Serve the dashboard of a fleet until Ctrl-C."""
     try:
+        allowed = access(options.bind, options.port, options.tls_cert, options.tls_key, options.token)
         found = find_fleet(Path(options.fleet), cli._say)
         key = find_key(found, options.fleet, options.key, cli._say)
-        allowed = access(options.bind, options.port, options.tls_cert, options.tls_key, options.token)
     except CannotStop as error:
         raise cli.Failure(cli.WRONG, str(error), f"{error.help}nobody was asked") from None
     except Refused as error:

@@ -156,8 +156,9 @@ def dashboard(command: Parser) -> None:
     _key(robots)
     robots.add_argument("--control", action="store_true", help="show a button that stops all robots when it is held")
     page = command.add_argument_group("page")
-    page.add_argument("--port", metavar="N", type=values.port, default=8470, help="the page's port (default: 8470)")
-    bind = "the address of this computer to serve the page at; any but 127.0.0.1 needs the three options below"
+    port = "the page's port; 0: any free one (default: 8470)"
+    page.add_argument("--port", metavar="N", type=values.port_or_any, default=8470, help=port)
+    bind = "this computer's address for the page; another one needs the three options below (default: 127.0.0.1)"
     page.add_argument("--bind", metavar="ADDRESS", default="127.0.0.1", help=bind)
     page.add_argument("--tls-cert", metavar="FILE", help="the page's certificate (PEM), for https")
     page.add_argument("--tls-key", metavar="FILE", help="that certificate's private key (PEM, without a password)")

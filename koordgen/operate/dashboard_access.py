@@ -70,14 +70,13 @@ def _context(cert: str, key: str) -> ssl.SSLContext:
 def read_token(path: Path) -> str:
     """Return the token in a file that only its owner can read; make the file where there is none. Raises Refused."""
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        with path.open(encoding="ascii", errors="replace") as file:
+            mode = os.fstat(file.fileno()).st_mode & 0o777
+            token = file.read(4096).strip()
     except FileNotFoundError:
         return _new_token(path)
     except OSError as error:
         raise Refused(f"{path}: {error.strerror}", "name another file with --token") from None
-    with os.fdopen(descriptor, encoding="ascii", errors="replace") as file:
-        mode = os.fstat(descriptor).st_mode & 0o777
-        token = file.read(4096).strip()
     if mode & 0o077:
         raise Refused(f"{path} has mode {mode:04o}: other users can read it", f"chmod 600 {path}")
     if len(token) < SHORTEST_TOKEN or not token.isascii() or not token.isprintable() or " " in token:

@@ -36,14 +36,17 @@ Stop = Callable[[], list[dict[str, Any]]]
 
 HEAD = """<header id="head"><h1>{title}</h1><p id="summary">no report yet</p>{stop}</header>
 <section id="fleet"><h2>Robots</h2><div class="wide"><table><thead><tr><th>robot</th><th>phase</th>
-<th class="n">round</th><th>runs</th><th class="n">current</th><th class="n">worst loss</th>
-<th class="n">late p99 (ms)</th><th class="n">battery</th><th>monitors</th><th>position (m)</th>
-<th class="n">clock (ms)</th><th class="n">disk (GB)</th><th class="n">temp (°C)</th><th class="n">age (s)</th>
-<th>note</th></tr></thead><tbody id="robots"></tbody></table></div></section>
+<th class="n" title="seconds since the robot's last report">age (s)</th><th>note</th><th class="n">battery</th>
+<th title="the release's first digits">runs</th><th>monitors</th><th>position (m), heading</th><th class="n">round</th>
+<th class="n" title="rounds in which the shared state was there in time">current</th>
+<th class="n" title="of datagrams, on the worst link">loss</th>
+<th class="n" title="99 % of all rounds are decided so soon after their tick">late (ms)</th>
+<th class="n" title="how far its clock may be off the fleet's">clock (ms)</th><th class="n">disk (GB)</th>
+<th class="n">temp (°C)</th></tr></thead><tbody id="robots"></tbody></table></div></section>
 <section id="said"><h2>Log</h2><div class="wide scroll"><table><thead><tr><th class="n">time</th><th>robot</th>
 <th>level</th><th>line</th></tr></thead><tbody id="lines"></tbody></table></div></section>"""
-STOP = """<button id="stop" aria-describedby="stopped"><span>Hold 1 s to STOP all robots</span></button>
-<div id="stopped" role="alert"></div>"""
+STOP = """<aside id="emergency"><div id="stopped" role="alert"></div>
+<button id="stop" aria-describedby="stopped">Hold 1 s to STOP all robots</button></aside>"""
 LOGIN = """<!doctype html><html lang="en"><head><meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1"><title>dashboard</title></head>
 <body style="font: 18px sans-serif; max-width: 30rem; margin: 3rem auto; padding: 0 1rem">
@@ -57,12 +60,12 @@ LOGIN_POLICY = "default-src 'none'; style-src 'unsafe-inline'; form-action 'self
 def first_header(robots: list[tuple[str, str]], facts: Mapping[str, Any]) -> Header:
     """Return the header of a fleet: names and targets of its robots by pid, and plain values of `facts` (delta,
     geofence, obstacles, world), as far as they are known."""
-    names = [{"name": name, "pid": pid, "target": target} for pid, (name, target) in enumerate(robots)]
-    plain = {"format": FORMAT, "app": "", "program_hash": "", "delta": 0.0, "seed": 0, **facts, "robots": names}
+    names = tuple(RobotName(name, pid, target) for pid, (name, target) in enumerate(robots))
+    bare = Header(FORMAT, "", "", 0.0, 0, names)
     try:
-        return msgspec.convert({"kind": "header", **plain}, Header)
+        return msgspec.convert({**msgspec.to_builtins(bare), **facts}, Header)
     except msgspec.ValidationError:  # a folder of another release: the map has no obstacles
-        return Header(FORMAT, "", "", 0.0, 0, tuple(RobotName(*each.values()) for each in names))
+        return bare
 
 
 class Dashboard:

@@ -32,14 +32,14 @@ function position({ pose }) {
 function robotCells(robot, age) {
   const silent = isSilent(robot), note = [robot.note, silent ? "bad" : "warn"];
   const told = robot.at === null ? ["never", "bad n"] : [number(age, 1), silent ? "bad n" : "n"];
-  if (robot.phase === undefined) return [["no answer yet", "bad"], ...Array(11).fill(["–", "dim"]), told, note];
+  if (robot.phase === undefined) return [["no answer yet", "bad p"], told, note, ...Array(11).fill(["–", "dim"])];
   const phase = silent ? [`silent (was ${robot.phase})`, "bad p"] : [robot.phase, "p"];
   const power = robot.battery === null ? "n" : robot.battery < EMPTY ? "bad n" : robot.battery < LOW ? "warn n" : "n";
   const runs = robot.release.slice(0, 8) || "no release";
-  return [phase, [String(robot.round), "n"], [robot.odd ? `${runs} differs` : runs, robot.odd ? "bad p" : "p"],
-    [percent(robot.current), "n"], [percent(robot.loss), robot.loss > 0.2 ? "warn n" : "n"], [figure(robot.late, 0), "n"],
-    [percent(robot.battery), power], monitors(robot), position(robot), [figure(robot.host.clock_ms, 2), "n"],
-    [figure(robot.host.disk_gb, 1), "n"], [figure(robot.host.temperature, 0), "n"], told, note];
+  return [phase, told, note, [percent(robot.battery), power], [robot.odd ? `${runs} differs` : runs, robot.odd ? "bad p" : "p"],
+    monitors(robot), position(robot), [String(robot.round), "n"], [percent(robot.current), "n"],
+    [percent(robot.loss), robot.loss > 0.2 ? "warn n" : "n"], [figure(robot.late, 0), "n"],
+    [figure(robot.host.clock_ms, 2), "n"], [figure(robot.host.disk_gb, 1), "n"], [figure(robot.host.temperature, 0), "n"]];
 }
 
 function robotsTable() {
@@ -105,7 +105,7 @@ function hearFleet(event) {
 // ---- emergency stop
 
 function stopTold(robots, by) {
-  const rows = robots.map((robot) => {
+  const rows = [...robots].sort((a, b) => a.answered - b.answered).map((robot) => {
     const phase = robot.phase === "rested" ? "is at rest" : "is coming to rest";
     const words = robot.answered ? `${robot.robot} ${phase}, answered after ${number(robot.after_ms, 0)} ms` : `${robot.robot}: ${robot.note}. STOP IT BY HAND: remote control, kill switch, or cut its power`;
     return make("li", [words, robot.answered ? robot.note : ""].filter(Boolean).join("; "), { class: robot.answered ? "good" : "bad" });
@@ -113,7 +113,9 @@ function stopTold(robots, by) {
   const list = make("ul"), silent = robots.filter((robot) => !robot.answered).length;
   list.append(...rows);
   const head = silent ? `Emergency stop: ${silent} of ${robots.length} robots did NOT answer` : `Emergency stop: all ${robots.length} robots answered`;
-  $("stopped").replaceChildren(phrase(`${head} (asked from ${by})`, silent ? "bad" : "good"), list);
+  const close = make("button", "close");
+  close.onclick = () => $("stopped").replaceChildren();
+  $("stopped").replaceChildren(phrase(`${head} (asked from ${by}) `, silent ? "bad" : "good"), close, list);
 }
 
 async function stopAll() {
