@@ -167,7 +167,7 @@ def _built(folder: Path, nobody: CannotStop) -> Fleet:
     where there is none."""
     places, application, key = [], 0, ""
     harness = [agent for each in _folders(folder) for agent in _folders(each / "agents")]
-    for each in sorted([folder, *_folders(folder), *harness]):
+    for each in sorted([folder, *_folders(folder), *_folders(folder / "robots"), *harness]):
         with suppress(OSError, ValueError, TypeError, KeyError, IndexError):
             settings = json.loads((each / "settings.json").read_bytes())
             peer = settings["peers"][settings["pid"]]

@@ -220,6 +220,12 @@ def _status(options: Namespace) -> int:
     return status(options)
 
 
+def _dashboard(options: Namespace) -> int:
+    from koordgen.cli.dashboard import dashboard
+
+    return dashboard(options)
+
+
 def _basestation(options: Namespace) -> int:
     import os
 
@@ -337,7 +343,8 @@ def _completion(options: Namespace) -> int:
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "help": _help, "completion": _completion, "check": _check, "dump": _dump, "build": _build,
     "prove": _prove, "explore": _explore, "fmt": _fmt, "explain": _explain, "estop": _estop,
-    "status": _status, "basestation": _basestation, "doctor": _doctor, "key": _key, "report": _afterwards,
+    "status": _status, "dashboard": _dashboard, "basestation": _basestation, "doctor": _doctor, "key": _key,
+    "report": _afterwards,
     "export": _afterwards, "show": _afterwards, "campaign": _campaign,
     "replay": _replay, "validate": _validate, "audit": _audit, "docs": _docs, "new": _new, "examples": _examples,
 }  # fmt: skip

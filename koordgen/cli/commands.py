@@ -74,6 +74,8 @@ COMMANDS: dict[str, Command] = {
         "koordgen estop --address 192.168.1.20:47100 --key fleet.key")),
     "status": Command(ROBOTS, "show how each robot of a fleet does, as one table", options.status,
         "cli#status-of-a-fleet", ("koordgen status fleet.yaml", "koordgen status fleet.yaml --watch")),
+    "dashboard": Command(ROBOTS, "show a fleet at work in a browser: map, rounds, links, batteries, log lines",
+        options.dashboard, "dashboard", ("koordgen dashboard fleet.yaml", "koordgen dashboard fleet.yaml --control")),
     "docs": Command(MORE, "list the pages of the documentation, or print one", options.docs, "cli#new-examples-docs", (
         "koordgen docs fleet", "koordgen docs cli#exit-statuses")),
     "help": Command(MORE, "list the commands, or explain one", options.help_, "cli", (

@@ -148,6 +148,25 @@ def status(command: Parser) -> None:
     _format(command.add_argument_group("output"))
 
 
+def dashboard(command: Parser) -> None:
+    """Options of `koordgen dashboard`."""
+    fleet = "the fleet file (YAML), a folder that `koordgen build` wrote, or the folder of a simulated run"
+    command.positional.add_argument("fleet", metavar="FLEET", help=fleet)
+    robots = command.add_argument_group("robots")
+    _key(robots)
+    robots.add_argument("--control", action="store_true", help="show a button that stops all robots when it is held")
+    page = command.add_argument_group("page")
+    port = "the page's port; 0: any free one (default: 8470)"
+    page.add_argument("--port", metavar="N", type=values.port_or_any, default=8470, help=port)
+    bind = "this computer's address for the page; another one needs the three options below (default: 127.0.0.1)"
+    page.add_argument("--bind", metavar="ADDRESS", default="127.0.0.1", help=bind)
+    page.add_argument("--tls-cert", metavar="FILE", help="the page's certificate (PEM), for https")
+    page.add_argument("--tls-key", metavar="FILE", help="that certificate's private key (PEM, without a password)")
+    token = "the file of the token that a browser must send once; the command makes the file if there is none"
+    page.add_argument("--token", metavar="FILE", help=token)
+    page.add_argument("--no-browser", dest="browser", action="store_false", help="open no browser")
+
+
 def basestation(command: Parser) -> None:
     """Options of `koordgen basestation`."""
     command.positional.add_argument("fleet", metavar="FLEET", help="the fleet file (YAML)")
@@ -185,7 +204,7 @@ _NETWORK = {
     "reordering": ("P", values.share, "share of datagrams that later datagrams overtake, 0 to 1"),
 }
 # Options of a harness's bundle that have the same name here.
-PASSED = ("duration", "seed", "live", "pace", *_NETWORK)
+PASSED = ("duration", "seed", "live", "foxglove", "pace", *_NETWORK)
 
 
 def harness(command: Parser) -> None:
@@ -206,6 +225,8 @@ def harness(command: Parser) -> None:
     watch = command.add_argument_group("watch")
     live = "show the run in a browser, on a page of 127.0.0.1 (default of PORT: any free one)"
     watch.add_argument("--live", metavar="PORT", type=values.port, nargs="?", const=0, help=live)
+    foxglove = "stream the run to Foxglove, at this port of 127.0.0.1 (default of PORT: 8765)"
+    watch.add_argument("--foxglove", metavar="PORT", type=values.port, nargs="?", const=8765, help=foxglove)
     watch.add_argument("--gui", action="store_true", help="show PyBullet's window (MuJoCo has none: use --live)")
     pace = "run in lockstep at most this many times faster than real time (default: no limit)"
     watch.add_argument("--pace", metavar="FACTOR", type=values.factor, help=pace)

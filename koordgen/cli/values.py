@@ -70,6 +70,11 @@ def port(text: str) -> int:
     return _whole(text, 1, 65535)
 
 
+def port_or_any(text: str) -> int:
+    """Return a port of this host; 0: any free one."""
+    return _whole(text, 0, 65535)
+
+
 def natural(text: str) -> int:
     """Return a whole number, 0 or more."""
     return _whole(text, 0)

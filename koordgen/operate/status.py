@@ -41,7 +41,7 @@ def ask_all(fleet: Fleet, key: bytes | None, patience: float = PATIENCE) -> list
     began = time.monotonic()
 
     def ask(index: int) -> None:
-        answers[index] = _ask(fleet.places[index], fleet.application, key, began, patience)
+        answers[index] = ask_one(fleet.places[index], fleet.application, key, began, patience)
 
     threads = [threading.Thread(target=ask, args=(i,), daemon=True) for i in range(len(answers))]
     for thread in threads:
@@ -51,7 +51,8 @@ def ask_all(fleet: Fleet, key: bytes | None, patience: float = PATIENCE) -> list
     return list(answers)
 
 
-def _ask(place: Place, application: int, key: bytes | None, began: float, patience: float) -> Asked:
+def ask_one(place: Place, application: int, key: bytes | None, began: float, patience: float) -> Asked:
+    """Ask one robot, until `patience` seconds after the monotonic time `began` at most."""
     if not place.port:
         return Asked(place, None, 0.0, "the fleet file has no address for it")
     try:

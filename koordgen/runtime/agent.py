@@ -164,14 +164,15 @@ def _run(
         opened.callback(store.close)
         trace = _open_trace(settings)
         opened.callback(trace.close)
+        boot = os.urandom(8)
         agent = Agent(
-            program, settings, key, platform, clock, transport, trace, emit, os.urandom(8), store,
+            program, settings, key, platform, clock, transport, trace, emit, boot, store,
             limit=Interrupting(), properties=properties,
             cpu=time.thread_time,
         )  # fmt: skip
 
         def report() -> dict[str, Any]:
-            return _report(settings, agent, control, root, clock.now())
+            return {"boot": boot.hex(), **_report(settings, agent, control, root, clock.now())}
 
         notifier = Notifier(os.environ, os.getpid())
         opened.callback(notifier.close)
@@ -214,6 +215,8 @@ def _report(settings: Settings, agent: Agent, control: Control, root: Path, now:
         "names": [peer.name for peer in settings.peers],
         "phase": agent.phase,
         "round": agent.round,
+        "delta": settings.delta,
+        "geofence": [[p.x, p.y, p.z] for p in (settings.geofence.lo, settings.geofence.hi)],
         "monitors": agent.monitors.report(),
         "host": {
             "clock_ms": None if error is None else round(error * 1e3, 3),
@@ -221,6 +224,7 @@ def _report(settings: Settings, agent: Agent, control: Control, root: Path, now:
             "temperature": temperature(),
         },
         "counters": {k: v for k, v in counters.items() if not k.startswith("dropped: ")},
+        **agent.snapshot(now),
         **agent.metrics.snapshot(now, dropped | {f"order: {k}": v for k, v in control.rejected.items()}),
     }
 

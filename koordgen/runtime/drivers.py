@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 
 from koordgen.runtime.extern import ESCAPES
-from koordgen.runtime.platform import Finding, Platform, Resumes, Sensed, Unready
+from koordgen.runtime.platform import Finding, Platform, Resumes, Sensed, Unready, Vitals, vitals
 from koordgen.runtime.program import Program
 from koordgen.runtime.values import Point, transmissible
 
@@ -110,6 +110,10 @@ class Driven:
         if module in self._drivers:
             return self._drivers[module].call(name, args)
         return self._platform.call(port, args)
+
+    @property
+    def vitals(self) -> Vitals:
+        return vitals(self._platform)
 
     def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
         self._platform.others(paths)

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 from koordgen.runtime.clock import Clock, FleetClock
 from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.program import Effects, Life
+from koordgen.runtime.recent import Recent
 from koordgen.runtime.stall import State
 from koordgen.runtime.trace import Calls, Observe, Record, Trace
 from koordgen.runtime.views import described
@@ -56,6 +57,7 @@ class Journal:
         self._said = ""
         self._last = ""  # line
         self._measured = 0.0
+        self.recent = Recent()
         self.untold: list[Record] = []  # of rounds that have become certain
         self.round = 0
 
@@ -122,6 +124,7 @@ class Journal:
     def init(self, sensors: Mapping[str, Any], effects: Effects, after: Life, calls: Calls, time: float) -> None:
         """`init` has run."""
         self._trace.init(time, sensors, effects, after, calls)
+        self.recent.wrote(0, effects.shared)
         self.streams(effects.streams, 0, time)
 
     def view(self, view: View, names: Sequence[str], over: bool) -> None:
@@ -161,6 +164,7 @@ class Journal:
             self.error(f"{fault}; the event is discarded, the robot holds")
         self._faulty = fault
         self._metrics.round(record.round, record.late, record.event, record.skipped, record.frame is not None)
+        self.recent.round(record)
         for monitor in tuple(self._monitors):
             if not self.attempt(monitor, record):
                 self._monitors.remove(monitor)
@@ -183,5 +187,6 @@ class Journal:
     def _line(self, level: str, text: str) -> None:
         self._last = text
         now = self._clock.now()
+        self.recent.line(now, self.round, level, text)
         time = f"{self._fleet_clock.read(now):.3f}" if self._fleet_clock.known else "?"
         self._emit(level, f"{time} round {self.round} {self._robot}: {level}: {text}")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import traceback
 from collections.abc import Sequence
+from typing import Any
 
 from koordgen.runtime.allowance import Cpu
 from koordgen.runtime.body import Body
@@ -21,9 +22,10 @@ from koordgen.runtime.link import Heard, Link
 from koordgen.runtime.memory import Memory
 from koordgen.runtime.metrics import Metrics, tally
 from koordgen.runtime.monitor import Monitors
-from koordgen.runtime.platform import Platform, Unready
+from koordgen.runtime.platform import Platform, Unready, vitals
 from koordgen.runtime.program import Fault, Life, Program
 from koordgen.runtime.property import Properties
+from koordgen.runtime.recent import goal
 from koordgen.runtime.replica import Replica
 from koordgen.runtime.rounds import Lost, Rounds
 from koordgen.runtime.runner import Limit, Runner, unlimited
@@ -34,6 +36,7 @@ from koordgen.runtime.stall import Stalls
 from koordgen.runtime.store import Keeper
 from koordgen.runtime.trace import Observe, Trace
 from koordgen.runtime.transport import Transport
+from koordgen.runtime.values import Point, transmissible
 from koordgen.runtime.views import Vote
 from koordgen.runtime.wire import Closing, Hello, View, encoder
 
@@ -90,6 +93,7 @@ class Agent:
         self._rounds: Rounds | None = None
         self._replica: Replica | None = None
         self._view = -1
+        self._kinds = {variable.name: variable.kind for variable in program.shared}
         self._next_body = 0.0
         self._missed = self._failures = 0
         self._init: Life | None = None
@@ -121,6 +125,25 @@ class Agent:
         """How far fleet time may be off at local time `now`, in seconds; None while nothing is known of it."""
         bound = self._fleet_clock.bound(now)
         return bound if bound < math.inf else None
+
+    def snapshot(self, now: float) -> dict[str, Any]:
+        """Plain values for people, at local time `now`: `pose` (position in metres, ENU; yaw in radians; its age in
+        seconds) and `battery` (0 to 1), None where unknown; `goal`: points that the robot was told to go to; and what
+        happened lately (see `recent`)."""
+        sensed, found = self._platform.sense(now), vitals(self._platform)
+        places = (v for name, v in sensed.values.items() if name.endswith(".position") and isinstance(v, Point))
+        position = next(filter(transmissible, places), None)
+        pose: dict[str, Any] | None = None
+        if position is not None and sensed.time is not None:
+            place = [round(c, 3) for c in (position.x, position.y, position.z)]
+            yaw = None if found.yaw is None else round(found.yaw, 4)
+            pose = {"position": place, "yaw": yaw, "age": round(max(0.0, now - sensed.time), 3)}
+        return {
+            "pose": pose,
+            "battery": None if found.battery is None else round(found.battery, 3),
+            "goal": goal(self._body.actuators, transmissible),
+            **self._journal.recent.report(now, self._kinds),
+        }
 
     def end(self, why: str) -> None:
         """Bring the robot to rest and be done then."""

@@ -54,6 +54,15 @@ class Sensed:
     time: float | None
 
 
+@dataclass(frozen=True, slots=True)
+class Vitals:
+    """State of a body that no program needs, but people do: yaw in radians counter-clockwise from east, and the charge
+    of its battery, 0 to 1. None: not known."""
+
+    yaw: float | None = None
+    battery: float | None = None
+
+
 class Platform(Protocol):
     """Life: `diagnose` or (`start`, then `poll` until `ready`, rounds, `rest`, `poll` until `rested`), then `close`."""
 
@@ -139,3 +148,16 @@ class Resumes(Protocol):
         """As `command`, with what an earlier life of this robot had commanded: of a path, the points before the leg
         that is nearest to the robot are behind it. The way to the next point has not been checked by anybody."""
         ...
+
+
+@runtime_checkable
+class Examined(Protocol):
+    """A platform that knows its vitals."""
+
+    @property
+    def vitals(self) -> Vitals: ...
+
+
+def vitals(platform: Platform) -> Vitals:
+    """Return a platform's vitals; nothing is known of a platform that does not tell them."""
+    return platform.vitals if isinstance(platform, Examined) else Vitals()

@@ -47,6 +47,11 @@ class Drive(Protocol):
         """The speed, m/s, that the motor was asked for last: of a rover that which its throttle should give."""
         ...
 
+    @property
+    def battery(self) -> float | None:
+        """The charge that the drive reports, 0 to 1; None: not known."""
+        ...
+
     def read(self, now: float) -> float | None:
         """Take what arrived; a newly measured speed, or None. Raises Unready when it has been gone or silent for too
         long; it may come back, so go on calling it."""

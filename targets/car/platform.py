@@ -17,7 +17,7 @@ from typing import Any
 from koordgen.runtime.datagrams import DatagramLink, waiting
 from koordgen.runtime.feed import Feed
 from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.platform import Finding, Sensed, Unready
+from koordgen.runtime.platform import Finding, Sensed, Unready, Vitals
 from koordgen.runtime.scans import ScanPort
 from koordgen.runtime.settings import Settings
 from koordgen.runtime.values import Point, Pose, transmissible
@@ -342,6 +342,14 @@ class Car:
         values: dict[str, Any] = {f"{module}.{port}": value for module in MODULES for port, value in ports.items()}
         values["MotionWithScan.pscan"] = self._lidar.scans.recent(now)
         return Sensed(values, self._estimator.time)
+
+    @property
+    def vitals(self) -> Vitals:
+        """See Examined."""
+        known = self._estimator.time is not None
+        return Vitals(
+            self._estimator.state.yaw if known else None, self._drive.battery if self._drive is not None else None
+        )
 
     def command(self, actuators: Mapping[str, Any], now: float) -> None:
         if self._navigator is None:

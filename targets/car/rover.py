@@ -60,6 +60,7 @@ class RoverDrive:
         self._taken = ""  # who has it instead of us, in words
         self.asked = 0.0  # see Drive
         self._volts: float | None = None
+        self.battery: float | None = None  # see Drive
         self._version = ""
         self._vouched = -math.inf  # when the EKF last said that it knows where it is
         self._fixes: list[tuple[Pose, float]] = []
@@ -156,6 +157,8 @@ class RoverDrive:
         match message.get_msgId():
             case mavlink.MAVLINK_MSG_ID_SYS_STATUS:
                 self._volts = 0.0 if message.voltage_battery == 65535 else message.voltage_battery / 1000
+                known = 0 <= message.battery_remaining <= 100  # percent; -1: the rover does not know it
+                self.battery = message.battery_remaining / 100 if known else None
             case mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT:
                 knows = message.flags & mavlink.EKF_POS_HORIZ_ABS and not message.flags & mavlink.EKF_CONST_POS_MODE
                 self._vouched = now if knows else -math.inf

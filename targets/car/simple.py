@@ -54,6 +54,7 @@ class BodyDrive:
     heard = True
     fault = blocked = doubt = ""
     about = "a simple one"
+    battery = None
 
     def __init__(self, body: Driver, braking: float) -> None:
         self._body, self._braking = body, braking

@@ -28,6 +28,8 @@ _FAULTS = {
 class VescDrive:
     """Implements `drive.Drive`."""
 
+    battery = None  # a VESC measures its supply, but knows no battery
+
     def __init__(self, device: str, settings: CarSettings, links: Links) -> None:
         self._device, self._settings, self._links = device, settings, links
         self._watch = links.watchdog()

@@ -70,9 +70,14 @@ ARDUPILOT = Firmware(
         mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 5.0,
         mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 5.0,
         mavlink.MAVLINK_MSG_ID_HEARTBEAT: 4.0,  # it carries the mode, so it is wanted more often than it comes
+        mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
     },
-    # The one comes only while there is a target, the other always, only too seldom.
-    occasional=(mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED, mavlink.MAVLINK_MSG_ID_HEARTBEAT),
+    # The first comes only while there is a target, the second always, only too seldom; nobody flies by the third.
+    occasional=(
+        mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
+        mavlink.MAVLINK_MSG_ID_HEARTBEAT,
+        mavlink.MAVLINK_MSG_ID_SYS_STATUS,
+    ),
     parameters=PARAMETERS,
     positioning=POSITIONING,
     bytewise=False,

@@ -16,7 +16,7 @@ import msgspec
 from koordgen.runtime.datagrams import DatagramLink
 from koordgen.runtime.feed import listen_for_poses
 from koordgen.runtime.geodesy import LocalFrame
-from koordgen.runtime.platform import Finding, Sensed, Unready
+from koordgen.runtime.platform import Finding, Sensed, Unready, Vitals
 from koordgen.runtime.safety import clamp, inside
 from koordgen.runtime.scans import ScanPort, listen_for_scans
 from koordgen.runtime.settings import BadSettings, Settings
@@ -250,6 +250,11 @@ class Quad:
         values: dict[str, Any] = {f"{module}.{port}": value for module in MODULES for port, value in ports.items()}
         values["MotionWithScan.pscan"] = self._lidar.scans.recent(now)
         return Sensed(values, self._vouched)
+
+    @property
+    def vitals(self) -> Vitals:
+        """See Examined."""
+        return Vitals(self._telemetry.yaw, self._telemetry.battery)
 
     @property
     def _vouched(self) -> float | None:

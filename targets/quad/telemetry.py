@@ -72,6 +72,7 @@ class Telemetry:
         self.time: float | None = None  # when `position` came
         self.amsl = 0.0  # m
         self.relative = 0.0  # m above home
+        self.battery: float | None = None  # charge, 0 to 1
         self.followed: Point | None = None  # the position target that the autopilot says it has
         self.followed_time = -math.inf
 
@@ -85,6 +86,8 @@ class Telemetry:
                 self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
             case mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
                 self._take_position(message, now)
+            case mavlink.MAVLINK_MSG_ID_SYS_STATUS:  # percent; -1: the autopilot does not know it
+                self.battery = message.battery_remaining / 100 if 0 <= message.battery_remaining <= 100 else None
             case mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE:
                 self.landed = message.landed_state or None
             case mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT | mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS:  # of equal bits

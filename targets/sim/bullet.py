@@ -105,6 +105,13 @@ class Bullet:
         self._group(number, OBSTACLE, ROBOT)
         return self._obstacles.setdefault(number, len(self._obstacles))
 
+    def move(self, obstacle: int, by: Vector) -> None:
+        """See contacts.Engine."""
+        number = next(theirs for theirs, own in self._obstacles.items() if own == obstacle)
+        place, turn = self.bullet.getBasePositionAndOrientation(number, **self._own)
+        moved = [at + step for at, step in zip(place, by, strict=True)]
+        self.bullet.resetBasePositionAndOrientation(number, moved, turn, **self._own)
+
     def body(self, solid: Solid) -> int:
         """One that is not taken; its number."""
         kinds, own = self.bullet, self._own

@@ -79,6 +79,10 @@ class Engine(Protocol):
         """Add an obstacle, which nothing moves; return its number."""
         ...
 
+    def move(self, obstacle: int, by: Vector) -> None:
+        """Move an obstacle by a vector, at once: it does not push what it passes."""
+        ...
+
     def body(self, solid: Solid) -> int:
         """Add a body that is not taken; return its number."""
         ...

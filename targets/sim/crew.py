@@ -80,7 +80,17 @@ class Agent(ABC):
 
     @abstractmethod
     def freeze(self, seconds: float) -> None:
-        """A fault: it does not run for so long, while the world goes on and what is sent to it waits or is lost."""
+        """A fault: it does not run for so long, while the world goes on and what is sent to it waits or is lost. An
+        infinite freeze lasts until `thaw`, at most until it is told to end."""
+
+    @property
+    @abstractmethod
+    def frozen(self) -> bool:
+        """Whether a freeze lasts."""
+
+    @abstractmethod
+    def thaw(self) -> None:
+        """End its freeze, if there is one."""
 
     @abstractmethod
     def _failed(self, status: int) -> str | None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import heapq
 import importlib
 import json
-from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ from targets.sim.medium import medium, parted
 from targets.sim.scenario import BadScenario, Robot
 from targets.sim.schedule import CONDITIONS, LONGER, Event, Mistake, Schedule, read, too_late
 from targets.sim.station import fed
-from targets.sim.trace import Cause, Record
+from targets.sim.trace import Cause, Moved, Record
 from targets.sim.upset import WELL
 
 if TYPE_CHECKING:
@@ -94,28 +95,40 @@ def check_robots(schedule: Schedule, robots: Sequence[Robot]) -> None:
             )
 
 
-class Faults:
-    """Implements `crew.Companion`."""
+def check_obstacles(schedule: Schedule, count: int) -> None:
+    """Whether the world has the obstacles that move. Raises BadScenario."""
+    for event in schedule.events:
+        if event.kind == "obstacle" and event.number >= count:
+            there = f"they are numbered 0 to {count - 1}" if count else "this world has none"
+            raise BadScenario(f"obstacle at {event.at:g} s: there is no obstacle {event.number}", there)
 
-    def __init__(self, schedule: Schedule) -> None:
+
+class Faults:
+    """Implements `crew.Companion`. With `open` more events may come while the run goes on (`give`)."""
+
+    def __init__(self, schedule: Schedule, open: bool = False) -> None:
         self._schedule = schedule
-        moments = [(event.at, 0, event, self._begin) for event in schedule.events]
-        moments += [
-            (event.at + event.lasts, 1, event, self._finish) for event in schedule.events if event.lasts is not None
-        ]
-        # What ends at a time ends before what begins then.
-        moments.sort(key=lambda moment: (moment[0], -moment[1]))
-        self._due: deque[tuple[float, Callable[[Event, float], None], Event]] = deque(
-            (at, act, event) for at, _, event, act in moments
-        )
+        self._open = open
+        self._network = schedule.network  # as it is now
+        self._groups: tuple[tuple[str, ...], ...] = ()
+        self._cuts: set[tuple[int, int]] = set()
+        self._due: list[tuple[float, int, int, Event]] = []  # by time; what ends at a time ends before what begins then
+        self._count = 0
+        for event in schedule.events:
+            self._plan(event)
+
+    def _plan(self, event: Event) -> None:
+        for at, order in ((event.at, 1), (None if event.lasts is None else event.at + event.lasts, 0)):
+            if at is not None:
+                self._count += 1
+                heapq.heappush(self._due, (at, order, self._count, event))
 
     def launched(self, run: Run) -> None:
         """See Companion."""
         self._run = run
         self._names = [robot.name for robot in run.scenario.robots]
-        self._medium = medium(self._schedule, self._names)
-        if self._schedule.networked:
-            run.conduct.disturb(self._medium)
+        if self._schedule.networked or self._open:
+            self._disturb()
         now = run.conduct.now()
         if self._schedule.network is not None:
             self._stamp(now, "network", tuple(self._names), _conditions(self._schedule.network))
@@ -128,8 +141,32 @@ class Faults:
         """See Companion."""
         t = self._run.t(at)
         while t is not None and self._due and self._due[0][0] <= t:
-            _, act, event = self._due.popleft()
-            act(event, at)
+            _, begins, _, event = heapq.heappop(self._due)
+            (self._begin if begins else self._finish)(event, at)
+
+    def give(self, event: Event, at: float) -> None:
+        """Bring about one more event, now: its time must be the run's t of `at`."""
+        self._plan(event)
+        self.step(at, [])
+
+    def impossible(self, event: Event) -> str:
+        """Why an event that fits the schedule cannot be brought about now; "": it can."""
+        match event.kind:
+            case "crash" | "freeze" | "continue" | "restart":
+                agent, name = self._agent(event), event.robots[0]
+                if event.kind == "restart":
+                    return "" if agent.alive or agent.crashed else f"{name} has ended by itself, it did not crash"
+                if not agent.alive:
+                    return f"{name} does not run"
+                if event.kind == "continue" and not agent.frozen:
+                    return f"{name} is not frozen"
+                return f"{name} is frozen already" if event.kind == "freeze" and agent.frozen else ""
+            case "cut" | "restore":
+                is_cut = self._link(event) in self._cuts
+                names = " and ".join(event.robots)
+                if is_cut == (event.kind == "cut"):
+                    return f"the link between {names} is {'cut already' if is_cut else 'not cut'}"
+        return ""
 
     def heard(self, agent: Agent, records: list[Record]) -> None:
         """See Companion: nothing that agents say changes the schedule."""
@@ -140,18 +177,30 @@ class Faults:
     def _stamp(self, at: float, what: str, robots: tuple[str, ...], detail: str, lasts: float | None = None) -> None:
         self._run.mark(Cause(at, what, robots, detail, lasts))
 
+    def _concerned(self, event: Event) -> tuple[str, ...]:
+        return () if event.kind == "obstacle" else event.robots or tuple(self._names)
+
     def _begin(self, event: Event, at: float) -> None:
-        self._stamp(at, event.kind, event.robots or tuple(self._names), _told(event), event.lasts)
+        self._stamp(at, event.kind, self._concerned(event), told(event), event.lasts)
         run = self._run
         match event.kind:
             case "partition":
-                run.conduct.disturb(parted(self._medium, event.groups, self._names))
+                self._groups = event.groups
+                self._disturb()
+            case "cut" | "restore":
+                (self._cuts.add if event.kind == "cut" else self._cuts.discard)(self._link(event))
+                self._disturb()
+            case "network":
+                self._network = event.network
+                self._disturb()
             case "crash":
                 self._agent(event).crash()
             case "restart":
                 self._restart(event)
             case "freeze":
-                self._agent(event).freeze(event.lasts or 0.0)
+                self._agent(event).freeze(math.inf if event.lasts is None else event.lasts)
+            case "continue":
+                self._agent(event).thaw()
             case "positioning":
                 self._upset(event).positioning = event.positioning
             case "battery":
@@ -160,12 +209,21 @@ class Faults:
                 self._upset(event).lag = event.lag
             case "wind":
                 run.stage.world.blow(event.wind)
+            case "obstacle":
+                run.mark(Moved(at, event.number, run.stage.world.move(event.number, event.by)))
 
     def _finish(self, event: Event, at: float) -> None:
         run = self._run
         match event.kind:
             case "partition":
-                run.conduct.disturb(self._medium)
+                self._groups = ()
+                self._disturb()
+            case "cut":
+                self._cuts.discard(self._link(event))
+                self._disturb()
+            case "network":
+                self._network = self._schedule.network
+                self._disturb()
             case "crash":
                 self._stamp(at, "restart", event.robots, f"{event.lasts:g} s after its crash")
                 self._restart(event)
@@ -177,6 +235,17 @@ class Faults:
                 run.stage.world.blow(run.scenario.world.wind)
             case _:
                 pass  # a freeze ends by itself
+
+    def _disturb(self) -> None:
+        """Let the network between the agents be as it should be now."""
+        whole = medium(msgspec.structs.replace(self._schedule, network=self._network), self._names)
+        whole = msgspec.structs.replace(whole, cuts=tuple(sorted(self._cuts)))
+        self._run.conduct.disturb(parted(whole, self._groups, self._names) if self._groups else whole)
+
+    def _link(self, event: Event) -> tuple[int, int]:
+        """The pids of the two robots of a cut, the lower one first."""
+        one, other = sorted(map(self._names.index, event.robots))
+        return one, other
 
     def _restart(self, event: Event) -> None:
         agent = self._agent(event)
@@ -194,7 +263,7 @@ def _conditions(conditions: Conditions) -> str:
     return ", ".join(f"{key} {getattr(conditions, key):g}" for key in CONDITIONS if getattr(conditions, key))
 
 
-def _told(event: Event) -> str:
+def told(event: Event) -> str:
     """A fault in words."""
     match event.kind:
         case "partition":
@@ -204,6 +273,12 @@ def _told(event: Event) -> str:
             parts = [f"{key} {getattr(wrong, key):g}" for key in ("noise", "delay", "dropout") if getattr(wrong, key)]
             parts += [f"bias ({', '.join(f'{v:g}' for v in wrong.bias)})"] if any(wrong.bias) else []
             return ", ".join(parts)
+        case "cut" | "restore":
+            return f"between {' and '.join(event.robots)}"
+        case "network":
+            return _conditions(event.network)
+        case "obstacle":
+            return f"number {event.number} by ({', '.join(f'{v:g}' for v in event.by)}) m"
         case "battery":
             return f"level {event.level:g}"
         case "lag":

@@ -14,10 +14,11 @@ from types import TracebackType
 from typing import IO
 
 MARKER = ".koord-run"
+GIVEN = "scenario.given.yaml"  # the faults of the run, those that were given by hand among them
 SOURCE = "source"  # the program, its params and functions: what a trace is replayed with
 FILES = (
     "report.html", "summary.json", "summary.txt", "trace.jsonl", "windows.jsonl", "poses.jsonl", "fleet.key",
-    "faults.json",
+    "faults.json", GIVEN,
 )  # fmt: skip
 FOLDERS = ("plots", "robots", SOURCE)
 

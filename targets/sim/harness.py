@@ -22,10 +22,10 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import replace
 
-from koordgen.runtime.host import install_requirements
+from koordgen.runtime.host import install_requirements, pip_install
 from targets.sim import faults
 from targets.sim.contacts import NoEngine, choose
-from targets.sim.folder import SOURCE, Foreign, RunFolder
+from targets.sim.folder import GIVEN, SOURCE, Foreign, RunFolder
 from targets.sim.scatter import scattered
 from targets.sim.scenario import FILE, BadScenario, Scenario, load
 from targets.sim.schedule import CONDITIONS, DURATION, MOST_DELAY, PROBABILITIES, Schedule
@@ -36,7 +36,9 @@ if TYPE_CHECKING:
     from targets.sim.progress import Progress
     from targets.sim.run import Outcome, Run
     from targets.sim.trace import Header
-    from targets.sim.view.live import Live
+    from targets.sim.view.control import Given
+    from targets.sim.view.live import Live, Paced
+    from targets.sim.view.stream import Streamed
     from targets.sim.watch import Watcher
     from targets.sim.windows import Windows
 
@@ -46,6 +48,8 @@ REAL_TIME = (
     "real time on this host: the same seed gives the same world and the same sensor noise, but not the same timing of "
     "processes and datagrams"
 )
+EXTRAS = {"foxglove-sdk": "'koordgen[foxglove]'"}  # what a bundle does not require, and how it is installed
+FOXGLOVE_PORT = 8765  # the one that Foxglove suggests
 NEEDED = ("numpy", "matplotlib")  # and a contact engine
 
 
@@ -64,19 +68,25 @@ def main(root: Path, argv: list[str] | None = None) -> int:
         schedule, told = _schedule(scenario, options)
         if options.check:
             return _check(root, scenario)
-        from targets.sim.view import live
+        from targets.sim.view import live, stream
 
-        # The view first: what is in its way must not cost what an earlier run left.
-        with live.watched(_header(scenario, plan, options), options.live) as view, RunFolder(out) as folder:
+        # The views first: what is in their way must not cost what an earlier run left.
+        offer = {"lockstep": options.lockstep, "faults": plan is None}
+        header = _header(scenario, plan, options)
+        with (
+            live.watched(header, options.live, offer) as view, stream.streamed(header, options.foxglove) as streamed,
+            RunFolder(out) as folder,
+        ):  # fmt: skip
             if told is not None:
                 (folder / "faults.json").write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
-            return _run(root, scenario, schedule, plan, folder, options, view)
+            return _run(root, scenario, (schedule, told), plan, folder, options, (view, streamed))
     except BadScenario as error:
         return _fail(BAD_FILES, str(error), error.hint)
     except (Foreign, NoEngine) as error:
         return _fail(SURROUNDINGS, str(error), error.hint)
     except ModuleNotFoundError as error:
-        return _fail(SURROUNDINGS, f"the Python package {error.name!r} is missing", install_requirements(root))
+        hint = pip_install(EXTRAS[error.name]) if error.name in EXTRAS else install_requirements(root)
+        return _fail(SURROUNDINGS, f"the Python package {error.name!r} is missing", hint)
     except OSError as error:
         full = error.errno in (errno.ENOSPC, errno.EDQUOT)
         where = f"{error.filename}: " if error.filename else ""
@@ -121,6 +131,8 @@ def _parser(root: Path, argv: list[str]) -> argparse.ArgumentParser:
     parser.add_argument("--invoked-as", metavar="TEXT", help="the command to name in the report, if not this one")
     live = "show the run on a page at 127.0.0.1, on PORT or any free one"
     parser.add_argument("--live", type=_port, nargs="?", const=0, metavar="PORT", help=live)
+    foxglove = f"stream the run to Foxglove at ws://127.0.0.1:PORT, default {FOXGLOVE_PORT}; 0: any free one"
+    parser.add_argument("--foxglove", type=_port, nargs="?", const=FOXGLOVE_PORT, metavar="PORT", help=foxglove)
     pace = "of a run in lockstep: at most so many times real time"
     parser.add_argument("--pace", type=_factor, metavar="FACTOR", help=pace)
     parser.add_argument("--quiet", action="store_true", help="no progress")
@@ -214,6 +226,7 @@ def _schedule(scenario: Scenario, options: argparse.Namespace) -> tuple[Schedule
     found, told = faults.load(options.scenario, names) if options.scenario else (Schedule(), None)
     faults.check_times(found, options.duration)
     faults.check_robots(found, scenario.robots)
+    faults.check_obstacles(found, len(scenario.obstacles))
     return faults.with_network(found, vars(options)), told
 
 
@@ -226,26 +239,26 @@ def _check(root: Path, scenario: Scenario) -> int:
 
 
 def _run(
-    root: Path, scenario: Scenario, schedule: Schedule, plan: Plan | None, folder: Path, options: argparse.Namespace,
-    view: Live | None,
+    root: Path, scenario: Scenario, wrong: tuple[Schedule, Any], plan: Plan | None, folder: Path,
+    options: argparse.Namespace,
+    views: tuple[Live | None, Streamed | None],
 ) -> int:  # fmt: skip
     import msgspec
 
     from targets.sim import summary, trace
     from targets.sim.host_load import HostLoad
     from targets.sim.progress import Progress
-    from targets.sim.view import live
 
-    header = _header(scenario, plan, options)
+    header, view = _header(scenario, plan, options), views[0]
     progress = Progress(sys.stderr, options.quiet, free=options.lockstep)
     windows, guide = None, None
     if plan is not None:
         run, watcher, guide = _following(root, scenario, plan, folder, options, progress)
     else:
-        run, watcher, windows = _made(root, scenario, schedule, folder, options, progress)
+        run, watcher, windows = _made(root, scenario, folder, options, progress)
+    given, paced = _steered(run, wrong, folder, options, view)
     load = None if options.lockstep else HostLoad(scenario.delta, watcher.moving)
-    run.companions += [each for each in (view, load) if each]
-    run.companions += [live.Paced(options.pace)] if options.pace and options.lockstep else []
+    run.companions += [each for each in (*views, load) if each]
     began = time.perf_counter()
     try:
         outcome = run.execute()
@@ -261,9 +274,9 @@ def _run(
     found.watching = round(watcher.seconds / (time.perf_counter() - began), 4)
     if windows is not None:
         windows.write(folder, outcome.ended)
-    if options.pace:
+    if paced is not None and paced.waited:
         found.shares = {}  # of time, of which most went to waiting
-    found.reproduce = _reproduce(root, scenario, folder, options)
+    found.reproduce = _reproduce(root, scenario, folder, options, given.count if given is not None else 0)
     summary.write(found, folder)
     left = folder if options.no_report else folder / "report.html"
     if not options.no_report:
@@ -307,7 +320,7 @@ def _following(
 
 
 def _made(
-    root: Path, scenario: Scenario, schedule: Schedule, folder: Path, options: argparse.Namespace, progress: Progress
+    root: Path, scenario: Scenario, folder: Path, options: argparse.Namespace, progress: Progress
 ) -> tuple[Run, Watcher, Windows | None]:
     """The run with all that goes along with it, ready to be executed."""
     from targets.sim import watch
@@ -325,9 +338,28 @@ def _made(
     conduct = Lockstep if options.lockstep else RealTime
     run = Run(scenario, conduct(scenario, root, folder, options.seed), folder, options.duration, progress)
     run.companions += [watcher, Idle(robots, scenario.number("idle_timeout", IDLE_TIMEOUT))]
-    if schedule != Schedule():
-        run.companions.append(faults.Faults(schedule))
     return run, watcher, windows
+
+
+def _steered(
+    run: Run, wrong: tuple[Schedule, Any], folder: Path, options: argparse.Namespace, view: Live | None
+) -> tuple[Given | None, Paced | None]:
+    """Add the companions that bring about faults, and that hold the run back: as its options or as the page says."""
+    from targets.sim.view.control import Control, Given
+    from targets.sim.view.live import Paced
+
+    schedule, told = wrong
+    given, paced = None, Paced(options.pace) if options.lockstep else None
+    if view is not None:
+        if options.follow is None:
+            given = Given(faults.Faults(schedule, open=True), told, folder)
+        run.companions.append(Control(view, given, paced))
+        return given, paced
+    if schedule != Schedule() and options.follow is None:
+        run.companions.append(faults.Faults(schedule))
+    if paced is not None:
+        run.companions.append(paced)
+    return None, paced
 
 
 def _header(scenario: Scenario, plan: Plan | None, options: argparse.Namespace) -> Header:
@@ -349,8 +381,8 @@ def _report(folder: Path) -> None:
     commands.report(str(folder), None)
 
 
-def _reproduce(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespace) -> dict[str, str]:
-    """What one needs to do it again, by name."""
+def _reproduce(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespace, given: int) -> dict[str, str]:
+    """What one needs to do it again, by name. `given`: how many faults were given by hand."""
     command = ["python3", str(root), "--duration", f"{options.duration:g}", "--seed", str(options.seed)]
     if options.lockstep:
         command.append("--lockstep")
@@ -359,7 +391,9 @@ def _reproduce(root: Path, scenario: Scenario, folder: Path, options: argparse.N
     if options.scenario:
         command += ["--scenario", str(folder / "faults.json")]
     command += [f"--{name}={value:g}" for name in CONDITIONS if (value := getattr(options, name)) is not None]
+    by_hand = f"{given}, given in the live view; to have them again, add --scenario {shlex.quote(str(folder / GIVEN))}"
     return {
+        **({"faults by hand": by_hand} if given else {}),
         "command": options.invoked_as or shlex.join([*command, "--out", str(folder)]),
         "program": f"{scenario.source}, hash {scenario.program_hash}",
         "scenario": f"{FILE}, SHA-256 {hashlib.sha256((root / FILE).read_bytes()).hexdigest()}",

@@ -12,11 +12,12 @@ from targets.sim.schedule import Schedule
 
 class Medium(msgspec.Struct, frozen=True):
     """All links but those of `links` (sender, receiver) are as `all`; between robots of different `groups`, by pid,
-    nothing goes (empty: everything does)."""
+    nothing goes (empty: everything does), nor between the two of a pair of `cuts`, the lower pid first."""
 
     all: Conditions = Conditions()
     links: tuple[tuple[int, int, Conditions], ...] = ()
     groups: tuple[int, ...] = ()
+    cuts: tuple[tuple[int, int], ...] = ()
 
     def by_link(self) -> Mapping[tuple[int, int], Conditions]:
         """The conditions of `links` by sender and receiver."""
@@ -24,7 +25,8 @@ class Medium(msgspec.Struct, frozen=True):
 
     def cut(self, sender: int, receiver: int) -> bool:
         """Whether nothing goes from one pid to another."""
-        return bool(self.groups) and self.groups[sender] != self.groups[receiver]
+        apart = bool(self.groups) and self.groups[sender] != self.groups[receiver]
+        return apart or (bool(self.cuts) and (min(sender, receiver), max(sender, receiver)) in self.cuts)
 
 
 def medium(schedule: Schedule, names: Sequence[str]) -> Medium:

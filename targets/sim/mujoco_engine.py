@@ -22,6 +22,7 @@ import numpy as np
 
 from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.values import Point
+from targets.sim.bodies import Vector
 from targets.sim.contacts import FLOOR_FRICTION, OBSTACLE_FRICTION, TOUCHING, Moved, NoWindow, Solid, Touched
 from targets.sim.rigid import Array, rotations
 
@@ -70,6 +71,13 @@ class Mujoco:
         self._many += 1
         self._model = None
         return number
+
+    def move(self, obstacle: int, by: Vector) -> None:
+        """See contacts.Engine."""
+        for geom in self._spec.geoms:
+            if _owner(geom.name) == (-1, obstacle):
+                geom.pos = np.add(geom.pos, by)
+        self._model = None  # the world's own geoms have their places from the model's compilation
 
     def body(self, solid: Solid) -> int:
         """See contacts.Engine."""

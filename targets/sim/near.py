@@ -20,12 +20,21 @@ class Near:
     def __init__(self) -> None:
         self._lo = np.zeros((3, 0))
         self._hi = np.zeros((3, 0))
+        self._numbers = np.zeros(0, dtype=int)  # of the boxes' obstacles
+        self._many = 0  # obstacles
 
     def stand(self, obstacle: Obstacle) -> None:
         """One more obstacle."""
         for lo, hi in _boxes(obstacle):
             self._lo = np.column_stack((self._lo, lo))
             self._hi = np.column_stack((self._hi, hi))
+            self._numbers = np.append(self._numbers, self._many)
+        self._many += 1
+
+    def move(self, number: int, by: Vector) -> None:
+        """Move an obstacle by a vector (m)."""
+        self._lo[:, self._numbers == number] += np.array(by)[:, None]
+        self._hi[:, self._numbers == number] += np.array(by)[:, None]
 
     def to_floor(self, motions: Motions, reach: Array, seconds: float) -> Mask:
         """Which bodies may reach the floor within so many seconds. `reach` is how far a body extends (m)."""

@@ -90,6 +90,11 @@ class Run:
         """What companions marked so far, with times of the run's clock."""
         return self._marks
 
+    @property
+    def interrupted(self) -> bool:
+        """Whether the run is to end by a signal."""
+        return self._interrupts > 0
+
     def finish(self, why: str) -> None:
         """End the mission: `Outcome.ended` will say why."""
         self._finished = why

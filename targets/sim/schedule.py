@@ -10,21 +10,26 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import msgspec
 
 from koordgen.runtime.network import Conditions
 from targets.sim.bodies import Vector
-from targets.sim.scenario import Wind
+from targets.sim.scenario import MOST_OBSTACLES, Wind
 from targets.sim.upset import Positioning
 
 MOST_EVENTS = 1000
 Path = tuple[str | int, ...]
-Kind = Literal["partition", "crash", "restart", "freeze", "positioning", "battery", "lag", "wind"]
-KINDS: tuple[Kind, ...] = ("partition", "crash", "restart", "freeze", "positioning", "battery", "lag", "wind")
-LASTING = ("partition", "freeze")  # need `for`
-MOMENTARY = ("restart", "battery")  # know none
+Kind = Literal[
+    "partition", "cut", "restore", "network", "crash", "restart", "freeze", "continue", "positioning", "battery", "lag",
+    "wind", "obstacle",
+]  # fmt: skip
+KINDS: tuple[Kind, ...] = get_args(Kind)
+LASTING = ("partition",)  # need `for`
+MOMENTARY = ("restore", "restart", "continue", "battery", "obstacle")  # know none
+ENDS: Mapping[Kind, Kind] = {"restart": "crash", "continue": "freeze", "restore": "cut"}
+NETWORKED = ("partition", "cut", "restore", "network")
 PROBABILITIES = ("loss", "duplication", "reordering")
 CONDITIONS = ("loss", "delay", "jitter", "duplication", "reordering")
 MOST_SECONDS = 86_400.0
@@ -56,9 +61,10 @@ class Link(msgspec.Struct, frozen=True):
 
 
 class Event(msgspec.Struct, frozen=True):
-    """One fault, from `at` for `lasts` seconds (None: until the next of its kind, of a crash a restart). `robots` are
-    those that it concerns; of the others only that of its kind is set: the groups that hear one another, the level (a
-    part of 1), the lag (s)."""
+    """One fault, from `at` for `lasts` seconds (None: until the next of its kind; a crash, a freeze and a cut until the
+    event that ENDS it). `robots` are those that it concerns; of the others only those of its kind are set: the groups
+    that hear one another, the level (a part of 1), the lag (s), the conditions of all links, the number of an obstacle
+    and the vector by which it moves (m, ENU)."""
 
     kind: Kind
     at: float
@@ -69,12 +75,15 @@ class Event(msgspec.Struct, frozen=True):
     level: float = 1.0
     lag: float = 0.0
     wind: Wind = Wind()
+    network: Conditions = Conditions()
+    number: int = 0
+    by: Vector = (0.0, 0.0, 0.0)
 
     @property
     def end(self) -> float:
         """Until when nothing else of its kind may begin."""
         if self.lasts is None:
-            return math.inf if self.kind == "crash" else self.at
+            return math.inf if self.kind in ENDS.values() else self.at
         return self.at + self.lasts
 
 
@@ -88,7 +97,7 @@ class Schedule(msgspec.Struct, frozen=True):
     @property
     def networked(self) -> bool:
         """Whether anything is done to what robots send one another."""
-        return self.network is not None or bool(self.links) or any(e.kind == "partition" for e in self.events)
+        return self.network is not None or bool(self.links) or any(e.kind in NETWORKED for e in self.events)
 
 
 def read(data: Any, robots: Sequence[str], duration: float = math.inf) -> tuple[Schedule, list[Mistake]]:
@@ -244,11 +253,19 @@ class _Form:
         match event.kind:
             case "partition":
                 return put(event, groups=self._groups(data, path, what), robots=self._robots)
-            case "crash" | "restart" | "freeze":
+            case "cut" | "restore":
+                pair = self._pair(data, path, what)
+                return None if pair is None else put(event, robots=pair)
+            case "network":
+                return put(event, network=Conditions(**self.conditions(data, path, "network")), robots=self._robots)
+            case "crash" | "restart" | "freeze" | "continue":
                 name = self.robot(data, path)
                 return None if name is None else put(event, robots=(name,))
             case "wind":
                 return put(event, wind=self._wind(data, path))
+            case "obstacle":
+                number, by = self._move(data, path, what)
+                return None if number is None or by is None else put(event, number=number, by=by)
         required = {"positioning": (), "battery": ("level",), "lag": ("seconds",)}[event.kind]
         optional = ("noise", "bias", "delay", "dropout") if event.kind == "positioning" else ()
         keys = self.table(data, path, f"{what}.{event.kind}", ("robot", *required), optional)
@@ -283,6 +300,27 @@ class _Form:
             self.tell("F005", path, f"{what} parts nobody from anybody", hint)
         return tuple(found)
 
+    def _pair(self, data: Any, path: Path, what: str) -> tuple[str, str] | None:
+        """Two robots of this fleet."""
+        if not isinstance(data, list) or len(data) != 2:
+            self.tell("F004", path, f"{path[-1]} of {what} must be two robots, such as [ann, bob]")
+            return None
+        one, other = (self.robot(name, (*path, k)) for k, name in enumerate(data))
+        if one is None or other is None:
+            return None
+        if one == other:
+            self.tell("F005", path, f"{what} names {one} twice")
+            return None
+        return one, other
+
+    def _move(self, data: Any, path: Path, what: str) -> tuple[int | None, Vector | None]:
+        keys = self.table(data, path, f"{what}.obstacle", ("number", "by"), ())
+        number, by = keys.get("number", 0), self.vector(keys.get("by", [0, 0, 0]), (*path, "by"), "by (metres)", 1000.0)
+        if type(number) is not int or not 0 <= number < MOST_OBSTACLES:
+            self.tell("F005", (*path, "number"), f"number must be that of an obstacle, from 0, not {number!r:.40}")
+            return None, None
+        return number, by
+
     def _positioning(self, keys: Mapping[str, Any], path: Path) -> Positioning:
         found: dict[str, Any] = {}
         if "bias" in keys:
@@ -305,26 +343,39 @@ class _Form:
         return Wind(**{key: value for key, value in found.items() if value is not None})
 
     def clashes(self, events: Sequence[Event | None]) -> None:
-        """Two faults of one kind on one robot at a time; crashes of a robot that is gone."""
+        """Two faults of one kind on one robot or one pair at a time; crashes of a robot that is gone."""
         known = [(number, event) for number, event in enumerate(events) if event is not None]
         known.sort(key=lambda pair: pair[1].at)
         busy: dict[tuple[str, str], tuple[int, Event]] = {}
         for number, event in known:
-            what = "crash" if event.kind == "restart" else event.kind
-            for name in event.robots if event.kind not in ("partition", "wind") else ("",):
+            what = ENDS.get(event.kind, event.kind)
+            for name in _subjects(event):
                 first = busy.get((what, name))
-                if event.kind != "restart" and first is not None and event.at < first[1].end:
+                if event.kind not in ENDS and first is not None and event.at < first[1].end:
                     whose = f" of {name}" if name else ""
                     self.tell(
                         "F006", ("events", number, "at"),
                         f"event {number}, {event.kind}{whose} at {event.at:g} s, begins while event {first[0]} "
                         f"({_shown(first[1])}) lasts",
-                        "a restart ends a crash" if what == "crash" else "let one end before the next begins",
+                        next((f"a {ending} ends a {ended}" for ending, ended in ENDS.items() if ended == what),
+                             "let one end before the next begins"),
                     )  # fmt: skip
-                if event.kind == "restart":
+                if event.kind in ENDS:
                     busy.pop((what, name), None)
                 else:
                     busy[what, name] = number, event
+
+
+def _subjects(event: Event) -> tuple[str, ...]:
+    """What an event acts on: of all events of one kind on one of these only one goes on at a time."""
+    match event.kind:
+        case "partition" | "wind" | "network":
+            return ("",)
+        case "cut" | "restore":
+            return (" and ".join(sorted(event.robots)),)
+        case "obstacle":
+            return (f"number {event.number}",)
+    return event.robots
 
 
 def _shown(event: Event) -> str:

@@ -64,7 +64,7 @@ class Slice:
 
 
 class Scenery:
-    """All that stands there and does not move."""
+    """All that stands there; obstacles are numbered from 0 in the order in which they came."""
 
     def __init__(self) -> None:
         self._obstacles: list[Obstacle] = []
@@ -75,6 +75,12 @@ class Scenery:
         self._obstacles.append(obstacle)
         self._last = None
 
+    def move(self, number: int, by: Vector) -> Obstacle:
+        """Move an obstacle by a vector (m); return it at its new place."""
+        self._obstacles[number] = moved = shifted(self._obstacles[number], Point(*by))
+        self._last = None
+        return moved
+
     def cut(self, z: float) -> Slice:
         """At a height (m). That of the last call is kept: cars always ask for the same."""
         if self._last is None or self._last[0] != z:
@@ -84,6 +90,19 @@ class Scenery:
                 _cut(obstacle, z, segments, circles)
             self._last = z, Slice(np.array(segments).reshape(-1, 4), np.array(circles).reshape(-1, 3))
         return self._last[1]
+
+
+def shifted(obstacle: Obstacle, by: Point) -> Obstacle:
+    """Return an obstacle moved by a vector (m)."""
+    match obstacle:
+        case Block(lo, hi):
+            return Block(lo + by, hi + by)
+        case Sphere(centre, radius):
+            return Sphere(centre + by, radius)
+        case Cylinder(base, radius, height):
+            return Cylinder(base + by, radius, height)
+        case Mesh(vertices, faces):
+            return Mesh(tuple(each + by for each in vertices), faces)
 
 
 def look(eyes: Sequence[Eye], scenery: Scenery, bodies: Bodies) -> list[Array]:

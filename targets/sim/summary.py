@@ -322,7 +322,8 @@ def warned(robot: str, warning: Warned) -> str:
 
 def _brought(cause: Cause) -> str:
     """A fault in one line."""
-    told = f"at {seconds(cause.t)} s {cause.what} ({', '.join(cause.robots)})"
+    who = f" ({', '.join(cause.robots)})" if cause.robots else ""
+    told = f"at {seconds(cause.t)} s {cause.what}{who}"
     return told + (f": {cause.detail}" if cause.detail else "") + (f", for {cause.lasts:g} s" if cause.lasts else "")
 
 

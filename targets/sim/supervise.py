@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import os
 import signal
 import subprocess
@@ -30,6 +31,9 @@ def overrides(
     """What is laid over a robot's settings.json: the devices and addresses of this run."""
     peers = [{"name": r.name, "host": "127.0.0.1", "port": p} for r, p in zip(robots, ports, strict=True)]
     return {
+        "robot": agent.robot.name,
+        "pid": agent.robot.pid,
+        "application_id": agent.application,  # with these three, the commands for real robots find those of the run
         "peers": peers,
         "bind": "",
         "network": {"transport": "unicast"},  # groups and endpoints are those of the real network
@@ -58,6 +62,16 @@ class Process(Agent):
         self._path = ""
         self._lives = [self.trace_file]  # a trace of each
         self._thaw: threading.Timer | None = None
+        self._stopped: subprocess.Popen[bytes] | None = None  # the process that is frozen
+
+    @property
+    def application(self) -> int:
+        """The fleet's application_id, from the bundle's settings; 0 of a bundle without any."""
+        try:
+            settings = msgspec.json.decode((self._bundle / "settings.json").read_bytes())
+        except FileNotFoundError:
+            return 0
+        return int(settings["application_id"])
 
     def launch(self, settings: dict[str, Any], command: list[str] | None = None, path: str = "") -> None:
         """Start the process: the bundle, or in its place `command` with `path` as PYTHONPATH. Raises OSError."""
@@ -95,6 +109,8 @@ class Process(Agent):
         self.told = True
         if self._process and self._process.poll() is None:
             self._process.send_signal(signal.SIGTERM)
+            if self._thaw is None:  # a freeze without an end ends here, else it would not come to rest
+                self.thaw()
 
     def kill(self) -> None:
         if self._process and self._process.poll() is None:
@@ -124,10 +140,25 @@ class Process(Agent):
         process = self._process
         if process is None or process.poll() is not None:
             return
+        self.thaw()  # a timer of an earlier life must not end this freeze
         process.send_signal(signal.SIGSTOP)
-        self._thaw = threading.Timer(seconds, process.send_signal, (signal.SIGCONT,))
-        self._thaw.daemon = True
-        self._thaw.start()
+        self._stopped = process
+        if seconds < math.inf:
+            self._thaw = threading.Timer(seconds, self.thaw)
+            self._thaw.daemon = True
+            self._thaw.start()
+
+    @property
+    def frozen(self) -> bool:
+        return self._stopped is not None and self._stopped.poll() is None
+
+    def thaw(self) -> None:
+        process, self._stopped = self._stopped, None
+        if self._thaw is not None:
+            self._thaw.cancel()
+            self._thaw = None
+        if process is not None:
+            process.send_signal(signal.SIGCONT)
 
     def close(self) -> None:
         """End it, and make one trace of all its lives. Idempotent."""

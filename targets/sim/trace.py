@@ -238,6 +238,14 @@ class Cause(msgspec.Struct, frozen=True, tag_field="kind", tag="cause"):
     lasts: float | None = None
 
 
+class Moved(msgspec.Struct, frozen=True, tag_field="kind", tag="moved"):
+    """An obstacle was moved, as a fault: its number in the header, and itself at its new place."""
+
+    t: float
+    number: int
+    obstacle: Obstacle
+
+
 class End(msgspec.Struct, frozen=True, tag_field="kind", tag="end"):
     """The mission's end: the agents were told to come to rest."""
 
@@ -250,7 +258,7 @@ class _Kind(msgspec.Struct):
     time: float | None = None
 
 
-Mark = Violation | Verdict | Cause | End
+Mark = Violation | Verdict | Cause | Moved | End
 Record = Header | Pose | Phase | Init | Round | View | Log | Stall | Stream | Monitor | Metrics | Mark
 _KINDS = {kind.__struct_config__.tag for kind in Record.__args__}
 _decoder = msgspec.json.Decoder(Record)

@@ -144,11 +144,18 @@ class World:
         return self.steps * STEP
 
     def obstacle(self, obstacle: Obstacle) -> int:
-        """Something that nothing moves; its number, from 0."""
+        """Something that no body moves; its number, from 0."""
         self._near.stand(obstacle)
         self._scenery.stand(obstacle)
         self.look_again()
         return self.engine.obstacle(obstacle)
+
+    def move(self, number: int, by: Vector) -> Obstacle:
+        """Move an obstacle by a vector (m), at once: it does not push what it passes. Return it at its new place."""
+        self._near.move(number, by)
+        self.engine.move(number, by)
+        self.look_again()
+        return self._scenery.move(number, by)
 
     def blow(self, wind: Wind) -> None:
         """From now on there is this wind."""

@@ -43,7 +43,7 @@ def test_a_right_one_is_plain_values() -> None:
         ("events:\n  - {at: 1, crash: ann}\n  - {at: 2, crash: zoe}", "F005", 3, 20, "no robot 'zoe'"),
         ("events:\n  - {at: 1, crash: ann}\n  - {at: 2, crash: ann}", "F006", 3, 10, "begins while event 0"),
         ("events:\n  - {at: 1, for: 1, restart: ann}", "F005", 2, 13, "a restart takes no time"),
-        ("events:\n  - {at: 1, freeze: ann}", "F003", 2, 5, "lacks 'for'"),
+        ("events:\n  - {at: 1, partition: [[ann]]}", "F003", 2, 5, "lacks 'for'"),
         ("events:\n  - at: 1\n    partition: [[ann], [ann]]\n    for: 1", "F006", 3, 25, "in two groups"),
         (
             "events:\n  - {at: 30, crash: ann}",

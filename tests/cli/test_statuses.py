@@ -22,6 +22,7 @@ MISSING = [
     f"build {APP} --fleet no.yaml", f"prove {APP} --fleet no.yaml", f"explore {APP} --fleet no.yaml",
     "validate geofence.koord --fleet no.yaml", f"campaign {APP} --fleet no.yaml --runs 1", f"sim {APP} --fleet no.yaml",
     "basestation no.yaml --system vicon --host h", "estop no.yaml", "status no.yaml", "status fleet.yaml --key no.key",
+    "dashboard no.yaml", "dashboard fleet.yaml --key no.key",
     "report no", "show no", "export no --to csv", "replay no",
     "audit no", "doctor no", f"explore {APP} --env no.yaml", f"sim {APP} {FLEET} --scenario no.yaml",
     f"sim {APP} {FLEET} --follow no", "prove geofence.koord --attack-from no",
@@ -39,7 +40,7 @@ USAGE = [f"{name} --no-such-option" for name in (*COMMANDS, *harnesses())] + [
     f"build {APP} --target boat", "explain K999", "help boat", "estop", "estop --address robot --key no.key",
     f"build {APP} {FLEET} --param nope=1", f"sim {APP} {FLEET} --param nope=1", f"prove {APP} --param nope=1",
     f"validate geofence.koord {FLEET} --param nope=1", "new no-name", "examples copy boat", "examples copy",
-    "docs boat", "docs fleet#boat",
+    "docs boat", "docs fleet#boat", "dashboard fleet.yaml --bind 0.0.0.0",
 ]  # fmt: skip
 
 

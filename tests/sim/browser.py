@@ -88,6 +88,10 @@ class Browser:
             time.sleep(0.05)
         return found
 
+    def mouse(self, kind: str, x: float, y: float) -> None:
+        """Press or release the left mouse button (`mousePressed`, `mouseReleased`) at a place of the window."""
+        self._call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
     def _call(self, method: str, **params: Any) -> Any:
         self._number += 1
         told: dict[str, Any] = {"id": self._number, "method": method, "params": params}

@@ -10,13 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.runtime.obstacles import Block, Mesh
+from koordgen.runtime.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.values import Point
 from targets.sim import contacts, quadrotor
 from targets.sim.bodies import BodyState, Vector
 from targets.sim.car import SimulatedCar
 from targets.sim.contacts import MUJOCO, PYBULLET, Engine, NoEngine, NoWindow, Solid, choose, make
 from targets.sim.quadrotor import SimulatedQuadrotor
+from targets.sim.sight import Eye
 from targets.sim.world import GRAVITY, STEP, World
 from tests.sim.engines import ENGINES, needs_both
 
@@ -330,3 +331,25 @@ def test_a_step_that_cannot_be_computed_ends_the_run_and_leaves_no_file(
     ((position, *_),) = another.step([(again, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))])
     another.close()
     assert position == pytest.approx((0.0, 0.0, 1.0)), "the next world knows nothing of it"
+
+
+SLAB = Block(Point(-1.0, -1.0, 0.0), Point(1.0, 1.0, 0.8))
+MOVABLE = [SLAB, faces(SLAB), Cylinder(Point(), 1.0, 0.8), Sphere(Point(), 0.8)]
+
+
+@pytest.mark.parametrize("obstacle", MOVABLE, ids=lambda each: type(each).__name__)
+def test_an_obstacle_that_was_moved_is_in_the_way_at_its_new_place_only(world: World, obstacle: Obstacle) -> None:
+    world.obstacle(Block(Point(8.0, 8.0, 0.0), Point(9.0, 9.0, 1.0)))
+    number = world.obstacle(obstacle)
+    there, gone = (SimulatedQuadrotor(world, (x, 0.0, 3.0), 0.0) for x in (4.0, 0.0))
+    (before,) = world.look([Eye((6.0, 0.0, 0.4), 4, 20.0)])
+    world.step()
+    moved = world.move(number, (4.0, 0.0, 0.25))
+    (after,) = world.look([Eye((6.0, 0.0, 0.4), 4, 20.0)])
+    assert before[2] - after[2] == pytest.approx(4.0, abs=0.2), "to the west, at another height of a round thing"
+    for _ in range(480):
+        world.step()
+    assert there.state().position[2] == pytest.approx(1.05, abs=0.03) or isinstance(obstacle, Sphere)
+    assert gone.state().position[2] == pytest.approx(0.0, abs=0.02)
+    assert isinstance(obstacle, Sphere) or world.touched().obstacles == {(0, number)}
+    assert type(moved) is type(obstacle) and moved != obstacle

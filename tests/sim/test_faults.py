@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,11 +12,13 @@ from typing import Any
 import pytest
 
 from koordgen.runtime.network import Conditions
-from targets.sim.faults import Faults, check_times, load, with_network
+from koordgen.runtime.obstacles import Sphere
+from koordgen.runtime.values import Point
+from targets.sim.faults import Faults, check_obstacles, check_times, load, with_network
 from targets.sim.medium import Medium
 from targets.sim.scenario import BadScenario, Wind
 from targets.sim.schedule import Schedule, read
-from targets.sim.trace import Cause
+from targets.sim.trace import Cause, Moved
 from targets.sim.upset import WELL, Upset
 
 ROBOTS = ("ann", "bob", "cem")
@@ -29,7 +32,7 @@ class FakeRun:
         self.now = LAUNCH
         self.zero: float | None = None
         self.done: list[tuple[float, Any]] = []
-        self.marks: list[Cause] = []
+        self.marks: list[Any] = []
         self.scenario = SimpleNamespace(
             robots=[SimpleNamespace(name=name) for name in ROBOTS], world=SimpleNamespace(wind=Wind())
         )
@@ -40,19 +43,24 @@ class FakeRun:
         self.upsets = [Upset() for _ in ROBOTS]
         self.stage = SimpleNamespace(
             actors=[SimpleNamespace(upset=upset) for upset in self.upsets],
-            world=SimpleNamespace(blow=lambda wind: self._do("blow", wind)),
+            world=SimpleNamespace(blow=lambda wind: self._do("blow", wind), move=self._move),
         )
 
     def _agent(self, name: str) -> Any:
         return SimpleNamespace(
             crash=lambda: self._do("crash", name), restart=lambda: self._do("restart", name),
-            freeze=lambda seconds: self._do("freeze", (name, seconds)), told=False,
+            freeze=lambda seconds: self._do("freeze", (name, seconds)), told=False, alive=True, crashed=False,
+            frozen=False, thaw=lambda: self._do("thaw", name),
         )  # fmt: skip
 
     def _do(self, *what: Any) -> None:
         self.done.append((round(self.now - ZERO, 6), what))
 
-    def mark(self, cause: Cause) -> None:
+    def _move(self, number: int, by: tuple[float, float, float]) -> Sphere:
+        self._do("move", (number, by))
+        return Sphere(Point(*by), 1.0)
+
+    def mark(self, cause: Any) -> None:
         self.marks.append(cause)
 
     def t(self, at: float) -> float | None:
@@ -105,6 +113,66 @@ def test_one_partition_may_follow_another_at_once() -> None:
     made = run(events=[{"at": 2, "for": 1, "partition": [["ann"], ["bob", "cem"]]},
                        {"at": 3, "for": 1, "partition": [["ann", "bob"], ["cem"]]}])  # fmt: skip
     assert [medium.groups for _, (_, medium) in made.done] == [(), (0, 1, 1), (), (0, 0, 1), ()]
+
+
+def test_links_are_cut_and_restored_beside_a_partition() -> None:
+    events = [
+        {"at": 1, "cut": ["cem", "ann"]},
+        {"at": 2, "for": 2, "partition": [["ann"], ["bob", "cem"]]},
+        {"at": 3, "restore": ["ann", "cem"]},
+        {"at": 5, "for": 1, "network": {"loss": 0.5}},
+    ]
+    made = run(events=events, links=[{"from": "ann", "to": "bob", "delay": 1}])
+    media = [medium for _, (_, medium) in made.done]
+    assert [(medium.groups, medium.cuts) for medium in media] == [
+        ((), ()), ((), ((0, 2),)), ((0, 1, 1), ((0, 2),)), ((0, 1, 1), ()), ((), ()), ((), ()), ((), ()),
+    ]  # fmt: skip
+    assert [medium.all.loss for medium in media] == [0, 0, 0, 0, 0, 0.5, 0]
+    assert media[5].links == ((0, 1, Conditions(loss=0.5, delay=1.0)),)
+    assert media[1].cut(0, 2) and media[1].cut(2, 0) and not media[1].cut(0, 1)
+    assert [(cause.what, cause.robots, cause.detail) for cause in made.marks[1:]] == [
+        ("cut", ("cem", "ann"), "between cem and ann"), ("partition", ROBOTS, "ann | bob, cem"),
+        ("restore", ("ann", "cem"), "between ann and cem"), ("network", ROBOTS, "loss 0.5, delay 0.001"),
+    ]  # fmt: skip
+
+
+def test_a_robot_is_frozen_until_it_continues_and_an_obstacle_moves() -> None:
+    events = [
+        {"at": 1, "freeze": "ann"},
+        {"at": 2, "continue": "ann"},
+        {"at": 3, "obstacle": {"number": 0, "by": [1, 0, 2]}},
+    ]
+    made = run(events=events)
+    assert made.done == [
+        (1.0, ("freeze", ("ann", math.inf))),
+        (2.0, ("thaw", "ann")),
+        (3.0, ("move", (0, (1.0, 0.0, 2.0)))),
+    ]
+    assert made.marks[2:] == [
+        Cause(ZERO + 3, "obstacle", (), "number 0 by (1, 0, 2) m"),
+        Moved(ZERO + 3, 0, Sphere(Point(1.0, 0.0, 2.0), 1.0)),
+    ]  # fmt: skip
+
+
+def test_an_obstacle_that_is_not_there_is_refused() -> None:
+    schedule, _ = read({"events": [{"at": 3, "obstacle": {"number": 2, "by": [1, 0, 0]}}]}, ROBOTS)
+    check_obstacles(schedule, 3)
+    with pytest.raises(BadScenario, match="there is no obstacle 2") as raised:
+        check_obstacles(schedule, 2)
+    assert raised.value.hint == "they are numbered 0 to 1"
+
+
+def test_an_open_schedule_takes_events_while_the_run_goes_on() -> None:
+    made = FakeRun()
+    faults = Faults(Schedule(), open=True)
+    made.through(faults, 3.0)
+    assert made.done == [(LAUNCH - ZERO, ("disturb", Medium()))], "the network can be disturbed later"
+    schedule, _ = read({"events": [{"at": 3, "crash": "bob", "for": 2}]}, ROBOTS)
+    faults.give(schedule.events[0], made.now)
+    assert made.done[1:] == [(3.0, ("crash", "bob"))] and made.marks[0].t == ZERO + 3
+    made.now += 2.0
+    faults.step(made.now, [])
+    assert made.done[2:] == [(5.0, ("restart", "bob"))]
 
 
 def test_a_network_of_which_nothing_is_said_is_left_alone() -> None:

@@ -50,6 +50,38 @@ def test_all_that_there_is() -> None:
     assert schedule.events[7].wind == Wind((1.0, 0.0, 0.0), 0.5, 2.0)
 
 
+def test_what_lasts_until_an_event_ends_it() -> None:
+    schedule = good(
+        events=[
+            {"at": 1, "cut": ["bob", "ann"]},
+            {"at": 1, "cut": ["bob", "cem"], "for": 2},
+            {"at": 1, "freeze": "ann"},
+            {"at": 2, "restore": ["ann", "bob"]},
+            {"at": 2, "continue": "ann"},
+            {"at": 3, "cut": ["ann", "bob"]},
+            {"at": 3, "freeze": "ann"},
+            {"at": 4, "network": {"loss": 0.5}},
+            {"at": 5, "obstacle": {"number": 2, "by": [1, 0, -0.5]}},
+        ]
+    )
+    assert schedule.networked and schedule.events[0].robots == ("bob", "ann")
+    assert schedule.events[7].network == Conditions(loss=0.5)
+    assert (schedule.events[8].number, schedule.events[8].by) == (2, (1.0, 0.0, -0.5))
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "said"),
+    [
+        ({"cut": ["ann", "bob"]}, {"cut": ["bob", "ann"]}, "a restore ends a cut"),
+        ({"freeze": "ann"}, {"freeze": "ann", "for": 1}, "a continue ends a freeze"),
+        ({"crash": "ann"}, {"crash": "ann"}, "a restart ends a crash"),
+    ],
+)
+def test_what_lasts_does_not_begin_again(first: Any, second: Any, said: str) -> None:
+    _, (mistake,) = read({"events": [{"at": 1, **first}, {"at": 2, **second}]}, ROBOTS)
+    assert mistake.code == "F006" and mistake.hint == said
+
+
 def test_a_partition_alone_concerns_the_network() -> None:
     assert good(events=[{"at": 0, "for": 1, "partition": [["ann"]]}]).networked
     assert not good(events=[{"at": 0, "crash": "ann"}]).networked
@@ -77,7 +109,15 @@ def test_a_partition_alone_concerns_the_network() -> None:
         ({"events": [{"at": 1, "crash": ["ann"]}]}, "F005", ("events", 0, "crash"), "no robot ['ann']"),
         ({"events": [{"at": 1, "crush": "ann"}]}, "F002", ("events", 0, "crush"), "did you mean 'crash'"),
         ({"events": [{"at": 1, "crash": "ann", "freeze": "bob"}]}, "F005", ("events", 0), "crash and freeze at once"),
-        ({"events": [{"at": 1, "freeze": "ann"}]}, "F003", ("events", 0), "lacks 'for': how many seconds the freeze"),
+        ({"events": [{"at": 1, "partition": [["ann"]]}]}, "F003", ("events", 0), "how many seconds the partition"),
+        ({"events": [{"at": 1, "cut": ["ann"]}]}, "F004", ("events", 0, "cut"), "two robots, such as [ann, bob]"),
+        ({"events": [{"at": 1, "cut": ["ann", "ann"]}]}, "F005", ("events", 0, "cut"), "names ann twice"),
+        ({"events": [{"at": 1, "restore": ["ann", "zoe"]}]}, "F005", ("events", 0, "restore", 1), "no robot 'zoe'"),
+        ({"events": [{"at": 1, "for": 1, "continue": "ann"}]}, "F005", ("events", 0, "for"), "continue takes no time"),
+        ({"events": [{"at": 1, "network": {"loss": 2}}]}, "F005", ("events", 0, "network", "loss"), "is 2"),
+        ({"events": [{"at": 1, "obstacle": {"number": -1, "by": [1, 0, 0]}}]}, "F005",
+         ("events", 0, "obstacle", "number"), "from 0, not -1"),
+        ({"events": [{"at": 1, "obstacle": {"number": 1}}]}, "F003", ("events", 0, "obstacle"), "lacks 'by'"),
         ({"events": [{"at": 1, "for": 0, "freeze": "ann"}]}, "F005", ("events", 0, "for"), "event 0.for"),
         ({"events": [{"at": 1, "for": 1, "restart": "ann"}]}, "F005", ("events", 0, "for"), "a restart takes no time"),
         ({"events": [{"at": 1, "for": 1, "partition": [["ann", "bob", "cem"]]}]}, "F005", ("events", 0, "partition"),

@@ -255,6 +255,8 @@ class Resident(Agent):
 
     def tell_end(self) -> None:
         self.told = True
+        if self._thawed == math.inf:
+            self.thaw()
         if self._machine is not None:
             with self._inside:
                 self._machine.end("SIGTERM: coming to rest")
@@ -281,6 +283,13 @@ class Resident(Agent):
 
     def freeze(self, seconds: float) -> None:
         self._thawed = self._shared.clock.now() + seconds
+
+    @property
+    def frozen(self) -> bool:
+        return self.alive and self._thawed > self._shared.clock.now()
+
+    def thaw(self) -> None:
+        self._thawed = min(self._thawed, self._shared.clock.now())
 
     def look(self) -> list[Record]:
         self._read()

@@ -43,7 +43,7 @@ class History:
         }
         self._of_robots["scans"] = [_Thinned(ALL_SCANS // robots) for _ in header.robots]
         self._near = _Thinned(ALL_OTHERS)
-        self._kept: Chunk = {"marks": [], "markers": []}
+        self._kept: Chunk = {"marks": [], "markers": [], "obstacles": []}
 
     def extend(self, chunk: Chunk) -> None:
         """Take in rows, each table's in the order of their times."""
@@ -64,7 +64,7 @@ class History:
                 case "near":
                     for row in rows:
                         self._near.add(row)
-                case "marks" | "markers":
+                case "marks" | "markers" | "obstacles":
                     self._kept[table] += rows[: max(0, ALL_OTHERS - len(self._kept[table]))]
                 case _:
                     for row in rows:

@@ -22,13 +22,13 @@ import msgspec
 
 from targets.sim.bodies import BodyState
 from targets.sim.crew import Agent
-from targets.sim.trace import Header, Init, Phase, Pose, Record, Round, Violation
+from targets.sim.trace import Header, Record
+from targets.sim.view.feed import Feed
 from targets.sim.view.rows import Rows
 
 if TYPE_CHECKING:
     from targets.sim.run import Run
 
-POSE_EVERY = 12  # steps, as in the trace
 SEND_EVERY = 0.1  # seconds of this host
 MOST_PENDING = 4 << 20  # bytes that the process has not taken yet
 START_WITHIN = 20.0  # seconds
@@ -38,12 +38,12 @@ SERVE = (sys.executable, "-m", "targets.sim.view.serve")
 
 
 @contextmanager
-def watched(header: Header, port: int | None) -> Iterator[Live | None]:
+def watched(header: Header, port: int | None, offer: dict[str, Any] | None = None) -> Iterator[Live | None]:
     """The live view while a run goes on, None without a port; its address goes to standard error. Raises OSError."""
     if port is None:
         yield None
         return
-    view = Live(header, port)
+    view = Live(header, port, offer)
     print(f"live: {view.url}", file=sys.stderr, flush=True)
     try:
         yield view
@@ -51,31 +51,29 @@ def watched(header: Header, port: int | None) -> Iterator[Live | None]:
         view.close("the run has failed")
 
 
-class Live:
-    """A run's companion. `url` is where the page is. Raises OSError when it is made, nothing later."""
+class Live(Feed):
+    """A run's companion. `url` is where the page is; `offer` is what its controls offer, None: there are none. Raises
+    OSError when it is made, nothing later."""
 
-    def __init__(self, header: Header, port: int) -> None:
-        self._header = header
+    def __init__(self, header: Header, port: int, offer: dict[str, Any] | None = None) -> None:
+        super().__init__(header)
         self._rows = Rows(header)
         self._pending = bytearray()
         self._next = 0.0
-        self._steps = 0
-        self._told = 0  # marks of the run
-        self._seen: set[tuple[str, tuple[int, int]]] = set()  # what the stage's watch has found
-        self._names = [robot.name for robot in header.robots]
-        self._begun = False
-        self._early: list[tuple[Agent, list[Record]]] = []  # heard before it was known when round 1 began
+        self.gone = False  # the process, or its end of the pipe
+        self._rest = b""
         # Its own group: Ctrl-C on the terminal ends the run, and that ends the view.
         self._process = subprocess.Popen(
             [*SERVE, str(port)],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": str(ROOT)},
-            start_new_session=True,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0,
+            env={**os.environ, "PYTHONPATH": str(ROOT)}, start_new_session=True,
         )  # fmt: skip
         assert self._process.stdin is not None and self._process.stdout is not None
         self._pipe = self._process.stdin.fileno()
         with suppress(OSError, AttributeError):
             fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, PIPE_SIZE)
-        self._put({"header": msgspec.to_builtins(header)})
+        self._commands = self._process.stdout.fileno()
+        self._put({"header": msgspec.to_builtins(header), "control": offer})
         with suppress(OSError):
             os.write(self._pipe, self._pending)
         self._pending.clear()
@@ -93,37 +91,26 @@ class Live:
             raise OSError(f"the live view cannot use port {asked}: {said['error']}; {way}")
         return int(said["port"])
 
-    def launched(self, run: Run) -> None:
-        self._run = run
-        self._launched = run.conduct.now()
+    def _take(self, record: Record, t: float) -> None:
+        self._rows.take(record, t)
 
-    def step(self, at: float, states: list[BodyState]) -> None:
-        """Poses at the rate of the trace's."""
-        self._steps += 1
-        if self._steps % POSE_EVERY != 1:
-            return
-        if not self._begun and self._run.zero is not None:
-            self._begin()
-        t = self._t(at)
-        for pid, state in enumerate(states):
-            self._rows.take(Pose(pid, state.position, state.yaw), t)
-        now = time.monotonic()
-        if now >= self._next:
-            self._next = now + SEND_EVERY
-            self._marks()
-            self._send()
+    def _anew(self) -> None:
+        self._rows = Rows(self._header)
+        self._put({"begin": True})
 
-    def heard(self, agent: Agent, records: list[Record]) -> None:
-        if not self._begun:
-            self._early.append((agent, [r for r in records if isinstance(r, (Init, Round))]))
-        for record in records:
-            if not isinstance(record, (Header, Violation)) and hasattr(record, "pid"):
-                own = msgspec.structs.replace(record, pid=agent.robot.pid)
-                self._rows.take(own, self._t(getattr(record, "time", 0.0)))
+    def commands(self, wait: float = 0.0) -> list[dict[str, Any]]:
+        """Return the commands that came from the page, at the latest after `wait` seconds. `gone`: none will come."""
+        if self.gone or not select.select([self._commands], [], [], wait)[0]:
+            return []
+        data = os.read(self._commands, 1 << 16)
+        self.gone = not data
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        return [json.loads(line) for line in lines]
 
-    def end(self, at: float) -> None:
-        self._marks()
-        self._send()
+    def report(self, state: dict[str, Any]) -> None:
+        """Tell the page the state of its controls, at once."""
+        self._put({"control": state})
+        self._write()
 
     def close(self, words: str) -> None:
         """The run is over; `words` say how, and where its report is. Returns within some seconds. Idempotent."""
@@ -135,50 +122,14 @@ class Live:
                 time.sleep(0.01)
         self._end()
 
-    def _t(self, at: float) -> float:
-        """Seconds since round 1, before that since the launch."""
-        t = self._run.t(at) if self._begun else None
-        return at - self._launched if t is None else t
-
-    def _begin(self) -> None:
-        """Round 1 has been heard of: from now on times count from it."""
-        self._begun = True
-        self._rows = Rows(self._header)
-        self._put({"begin": True})
-        for agent in self._run.conduct.agents:
-            self._rows.take(Phase(agent.phase.phase, agent.phase.detail, pid=agent.robot.pid), 0.0)
-        for agent, records in self._early:
-            self.heard(agent, records)
-        self._early.clear()
-
-    def _marks(self) -> None:
-        """What was found since the last time, by the stage's watch and by other companions."""
-        watch = self._run.stage.watch
-        for (i, j), close in watch.too_close.items():
-            if self._new("separation", (i, j)):
-                detail = f"{close.distance:.3f} m apart, less than {watch.min_separation:g} m"
-                self._violation(close.time, "separation", (i, j), detail)
-        for (i, j), at in watch.collisions.items():
-            if self._new("collision", (i, j)):
-                self._violation(at, "collision", (i, j), "their bodies touched")
-        for (i, number), at in watch.bumps.items():
-            if self._new("bump", (i, number)):
-                self._violation(at, "collision", (i,), f"touched obstacle {number}")
-        marks = self._run.marks
-        for mark in marks[self._told :]:
-            self._rows.take(mark, self._t(mark.t))
-        self._told = len(marks)
-
-    def _new(self, what: str, who: tuple[int, int]) -> bool:
-        known = (what, who) in self._seen
-        self._seen.add((what, who))
-        return not known
-
-    def _violation(self, at: float, what: str, pids: tuple[int, ...], detail: str) -> None:
-        t = self._t(at)
-        self._rows.take(Violation(t, what, tuple(self._names[pid] for pid in pids), detail), t)
-
     def _send(self) -> None:
+        now = time.monotonic()
+        if now >= self._next:
+            self._next = now + SEND_EVERY
+            self.flush()
+
+    def flush(self) -> None:
+        """See Feed."""
         chunk = self._rows.taken()
         if chunk and len(self._pending) < MOST_PENDING:
             self._put({"rows": chunk})
@@ -211,18 +162,30 @@ class Live:
 
 class Paced:
     """A companion of a run in lockstep that lets it go no faster than `factor` times real time, so that one can
-    watch."""
+    watch; None: as fast as it goes. `waited` is whether it ever held the run up."""
 
-    def __init__(self, factor: float) -> None:
-        self._factor = factor
+    def __init__(self, factor: float | None) -> None:
+        self.factor = factor
+        self.waited = False
 
     def launched(self, run: Run) -> None:
-        self._host, self._clock = time.monotonic(), run.conduct.now()
+        self._restart(run.conduct.now())
 
     def step(self, at: float, states: list[BodyState]) -> None:
-        ahead = (at - self._clock) / self._factor - (time.monotonic() - self._host)
+        ahead = 0.0
+        if self.factor is not None:
+            ahead = (at - self._clock) / self.factor - (time.monotonic() - self._host)
         if ahead > 0:
+            self.waited = True
             time.sleep(ahead)
+
+    def go(self, factor: float | None, at: float) -> None:
+        """From now on go as fast as that."""
+        self.factor = factor
+        self._restart(at)
+
+    def _restart(self, at: float) -> None:
+        self._host, self._clock = time.monotonic(), at
 
     def heard(self, agent: Agent, records: list[Record]) -> None:
         pass

@@ -17,9 +17,50 @@ from targets.sim.trace import Header
 from targets.sim.view.rows import Chunk
 
 FOLDER = Path(__file__).parent / "page"
+CONTROLS_SCRIPT = "controls.js"
 SCRIPTS = ("model.js", "draw.js", "views.js", "space.js", "timeline.js", "main.js")
 VENDOR = FOLDER / "vendor"
 
+# Of a live run that takes commands: controls.js fills and wires it.
+CONTROLS = """
+<section id="controls" aria-label="controls of the run">
+<div><b>Run</b> <button id="run-pause">pause</button> <button id="run-step">step one round</button>
+<select id="run-speed" aria-label="speed of the run"><option value="">as fast as it goes</option>
+<option value="0.25">¼ × real time</option><option value="0.5">½ × real time</option>
+<option value="1">1 × real time</option><option value="2">2 × real time</option>
+<option value="5">5 × real time</option><option value="10">10 × real time</option>
+</select> <output id="run-said" aria-live="polite"></output></div>
+<div class="faults">
+<span><b>Robot</b> <select id="fault-robot" aria-label="robot"></select> <button id="fault-crash">crash</button>
+<button id="fault-restart">restart</button> <button id="fault-freeze">freeze</button>
+<button id="fault-continue">continue</button></span>
+<span><b>Link</b> <select id="fault-one" aria-label="one robot"></select> –
+<select id="fault-other" aria-label="other robot"></select> <button id="fault-cut">cut</button>
+<button id="fault-restore">restore</button></span>
+<span><b>All links</b> loss <input id="fault-loss" value="20" inputmode="decimal"> %, delay
+<input id="fault-delay" value="0.001" inputmode="decimal"> s <button id="fault-network">set</button></span>
+<span><b>Wind</b> <input id="fault-wind-x" value="3" aria-label="east, m/s" inputmode="decimal">
+<input id="fault-wind-y" value="0" aria-label="north, m/s" inputmode="decimal">
+<input id="fault-wind-z" value="0" aria-label="up, m/s" inputmode="decimal"> m/s, gusts
+<input id="fault-gust" value="1" inputmode="decimal"> m/s <button id="fault-wind">blow</button></span>
+<span><b>Obstacle</b> <select id="fault-number" aria-label="number of the obstacle"></select> by
+<input id="fault-by-x" value="1" aria-label="east, m" inputmode="decimal">
+<input id="fault-by-y" value="0" aria-label="north, m" inputmode="decimal">
+<input id="fault-by-z" value="0" aria-label="up, m" inputmode="decimal"> m
+<button id="fault-obstacle">move</button></span>
+<span><b>Position</b> <select id="fault-lost" aria-label="robot without good positions"></select> off by
+<input id="fault-bias-x" value="1" aria-label="east, m" inputmode="decimal">
+<input id="fault-bias-y" value="0" aria-label="north, m" inputmode="decimal">
+<input id="fault-bias-z" value="0" aria-label="up, m" inputmode="decimal"> m, missing
+<input id="fault-dropout" value="0" inputmode="decimal"> % <button id="fault-positioning">set</button></span>
+<span><b>Motors</b> <select id="fault-slow" aria-label="robot with slow motors"></select> late by
+<input id="fault-seconds" value="0.2" inputmode="decimal"> s <button id="fault-lag">set</button></span>
+<span><b>Battery</b> <select id="fault-empty" aria-label="robot with a low battery"></select> at most
+<input id="fault-level" value="10" inputmode="decimal"> % <button id="fault-battery">set</button></span>
+<span>Faults last
+<input id="fault-for" value="" placeholder="until ended" aria-label="seconds" inputmode="decimal"> s</span>
+</div></section>
+"""
 PLAYER = """
 <div class="player">
 <button id="play" aria-label="play" title="play or pause (space)">▶</button>
@@ -92,21 +133,27 @@ not only because they waited for others.</figcaption></figure>
 """
 
 
-def page(title: str, header: Header, rows: Chunk, before: str, after: str, live: bool = False) -> str:
+def page(
+    title: str, header: Header, rows: Chunk, before: str, after: str, live: bool = False,
+    control: dict[str, Any] | None = None, more: tuple[str, ...] = (), facts: dict[str, Any] | None = None,
+) -> str:  # fmt: skip
     """The whole page; `before` and `after` are HTML that stands around the pictures. It asks for nothing from anywhere,
-    but a live one for the events of the server that gave it."""
-    script = "\n".join((FOLDER / name).read_text(encoding="utf-8") for name in SCRIPTS)
+    but a live one for the events of the server that gave it. `control`: what the controls of a live run offer
+    (`lockstep`, `faults`), and the `token` of their commands; None: there are no controls. `more` names further scripts
+    of the page's folder, `facts` what they are given."""
+    files = (*SCRIPTS, *((CONTROLS_SCRIPT,) if control is not None else ()), *more)
+    script = "\n".join((FOLDER / name).read_text(encoding="utf-8") for name in files)
     digest, (packed, three) = _digest(script.encode()), _three()
     connect = "connect-src 'self'; " if live else ""
     scripts = f"script-src {digest} {three}"
     policy = f"default-src 'none'; {connect}img-src data:; style-src 'unsafe-inline'; {scripts}"
-    given = {"header": msgspec.to_builtins(header), "rows": rows, "live": live}
+    given = {"header": msgspec.to_builtins(header), "rows": rows, "live": live, "control": control, **(facts or {})}
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(title)}</title>\n<style>{(FOLDER / 'page.css').read_text(encoding='utf-8')}</style>\n"
-        f"</head>\n<body>\n{before}\n{PLAYER}\n{after}\n"
+        f"</head>\n<body>\n{before}\n{CONTROLS if control is not None else ''}{PLAYER}\n{after}\n"
         f'<script type="application/json" id="data">{_json(given)}</script>\n'
         f"<!-- three.js, packed by gzip:\n{(VENDOR / 'LICENSE').read_text(encoding='utf-8')}-->\n"
         f'<script type="application/gzip" id="three">{packed}</script>\n<script>{script}</script>\n'

@@ -15,6 +15,7 @@ sends them on. `page/model.js` reads them; numbers are rounded to what can be se
 | links | pid, t, [[peer, loss, delay p50, p99 (ms), silent (ms), repeats]], datagrams rejected |
 | near | t, distance of the closest pair (m), their pids |
 | marks | t, kind, what, robots' names, detail; of a cause that goes on how long (s) |
+| obstacles | t, number, the obstacle at the place to which it was moved |
 | markers | t, number, state (0 to do, 1 taken, 2 done); with the first one name, position, radius if it is of a list |
 """
 
@@ -38,6 +39,7 @@ from targets.sim.trace import (
     Log,
     Metrics,
     Monitor,
+    Moved,
     Phase,
     Pose,
     Record,
@@ -91,6 +93,8 @@ class Rows:
                 self._add("marks", [t, "end", why, [], ""])
             case Cause(what=what, robots=robots, detail=detail, lasts=lasts):
                 self._add("marks", [t, "cause", what, list(robots), detail, *(() if lasts is None else (lasts,))])
+            case Moved(number=number, obstacle=obstacle):
+                self._add("obstacles", [t, number, msgspec.to_builtins(obstacle)])
             case Verdict():
                 what = f"{f'{record.of} {record.name}'.strip()}: {record.outcome}"
                 detail = ", ".join(filter(None, (record.line, record.detail)))

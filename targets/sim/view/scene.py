@@ -43,7 +43,7 @@ def entity(at: int, name: str, frame: str = FRAME, **primitives: Any) -> Entity:
 
 def standing(header: Header, at: int) -> list[Entity]:
     """What does not move: obstacles, geofence, arena; and the robots' bodies, each in its own frame."""
-    found = [_obstacle(o, at, f"obstacle {k}") for k, o in enumerate(header.obstacles)]
+    found = [obstacle(o, at, k) for k, o in enumerate(header.obstacles)]
     if header.geofence:
         found.append(_frame(at, "geofence", *header.geofence))
     if header.world.arena:
@@ -89,7 +89,9 @@ def _frame(at: int, name: str, lo: Iterable[float], hi: Iterable[float]) -> Enti
     return entity(at, name, lines=[_line(LINE_LIST, points, GREY, 0.02)])
 
 
-def _obstacle(obstacle: Obstacle, at: int, name: str) -> Entity:
+def obstacle(obstacle: Obstacle, at: int, number: int) -> Entity:
+    """The obstacle of a number."""
+    name = f"obstacle {number}"
     colour = rgba(STONE, 0.8)
     match obstacle:
         case Block(lo, hi):

@@ -8,6 +8,7 @@ const RED = "#B00020", INK = "#1d1d1f", DIM = "#5f6368", AMBER = "#b36b00", LINE
 const STATES = [["#6B4C9A", "to do"], ["#E69F00", "taken"], ["#1B7F4B", "done"]];
 const FONT = "12px system-ui, 'DejaVu Sans', sans-serif";
 
+const timeAxis = () => given.axis || "time since round 1 (s)";
 const colour = (pid) => COLOURS[pid % COLOURS.length];
 const dash = (pid) => DASHES[Math.floor(pid / COLOURS.length) % DASHES.length];
 
@@ -116,7 +117,7 @@ function coordinate(canvas, model, axis, span, now, height) {
   for (const robot of robots) for (const v of robot[axis]) { if (v < low) low = v; if (v > high) high = v; }
   if (!(low <= high)) [low, high] = [0, 1];
   const room = Math.max(0.25, (high - low) * 0.06), way = { x: "east", y: "north", z: "up" }[axis];
-  const labels = { xlabel: "time since round 1 (s)", ylabel: `${axis}, ${way} (m)` };
+  const labels = { xlabel: timeAxis(), ylabel: `${axis}, ${way} (m)` };
   const chart = frame(pen(canvas, height), span, [low - room, high + room], labels);
   for (const robot of robots) {
     const points = [], from = Math.max(0, upTo(robot.t, span[0])), to = upTo(robot.t, span[1]) + 2;
@@ -134,7 +135,7 @@ function lines(canvas, model, span, now, height, series, { ylabel, bound, crosse
   let high = bound > 0 ? 1.15 * bound : 0, low = 0;
   for (const { points } of series) for (const [, v] of points) { if (v > high) high = v; if (v < low) low = v; }
   if (high === low) high = low + 1;
-  const chart = frame(pen(canvas, height), span, [low, low + (high - low) * 1.08], { xlabel: "time since round 1 (s)", ylabel });
+  const chart = frame(pen(canvas, height), span, [low, low + (high - low) * 1.08], { xlabel: timeAxis(), ylabel });
   for (const { points, ink, lines, step } of series)
     stroke(chart.ctx, points.map(([t, v]) => [chart.x(t), chart.y(v)]), ink, { width: 1.8, lines, step });
   chart.ctx.fillStyle = RED;

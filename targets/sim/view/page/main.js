@@ -6,6 +6,7 @@ const model = new Model(given.header);
 const $ = (id) => document.getElementById(id);
 const state = { now: 0, playing: false, live: Boolean(given.live), zoom: 1, moved: true, due: 0 };
 const charts = {};
+let source = null; // of a live page's events
 
 function make(tag, words, attributes = {}) {
   const element = document.createElement(tag);
@@ -287,14 +288,15 @@ function follow(on) {
 // ---- live
 
 function listen() {
-  const source = new EventSource("events");
+  source = new EventSource("events");
   const hear = (name, act) => source.addEventListener(name, (event) => { act(JSON.parse(event.data)); refresh(); });
   $("status").textContent = "connecting";
   source.onopen = () => { $("status").textContent = ""; };
   source.onerror = () => { $("status").textContent = "no connection to the run"; };
   hear("whole", (chunk) => { Object.assign(model, new Model(given.header)); chips(); model.extend(chunk); });
   hear("rows", (chunk) => model.extend(chunk));
-  hear("over", ({ words }) => { source.close(); follow(false); $("status").textContent = words; });
+  if (given.control) hear("control", controlled);
+  hear("over", ({ words }) => { source.close(); follow(false); $("status").textContent = words; if (given.control) ended(); });
 }
 
 function wire() {

@@ -95,6 +95,19 @@ class Model {
     if (row[1] === "end") this.end = row[0];
   }
 
+  // Drops what is older than a time; what still holds stays: the last row before it of each series.
+  forget(before) {
+    const drop = (rows, end) => { let k = 0; while (k + 1 < rows.length && end(rows[k + 1]) < before) k++; rows.splice(0, k); };
+    for (const robot of this.robots) {
+      const k = Math.max(0, upTo(robot.t, before));
+      for (const key of ["t", "x", "y", "z", "yaw"]) robot[key].splice(0, k);
+      for (const table of ["rounds", "phases", "logs", "paths", "late", "links"]) drop(robot[table], (row) => row[1]);
+    }
+    for (const { series } of this.shared) for (const writes of series.values()) drop(writes, (write) => write.t);
+    for (const rows of [this.near, this.marks]) drop(rows, (row) => row[0]);
+    this.first = Math.max(this.first, before);
+  }
+
   // The obstacles where they stand at a time: a fault can move them.
   obstacles(t) {
     const found = [...(this.header.obstacles || [])];

@@ -10,7 +10,7 @@ const eventInk = (model, name) => EVENTS[Math.max(0, model.events.indexOf(name))
 function timeline(canvas, model, span, now) {
   const robots = model.robots, height = robots.length * ROW + 50;
   const area = pen(canvas, height), left = Math.min(150, 20 + Math.max(40, ...robots.map((r) => area.ctx.measureText(r.name).width)));
-  const chart = frame(area, span, [0, 1], { left, ys: 0, xlabel: "time since round 1 (s)", top: 10 });
+  const chart = frame(area, span, [0, 1], { left, ys: 0, xlabel: timeAxis(), top: 10 });
   chart.end();
   robots.forEach((robot, k) =>
     text(area.ctx, robot.name, left - 8, 10 + k * ROW + ROW / 2, { align: "right", base: "middle", ink: colour(robot.pid), font: "bold " + FONT }));

@@ -135,6 +135,7 @@ function body(chart, robot, px, py, yaw) {
   ctx.save();
   ctx.translate(px, py);
   ctx.rotate(-yaw);
+  ctx.globalAlpha = robot.silent ? 0.35 : 1; // where it was last
   ctx.setLineDash([]);
   ctx.fillStyle = colour(robot.pid);
   ctx.strokeStyle = "#fff";
@@ -172,14 +173,14 @@ function flies(robot) {
 function names(chart, placed) {
   const taken = [];
   for (const { robot, px, py } of placed) {
-    const wide = chart.ctx.measureText(robot.name).width + 4;
+    const words = robot.silent ? `${robot.name} (silent)` : robot.name, wide = chart.ctx.measureText(words).width + 4;
     const places = [[16, -10], [16, 16], [-16 - wide, -10], [-16 - wide, 16], [-wide / 2, -22], [-wide / 2, 30]];
     const boxes = places.map(([dx, dy]) => [px + dx, py + dy - 11, px + dx + wide, py + dy + 3]);
     const inside = (b) => b[0] > chart.left && b[2] < chart.width - chart.right && b[1] > chart.top && b[3] < chart.height - chart.bottom;
     const free = (b) => taken.every((o) => b[2] < o[0] || b[0] > o[2] || b[3] < o[1] || b[1] > o[3]);
     const k = Math.max(0, boxes.findIndex((b) => inside(b) && free(b)));
     taken.push(boxes[k]);
-    text(chart.ctx, robot.name, boxes[k][0], boxes[k][1] + 11, { ink: colour(robot.pid), halo: true, font: "bold " + FONT });
+    text(chart.ctx, words, boxes[k][0], boxes[k][1] + 11, { ink: colour(robot.pid), halo: true, font: "bold " + FONT });
   }
 }
 

@@ -1,0 +1,95 @@
+"""Access to the dashboard: the address it may be bound to, its certificate, and the token that a browser must send.
+
+On the loopback only programs of this computer reach it. At any other address everybody on the network does: there it
+needs TLS and a token.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+import secrets
+import ssl
+from pathlib import Path
+
+from koordgen.node import Node
+
+LOOPBACK = "127.0.0.1"
+SHORTEST_TOKEN = 32  # characters
+
+
+class Refused(Exception):
+    """The dashboard does not start like this; `help` says what to do. `usage`: the options are wrong, not a file."""
+
+    def __init__(self, message: str, help: str, usage: bool = False) -> None:
+        super().__init__(message)
+        self.help = help
+        self.usage = usage
+
+
+class Access(Node):
+    """The address, the TLS context (None: plain HTTP) and the token (empty: none is asked for)."""
+
+    host: str
+    tls: ssl.SSLContext | None
+    token: str
+
+
+def access(bind: str, port: int, cert: str | None, key: str | None, token: str | None) -> Access:
+    """Check the options of the command, and read or make the files they name. Raises Refused."""
+    tunnel = f"or leave out --bind and open an SSH tunnel from the other computer: ssh -L {port}:{LOOPBACK}:{port} "
+    tunnel += "USER@THIS_COMPUTER"
+    if bool(cert) != bool(key):
+        raise Refused("--tls-cert and --tls-key belong together", "give both, or none of them", usage=True)
+    if not _is_loopback(bind) and not (cert and key and token):
+        missing = [name for name, value in (("--tls-cert", cert), ("--tls-key", key), ("--token", token)) if not value]
+        message = f"--bind {bind}: everybody on that network could open the dashboard; {', '.join(missing)} missing"
+        raise Refused(message, f"give {', '.join(missing)}, {tunnel}", usage=True)
+    context = _context(cert, key) if cert and key else None
+    return Access(bind, context, read_token(Path(token)) if token else "")
+
+
+def _is_loopback(bind: str) -> bool:
+    try:
+        return ipaddress.ip_address(bind).is_loopback
+    except ValueError:
+        return bind == "localhost"
+
+
+def _context(cert: str, key: str) -> ssl.SSLContext:
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    help = "a PEM certificate and its unencrypted PEM key are expected"
+    try:
+        context.load_cert_chain(cert, key, password=lambda: "")
+    except OSError as error:  # ssl.SSLError is one
+        raise Refused(f"{cert}, {key}: {error.strerror or error}", help) from None
+    return context
+
+
+def read_token(path: Path) -> str:
+    """Return the token in a file that only its owner can read; make the file where there is none. Raises Refused."""
+    try:
+        with path.open(encoding="ascii", errors="replace") as file:
+            mode = os.fstat(file.fileno()).st_mode & 0o777
+            token = file.read(4096).strip()
+    except FileNotFoundError:
+        return _new_token(path)
+    except OSError as error:
+        raise Refused(f"{path}: {error.strerror}", "name another file with --token") from None
+    if mode & 0o077:
+        raise Refused(f"{path} has mode {mode:04o}: other users can read it", f"chmod 600 {path}")
+    if len(token) < SHORTEST_TOKEN or not token.isascii() or not token.isprintable() or " " in token:
+        help = "delete it, and the command makes a new one"
+        raise Refused(f"{path} holds no token of at least {SHORTEST_TOKEN} printable characters", help)
+    return token
+
+
+def _new_token(path: Path) -> str:
+    token = secrets.token_urlsafe(32)
+    try:
+        with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
+            file.write(token + "\n")
+    except OSError as error:
+        raise Refused(f"{path}: {error.strerror}", "name another file with --token") from None
+    return token
