@@ -29,6 +29,7 @@ from tests.sim.canned import header
 from tests.sim.lockstep import built, digest, ran, summary
 from tests.sim.test_faults import ROBOTS, ZERO, FakeRun
 from tests.sim.test_live import asked, watched
+from tests.sim.test_stream import Client
 
 HEAD = header(["alice", "bert"])
 PAUSE = b'{"do": "pause"}'
@@ -257,12 +258,18 @@ def test_a_pause_ends_with_the_pages_server_and_with_the_run(tmp_path: Path) -> 
     assert not run.page.gone
 
 
-def test_faults_by_hand_in_real_time(tmp_path: Path) -> None:
-    with watched(tmp_path, "--duration", "2", "--no-report") as (process, port):
+def test_faults_by_hand_in_real_time_beside_a_stream(tmp_path: Path) -> None:
+    with watched(tmp_path, "--duration", "2", "--no-report", "--foxglove", "0") as (process, port):
+        assert process.stderr is not None
+        url = re.fullmatch(r"foxglove: ws://127\.0\.0\.1:(\d+)\n", process.stderr.readline())
+        assert url is not None
+        with Client(int(url[1])) as client:
+            client.until("/tf")
+            assert client.next()[2]["child_frame_id"] in ("r0", "r1")
         (token,) = re.findall(r'"token":"([\w-]+)"', asked(port, "/").read().decode())
         headers = {HEADER: token, "Content-Type": "application/json"}
         said: list[str] = []
-        sent = [{"do": "pause"}, {"do": "fault", "event": {"crash": "r1"}}]
+        sent = [{"do": "pause"}, *({"do": "fault", "event": event} for event in ({"crash": "r1"}, {"freeze": "r0"}))]
         for line in asked(port, "/events"):
             if line.startswith(b"event: "):
                 name = line.split()[1]
@@ -271,10 +278,10 @@ def test_faults_by_hand_in_real_time(tmp_path: Path) -> None:
             elif line.startswith(b"data: ") and name == b"rows" and b'"rounds"' in line:
                 while sent:
                     assert posted(port, "/control", json.dumps(sent.pop(0)).encode(), headers) == 204
-    assert process.returncode == 0
+    assert process.returncode == 0, "a freeze without an end ends with the mission"
     assert said[0] == f"pause: {REAL_TIME}" and said[1].startswith("crash r1, at ")
-    (cause,) = summary(tmp_path / "out")["causes"]
-    assert (cause["what"], cause["robots"]) == ("crash", ["r1"])
+    causes = summary(tmp_path / "out")["causes"]
+    assert [(cause["what"], cause["robots"]) for cause in causes] == [("crash", ["r1"]), ("freeze", ["r0"])]
     assert f"--scenario {tmp_path / 'out' / GIVEN}" in summary(tmp_path / "out")["reproduce"]["faults by hand"]
 
 

@@ -32,8 +32,8 @@ Found = tuple[str, float, dict[str, Any]]
 class Client(WebSocket):
     """Reads topics of a server: what is advertised, and messages as topic, time (s) and value."""
 
-    def __init__(self, server: FoxgloveServer) -> None:
-        super().__init__(int(server.url.rpartition(":")[2]), PROTOCOL)
+    def __init__(self, port: int) -> None:
+        super().__init__(port, PROTOCOL)
         self.schemas: dict[str, str] = {}
         self._topics: dict[int, str] = {}
 
@@ -58,7 +58,7 @@ class Client(WebSocket):
 
 @pytest.fixture
 def client(server: FoxgloveServer) -> Iterator[Client]:
-    with Client(server) as made:
+    with Client(int(server.url.rpartition(":")[2])) as made:
         yield made
 
 

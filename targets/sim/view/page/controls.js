@@ -90,6 +90,7 @@ function offer() {
   $("run-step").onclick = () => command({ do: "step" });
   $("run-speed").onchange = () => command({ do: "speed", factor: $("run-speed").value ? Number($("run-speed").value) : null });
   for (const kind of Object.keys(FAULTS)) field(kind).onclick = () => fault(kind);
+  if (!given.control.lockstep) $("run-speed").options[0].textContent = "1 × real time";
   if (!given.control.lockstep) for (const id of ["run-pause", "run-step", "run-speed"]) disable($(id), RUN_CLOCK);
   if (!given.control.faults) for (const kind of Object.keys(FAULTS)) disable(field(kind), FOLLOWS);
   if (model.robots.length < 2) for (const kind of ["cut", "restore"]) disable(field(kind), "there is one robot, and no link");
