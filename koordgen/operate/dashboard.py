@@ -20,7 +20,7 @@ from koordgen.node import Node
 from koordgen.operate.status import Asked, ask_one, odd_releases
 
 EVERY = 0.25  # seconds from one question to a robot to the next
-WITHIN = 0.6  # seconds that an answer may take
+WITHIN = 0.5  # seconds that an answer may take
 
 Take = Callable[[int, Asked], None]
 

@@ -104,8 +104,8 @@ def test_the_page_shows_every_robot_and_stops_them_when_the_button_is_held(tmp_p
 
             fleet.robots[2].deaf = True
             browser.wait("$('summary').innerText", lambda text: "silent: robot02" in text)
-            row = browser.value(TABLE)[2]
-            assert row[:2] == ["robot02", "silent (was running)"] and float(row[2]) > FRESH and "no answer" in row[3]
+            old = browser.wait(TABLE, lambda rows: float(rows[2][2]) > FRESH and "no answer" in rows[2][3])
+            assert old[2][:2] == ["robot02", "silent (was running)"]
             assert browser.value("model.robots[2].silent") and browser.value("model.robots[2].t.length") > 0
 
             press(browser, release=True)
@@ -123,7 +123,7 @@ def test_the_page_shows_every_robot_and_stops_them_when_the_button_is_held(tmp_p
 
 
 def test_what_is_shown_of_20_robots_is_never_more_than_a_question_old(tmp_path: Path) -> None:
-    assert EVERY + WITHIN + TICK < 1.0 + WITHIN / 2, "an answer takes half of what it may take at most"
+    assert EVERY + WITHIN + TICK < 1.0, "seconds from a report until the next one is shown, at most"
     with StandIns(tmp_path, 20) as fleet:
         found = find_fleet(fleet.fleet, pytest.fail)
         poller = Poller(found, KEY, lambda pid, asked: board.take(pid, asked.report, asked.note))

@@ -103,8 +103,14 @@ def test_properties_goals_and_writes_are_told_when_they_change() -> None:
 
 
 @pytest.mark.parametrize(
-    "broken", [None, [], "x", {}, {"phase": 3, "round": 0}, {"phase": "running", "round": 1, "pose": [1, 2]}]
-)
+    "broken",
+    [
+        None, [], "x", {}, {"phase": 3, "round": 0}, {"phase": "running", "round": 1, "pose": [1, 2]},
+        {"phase": "\ud800", "round": 1}, {"phase": "running", "round": 10**400}, {"phase": "running", "round": -1},
+        {"phase": "running", "round": 1, "pose": {"position": [float("nan"), 0, 0]}},
+        {"phase": "running", "round": 1, "shared": [["x", "allread", 1, "\ud800"]]},
+    ],
+)  # fmt: skip
 def test_what_is_no_report_says_why(broken: Any) -> None:
     assert "cannot be read" in str(read_report(broken))
 

@@ -23,7 +23,7 @@ from urllib.parse import parse_qs
 import msgspec
 
 from targets.sim.trace import FORMAT, Header, RobotName
-from targets.sim.view.fleet_rows import FRESH, FleetRows, Latest, completed, read_report
+from targets.sim.view.fleet_rows import FRESH, FleetRows, Latest, Report, completed, read_report
 from targets.sim.view.guard import Guard
 from targets.sim.view.page import page
 from targets.sim.view.serve import Handler, Hub, Server
@@ -83,19 +83,25 @@ class Dashboard:
 
     def take(self, pid: int, plain: Mapping[str, Any] | None, note: str) -> None:
         """Take what came of a question to robot `pid`: its report, or None and why there is none. May be called from
-        any thread."""
+        any thread. An error of the dashboard itself is shown in that robot's row, and the others go on."""
         t = time.monotonic() - self._zero
         report = None if plain is None else read_report(plain)
         with self._lock:
             if report is None or isinstance(report, str):
                 self._rows.miss(pid, report or note, t)
                 return
-            header = completed(self._rows.header, report)
-            if header is not self._rows.header:
-                self._rows.renew(header)
-                self.hub.renew(header)
-                self._renewed += 1
-            self._rows.take(pid, report, note, t)
+            try:
+                self._take(pid, report, note, t)
+            except Exception as error:
+                self._rows.miss(pid, f"internal error of the dashboard: {type(error).__name__}: {error}", t)
+
+    def _take(self, pid: int, report: Report, note: str, t: float) -> None:
+        header = completed(self._rows.header, report)
+        if header is not self._rows.header:
+            self._rows.renew(header)
+            self.hub.renew(header)
+            self._renewed += 1
+        self._rows.take(pid, report, note, t)
 
     @property
     def version(self) -> str:

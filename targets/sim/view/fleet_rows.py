@@ -12,7 +12,7 @@ import math
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 
@@ -23,8 +23,9 @@ from targets.sim.view.rows import Chunk, Rows
 
 FRESH = 1.0  # seconds: a robot whose last report is older is silent
 LINKS_EVERY = 2.0  # seconds from one row of a robot's links to the next
-Lines = tuple[tuple[int, float, int, str, str], ...]
-Outcomes = tuple[tuple[int, int, Literal["event", "skipped", "fault"], str, tuple[float, ...]], ...]
+Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]  # a double holds it, as JavaScript must
+Lines = tuple[tuple[Count, float, Count, str, str], ...]
+Outcomes = tuple[tuple[Count, Count, Literal["event", "skipped", "fault"], str, tuple[float, ...]], ...]
 
 
 class Place(msgspec.Struct, frozen=True):
@@ -65,7 +66,7 @@ class Report(msgspec.Struct, frozen=True):
     """An agent's report (koordgen/runtime/agent.py); older agents lack fields that have a default here."""
 
     phase: str
-    round: int
+    round: Count
     app: str = ""
     release: str = ""
     boot: str = ""
@@ -77,11 +78,11 @@ class Report(msgspec.Struct, frozen=True):
     lines: Lines = ()
     outcomes: Outcomes = ()
     decided: float = 0.0
-    shared: tuple[tuple[str, Literal["allread", "allwrite"], int, Any], ...] = ()
+    shared: tuple[tuple[str, Literal["allread", "allwrite"], Count, Any], ...] = ()
     monitors: Monitored = Monitored()
     host: Computer = Computer()
-    rounds: int = 0
-    current: int = 0
+    rounds: Count = 0
+    current: Count = 0
     late_ms: dict[str, float] = {}
     rejected: dict[str, int] = {}
     peers: dict[str, dict[str, Any]] = {}
@@ -94,10 +95,10 @@ class Report(msgspec.Struct, frozen=True):
 
 
 def read_report(plain: Any) -> Report | str:
-    """Return a report, or why it is none."""
+    """Return a report, or why it is none. A report holds nothing that JSON cannot: no lone surrogate, no NaN."""
     try:
-        return msgspec.convert(plain, Report)
-    except msgspec.ValidationError as error:
+        return msgspec.json.decode(msgspec.json.encode(plain), type=Report)
+    except (msgspec.MsgspecError, ValueError, RecursionError) as error:
         return f"its report cannot be read: {error}"
 
 
