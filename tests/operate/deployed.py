@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from koordgen import cli
+from koordgen.bundle.write import SUMS, sums
 from tests.operate.ssh_hosts import SshFleet, SshHost, ssh_fleet
 
 PROGRAM = (Path(__file__).parents[2] / "examples/lineform/lineform.koord").read_text(encoding="utf-8")
@@ -48,6 +49,19 @@ class Deployed:
             login = self.ssh.hosts[host].login
             text += f'  - {{name: {robot}, target: quad, address: "127.0.0.1:{port}", host: "{login}"}}\n'
         self.fleet.write_text(text)
+
+    def planned(self, *_: object) -> tuple[dict[str, dict[str, bytes]], str]:
+        """Return bundles that do nothing, in place of those of a build: they load at once."""
+        bundles = {}
+        for robot in self.robots:
+            files = {
+                "__main__.py": b"import sys\nraise SystemExit(5 if '--status' in sys.argv else 0)\n",
+                "line.koord": self.program.read_bytes(),
+                "requirements.txt": b"",
+                "settings.json": json.dumps({"robot": robot, "insecure": False}).encode(),
+            }
+            bundles[robot] = {**files, SUMS: sums(files)}
+        return bundles, "line"
 
     def deploy(self, *options: str) -> int:
         """Run `koordgen deploy`; return the exit status."""
