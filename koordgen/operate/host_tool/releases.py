@@ -60,13 +60,6 @@ def read_release(folder: Folder, release: str, candidate: bool = False) -> Relea
     return parse_release(folder, document)
 
 
-def document(folder: Folder, release: str) -> dict[str, Any]:
-    """Return what a release was staged of: its release.json and its files."""
-    place = folder.release(release)
-    read_release(folder, release)
-    return {"release": read_json(place / _RELEASE), "files": read_json(place / _FILES) or {}}
-
-
 def readable(folder: Folder, ids: Iterable[str | None]) -> list[Release]:
     """Return those of the releases that are here in whole, as they will be once confirmed."""
     found = []
@@ -74,6 +67,13 @@ def readable(folder: Folder, ids: Iterable[str | None]) -> list[Release]:
         with suppress(ToolError):
             found += [] if release is None else [read_release(folder, release, candidate=True)]
     return found
+
+
+def describe(folder: Folder, release: str) -> dict[str, Any]:
+    """Return `release.json` of a release that is here, and the files of its bundles."""
+    read_release(folder, release)
+    place = folder.release(release)
+    return {"release": read_json(place / _RELEASE), "files": read_json(place / _FILES) or {}}
 
 
 def parse_release(folder: Folder, document: Any) -> Release:

@@ -220,7 +220,7 @@ def _stage(session: Session, request: Request) -> Answer:
 
 
 def _release(session: Session, request: Request) -> Answer:
-    return releases.document(session.folder, request["id"])
+    return releases.describe(session.folder, request["id"])
 
 
 def _verify(session: Session, request: Request) -> Answer:
