@@ -7,12 +7,15 @@ import json
 import os
 import subprocess
 import sys
+import time
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from hashlib import blake2s
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 from koordgen.operate.host_tool_archive import archive
 
@@ -230,3 +233,18 @@ def send(session: Session, kind: str, contents: Mapping[str, bytes]) -> None:
     """Store contents by name."""
     entries = [[name, digest(content), len(content)] for name, content in contents.items()]
     session.call("store", zlib.compress(b"".join(contents.values())), kind=kind, entries=entries)
+
+
+def wait(condition: Callable[[], Any], seconds: float = 60) -> None:
+    """Return once the condition holds."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "waited for too long"
+        time.sleep(0.05)
+
+
+def refused(call: Callable[..., Any], *arguments: Any, **named: Any) -> Refused:
+    """The error with which a call is refused."""
+    with pytest.raises(Refused) as caught:
+        call(*arguments, **named)
+    return caught.value
