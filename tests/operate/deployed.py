@@ -50,14 +50,18 @@ class Deployed:
             text += f'  - {{name: {robot}, target: quad, address: "127.0.0.1:{port}", host: "{login}"}}\n'
         self.fleet.write_text(text)
 
-    def planned(self, *_: object) -> tuple[dict[str, dict[str, bytes]], str]:
-        """Return bundles that do nothing, in place of those of a build: they load at once."""
+    def planned(
+        self, *_: object, requirements: str = "", needs: str = "sys"
+    ) -> tuple[dict[str, dict[str, bytes]], str]:
+        """Return bundles that do nothing, in place of those of a build: they load at once, if `needs` can be
+        imported."""
         bundles = {}
+        main = f"import sys, {needs}\nraise SystemExit(5 if '--status' in sys.argv else 0)\n"
         for robot in self.robots:
             files = {
-                "__main__.py": b"import sys\nraise SystemExit(5 if '--status' in sys.argv else 0)\n",
+                "__main__.py": main.encode(),
                 "line.koord": self.program.read_bytes(),
-                "requirements.txt": b"",
+                "requirements.txt": requirements.encode(),
                 "settings.json": json.dumps({"robot": robot, "insecure": False}).encode(),
             }
             bundles[robot] = {**files, SUMS: sums(files)}
