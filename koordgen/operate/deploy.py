@@ -159,12 +159,19 @@ def deploy(hosts: Sequence[Host], options: Options, built: Built, take_over: boo
 async def _with_crew(hosts: Sequence[Host], options: Options, say: Say, run: Callable[[Crew], Awaitable[Done]]) -> Done:
     say(f"connect: {len(hosts)} host{'s' if len(hosts) != 1 else ''}")
     began = time.monotonic()
-    async with sessions(hosts, options, archive()) as opened:
-        if opened.failed:
-            raise Failed(opened.failed)
-        crew = Crew(opened, say)
-        crew.seconds["connect"] = time.monotonic() - began
-        return await run(crew)
+    done: Done | None = None
+    try:
+        async with sessions(hosts, options, archive()) as opened:
+            if opened.failed:
+                raise Failed(opened.failed)
+            crew = Crew(opened, say)
+            crew.seconds["connect"] = time.monotonic() - began
+            done = await run(crew)
+    except asyncio.CancelledError:  # Ctrl-C before the switch, or when all is done
+        if done is None:
+            raise Failed(()) from None
+    assert done is not None
+    return done
 
 
 async def _begin(crew: Crew, what: str, service: str = "") -> dict[Host, Answer]:
@@ -352,7 +359,7 @@ def rollback(hosts: Sequence[Host], options: Options, to: str | None, key: bytes
         name = _common_release(inspected, to)
 
         async def check(session: Session) -> None:
-            await session.call("verify", id=name)
+            await session.call("verify", id=name, load=False)  # its bundles were loaded when it was deployed
             document = (await session.call("release", id=name))["release"]
             _refuse_robots(session.host, document)
             if document["key"] != key_id(key):
@@ -380,7 +387,7 @@ def _common_release(inspected: Mapping[Host, Answer], to: str | None) -> str:
                           "`koordgen deploy` builds and deploys any program") for host in lacking
             )  # fmt: skip
         return to
-    candidates = [name for name in common if confirmed != {name}]
+    candidates: list[str] = [name for name in common if confirmed != {name}]
     if not candidates:
         help = "`koordgen deploy` deploys the program that you want"
         message = "there is no release before the present one that all hosts of the fleet have"

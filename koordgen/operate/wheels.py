@@ -92,7 +92,7 @@ def wheel_set(requirements: str, platform: Platform, folder: Path | None) -> Whe
 def needed_lines(requirements: str, platform: Platform) -> list[str]:
     """Return the lines of a requirements.txt that apply to a platform, without their markers: pip would judge these by
     this computer's Python. Raises CannotFetch for a line that is not understood."""
-    found = {}
+    found: dict[str, None] = {}
     for line in filter(None, (each.partition("#")[0].strip() for each in requirements.splitlines())):
         try:
             found[requirement_for(line, (3, platform.python), platform.machine)] = None

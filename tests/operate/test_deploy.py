@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import fcntl
 import json
+import os
+import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -37,6 +39,24 @@ def test_real_bundles_on_three_hosts(fleet: Deployed, capfd: pytest.CaptureFixtu
     assert not (place(fleet.ssh.hosts["a"]) / "current/bert").exists()
     (key,) = (place(fleet.ssh.hosts["a"]) / "keys").iterdir()
     assert key.read_bytes() == fleet.key.read_bytes() and key.stat().st_mode & 0o777 == 0o600
+
+
+@pytest.mark.slow
+def test_real_bundles_on_twenty_hosts(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    names = [f"robot-{number:02}" for number in range(20)]
+    with deployed(tmp_path, {name: name for name in names}) as fleet:
+        capfd.readouterr()
+        assert fleet.deploy("--format", "json") == 0
+        (first,) = fleet.confirmed()
+        assert json.loads(capfd.readouterr().out)["release"] == first
+        fleet.write(version=2)
+        assert fleet.deploy("--format", "json") == 0
+        second = json.loads(capfd.readouterr().out)
+        assert fleet.confirmed() == {second["release"]} != {first}
+        assert all(host["sent_bytes"] < 100_000 for host in second["hosts"])
+        assert fleet.rollback("--format", "json") == 0
+        assert fleet.confirmed() == {first}
+        print(second["seconds"], json.loads(capfd.readouterr().out)["seconds"])
 
 
 @pytest.fixture
@@ -245,6 +265,38 @@ def test_rolling_back_to_what_is_not_there(standing: Deployed, capfd: pytest.Cap
     assert standing.rollback("--to", "0123456789abcdef") == 1
     told = capfd.readouterr().err
     assert "0123456789abcdef is not there" in told and "alice (" in told and "nothing was changed" in told
+
+
+@pytest.mark.parametrize("verb", ["missing", "switch", "prepare"])
+def test_an_interrupt_before_phase_two_reverts_all(
+    standing: Deployed, capfd: pytest.CaptureFixture[str], verb: str
+) -> None:
+    before = standing.states()
+    with interrupt_at(verb):
+        assert standing.deploy() == 130
+    assert "nothing was changed" in capfd.readouterr().err
+    assert standing.states() == before
+
+
+def test_an_interrupt_within_phase_two_comes_too_late(standing: Deployed, capfd: pytest.CaptureFixture[str]) -> None:
+    with interrupt_at("confirm"):
+        assert standing.deploy("--format", "json") == 0
+    assert standing.confirmed() == {json.loads(capfd.readouterr().out)["release"]}
+
+
+@contextmanager
+def interrupt_at(verb: str) -> Iterator[None]:
+    """Interrupt this process, as Ctrl-C does, when the host of bert is asked `verb`."""
+    call = Session.call
+
+    async def interrupting(session: Session, asked: str, data: bytes = b"", **arguments: Any) -> Answer:
+        if asked == verb and "bert" in session.host.robots:
+            os.kill(os.getpid(), signal.SIGINT)
+        return await call(session, asked, data, **arguments)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Session, "call", interrupting)
+        yield
 
 
 @contextmanager

@@ -224,7 +224,7 @@ def _release(session: Session, request: Request) -> Answer:
 
 
 def _verify(session: Session, request: Request) -> Answer:
-    return {"checked": releases.verify(session.folder, request["id"])}
+    return {"checked": releases.verify(session.folder, request["id"], request.get("load", True) is not False)}
 
 
 def _switch(session: Session, request: Request) -> Answer:
