@@ -48,7 +48,7 @@ FLOORS = {
     "fleet": BASE | {"located", "manifest", "medium", "obstacles", "mocap", "offered", "robots", "starts", "world"},
     "bundle": BASE | {"ir", "emit", "manifest", "medium", "fleet", "offered", "robots"},
     "estop": BASE | {"fleet", "robots", "runtime"},  # what people and agents say to one another
-    "operate": BASE | {"estop", "runtime"},
+    "operate": BASE | {"estop", "runtime", "audit", "replay", "bundle", "fleet", "ir"},
     "basestation": BASE | {"fleet", "manifest", "mocap", "robots", "runtime"},
     "doctor": BASE,
     "campaign": BASE | {"runtime"},  # how to install a package

@@ -209,8 +209,7 @@ def _scenario(these: Ingredients, fleet: Fleet, harness: Target) -> dict[str, An
         "source": these.program.path,
         **{k: facts[k] for k in ("program_hash", "application_id", "delta", "origin", "geofence", "obstacles")},
         "world": fleet.world.facts,
-        "shared": [{"name": v.name, "kind": v.kind, "type": str(v.type)} for v in these.program.shared],
-        "records": {str(r.type): [[name, str(t)] for name, t in r.type.fields] for r in these.program.records},
+        **store_facts(these.program),
         "drivers": _drivers(these),
         "harness": fleet.harness.get(harness.name) or {k: s.default for k, s in harness.settings.items()},
         "robots": [
@@ -226,6 +225,14 @@ def _scenario(these: Ingredients, fleet: Fleet, harness: Target) -> dict[str, An
             }
             for r in fleet.robots
         ],
+    }
+
+
+def store_facts(program: Program) -> dict[str, Any]:
+    """Return the shared variables and record types, as a scenario and the header of a run's trace have them."""
+    return {
+        "shared": [{"name": v.name, "kind": v.kind, "type": str(v.type)} for v in program.shared],
+        "records": {str(r.type): [[name, str(t)] for name, t in r.type.fields] for r in program.records},
     }
 
 
