@@ -38,17 +38,19 @@ FLOORS = {
     "verify": BASE | {"ir", "check", "semantics", "prove", "runtime"},
     "manifest": {"node", "resources"},
     "mocap": {"node", "located"},
+    "deployment": {"node", "located"},
     "mesh": {"node"},
     "obstacles": BASE | {"located", "mesh"},
     "medium": BASE | {"located"},
     "offered": {"node", "located", "manifest"},
-    "robots": {"node", "located", "manifest", "offered"},
+    "robots": {"node", "located", "deployment", "manifest", "offered"},
     "world": {"node", "located", "obstacles", "offered"},
     "starts": {"node", "located", "manifest", "obstacles", "robots", "world"},
-    "fleet": BASE | {"located", "manifest", "medium", "obstacles", "mocap", "offered", "robots", "starts", "world"},
+    "fleet": BASE
+    | {"located", "deployment", "manifest", "medium", "obstacles", "mocap", "offered", "robots", "starts", "world"},
     "bundle": BASE | {"ir", "emit", "manifest", "medium", "fleet", "offered", "robots"},
     "estop": BASE | {"fleet", "robots", "runtime"},  # what people and agents say to one another
-    "operate": BASE | {"estop", "runtime", "audit", "replay", "bundle", "fleet", "ir"},
+    "operate": BASE | {"audit", "bundle", "deployment", "estop", "fleet", "ir", "replay", "robots", "runtime"},
     "basestation": BASE | {"fleet", "manifest", "mocap", "robots", "runtime"},
     "doctor": BASE,
     "campaign": BASE | {"runtime"},  # how to install a package

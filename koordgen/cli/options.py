@@ -365,6 +365,16 @@ def _key(group: Group) -> None:
     group.add_argument("--key", metavar="FILE", help=where)
 
 
+def _ssh(command: Parser) -> None:
+    group = command.add_argument_group("ssh")
+    config = "configuration of SSH (default: ~/.ssh/config)"
+    group.add_argument("--ssh-config", metavar="FILE", help=config)
+    known = "host keys that are trusted (default: as SSH is configured, ~/.ssh/known_hosts)"
+    group.add_argument("--known-hosts", metavar="FILE", help=known)
+    identity = "your private key (default: as SSH is configured, or that of ssh-agent)"
+    group.add_argument("--identity", metavar="FILE", help=identity)
+
+
 def _quiet(group: Group) -> None:
     group.add_argument("--quiet", action="store_true", help="show no progress")
 
