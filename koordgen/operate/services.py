@@ -56,7 +56,9 @@ def confirmed(deployments: Mapping[Host, Mapping[str, Any]]) -> str:
     pending = {host: each["pending"]["id"] for host, each in deployments.items() if each["pending"]}
     if pending:
         named = "; ".join(f"{', '.join(host.robots)}: {id_[:8]}" for host, id_ in pending.items())
-        raise Refused(f"a release is not confirmed yet ({named})", f"wait for the deployment to end, or deploy again: {deploy}")
+        raise Refused(
+            f"a release is not confirmed yet ({named})", f"wait for the deployment to end, or deploy again: {deploy}"
+        )
     without = [robot for host, each in deployments.items() if not each["confirmed"] for robot in host.robots]
     if without:
         raise Refused(f"there is no release on {', '.join(without)}", deploy)
