@@ -60,11 +60,17 @@ COMMANDS: dict[str, Command] = {
         "koordgen replay run-lineform/robots/bert/trace.jsonl")),
     "audit": Command(AFTER, "judge a program's properties by the traces of a whole fleet", options.audit,
         "audit", ("koordgen audit run-lineform", "koordgen audit alice.jsonl bert.jsonl --program app.koord")),
+    "deploy": Command(ROBOTS, "build a fleet, and bring its release to all robots or to none", options.deploy,
+        "deploy", (f"koordgen deploy {_LINEFORM} {_FLEET}",
+        f"koordgen deploy {_LINEFORM} {_FLEET} --param laps=3")),
+    "rollback": Command(ROBOTS, "return all robots to the release before, or to another one that they still have",
+        options.rollback, "deploy#rollback", ("koordgen rollback fleet.yaml",
+        "koordgen rollback fleet.yaml --to 3f0c9b7d12ab45e6")),
     "doctor": Command(ROBOTS, "test whether a robot is ready for a mission, on its own computer; nothing moves",
         options.doctor, "cli#doctor", ("koordgen doctor build/lineform/alice",
         "koordgen doctor build/lineform/alice --format json")),
-    "key": Command(ROBOTS, "make a fleet's key", options.key, "safety", (
-        "koordgen key new fleet.key", "koordgen key new examples/lineform/fleet.key")),
+    "key": Command(ROBOTS, "make a fleet's key, or give a deployed fleet a new one", options.key, "safety", (
+        "koordgen key new fleet.key", "koordgen key rotate fleet.yaml")),
     "basestation": Command(ROBOTS, "send the poses of a motion capture system to the robots of a fleet",
         options.basestation, "cli#basestation", (
         "koordgen basestation fleet.yaml --system vicon --host 192.168.1.5",

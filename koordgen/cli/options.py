@@ -172,8 +172,37 @@ def doctor(command: Parser) -> None:
 
 def key(command: Parser) -> None:
     """Options of `koordgen key`."""
-    command.positional.add_argument("action", choices=("new",), help="`new` makes a key")
-    command.positional.add_argument("file", metavar="FILE", help="the key's file; an existing file is not overwritten")
+    action = "`new` makes a key; `rotate` gives a deployed fleet a new key, all robots or none"
+    command.positional.add_argument("action", choices=("new", "rotate"), help=action)
+    file = "new: the key's file, which must not exist yet; rotate: the fleet file (YAML)"
+    command.positional.add_argument("file", metavar="FILE", help=file)
+    _key(command.add_argument_group("rotate"))
+    _ssh(command)
+    _deployment_output(command)
+
+
+def deploy(command: Parser) -> None:
+    """Options of `koordgen deploy`."""
+    _program(command)
+    what = command.add_argument_group("what to deploy")
+    _fleet(what, "the fleet file (YAML), with a `host` for each robot", required=True)
+    _params(what)
+    _key(what)
+    over = "replace the release of another fleet, which a host has in this folder"
+    what.add_argument("--take-over", action="store_true", help=over)
+    _ssh(command)
+    _deployment_output(command)
+
+
+def rollback(command: Parser) -> None:
+    """Options of `koordgen rollback`."""
+    command.positional.add_argument("fleet", metavar="FLEET", type=values.fleet, help="the fleet file (YAML)")
+    what = command.add_argument_group("where to")
+    to = "a release that all robots still have (default: the one before the present one)"
+    what.add_argument("--to", metavar="ID", type=values.release, help=to)
+    _key(what)
+    _ssh(command)
+    _deployment_output(command)
 
 
 # Conditions of all links between robots; they replace those of the scenario.
@@ -373,6 +402,12 @@ def _ssh(command: Parser) -> None:
     group.add_argument("--known-hosts", metavar="FILE", help=known)
     identity = "your private key (default: as SSH is configured, or that of ssh-agent)"
     group.add_argument("--identity", metavar="FILE", help=identity)
+
+
+def _deployment_output(command: Parser) -> None:
+    output = command.add_argument_group("output")
+    _quiet(output)
+    _format(output)
 
 
 def _quiet(group: Group) -> None:

@@ -62,8 +62,9 @@ class Options(Node):
 class HostError(Exception):
     """One host refused a request, or cannot be reached.
 
-    `code` is the tool's own error code, or one of: "unreachable", "unknown key", "changed key", "refused key", "settings",
-    "python", "folder", "link", "tool". `message` does not name the host; the text of the exception does.
+    `code` is the tool's own error code, or one of: "unreachable", "unknown key", "changed key", "refused key",
+    "settings", "python", "folder", "refused", "link", "tool". `message` does not name the host; the text of the
+    exception does.
     """
 
     def __init__(self, host: Host, code: str, message: str, help: str = "") -> None:

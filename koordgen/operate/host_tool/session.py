@@ -1,0 +1,267 @@
+"""Session protocol: requests as JSON lines on the standard input, answers on the standard output.
+
+A request that carries data says `"length": N`, and N raw bytes follow its line. An answer with `length` is followed by
+data in the same way. A session ends with its input, or when no byte of a request has arrived for `idle` seconds.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import select
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+from . import agents, guardian, host, objects, releases
+from .deployment import Boot, Deployment
+from .folder import PIECE, Folder, ToolError, make_folder
+from .lock import SessionLock, deciding
+
+IDLE = 30.0  # seconds
+_LONGEST_LINE = 64 * 1024 * 1024  # bytes
+_LONGEST_WAIT = 3600.0  # seconds that a request may ask for
+
+Request = Mapping[str, Any]
+Answer = dict[str, Any]
+
+
+class _Ended(Exception):
+    """The other side is gone, or broke the protocol."""
+
+
+class Channel:
+    """Requests and answers over two file descriptors."""
+
+    def __init__(self, source: int, sink: int, idle: float) -> None:
+        self._source, self._sink, self._idle = source, sink, idle
+        self._buffer = bytearray()
+        self._left = 0  # bytes of the present request's data that were not read
+
+    def request(self) -> dict[str, Any]:
+        """Raises _Ended when there is no other request."""
+        for _ in self.data():  # of a request that was refused before its data were read
+            pass
+        searched = 0
+        while (end := self._buffer.find(b"\n", searched)) < 0:
+            searched = len(self._buffer)
+            if searched > _LONGEST_LINE:
+                raise _Ended
+            self._receive()
+        line = bytes(self._buffer[:end])
+        del self._buffer[: end + 1]
+        try:
+            found = json.loads(line)
+            length = found.get("length", 0)
+        except (ValueError, AttributeError):
+            raise _Ended from None
+        if not isinstance(length, int) or length < 0:
+            raise _Ended
+        self._left = length
+        return dict(found)
+
+    def data(self) -> Iterator[bytes]:
+        """The data of the present request, in pieces."""
+        while self._left:
+            if not self._buffer:
+                self._receive()
+            piece = bytes(self._buffer[: min(self._left, PIECE)])
+            del self._buffer[: len(piece)]
+            self._left -= len(piece)
+            yield piece
+
+    def answer(self, answer: Answer, data: bytes = b"") -> None:
+        view = memoryview(json.dumps(answer).encode() + b"\n" + data)
+        while view:
+            try:
+                view = view[os.write(self._sink, view) :]
+            except OSError:
+                raise _Ended from None
+
+    def _receive(self) -> None:
+        ready, _, _ = select.select([self._source], [], [], self._idle)
+        piece = os.read(self._source, PIECE) if ready else b""
+        if not piece:
+            raise _Ended
+        self._buffer += piece
+
+
+class Verb(NamedTuple):
+    """Function of one kind of request. `locks`: only a session that holds the folder's lock may call it."""
+
+    run: Callable[[Session, Request], Answer]
+    locks: bool
+
+
+class Session:
+    """One conversation with the deploying side."""
+
+    def __init__(self, folder: Folder, boot: Boot, channel: Channel) -> None:
+        self.folder, self.boot, self.channel = folder, boot, channel
+        self.deployment = Deployment(folder, boot)
+        self.lock = SessionLock(folder)
+
+    def run(self) -> None:
+        """Answer requests until the other side is gone."""
+        try:
+            while True:
+                request = self.channel.request()
+                answer = self._answer(request)
+                data = answer.pop("data", b"")
+                self.channel.answer(answer | ({"length": len(data)} if "length" in answer else {}), data)
+        except _Ended:
+            pass
+        finally:
+            self.lock.release()
+
+    def _answer(self, request: Request) -> Answer:
+        verb = VERBS.get(str(request.get("verb")))
+        try:
+            if verb is None:
+                raise ToolError("bad request", f"{request.get('verb')!r}: no such request", "update koordgen")
+            if verb.locks and not self.lock.held:
+                raise ToolError("not locked", f"{request['verb']} needs the lock of the folder")
+            return {"ok": True, **verb.run(self, request)}
+        except ToolError as error:
+            return {"ok": False, "error": error.code, "message": error.message, "help": error.help}
+        except OSError as error:
+            return {"ok": False, **self._failure(error)}
+        except (KeyError, TypeError, ValueError) as error:
+            return {
+                "ok": False,
+                "error": "bad request",
+                "message": f"{request['verb']}: {type(error).__name__}: {error}",
+                "help": "",
+            }
+        except _Ended:
+            raise
+        except Exception:
+            return {"ok": False, "error": "internal", "message": traceback.format_exc(), "help": "report it"}
+
+    def _failure(self, error: OSError) -> Answer:
+        path = error.filename or self.folder.root
+        if error.errno == errno.EROFS:
+            return {
+                "error": "read-only",
+                "message": f"{path}: the disk of this host is read-only",
+                "help": "an SD card that fails becomes read-only: look at `dmesg`, then mount it for writing",
+            }
+        if error.errno in (errno.EACCES, errno.EPERM):
+            return {
+                "error": "no permission",
+                "message": f"{path}: this user may not write here",
+                "help": f"give the folder {self.folder.root} to the user that deploys",
+            }
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return {
+                "error": "no space",
+                "message": f"{path}: no space: {self.folder.free()} bytes are free",
+                "help": "delete files on this host, then try again",
+            }
+        return {"error": "failed", "message": f"{path}: {error.strerror or error}", "help": ""}
+
+
+def _seconds(request: Request, name: str = "seconds") -> float:
+    seconds = float(request[name])
+    if not 0 <= seconds <= _LONGEST_WAIT:
+        raise ToolError("bad request", f"{name}: {seconds} is not between 0 and {_LONGEST_WAIT:.0f} s")
+    return seconds
+
+
+def _ping(session: Session, request: Request) -> Answer:
+    return {}
+
+
+def _inspect(session: Session, request: Request) -> Answer:
+    try:
+        with deciding(session.folder):
+            session.deployment.repair()
+    except OSError:  # a full or read-only disk, which the answer shows
+        pass
+    return host.inspect(session.folder, session.boot, session.deployment)
+
+
+def _lock(session: Session, request: Request) -> Answer:
+    session.lock.take(str(request["owner"]), str(request["what"]))
+    with deciding(session.folder):
+        session.deployment.repair()
+        if session.deployment.read()["pending"] is None:
+            releases.clean(session.folder)
+    return {}
+
+
+def _missing(session: Session, request: Request) -> Answer:
+    return objects.missing(session.folder, request.get("objects", []), request.get("wheels", []))
+
+
+def _store(session: Session, request: Request) -> Answer:
+    return {"stored": objects.store(session.folder, request["kind"], request["entries"], session.channel.data())}
+
+
+def _key(session: Session, request: Request) -> Answer:
+    content = b""
+    for piece in session.channel.data():
+        content += piece
+        if len(content) > PIECE:
+            raise ToolError("bad request", "this is longer than any key")
+    releases.write_key(session.folder, request["id"], content)
+    return {}
+
+
+def _stage(session: Session, request: Request) -> Answer:
+    releases.stage(session.folder, request["release"], request["files"])
+    return {}
+
+
+def _verify(session: Session, request: Request) -> Answer:
+    return {"checked": releases.verify(session.folder, request["id"])}
+
+
+def _switch(session: Session, request: Request) -> Answer:
+    release, seconds = request["id"], _seconds(request)
+    with deciding(session.folder):
+        known = releases.readable(session.folder, (session.deployment.read()["confirmed"], release))
+        nonce = session.deployment.switch(release, seconds, lambda: agents.check_none_runs(session.folder, known))
+    guardian.start(session.folder, session.boot, nonce)
+    return {}
+
+
+def _prepare(session: Session, request: Request) -> Answer:
+    with deciding(session.folder):
+        session.deployment.prepare(request["id"])
+    return {}
+
+
+def _confirm(session: Session, request: Request) -> Answer:
+    with deciding(session.folder):
+        session.deployment.confirm(request["id"])
+    return {}
+
+
+def _revert(session: Session, request: Request) -> Answer:
+    with deciding(session.folder):
+        return {"changed": session.deployment.revert(request["id"])}
+
+
+VERBS = {
+    "ping": Verb(_ping, False),
+    "inspect": Verb(_inspect, False),
+    "lock": Verb(_lock, False),
+    "missing": Verb(_missing, False),
+    "store": Verb(_store, True),
+    "key": Verb(_key, True),
+    "stage": Verb(_stage, True),
+    "verify": Verb(_verify, True),
+    "switch": Verb(_switch, True),
+    "prepare": Verb(_prepare, True),
+    "confirm": Verb(_confirm, True),
+    "revert": Verb(_revert, True),
+}
+
+
+def serve(folder: Folder, boot: Boot, idle: float) -> int:
+    """Hold one session over standard input and output; returns the exit status."""
+    make_folder(folder.root, 0o700)
+    Session(folder, boot, Channel(0, 1, idle)).run()
+    return 0
