@@ -27,7 +27,6 @@ LOG = "log.txt"
 PART = ".part"
 AT_ONCE = 1 << 20  # bytes of one request
 OVERLAP = 512  # bytes that are fetched again, to see that a file is still the same one
-LINES = 2000  # log lines of one request
 
 
 class CannotCollect(Exception):
@@ -87,7 +86,8 @@ class Folder:
         return folder
 
     def known(self, robot: str) -> Mapping[str, Any]:
-        """Return what earlier collections noted of a robot's log: `next`, a cursor, and `size` in bytes."""
+        """Return what earlier collections noted of a robot's log: `next`, the time of
+        its last line by the host's clock, and `size` in bytes."""
         found = self._known.get(robot)
         return found if isinstance(found, dict) else {}
 
@@ -108,7 +108,9 @@ async def collect(
     `progress` is called with bytes as they arrive. Raises HostError, CannotCollect, OSError."""
     folder = into.robot(robot)
     answer = await session.call("traces", robot=robot)
-    sizes = {str(each["name"]): int(each["size"]) for each in answer["files"]}
+    place = f"traces/{robot}/"
+    listed = {str(each["file"]): int(each["size"]) for each in answer["files"]}
+    sizes = {file.removeprefix(place): size for file, size in listed.items() if file.startswith(place)}
     _must_be_plain(sizes, robot)
     fetched = await _recognise_current(session, robot, folder, sizes)
     for name in sorted(sizes, key=lambda each: (base_of(folder / each)[1] is None, len(each), each)):
@@ -192,7 +194,7 @@ async def _is_continued(session: Session, robot: str, name: str, path: Path, kno
 
 
 async def _bytes(session: Session, robot: str, name: str, offset: int, length: int) -> bytes:
-    answer = await session.call("fetch", robot=robot, file=name, offset=offset, length=length)
+    answer = await session.call("fetch", file=f"traces/{robot}/{name}", offset=offset, length=length)
     if len(answer.data) != length:
         what = f"{name} has become shorter while it was fetched"
         raise HostError(session.host, "fetch", what, "collect again: what was fetched stays")
@@ -210,14 +212,14 @@ async def _fetch_log(session: Session, robot: str, into: Folder, ahead: float) -
     with path.open("ab") as file:
         file.truncate(int(known.get("size", 0)))  # what was written after the last note is fetched again
         file.seek(0, os.SEEK_END)
-        cursor = known.get("next")
+        cursor = known.get("next", 0.0)
         while True:
-            answer = await session.call("logs", robot=robot, since=cursor, lines=LINES)
+            answer = await session.call("logs", robot=robot, since=cursor)
+            if not answer["lines"]:
+                return fetched
             data = "".join(f"{time - ahead:.3f} {text}\n" for time, text in answer["lines"]).encode()
             file.write(data)
             file.flush()
             fetched += len(data)
             cursor = answer["next"]
             into.note(robot, next=cursor, size=file.tell())
-            if len(answer["lines"]) < LINES:
-                return fetched

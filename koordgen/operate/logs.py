@@ -6,14 +6,17 @@ the clock between the request and its answer, so the quickest of some requests k
 
 from __future__ import annotations
 
+import asyncio
 import heapq
 import time
 from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 from koordgen.node import Node
-from koordgen.operate.hosts import Session
+from koordgen.operate.hosts import HostError, Session, Sessions
 
 ASKED = 5  # requests for a host's clock, of which the quickest counts
+EVERY = 0.3  # seconds from one question for new lines to the next
 
 
 class Line(Node):
@@ -73,9 +76,73 @@ class Follower:
 
     def ready(self, asked: float) -> list[Line]:
         """Return, in order, all lines until `asked`: the time at which the last questions to all robots began."""
-        by_robot: dict[str, list[Line]] = {}
-        for line in self._waiting:
-            by_robot.setdefault(line.robot, []).append(line)
-        ordered = merged(by_robot.values())
+        ordered = merged(_by_robot([self._waiting]))
         self._waiting = [line for line in ordered if line.time > asked]
         return [line for line in ordered if line.time <= asked]
+
+
+class Reader:
+    """Lines of all robots of one host, stamped by this computer's clock. Make it with `reader_of`."""
+
+    def __init__(self, session: Session, offset: Offset) -> None:
+        self.session = session
+        self._offset = offset
+        self._next: dict[str, float] = {}  # robot -> time of its last line, by the host's clock
+
+    async def last(self, count: int) -> list[Line]:
+        """Return the last `count` lines of each robot. Raises HostError."""
+        return [line for robot in self.session.host.robots for line in await self._read(robot, lines=count)]
+
+    async def new(self) -> list[Line]:
+        """Return the lines since those that were read last. Raises HostError."""
+        return [line for robot, at in self._next.items() for line in await self._read(robot, since=at)]
+
+    async def _read(self, robot: str, **which: Any) -> list[Line]:
+        answer = await self.session.call("logs", robot=robot, **which)
+        self._next[robot] = float(answer["next"])
+        return [Line(float(at) - self._offset.ahead, robot, str(text)) for at, text in answer["lines"]]
+
+
+async def reader_of(session: Session) -> Reader:
+    """Measure the host's clock, and return a reader of its robots' lines. Raises HostError."""
+    return Reader(session, await clock_offset(session))
+
+
+async def show_lines(
+    sessions: Sessions, count: int, follow: bool, show: Callable[[Line], None], lost: Callable[[HostError], None]
+) -> None:
+    """Show the last `count` lines of each robot, and with `follow` those that come, until no host is left. `lost` is
+    called for each host whose lines are missing from then on."""
+
+    async def ask(one: Callable[[Reader], Any]) -> list[list[Line]]:
+        results = await asyncio.gather(*map(one, readers.values()), return_exceptions=True)
+        for session, result in zip(list(readers), results, strict=True):
+            if isinstance(result, HostError):
+                lost(result)
+                del readers[session]
+            elif isinstance(result, BaseException):
+                raise result
+        return [result for result in results if not isinstance(result, BaseException)]
+
+    made, failed = await sessions.each(reader_of)
+    for error in (*sessions.failed, *failed):
+        lost(error)
+    readers: dict[Session, Reader] = {reader.session: reader for reader in made.values()}
+    for line in merged(_by_robot(await ask(lambda reader: reader.last(count)))):
+        show(line)
+    follower = Follower()
+    while follow and readers:
+        asked = time.time()
+        for lines in await ask(lambda reader: reader.new()):
+            follower.add(lines)
+        for line in follower.ready(asked):
+            show(line)
+        await asyncio.sleep(EVERY)
+
+
+def _by_robot(results: Iterable[Iterable[Line]]) -> list[list[Line]]:
+    found: dict[str, list[Line]] = {}
+    for lines in results:
+        for line in lines:
+            found.setdefault(line.robot, []).append(line)
+    return list(found.values())

@@ -73,8 +73,3 @@ def confirmed(deployments: Mapping[Host, Mapping[str, Any]]) -> str:
 
 def _robots(answers: Mapping[Host, Any]) -> tuple[str, ...]:
     return tuple(robot for host in answers for robot in host.robots)
-
-
-def in_order(robots: Sequence[str], of_fleet: Sequence[str]) -> list[str]:
-    """Return robots in the order of the fleet file."""
-    return [name for name in of_fleet if name in robots]

@@ -44,20 +44,20 @@ class FakeSession(Session):
 
     def answer_traces(self, robot: str) -> dict[str, Any]:
         files = sorted(self.traces[robot].iterdir())
-        return {"files": [{"name": path.name, "size": path.stat().st_size} for path in files]}
+        return {"files": [{"file": f"traces/{robot}/{path.name}", "size": path.stat().st_size} for path in files]}
 
-    def answer_fetch(self, robot: str, file: str, offset: int, length: int) -> Answer:
-        answer = Answer()
-        answer.data = (self.traces[robot] / file).read_bytes()[offset : offset + length]
+    def answer_fetch(self, file: str, offset: int, length: int) -> Answer:
+        answer, (_, robot, name) = Answer(), file.split("/")
+        answer.data = (self.traces[robot] / name).read_bytes()[offset : offset + length]
         self.fetched += len(answer.data)
         if self.fetched > self.cut_after:
             raise HostError(self.host, "link", "the link was cut during `fetch`", "run the command again")
         return answer
 
-    def answer_logs(self, robot: str, since: int | None, lines: int) -> dict[str, Any]:
-        start = since or 0
-        found = self.lines.get(robot, [])[start : start + lines]
-        return {"lines": [list(each) for each in found], "next": start + len(found)}
+    def answer_logs(self, robot: str, since: float | None = None, lines: int | None = None) -> dict[str, Any]:
+        found = [line for line in self.lines.get(robot, []) if since is None or line[0] > since]
+        found = found[:2] if lines is None else found[-lines:]
+        return {"lines": [list(line) for line in found], "next": found[-1][0] if found else since or 0.0}
 
 
 def reached(*sessions: FakeSession, failed: tuple[HostError, ...] = ()) -> Sessions:

@@ -129,7 +129,7 @@ def test_another_recording_is_never_mixed_with_this_one(alice: FakeSession, tmp_
 
 @pytest.mark.parametrize("name", ["../trace.jsonl", "passwd", "trace/../../x.jsonl"])
 def test_names_of_a_host_do_not_leave_the_folder(alice: FakeSession, tmp_path: Path, name: str) -> None:
-    alice.answer_traces = lambda robot: {"files": [{"name": name, "size": 3}]}  # type: ignore[method-assign]
+    alice.answer_traces = lambda robot: {"files": [{"file": f"traces/{robot}/{name}", "size": 3}]}  # type: ignore[method-assign]
     with pytest.raises(CannotCollect, match="which is no trace"):
         collected(alice, tmp_path / "run")
 
