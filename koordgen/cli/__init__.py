@@ -319,8 +319,8 @@ def _completion(options: Namespace) -> int:
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "help": _help, "completion": _completion, "check": _check, "dump": _dump, "build": _build,
     "prove": _prove, "explore": _explore, "fmt": _fmt, "explain": _explain, "estop": _estop,
-    "status": _status, "basestation": _basestation, "doctor": _doctor, "key": _deploy, "deploy": _deploy, "rollback": _deploy, "report": _afterwards,
-    "export": _afterwards, "show": _afterwards, "campaign": _campaign,
+    "status": _status, "basestation": _basestation, "doctor": _doctor, "key": _deploy,
+    "deploy": _deploy, "rollback": _deploy, "report": _afterwards, "export": _afterwards, "show": _afterwards, "campaign": _campaign,
     "replay": _replay, "validate": _validate, "audit": _audit, "docs": _docs, "new": _new, "examples": _examples,
 }  # fmt: skip
 

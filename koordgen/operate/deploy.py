@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from koordgen.node import Node
-from koordgen.operate.hosts import Answer, Host, HostError, Options, Session, Sessions, owner, sessions
 from koordgen.operate.host_tool_archive import archive
+from koordgen.operate.hosts import Answer, Host, HostError, Options, Session, Sessions, owner, sessions
 from koordgen.operate.release import (
     REQUIREMENTS,
     Bundles,
@@ -134,9 +134,7 @@ async def _completed(work: Coroutine[Any, Any, Any]) -> Any:
         raise Interrupted(task.result()) from None
 
 
-def deploy(
-    hosts: Sequence[Host], options: Options, built: Built, take_over: bool, say: Say
-) -> Done:
+def deploy(hosts: Sequence[Host], options: Options, built: Built, take_over: bool, say: Say) -> Done:
     """Bring all hosts to the release that was built. Raises Failed, Missed, NoHosts."""
 
     async def run(crew: Crew) -> Done:
@@ -158,9 +156,7 @@ def deploy(
     return asyncio.run(_with_crew(hosts, options, say, run))
 
 
-async def _with_crew(
-    hosts: Sequence[Host], options: Options, say: Say, run: Callable[[Crew], Awaitable[Done]]
-) -> Done:
+async def _with_crew(hosts: Sequence[Host], options: Options, say: Say, run: Callable[[Crew], Awaitable[Done]]) -> Done:
     say(f"connect: {len(hosts)} host{'s' if len(hosts) != 1 else ''}")
     began = time.monotonic()
     async with sessions(hosts, options, archive()) as opened:
@@ -216,9 +212,7 @@ def _refuse_state(host: Host, answer: Answer, before: float, after: float, servi
         raise HostError(host, "linger", message, help)
 
 
-async def _refuse_other_fleets(
-    crew: Crew, inspected: Mapping[Host, Answer], built: Built, take_over: bool
-) -> None:
+async def _refuse_other_fleets(crew: Crew, inspected: Mapping[Host, Answer], built: Built, take_over: bool) -> None:
     """Raises Failed when a host runs a release of another application, or of robots that this fleet does not have."""
     if take_over:
         return
@@ -239,9 +233,7 @@ async def _refuse_other_fleets(
         await crew.phase("compare", look, deployed)
 
 
-async def _wheel_sets(
-    crew: Crew, inspected: Mapping[Host, Answer], built: Built
-) -> dict[Host, WheelSet | None]:
+async def _wheel_sets(crew: Crew, inspected: Mapping[Host, Answer], built: Built) -> dict[Host, WheelSet | None]:
     """Return the wheels for each host; None where its interpreter has the packages already. Raises Failed."""
     if built.wheels == "host":
         return {each.host: None for each in crew.hosts}

@@ -69,6 +69,13 @@ def readable(folder: Folder, ids: Iterable[str | None]) -> list[Release]:
     return found
 
 
+def describe(folder: Folder, release: str) -> dict[str, Any]:
+    """Return `release.json` of a release that is here, and the files of its bundles."""
+    read_release(folder, release)
+    place = folder.release(release)
+    return {"release": read_json(place / _RELEASE), "files": read_json(place / _FILES) or {}}
+
+
 def parse_release(folder: Folder, document: Any) -> Release:
     if not isinstance(document, dict) or not isinstance(document.get("robots"), dict):
         raise ToolError("bad request", "a release is an object with `id`, `robots`, `key`, `venv`, `service`, `python`")

@@ -214,6 +214,10 @@ def _stage(session: Session, request: Request) -> Answer:
     return {}
 
 
+def _release(session: Session, request: Request) -> Answer:
+    return releases.describe(session.folder, request["id"])
+
+
 def _verify(session: Session, request: Request) -> Answer:
     return {"checked": releases.verify(session.folder, request["id"])}
 
@@ -252,6 +256,7 @@ VERBS = {
     "store": Verb(_store, True),
     "key": Verb(_key, True),
     "stage": Verb(_stage, True),
+    "release": Verb(_release, False),
     "verify": Verb(_verify, True),
     "switch": Verb(_switch, True),
     "prepare": Verb(_prepare, True),
