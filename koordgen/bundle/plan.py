@@ -27,7 +27,7 @@ Files = dict[str, bytes]
 # In each bundle of a fleet, the name of what was built together: agents of other releases are not listened to.
 RELEASE, RELEASE_SIZE = "RELEASE", 16  # bytes of the digest
 ZENOH = "eclipse-zenoh>=1.10"
-# In a harness's bundle and in what its run leaves: all that tells what a trace is of, so that it can be replayed.
+# In every bundle, and in what a run leaves: all that tells what a trace is of, so that it can be replayed.
 SOURCE, PARAMS = "source", "params.json"
 
 
@@ -90,6 +90,7 @@ def _agent(these: Ingredients, target: Target, text: bytes, robot: Robot | None)
         "program.py": text,
         "properties.py": _properties(these),
         program.path: these.source,
+        PARAMS: _json(dict(these.params)),
         "requirements.txt": _requirements(fleet, target),
         "README.md": render("README_agent.md", **values).encode(),
     }

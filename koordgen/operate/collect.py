@@ -7,6 +7,7 @@ agent begins anew (koordgen/runtime/trace_parts.py); it is recognised by its las
 
 from __future__ import annotations
 
+import asyncio
 import fcntl
 import json
 import os
@@ -17,8 +18,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
 
+from koordgen.bundle.plan import PARAMS
 from koordgen.node import Node
-from koordgen.operate.hosts import HostError, Session
+from koordgen.operate.hosts import HostError, Session, Sessions
+from koordgen.operate.logs import clock_offset
 from koordgen.operate.run_folder import ROBOTS, TRACE
 from koordgen.runtime.trace_parts import base_of, numbered
 
@@ -26,6 +29,7 @@ MARKER = ".koord-collect"  # what later collections need to know; a simulation n
 LOG = "log.txt"
 PART = ".part"
 AT_ONCE = 1 << 20  # bytes of one request
+_SOURCES = (".koord", "_functions.py")
 OVERLAP = 512  # bytes that are fetched again, to see that a file is still the same one
 
 
@@ -99,6 +103,57 @@ class Folder:
         self._marker.truncate()
         json.dump(self._known, self._marker)
         self._marker.flush()
+
+
+class Collection(Node):
+    """What there is of each robot, why others were missed, and the programs of the releases that hosts still have: of
+    each one its files by name, the newest release first."""
+
+    robots: dict[str, Collected]
+    missed: dict[str, HostError | CannotCollect | OSError]
+    programs: list[dict[str, bytes]]
+
+
+async def collect_all(sessions: Sessions, into: Folder, progress: Callable[[int], None]) -> Collection:
+    """Bring the traces and logs of all robots into the folder, hosts side by side."""
+    found: dict[str, Collected] = {}
+    missed: dict[str, HostError | CannotCollect | OSError] = {
+        robot: error for error in sessions.failed for robot in error.host.robots
+    }
+    programs: list[dict[str, bytes]] = []
+
+    async def of_host(session: Session) -> None:
+        for robot in session.host.robots:
+            try:
+                ahead = (await clock_offset(session)).ahead
+                found[robot] = await collect(session, robot, into, ahead, progress)
+                if not programs:
+                    programs.extend(await _programs(session, robot))
+            except (HostError, CannotCollect, OSError) as error:
+                missed[robot] = error
+
+    await asyncio.gather(*map(of_host, sessions.reached))
+    return Collection(found, missed, programs)
+
+
+async def _programs(session: Session, robot: str) -> list[dict[str, bytes]]:
+    """Return what a trace is replayed with, of each release that the host has: program, params, extern functions."""
+    deployment = (await session.call("inspect"))["deployment"]
+    found = []
+    for release in dict.fromkeys([deployment["confirmed"], *reversed(deployment["history"])]):
+        if release is None:
+            continue
+        files = (await session.call("release", id=release))["files"].get(robot, {})
+        wanted = [name for name in files if name == PARAMS or ("/" not in name and name.endswith(_SOURCES))]
+        found.append({name: await _whole(session, f"releases/{release}/{robot}/{name}") for name in wanted})
+    return found
+
+
+async def _whole(session: Session, file: str) -> bytes:
+    data = b""
+    while piece := (await session.call("fetch", file=file, offset=len(data), length=AT_ONCE)).data:
+        data += piece
+    return data
 
 
 async def collect(

@@ -5,15 +5,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from koordgen.audit.reading import found, opened
 from koordgen.audit.story import Mission, mission
-from koordgen.bundle.plan import store_facts
+from koordgen.bundle.functions import functions_file
+from koordgen.bundle.plan import PARAMS, SOURCE, store_facts
+from koordgen.check.params import BadParam, with_params
+from koordgen.emit.program import program_hash
 from koordgen.fleet import Fleet
 from koordgen.ir.decl import Program
+from koordgen.pipeline import Rejected, check_file
 from koordgen.replay.trace import BadTrace
 
 ROBOTS, TRACE = "robots", "trace.jsonl"
@@ -24,6 +30,41 @@ def flown(folder: Path) -> Mission:
     """Return the mission that the robots' traces in a run folder are of: the last one that all of them had a part in.
     Raises BadTrace."""
     return mission([opened(path) for path in found(folder / ROBOTS)])
+
+
+def write_source(folder: Path, programs: Iterable[Mapping[str, bytes]], wanted: str) -> Program | None:
+    """Write the program with the hash `wanted` into a run folder's `source/`, and return it; None where none of the
+    `programs` has it. What stands there already is used if it fits. Each program: its files by name. Raises OSError."""
+    source, made = folder / SOURCE, folder / f".{SOURCE}"
+    if (program := _fitting(source, wanted)) is not None:
+        return program
+    for files in programs:
+        shutil.rmtree(made, ignore_errors=True)
+        made.mkdir()
+        for name, data in files.items():
+            (made / name).write_bytes(data)
+        if (program := _fitting(made, wanted)) is not None:
+            shutil.rmtree(source, ignore_errors=True)
+            made.rename(source)
+            return program
+    shutil.rmtree(made, ignore_errors=True)
+    return None
+
+
+def _fitting(source: Path, wanted: str) -> Program | None:
+    """Return the program in a folder `source/` if it has the hash `wanted`."""
+    found = sorted(source.glob("*.koord"))
+    if len(found) != 1:
+        return None
+    try:
+        params = source / PARAMS
+        given = dict(json.loads(params.read_bytes())) if params.is_file() else {}
+        program = with_params(check_file(str(found[0])).program, given)
+    except (Rejected, BadParam, ValueError):  # of another version of the language
+        return None
+    functions = functions_file(program, source, None)
+    its = program_hash(program, functions.read_bytes() if functions and functions.is_file() else b"")
+    return program if its == wanted else None
 
 
 def write_trace(folder: Path, whole: Mission, program: Program, fleet: Fleet) -> None:

@@ -6,7 +6,7 @@ Stop is orderly: each agent gets SIGTERM and comes to rest in its own way (a qua
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from koordgen.node import Node

@@ -10,6 +10,7 @@ import errno
 import json
 import os
 import select
+import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
@@ -170,7 +171,7 @@ def _seconds(request: Request, name: str = "seconds") -> float:
 
 
 def _ping(session: Session, request: Request) -> Answer:
-    return {}
+    return {"clock": time.time()}
 
 
 def _inspect(session: Session, request: Request) -> Answer:
