@@ -335,8 +335,8 @@ _COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "status": _status, "basestation": _basestation, "doctor": _doctor, "key": _deploy,
     "start": _fleet_command, "stop": _fleet_command, "logs": _fleet_command, "collect": _fleet_command,
     "deploy": _deploy, "rollback": _deploy, "report": _afterwards, "export": _afterwards, "show": _afterwards,
-    "campaign": _campaign,
-    "replay": _replay, "validate": _validate, "audit": _audit, "docs": _docs, "new": _new, "examples": _examples,
+    "campaign": _campaign, "replay": _replay, "validate": _validate, "audit": _audit, "docs": _docs, "new": _new,
+    "examples": _examples,
 }  # fmt: skip
 
 

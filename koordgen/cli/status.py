@@ -81,7 +81,7 @@ def _hosts_of(options: Namespace, robots: Sequence[str]) -> Sequence[Host]:
 def _verdict(options: Namespace, answers: Sequence[Asked]) -> int:
     if odd := odd_releases(answers):
         help = "build once with one fleet file, and copy every robot's bundle; `koordgen deploy` does both"
-        raise cli.Failure(_silent_status(answers), f"{', '.join(odd)} have another release than the rest", help)
+        raise cli.Failure(_silent_status(answers), f"another release than the rest: {', '.join(odd)}", help)
     silent = [each for each in answers if each.report is None]
     if silent and all(each.host is not None and each.host.release and not each.host.running for each in silent):
         help = f"`koordgen start {options.fleet}` starts the agents"

@@ -41,9 +41,9 @@ def wait(condition: Callable[[], Any], seconds: float = 60) -> None:
         time.sleep(0.05)
 
 
-def refused(call: Callable[[], Any]) -> Refused:
+def refused(call: Callable[..., Any], *arguments: Any, **named: Any) -> Refused:
     with pytest.raises(Refused) as caught:
-        call()
+        call(*arguments, **named)
     return caught.value
 
 
@@ -106,7 +106,7 @@ def test_an_unconfirmed_release_never_starts_an_agent_and_goes_by_itself(host: F
         wait(lambda: host.current == first.id)  # the guardian's doing: the session does nothing
         wait(lambda: host.deployment == {"confirmed": first.id, "history": [first.id], "pending": None})
         for verb in ("prepare", "confirm"):
-            assert refused(lambda verb=verb: session.call(verb, id=second.id)).code == "expired"
+            assert refused(session.call, verb, id=second.id).code == "expired"
     assert host.runs == []
 
 
@@ -128,10 +128,10 @@ def test_a_release_can_be_reverted_until_it_is_confirmed(host: FakeHost, ports: 
         assert session.call("revert", id=second.id) == {"changed": True}
         assert session.call("revert", id=second.id) == {"changed": False}
         assert host.current == first.id and host.deployment["pending"] is None
-        assert refused(lambda: session.call("confirm", id=second.id)).code == "expired"
-        assert refused(lambda: session.call("revert", id=first.id)).code == "confirmed"
+        assert refused(session.call, "confirm", id=second.id).code == "expired"
+        assert refused(session.call, "revert", id=first.id).code == "confirmed"
         session.call("switch", id=second.id, seconds=60)
-        assert refused(lambda: session.call("confirm", id=second.id)).code == "not prepared"
+        assert refused(session.call, "confirm", id=second.id).code == "not prepared"
 
 
 @pytest.fixture
@@ -152,7 +152,7 @@ def test_a_switch_never_touches_a_running_agent(host: FakeHost, ports: dict[str,
         robots = session.call("inspect")["robots"]
         assert robots["bert"]["pid"] == launched[0].pid and not robots["alice"]["running"]
         second.put(session, "verify")
-        error = refused(lambda: session.call("switch", id=second.id, seconds=60))
+        error = refused(session.call, "switch", id=second.id, seconds=60)
         assert error.code == "in flight" and "bert (running)" in error.message and "alice" not in error.message
         assert host.current == first.id and host.deployment["pending"] is None
         other = host.launch("bert")
@@ -174,14 +174,14 @@ def test_an_agent_that_somebody_started_by_hand_is_found_by_its_port(
             subprocess.Popen([sys.executable, str(bundle), "--settings", str(overlay)], stderr=subprocess.PIPE)
         )
         wait(lambda: session.call("inspect")["robots"]["alice"]["running"])
-        assert refused(lambda: session.call("switch", id=release.id, seconds=9)).code == "in flight"
+        assert refused(session.call, "switch", id=release.id, seconds=9).code == "in flight"
 
 
 def test_the_lock_names_its_owner_and_ends_with_its_process(host: FakeHost) -> None:
     with host.session() as one, host.session() as two:
-        assert refused(lambda: one.call("stage", release={}, files={})).code == "not locked"
+        assert refused(one.call, "stage", release={}, files={}).code == "not locked"
         one.call("lock", owner="anna@laptop", what="deploy")
-        error = refused(lambda: two.call("lock", owner="ben@desk", what="rollback"))
+        error = refused(two.call, "lock", owner="ben@desk", what="rollback")
         assert error.code == "locked" and "anna@laptop works here since 0 s (deploy, process" in error.message
         one.process.kill()
         one.process.wait()
@@ -196,26 +196,26 @@ def test_a_damaged_release_is_found_and_staged_again(host: FakeHost, ports: dict
         path = host.folder / "releases" / release.id / "bert" / "lib" / "program.py"
         path.chmod(0o644)
         path.write_text("TEXT = 'another'\n")
-        assert "lib/program.py" in refused(lambda: session.call("verify", id=release.id)).message
+        assert "lib/program.py" in refused(session.call, "verify", id=release.id).message
         assert release.store(session) == 1  # the object is the same file on the disk
         release.stage(session)
         assert session.call("verify", id=release.id) == {"checked": 6}
         (path.parent / "json.py").write_text("raise SystemExit(7)")
-        assert "bert: lib/json.py" in refused(lambda: session.call("verify", id=release.id)).message
+        assert "bert: lib/json.py" in refused(session.call, "verify", id=release.id).message
         (host.folder / "keys" / f"{KEY_ID}.key").chmod(0o644)
         release.stage(session)
-        assert refused(lambda: session.call("verify", id=release.id)).code == "no key"
+        assert refused(session.call, "verify", id=release.id).code == "no key"
 
 
 def test_a_bundle_that_does_not_load_is_refused(host: FakeHost, ports: dict[str, int]) -> None:
     with host.session() as session:
         release = FakeRelease("one", ports, help=3)
         release.put(session, "stage")
-        error = refused(lambda: session.call("verify", id=release.id))
+        error = refused(session.call, "verify", id=release.id)
         assert error.code == "does not run" and "(status 3)" in error.message
         release.document["python"] = "python-that-is-not-there"
         release.stage(session)
-        assert refused(lambda: session.call("verify", id=release.id)).code == "no python"
+        assert refused(session.call, "verify", id=release.id).code == "no python"
 
 
 def test_a_refused_change_of_the_interpreter_leaves_the_confirmed_release_as_it_was(
@@ -226,7 +226,7 @@ def test_a_refused_change_of_the_interpreter_leaves_the_confirmed_release_as_it_
         release.put(session)
         release.document["python"] = "python-that-is-not-there"
         release.stage(session)
-        assert refused(lambda: session.call("verify", id=release.id)).code == "no python"
+        assert refused(session.call, "verify", id=release.id).code == "no python"
     with host.session() as session:
         session.call("lock", owner="anna@laptop", what="rollback")
         assert session.call("verify", id=release.id) == {"checked": 6}
@@ -240,10 +240,9 @@ def test_paths_stay_inside_a_bundle(host: FakeHost, ports: dict[str, int], name:
         some = next(iter(release.contents))
         files = release.files
         files["alice"][name] = [some, 0o644]
-        call = lambda: session.call("stage", release=release.document, files=files)  # noqa: E731
         if name in (7, None):  # JSON has only texts as names
             files["alice"] = {"__main__.py": [name, 0o644]}
-        assert refused(call).code == "bad request"
+        assert refused(session.call, "stage", release=release.document, files=files).code == "bad request"
     assert sorted(p.name for p in host.root.iterdir()) == ["boot_id", "fleet", "tool.pyz"]
 
 
@@ -254,18 +253,18 @@ def test_names_in_requests_are_checked(host: FakeHost, ports: dict[str, int]) ->
         for name in ("../x", "Alice", "", "state", "a" * 33, "a/b"):
             document = release.document | {"robots": {name: {}}}
             files = {name: release.files["alice"]}
-            assert refused(lambda d=document, f=files: session.call("stage", release=d, files=f)).code == "bad request"
+            assert refused(session.call, "stage", release=document, files=files).code == "bad request"
         for bad in ("../../etc", "0123", "g" * 16, None, 5):
             for verb in ("verify", "prepare", "confirm"):
-                assert refused(lambda v=verb, b=bad: session.call(v, id=b)).code in ("bad request", "expired")
-            assert refused(lambda b=bad: session.call("switch", id=b, seconds=5)).code == "bad request"
-            assert refused(lambda b=bad: session.call("key", KEY, id=b)).code == "bad request"
-            assert refused(lambda b=bad: session.call("missing", objects=[b])).code == "bad request"
+                assert refused(session.call, verb, id=bad).code in ("bad request", "expired")
+            assert refused(session.call, "switch", id=bad, seconds=5).code == "bad request"
+            assert refused(session.call, "key", KEY, id=bad).code == "bad request"
+            assert refused(session.call, "missing", objects=[bad]).code == "bad request"
         entry = ["../evil.whl", digest(b"x"), 1]
         for kind in ("wheels", "objects", "other"):
-            call = lambda k=kind: session.call("store", zlib.compress(b"x"), kind=k, entries=[entry])  # noqa: E731
-            assert refused(call).code == "bad request"
-        assert refused(lambda: session.call("shell", command="id")).code == "bad request"
+            error = refused(session.call, "store", zlib.compress(b"x"), kind=kind, entries=[entry])
+            assert error.code == "bad request"
+        assert refused(session.call, "shell", command="id").code == "bad request"
         assert session.call("ping") == {}  # the session goes on
 
 
@@ -281,9 +280,8 @@ def test_a_content_gets_its_name_only_when_its_digest_is_right(host: FakeHost) -
             zlib.compress(good + other)[:-9],
             b"not compressed",
         ):
-            call = lambda d=data: session.call("store", d, kind="objects", entries=entries)  # noqa: E731
-            assert refused(call).code == "damaged"
-        assert refused(lambda: session.call("key", KEY, id="0" * 16)).code == "damaged"
+            assert refused(session.call, "store", data, kind="objects", entries=entries).code == "damaged"
+        assert refused(session.call, "key", KEY, id="0" * 16).code == "damaged"
         send(session, "objects", {digest(good): good})
         send(session, "wheels", {"some-1.0-py3-none-any.whl": other})
         assert session.call("missing", wheels=[["some-1.0-py3-none-any.whl", digest(other)]])["wheels"] == []
@@ -297,7 +295,7 @@ def test_without_space_nothing_is_written(host: FakeHost) -> None:
     with host.session() as session:
         session.call("lock", owner="anna@laptop", what="deploy")
         entries = [[digest(b"x"), digest(b"x"), free]]
-        error = refused(lambda: session.call("store", zlib.compress(b"x"), kind="objects", entries=entries))
+        error = refused(session.call, "store", zlib.compress(b"x"), kind="objects", entries=entries)
         assert error.code == "no space" and f"{free + 64 * 1024 * 1024} bytes are needed and" in error.message
         assert not (host.folder / "objects").exists()
 

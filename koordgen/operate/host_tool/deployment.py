@@ -59,7 +59,7 @@ class Deployment:
             return None
 
     def has_expired(self, pending: dict[str, Any]) -> bool:
-        return pending["boot"] != self._boot.id() or self._boot.now() >= pending["deadline"]
+        return bool(pending["boot"] != self._boot.id() or self._boot.now() >= pending["deadline"])
 
     def runnable(self) -> str:
         """Return the release that may start. Raises ToolError while another one waits, or when there is none."""

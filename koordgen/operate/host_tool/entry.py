@@ -12,4 +12,4 @@ from .folder import Folder
 def command(folder: Folder, boot: Boot, *arguments: str) -> list[str]:
     """Return the command of this very tool on the same folder."""
     options = ["--folder", str(folder.root), "--boot-id", str(boot.file)]
-    return [sys.executable, os.path.abspath(sys.argv[0]), *options, *arguments]
+    return [sys.executable, "-I", os.path.abspath(sys.argv[0]), *options, *arguments]

@@ -201,10 +201,8 @@ def _fill(folder: Folder, place: Path, wanted: Mapping[str, Mapping[str, Any]]) 
     """Make the bundles in `place` hold exactly the wanted files; files that are right are not touched."""
     for robot, files in wanted.items():
         bundle = place / robot
-        folders = {bundle, *((bundle / path).parent for path in files)}
-        for path in files:
-            folders |= {p for p in (bundle / path).parents if p.is_relative_to(bundle)}
-        for path in sorted(folders):
+        folders = sorted(_folders_of(bundle, files))
+        for path in folders:
             if path.is_symlink() or not path.is_dir():
                 remove_tree(path)
                 path.mkdir()
@@ -213,15 +211,20 @@ def _fill(folder: Folder, place: Path, wanted: Mapping[str, Mapping[str, Any]]) 
         for name, (digest, mode) in files.items():
             if sha256_of(bundle / name) != digest:
                 objects.link(folder, digest, bool(mode & stat.S_IXUSR), bundle / name)
-        for path in sorted(folders, reverse=True):
+        for path in reversed(folders):
             sync_folder(path)
     sync_folder(place)
 
 
+def _folders_of(bundle: Path, files: Mapping[str, Any]) -> set[Path]:
+    """Return the folder of a bundle and all folders in it."""
+    above = {parent for path in files for parent in (bundle / path).parents}
+    return {path for path in above if path.is_relative_to(bundle)}
+
+
 def _extra(bundle: Path, files: Mapping[str, Any]) -> list[Path]:
     """Return the entries of a bundle's folder that belong to none of its files."""
-    wanted = {bundle / path for path in files}
-    folders = {parent for path in wanted for parent in path.parents}
+    wanted, folders = {bundle / path for path in files}, _folders_of(bundle, files)
     found = []
     for here, subfolders, names in os.walk(bundle):
         found += [p for n in names if (p := Path(here) / n) not in wanted]
