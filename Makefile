@@ -66,6 +66,7 @@ bench: $(STAMP)
 	$(PY) benchmarks/sim.py
 	$(PY) benchmarks/proof_tables.py
 	$(PY) benchmarks/explore.py
+	$(PY) benchmarks/deploy.py
 
 # Parser tables and compiled templates are checked in, because building them at each start costs more than all else.
 generated: $(STAMP)

@@ -50,7 +50,21 @@ FLOORS = {
     | {"located", "deployment", "manifest", "medium", "obstacles", "mocap", "offered", "robots", "starts", "world"},
     "bundle": BASE | {"ir", "emit", "manifest", "medium", "fleet", "offered", "robots"},
     "estop": BASE | {"fleet", "robots", "runtime"},  # what people and agents say to one another
-    "operate": BASE | {"bundle", "deployment", "estop", "fleet", "robots", "runtime"},
+    "operate": BASE
+    | {
+        "audit",
+        "bundle",
+        "check",
+        "deployment",
+        "emit",
+        "estop",
+        "fleet",
+        "ir",
+        "pipeline",
+        "replay",
+        "robots",
+        "runtime",
+    },
     "basestation": BASE | {"fleet", "manifest", "mocap", "robots", "runtime"},
     "doctor": BASE,
     "campaign": BASE | {"runtime"},  # how to install a package

@@ -246,9 +246,22 @@ def _basestation(options: Namespace) -> int:
     return HOLDS
 
 
+def _fleet_command(options: Namespace) -> int:
+    from koordgen.cli import collect, fleet_commands
+
+    commands = {"start": fleet_commands.start, "stop": fleet_commands.stop, "logs": fleet_commands.logs}
+    return {**commands, "collect": collect.collect}[options.command](options)
+
+
 def _doctor(options: Namespace) -> int:
     from koordgen.doctor import CannotExamine, NoBundle, examine
 
+    if (options.bundle is None) == (options.fleet is None):
+        raise Failure(USAGE, "one of BUNDLE and --fleet FLEET is expected", "`koordgen help doctor` shows examples")
+    if options.fleet is not None:
+        from koordgen.cli.fleet_commands import doctor
+
+        return doctor(options)
     try:
         return examine(options.bundle, options.settings, options.format)
     except CannotExamine as error:
@@ -320,6 +333,7 @@ _COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "help": _help, "completion": _completion, "check": _check, "dump": _dump, "build": _build,
     "prove": _prove, "explore": _explore, "fmt": _fmt, "explain": _explain, "estop": _estop,
     "status": _status, "basestation": _basestation, "doctor": _doctor, "key": _deploy,
+    "start": _fleet_command, "stop": _fleet_command, "logs": _fleet_command, "collect": _fleet_command,
     "deploy": _deploy, "rollback": _deploy, "report": _afterwards, "export": _afterwards, "show": _afterwards,
     "campaign": _campaign, "replay": _replay, "validate": _validate, "audit": _audit, "docs": _docs, "new": _new,
     "examples": _examples,

@@ -145,6 +145,7 @@ def status(command: Parser) -> None:
     asking = command.add_argument_group("asking")
     _key(asking)
     asking.add_argument("--watch", action="store_true", help="ask again every second, until Ctrl-C")
+    _ssh(command)
     _format(command.add_argument_group("output"))
 
 
@@ -164,10 +165,47 @@ def basestation(command: Parser) -> None:
 
 def doctor(command: Parser) -> None:
     """Options of `koordgen doctor`."""
-    command.positional.add_argument("bundle", metavar="BUNDLE", help="a robot's folder, as `koordgen build` wrote it")
+    bundle = "a robot's folder on this computer, as `koordgen build` wrote it"
+    command.positional.add_argument("bundle", metavar="BUNDLE", nargs="?", help=bundle)
     settings = "JSON that replaces entries of the bundle's settings.json"
     command.add_argument_group("settings").add_argument("--settings", metavar="FILE", help=settings)
+    _fleet(command.add_argument_group("fleet"), "ask all robots of this fleet file over SSH, instead of a BUNDLE")
+    _ssh(command)
     _format(command.add_argument_group("output"))
+
+
+def start(command: Parser) -> None:
+    """Options of `koordgen start`."""
+    _deployed(command)
+    _ssh(command)
+
+
+def stop(command: Parser) -> None:
+    """Options of `koordgen stop`."""
+    _deployed(command)
+    seconds = "time in which a robot must be at rest and its agent have ended (default: 30)"
+    stopping = command.add_argument_group("stopping")
+    stopping.add_argument("--seconds", metavar="S", type=values.seconds, default=30.0, help=seconds)
+    _ssh(command)
+
+
+def logs(command: Parser) -> None:
+    """Options of `koordgen logs`."""
+    _deployed(command)
+    lines = command.add_argument_group("lines")
+    lines.add_argument("--lines", metavar="N", type=values.natural, default=50, help="of each robot (default: 50)")
+    lines.add_argument("--follow", action="store_true", help="show new lines as they come, until Ctrl-C")
+    _ssh(command)
+
+
+def collect(command: Parser) -> None:
+    """Options of `koordgen collect`."""
+    _named_fleet(command)
+    output = command.add_argument_group("output")
+    folder = "the run folder to write, or one of an earlier collection, which goes on"
+    output.add_argument("-o", "--out", metavar="FOLDER", required=True, help=folder)
+    _quiet(output)
+    _ssh(command)
 
 
 def key(command: Parser) -> None:
@@ -392,6 +430,17 @@ def _duration(group: Group, help: str) -> None:
 def _key(group: Group) -> None:
     where = "the fleet's key (default: beside the fleet file, or in the working directory)"
     group.add_argument("--key", metavar="FILE", help=where)
+
+
+def _deployed(command: Parser) -> None:
+    _named_fleet(command)
+    robots = "the robots that are meant (default: all of the fleet)"
+    command.positional.add_argument("robots", metavar="ROBOT", nargs="*", help=robots)
+
+
+def _named_fleet(command: Parser) -> None:
+    command.positional.add_argument("fleet", metavar="FLEET", type=values.fleet, help="the fleet file (YAML)")
+    command.set_defaults(format="text")  # of mistakes in that file
 
 
 def _ssh(command: Parser) -> None:

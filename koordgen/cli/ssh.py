@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,13 +23,14 @@ def read_fleet(path: str) -> Fleet:
     return pipeline.read_fleet(path, {name: manifest.load(name) for name in manifest.available()}, None)[0]
 
 
-def fleet_hosts(fleet: Fleet, path: str) -> tuple[Host, ...]:
-    """Return the hosts of a fleet file's robots. Raises Failure when a robot has none, or asyncssh is missing."""
+def fleet_hosts(fleet: Fleet, path: str, robots: Sequence[str] | None = None) -> tuple[Host, ...]:
+    """Return the hosts of a fleet file's robots (or of some only). Raises Failure when a robot has none, or asyncssh is
+    missing."""
     from koordgen.operate.hosts import NoHosts, hosts_of, require_asyncssh
 
     try:
         require_asyncssh()
-        return hosts_of(fleet)
+        return hosts_of(fleet, robots)
     except NoHosts as error:
         if error.is_file_wrong:
             raise cli.Failure(cli.WRONG, f"{path}: {error}", error.help) from None

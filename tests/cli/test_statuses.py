@@ -22,6 +22,8 @@ MISSING = [
     f"build {APP} --fleet no.yaml", f"prove {APP} --fleet no.yaml", f"explore {APP} --fleet no.yaml",
     "validate geofence.koord --fleet no.yaml", f"campaign {APP} --fleet no.yaml --runs 1", f"sim {APP} --fleet no.yaml",
     "basestation no.yaml --system vicon --host h", "estop no.yaml", "status no.yaml", "status fleet.yaml --key no.key",
+    "start no.yaml", "stop no.yaml", "logs no.yaml", "collect no.yaml -o out", "doctor --fleet no.yaml",
+    "start fleet.yaml", "stop fleet.yaml", "logs fleet.yaml", "doctor --fleet fleet.yaml",  # which names no hosts
     "report no", "show no", "export no --to csv", "replay no",
     "audit no", "doctor no", f"explore {APP} --env no.yaml", f"sim {APP} {FLEET} --scenario no.yaml",
     f"sim {APP} {FLEET} --follow no", "prove geofence.koord --attack-from no",
@@ -35,13 +37,14 @@ UNWRITABLE = [
     "key new fleet.yaml/fleet.key", f"build {APP} {FLEET} -o fleet.yaml/out",
     "prove geofence.koord --emit fleet.yaml/out", f"campaign {APP} {FLEET} --runs 1 --lockstep --out fleet.yaml/out",
     f"sim {APP} {FLEET} --lockstep --duration 1 --out fleet.yaml/out", "new taken",
-    "examples copy election fleet.yaml/out",
+    "examples copy election fleet.yaml/out", "collect fleet.yaml -o fleet.yaml/out", "collect fleet.yaml -o fleet.yaml",
 ]  # fmt: skip
 USAGE = [f"{name} --no-such-option" for name in (*COMMANDS, *harnesses())] + [
     f"build {APP} --target boat", "explain K999", "help boat", "estop", "estop --address robot --key no.key",
     f"build {APP} {FLEET} --param nope=1", f"sim {APP} {FLEET} --param nope=1", f"prove {APP} --param nope=1",
     f"validate geofence.koord {FLEET} --param nope=1", "new no-name", "examples copy boat", "examples copy",
-    "docs boat", "docs fleet#boat", "rollback fleet.yaml --to before", f"deploy {APP}",
+    "docs boat", "docs fleet#boat", "doctor", "doctor build --fleet fleet.yaml", "collect fleet.yaml",
+    "rollback fleet.yaml --to before", f"deploy {APP}",
 ]  # fmt: skip
 
 

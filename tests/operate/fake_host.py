@@ -172,7 +172,7 @@ class FakeRelease:
     """Bundles of some robots, which differ from release to release in `text`."""
 
     def __init__(self, text: str, ports: Mapping[str, int], key: str = KEY_ID, **settings: Any) -> None:
-        self.bundles = {
+        self.bundles: dict[str, dict[str, bytes]] = {
             robot: {
                 "__main__.py": _MAIN.encode(),
                 "settings.json": json.dumps(
@@ -185,7 +185,7 @@ class FakeRelease:
         }
         self.id = digest(json.dumps([text, key, settings]).encode())[:16]
         self.key = key
-        self.document = {
+        self.document: dict[str, Any] = {
             "id": self.id,
             "application_id": 7,
             "app": "fake",
@@ -195,7 +195,15 @@ class FakeRelease:
             "service": "none",
             "python": sys.executable,
         }
-        self.contents = {digest(c): c for files in self.bundles.values() for c in files.values()}
+
+    def take_over(self, robot: str, files: dict[str, bytes]) -> None:
+        """Make a real bundle the one of a robot."""
+        self.bundles[robot] = files
+        self.document["robots"] |= {robot: {}}
+
+    @property
+    def contents(self) -> dict[str, bytes]:
+        return {digest(c): c for files in self.bundles.values() for c in files.values()}
 
     @property
     def files(self) -> dict[str, dict[str, list[Any]]]:

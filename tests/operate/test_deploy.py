@@ -14,11 +14,11 @@ from typing import Any
 
 import pytest
 
+from benchmarks.fixtures.deployed import Deployed, deployed, place, state
 from koordgen import cli
 from koordgen.operate import host_tool_archive
 from koordgen.operate.host_tool_archive import archive
 from koordgen.operate.hosts import Answer, Session, sessions
-from tests.operate.deployed import Deployed, deployed, place, state
 
 ROBOTS = {"alice": "a", "bert": "b", "cleo": "c", "dora": "c"}
 

@@ -12,6 +12,8 @@ from typing import Any
 
 import pytest
 
+from koordgen import cli
+from koordgen.resources import examples
 from tests.operate.fake_host import FakeHost, FakeRelease, digest, refused, send, wait
 from tests.runtime.transports import free_ports
 
@@ -259,3 +261,34 @@ def test_packages_are_installed_from_stored_wheels_alone(host: FakeHost, ports: 
         assert session.call("missing", wheels=[[n, digest((tmp_path / n).read_bytes())] for n in names])["wheels"] == []
     python = host.folder / "venvs" / venv / "bin" / "python"
     assert subprocess.run([python, "-c", "import hat; print(hat.SIZE)"], capture_output=True).stdout == b"58\n"
+
+
+def test_a_real_agent_runs_from_its_release(host: FakeHost, tmp_path: Path) -> None:
+    """A quad of examples/lineform: it waits for its autopilot and the other robots, and comes to rest when asked."""
+    position, own, peer, *control = free_ports(5)
+    fleet = tmp_path / "fleet.yaml"
+    fleet.write_text(
+        "{delta: 0.1, insecure: true, origin: {latitude: 47.4, longitude: 8.5, altitude: 488.0},\n"
+        "geofence: {lo: [-6, -5, -1], hi: [6, 5, 4]}, robots: [\n"
+        f"{{name: alice, target: quad, address: '127.0.0.1:{own}', control: {control[0]},\n"
+        f"  settings: {{autopilot: 'udpin:127.0.0.1:{position}'}}}},\n"
+        f"{{name: bert, target: quad, address: '127.0.0.1:{peer}', control: {control[1]}}}]}}\n"
+    )
+    program = str(examples() / "lineform" / "lineform.koord")
+    assert cli.main(["build", program, "--fleet", str(fleet), "--out", str(tmp_path / "out")]) == 0
+    bundle = tmp_path / "out" / "lineform" / "alice"
+    release = FakeRelease("real", {}, key="")
+    release.take_over("alice", {str(p.relative_to(bundle)): p.read_bytes() for p in bundle.rglob("*") if p.is_file()})
+    with host.session() as session:
+        release.put(session)
+        assert session.call("start", robots=None) == {"robots": {"alice": "ready"}}
+        told = session.call("status", robot="alice")["document"]
+        assert (told["robot"], told["phase"]) == ("alice", "starting")
+        assert told["release"] == (bundle / "RELEASE").read_text().strip()
+        assert refused(session.call, "switch", id=release.id, seconds=60).message.endswith("alice (starting)")
+        assert session.call("stop", robots=None, seconds=60) == {"stopped": ["alice"]}
+        texts = [text for _, text in session.call("logs", robot="alice", lines=99)["lines"]]
+        assert any(text.endswith("alice: info: rested") for text in texts)
+        assert session.call("verify", id=release.id)["checked"] == len(release.bundles["alice"])  # as it was
+    assert (host.folder / "state" / "alice.state").exists()
+    assert b'"alice"' in (host.folder / "traces" / "alice" / "trace.jsonl").read_bytes()

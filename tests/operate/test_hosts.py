@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.fixtures.ssh_hosts import SshFleet, make_key, ssh_fleet
 from koordgen.node import replace
 from koordgen.operate.hosts import Host, HostError, Options, Sessions, sessions
-from tests.operate.ssh_hosts import SshFleet, make_key, ssh_fleet
 
 # Answers each request with itself, and sends data back; `die` ends it.
 ECHO = """

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.fixtures.deployed import Deployed, deployed, place
 from koordgen import cli
 from koordgen.operate.wheels import CannotFetch, Platform, needed_lines, platform_of, platform_tags, wheel_set
-from tests.operate.deployed import Deployed, deployed, place
 
 PI = Platform("aarch64", 36, 11)
 

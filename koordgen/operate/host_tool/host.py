@@ -37,6 +37,7 @@ def inspect(folder: Folder, boot: Boot, deployment: Deployment) -> dict[str, Any
         "deployment": state,
         "current": deployment.current(),
         "releases": releases.staged(folder),
+        "builds": releases.builds(folder, state["confirmed"]),
         "robots": {robot: each._asdict() for robot, each in found.items()},
         "locked": locked_by(folder),
         "boot": boot.id(),

@@ -69,6 +69,16 @@ def readable(folder: Folder, ids: Iterable[str | None]) -> list[Release]:
     return found
 
 
+def builds(folder: Folder, release: str | None) -> dict[str, str]:
+    """Return robot -> the name of the build in its bundle, which agents tell one another; none without a release."""
+    found = {}
+    for known in readable(folder, [release]):
+        for robot in known.robots:
+            with suppress(OSError):
+                found[robot] = (folder.bundle(known.id, robot) / "RELEASE").read_text(encoding="ascii").strip()
+    return found
+
+
 def describe(folder: Folder, release: str) -> dict[str, Any]:
     """Return `release.json` of a release that is here, and the files of its bundles."""
     read_release(folder, release)
