@@ -249,10 +249,15 @@ def _revert(session: Session, request: Request) -> Answer:
         return {"changed": session.deployment.revert(request["id"])}
 
 
+def _source(session: Session, request: Request) -> Answer:
+    return {"files": releases.source(session.folder, request["id"], request["robot"])}
+
+
 VERBS = {
     "ping": Verb(_ping, False),
     "inspect": Verb(_inspect, False),
     "lock": Verb(_lock, False),
+    "source": Verb(_source, False),
     "missing": Verb(_missing, False),
     "store": Verb(_store, True),
     "key": Verb(_key, True),
