@@ -7,12 +7,15 @@ import json
 import os
 import subprocess
 import sys
+import time
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from hashlib import blake2s
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 from koordgen.operate.host_tool_archive import archive
 
@@ -169,7 +172,7 @@ class FakeRelease:
     """Bundles of some robots, which differ from release to release in `text`."""
 
     def __init__(self, text: str, ports: Mapping[str, int], key: str = KEY_ID, **settings: Any) -> None:
-        self.bundles = {
+        self.bundles: dict[str, dict[str, bytes]] = {
             robot: {
                 "__main__.py": _MAIN.encode(),
                 "settings.json": json.dumps(
@@ -182,7 +185,7 @@ class FakeRelease:
         }
         self.id = digest(json.dumps([text, key, settings]).encode())[:16]
         self.key = key
-        self.document = {
+        self.document: dict[str, Any] = {
             "id": self.id,
             "application_id": 7,
             "app": "fake",
@@ -192,7 +195,15 @@ class FakeRelease:
             "service": "none",
             "python": sys.executable,
         }
-        self.contents = {digest(c): c for files in self.bundles.values() for c in files.values()}
+
+    def take_over(self, robot: str, files: dict[str, bytes]) -> None:
+        """Make a real bundle the one of a robot."""
+        self.bundles[robot] = files
+        self.document["robots"] |= {robot: {}}
+
+    @property
+    def contents(self) -> dict[str, bytes]:
+        return {digest(c): c for files in self.bundles.values() for c in files.values()}
 
     @property
     def files(self) -> dict[str, dict[str, list[Any]]]:
@@ -230,3 +241,18 @@ def send(session: Session, kind: str, contents: Mapping[str, bytes]) -> None:
     """Store contents by name."""
     entries = [[name, digest(content), len(content)] for name, content in contents.items()]
     session.call("store", zlib.compress(b"".join(contents.values())), kind=kind, entries=entries)
+
+
+def wait(condition: Callable[[], Any], seconds: float = 60) -> None:
+    """Return once the condition holds."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "waited for too long"
+        time.sleep(0.05)
+
+
+def refused(call: Callable[..., Any], *arguments: Any, **named: Any) -> Refused:
+    """The error with which a call is refused."""
+    with pytest.raises(Refused) as caught:
+        call(*arguments, **named)
+    return caught.value

@@ -9,7 +9,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -20,7 +19,7 @@ from typing import Any
 import pytest
 
 from koordgen.operate.host_tool_archive import archive
-from tests.operate.fake_host import KEY, KEY_ID, FakeHost, FakeRelease, Refused, digest, send
+from tests.operate.fake_host import KEY, KEY_ID, FakeHost, FakeRelease, digest, refused, send, wait
 from tests.runtime.transports import free_ports
 
 
@@ -32,19 +31,6 @@ def host(tmp_path: Path) -> FakeHost:
 @pytest.fixture
 def ports() -> dict[str, int]:
     return dict(zip(("alice", "bert"), free_ports(2), strict=True))
-
-
-def wait(condition: Callable[[], Any], seconds: float = 60) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "waited for too long"
-        time.sleep(0.05)
-
-
-def refused(call: Callable[..., Any], *arguments: Any, **named: Any) -> Refused:
-    with pytest.raises(Refused) as caught:
-        call(*arguments, **named)
-    return caught.value
 
 
 def test_a_first_release_is_confirmed_and_a_second_one_replaces_it(host: FakeHost, ports: dict[str, int]) -> None:
@@ -265,7 +251,7 @@ def test_names_in_requests_are_checked(host: FakeHost, ports: dict[str, int]) ->
             error = refused(session.call, "store", zlib.compress(b"x"), kind=kind, entries=[entry])
             assert error.code == "bad request"
         assert refused(session.call, "shell", command="id").code == "bad request"
-        assert session.call("ping") == {}  # the session goes on
+        assert session.call("ping")["clock"] > 0  # the session goes on
 
 
 def test_a_content_gets_its_name_only_when_its_digest_is_right(host: FakeHost) -> None:
@@ -302,7 +288,7 @@ def test_without_space_nothing_is_written(host: FakeHost) -> None:
 
 def test_a_session_without_requests_ends(host: FakeHost) -> None:
     session = host.session("--idle", "0.3")
-    assert session.call("ping") == {}
+    assert session.call("ping")["clock"] > 0
     assert session.process.wait() == 0
     session.close()
 
@@ -310,7 +296,7 @@ def test_a_session_without_requests_ends(host: FakeHost) -> None:
 def test_a_session_killed_at_any_moment_leaves_a_runnable_release(host: FakeHost, ports: dict[str, int]) -> None:
     """Deploy again and again, and kill the session at random; each time the release that may run is a whole one."""
     chance = random.Random(28)
-    releases = [FakeRelease(str(i), ports) for i in range(12)]
+    releases = [FakeRelease(str(i), ports) for i in range(8)]
     with host.session() as session:
         releases[0].put(session)
     confirmed = {releases[0].id}

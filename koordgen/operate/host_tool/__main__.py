@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from . import agents, guardian, session
+from . import agents, guardian, session, supervise
 from .deployment import Boot, Deployment
 from .folder import Folder, ToolError
 
@@ -25,6 +25,7 @@ def main() -> int:
     verbs = parser.add_subparsers(dest="verb", required=True)
     verbs.add_parser("session", help="answer requests on the standard input")
     verbs.add_parser("guardian", help="return from a release that is not confirmed in time").add_argument("nonce")
+    verbs.add_parser("supervise", help="keep a robot's agent running").add_argument("robot")
     verbs.add_parser("launch", help="become a robot's agent").add_argument("robot")
     arguments = parser.parse_args()
     folder = Folder((Path.home() / arguments.folder).resolve())
@@ -34,6 +35,8 @@ def main() -> int:
     try:
         if arguments.verb == "guardian":
             return guardian.guard(folder, boot, arguments.nonce)
+        if arguments.verb == "supervise":
+            return supervise.supervise(folder, boot, arguments.robot)
         agents.launch(folder, Deployment(folder, boot), arguments.robot)
     except ToolError as error:
         print(f"error: {error.message}" + (f"\n  help: {error.help}" if error.help else ""), file=sys.stderr)

@@ -13,9 +13,9 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from . import releases
+from . import releases, service
 from .deployment import Deployment
 from .folder import Folder, ToolError, checked_robot, make_folder, read_json
 from .lock import deciding, is_locked, try_lock
@@ -59,10 +59,10 @@ def pid_in(path: Path) -> int | None:
     return None
 
 
-def look(folder: Folder, known: Sequence[Release]) -> dict[str, Found]:
+def look(folder: Folder, known: Sequence[Release], ask: bool = True) -> dict[str, Found]:
     """Return robot -> its agent, for all robots of the `known` releases and all that have a lock file here.
 
-    A phase is asked through the first of the releases that has the robot.
+    `ask`: for the phase as well, through the first of the releases that has the robot.
     """
     of_release: dict[str, Release] = {}
     for release in known:
@@ -70,8 +70,15 @@ def look(folder: Folder, known: Sequence[Release]) -> dict[str, Found]:
             of_release.setdefault(robot, release)
     names = sorted(of_release.keys() | _with_lock_file(folder))
     used = _used_udp()
+    units = service.active(folder, [name for name, release in of_release.items() if release.service == "systemd"])
+
+    def find(robot: str) -> Found:
+        release = of_release.get(robot)
+        running = robot in units or _runs(folder, robot) or _has_control_port(folder, release, robot, used)
+        return _ask(folder, release, robot, ask) if running else NOT_RUNNING
+
     with ThreadPoolExecutor(max_workers=8) as pool:
-        found = pool.map(lambda robot: _look(folder, of_release.get(robot), robot, used), names)
+        found = pool.map(find, names)
         return dict(zip(names, found, strict=True))
 
 
@@ -92,22 +99,21 @@ def _with_lock_file(folder: Folder) -> set[str]:
     return {p.stem for p in folder.running.iterdir() if p.suffix in (".lock", ".supervisor")}
 
 
-def _look(folder: Folder, release: Release | None, robot: str, used: set[tuple[str, int]]) -> Found:
-    lock, supervisor = lock_file(folder, robot), supervisor_lock(folder, robot)
-    held = is_locked(lock)
-    if not held and not is_locked(supervisor) and not _answers_at_port(folder, release, robot, used):
-        return NOT_RUNNING
+def _runs(folder: Folder, robot: str) -> bool:
+    return is_locked(lock_file(folder, robot)) or is_locked(supervisor_lock(folder, robot))
+
+
+def _ask(folder: Folder, release: Release | None, robot: str, ask: bool) -> Found:
     phase = None
-    if release is not None:
-        status, output, _ = releases.run(
-            folder, release, robot, "--status", "--format", "json", seconds=_TIME_FOR_STATUS
-        )
+    if release is not None and ask:
+        options = ("--status", "--format", "json")
+        status, output, _ = releases.run(folder, release, robot, *options, seconds=_TIME_FOR_STATUS)
         document = releases.to_document(output) if status == 0 else None
         phase = str(document.get("phase")) if isinstance(document, dict) else None
-    return Found(True, phase, pid_in(lock) or pid_in(supervisor))
+    return Found(True, phase, pid_in(lock_file(folder, robot)) or pid_in(supervisor_lock(folder, robot)))
 
 
-def _answers_at_port(folder: Folder, release: Release | None, robot: str, used: Iterable[tuple[str, int]]) -> bool:
+def _has_control_port(folder: Folder, release: Release | None, robot: str, used: Iterable[tuple[str, int]]) -> bool:
     """Return whether a process of this host has the control port of a robot."""
     place = control_place(folder, release, robot) if release is not None else None
     if place is None:
@@ -166,15 +172,3 @@ def launch(folder: Folder, deployment: Deployment, robot: str) -> None:
         write_pid(file)
         os.set_inheritable(file, True)
         os.execve(wanted[0], wanted, releases.environment(folder))
-
-
-def robots_of(release: Release, wanted: Any) -> tuple[str, ...]:
-    """Return the robots that a request names; None names all of the release."""
-    if wanted is None:
-        return release.robots
-    if not isinstance(wanted, list):
-        raise ToolError("bad request", f"`robots` is a list or null, not {wanted!r}")
-    for robot in wanted:
-        if checked_robot(robot) not in release.robots:
-            raise ToolError("unknown robot", f"release {release.id} has no robot {robot} on this host", "deploy again")
-    return tuple(wanted)

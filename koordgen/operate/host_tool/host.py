@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from . import TOOL, agents, releases
+from . import TOOL, agents, releases, service
 from .deployment import Boot, Deployment
 from .folder import Folder
 from .lock import locked_by
@@ -32,7 +32,7 @@ def inspect(folder: Folder, boot: Boot, deployment: Deployment) -> dict[str, Any
         "free": folder.free(),
         "clock": time.time(),
         "writable": os.access(folder.root, os.W_OK),
-        "systemd": has_systemd(),
+        "systemd": service.has_systemd(),
         "linger": Path("/var/lib/systemd/linger", getpass.getuser()).exists(),
         "deployment": state,
         "current": deployment.current(),
@@ -61,16 +61,6 @@ def libc() -> list[str]:
         if name:
             return [name, version]
     return ["musl", ""]
-
-
-def runtime_folder() -> Path:
-    """Return the folder in which the user's service manager listens."""
-    return Path(os.environ.get("XDG_RUNTIME_DIR") or f"/run/user/{os.getuid()}")
-
-
-def has_systemd() -> bool:
-    """Return whether a systemd manager of this user runs."""
-    return (runtime_folder() / "systemd" / "private").exists()
 
 
 def temperature() -> float | None:

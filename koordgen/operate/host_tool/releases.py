@@ -17,7 +17,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from . import objects
+from . import objects, packages
 from .folder import (
     Folder,
     ToolError,
@@ -336,14 +336,8 @@ def prune(folder: Folder, keep: Sequence[str]) -> None:
     kept = [read_release(folder, release, candidate=c) for release in here for c in (False, True)]
     _prune_files(folder.keys, {f"{release.key}.key" for release in kept})
     _prune_files(folder.venvs, {release.venv for release in kept})
-    wheels = {w for r in kept if r.venv for w in json_list(folder.venv(r.venv) / "wheels.json")}
-    _prune_files(folder.wheels, wheels)
+    _prune_files(folder.wheels, {w for r in kept if r.venv for w in packages.wheels_of(folder.venv(r.venv))})
     objects.prune(folder)
-
-
-def json_list(path: Path) -> list[str]:
-    found = read_json(path)
-    return [str(each) for each in found] if isinstance(found, list) else []
 
 
 def _prune_files(place: Path, keep: set[str]) -> None:

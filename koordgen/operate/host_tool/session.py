@@ -1,7 +1,8 @@
 """Session protocol: requests as JSON lines on the standard input, answers on the standard output.
 
-A request that carries data says `"length": N`, and N raw bytes follow its line. An answer with `length` is followed by
-data in the same way. A session ends with its input, or when no byte of a request has arrived for `idle` seconds.
+The requests `store` and `key` carry data: they say `"length": N`, and N raw bytes follow their line. An answer with
+`length` is followed by data in the same way. A session ends with its input, or when nothing has arrived for `idle`
+seconds.
 """
 
 from __future__ import annotations
@@ -15,13 +16,14 @@ import traceback
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
-from . import agents, guardian, host, objects, releases
+from . import agents, guardian, host, logs, objects, packages, releases, running
 from .deployment import Boot, Deployment
 from .folder import PIECE, Folder, ToolError, make_folder
 from .lock import SessionLock, deciding
 
 IDLE = 30.0  # seconds
 _LONGEST_LINE = 64 * 1024 * 1024  # bytes
+_WITH_DATA = ("store", "key")
 _LONGEST_WAIT = 3600.0  # seconds that a request may ask for
 
 Request = Mapping[str, Any]
@@ -54,7 +56,7 @@ class Channel:
         del self._buffer[: end + 1]
         try:
             found = json.loads(line)
-            length = found.get("length", 0)
+            length = found.get("length", 0) if found.get("verb") in _WITH_DATA else 0
         except (ValueError, AttributeError):
             raise _Ended from None
         if not isinstance(length, int) or length < 0:
@@ -102,6 +104,7 @@ class Session:
         self.folder, self.boot, self.channel = folder, boot, channel
         self.deployment = Deployment(folder, boot)
         self.lock = SessionLock(folder)
+        self.fetching = logs.Fetching(folder)
 
     def run(self) -> None:
         """Answer requests until the other side is gone."""
@@ -114,6 +117,7 @@ class Session:
         except _Ended:
             pass
         finally:
+            self.fetching.close()
             self.lock.release()
 
     def _answer(self, request: Request) -> Answer:
@@ -253,21 +257,66 @@ def _source(session: Session, request: Request) -> Answer:
     return {"files": releases.source(session.folder, request["id"], request["robot"])}
 
 
+def _packages(session: Session, request: Request) -> Answer:
+    made = packages.make(session.folder, request["digest"], str(request["requirements"]), request["wheels"])
+    return {"made": made}
+
+
+def _start(session: Session, request: Request) -> Answer:
+    return {"robots": running.start(session.folder, session.boot, session.deployment, request.get("robots"))}
+
+
+def _stop(session: Session, request: Request) -> Answer:
+    return {"stopped": running.stop(session.folder, session.deployment, request.get("robots"), _seconds(request))}
+
+
+def _logs(session: Session, request: Request) -> Answer:
+    since = float(request["since"] or 0.0) if "since" in request else None
+    most = int(request.get("lines", logs.MOST_LINES))
+    return running.log_lines(session.folder, session.deployment, request["robot"], most, since)
+
+
+def _traces(session: Session, request: Request) -> Answer:
+    return {"files": logs.traces(session.folder, request["robot"])}
+
+
+def _fetch(session: Session, request: Request) -> Answer:
+    offset, length = int(request["offset"]), int(request["length"])
+    data = session.fetching.fetch(request["robot"], request["file"], offset, length)
+    return {"length": len(data), "data": data}
+
+
+def _doctor(session: Session, request: Request) -> Answer:
+    return running.asked(session.folder, session.deployment, request["robot"], "--doctor", True)
+
+
+def _status(session: Session, request: Request) -> Answer:
+    return running.asked(session.folder, session.deployment, request["robot"], "--status", False)
+
+
 VERBS = {
     "ping": Verb(_ping, False),
     "inspect": Verb(_inspect, False),
     "lock": Verb(_lock, False),
     "source": Verb(_source, False),
+    "release": Verb(_release, False),
     "missing": Verb(_missing, False),
     "store": Verb(_store, True),
     "key": Verb(_key, True),
     "stage": Verb(_stage, True),
-    "release": Verb(_release, False),
     "verify": Verb(_verify, True),
     "switch": Verb(_switch, True),
     "prepare": Verb(_prepare, True),
     "confirm": Verb(_confirm, True),
     "revert": Verb(_revert, True),
+    "packages": Verb(_packages, True),
+    "start": Verb(_start, False),
+    "stop": Verb(_stop, False),
+    "logs": Verb(_logs, False),
+    "traces": Verb(_traces, False),
+    "fetch": Verb(_fetch, False),
+    "doctor": Verb(_doctor, False),
+    "status": Verb(_status, False),
 }
 
 
