@@ -176,8 +176,8 @@ def main() -> int:
         ours, loop = figures[name], figures[f"loop_{name}"]
         print(f"  {what:34}  {ours:8.2f}  {loop:16.2f}  {figures[f'{name}_to_loop']:5.2f}")
     print(
-        f"  sent by the rollback: {figures['rollback_sent_bytes']} bytes to all hosts, all of them requests; the bundles "
-        f"have {figures['bundle_bytes']} bytes"
+        f"  the rollback sent {figures['rollback_sent_bytes']} bytes of requests to all hosts; their bundles have "
+        f"{figures['bundle_bytes']} bytes"
     )
     if arguments.json is not None:
         arguments.json.write_text(json.dumps({"hosts": count, **figures}, indent=2) + "\n")
