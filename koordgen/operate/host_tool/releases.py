@@ -79,6 +79,14 @@ def builds(folder: Folder, release: str | None) -> dict[str, str]:
     return found
 
 
+def source(folder: Folder, release: str, robot: str) -> dict[str, str]:
+    """Return by name the files of a robot's bundle that say of which program its traces are: the program, the values
+    of its params, and its extern functions."""
+    bundle = folder.bundle(checked_release(release), checked_robot(robot))
+    found = [*bundle.glob("*.koord"), *bundle.glob("*_functions.py"), *bundle.glob("params.json")]
+    return {path.name: path.read_text(encoding="utf-8") for path in found}
+
+
 def describe(folder: Folder, release: str) -> dict[str, Any]:
     """Return `release.json` of a release that is here, and the files of its bundles."""
     read_release(folder, release)

@@ -253,6 +253,10 @@ def _revert(session: Session, request: Request) -> Answer:
         return {"changed": session.deployment.revert(request["id"])}
 
 
+def _source(session: Session, request: Request) -> Answer:
+    return {"files": releases.source(session.folder, request["id"], request["robot"])}
+
+
 def _packages(session: Session, request: Request) -> Answer:
     made = packages.make(session.folder, request["digest"], str(request["requirements"]), request["wheels"])
     return {"made": made}
@@ -294,6 +298,7 @@ VERBS = {
     "ping": Verb(_ping, False),
     "inspect": Verb(_inspect, False),
     "lock": Verb(_lock, False),
+    "source": Verb(_source, False),
     "release": Verb(_release, False),
     "missing": Verb(_missing, False),
     "store": Verb(_store, True),
