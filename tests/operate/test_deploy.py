@@ -76,6 +76,10 @@ def test_a_change_and_the_way_back(standing: Deployed, capfd: pytest.CaptureFixt
     document = json.loads(capfd.readouterr().out)
     assert all(host["changed"] and host["before"] == first for host in document["hosts"])
     assert standing.confirmed() == {document["release"]} != {first}
+    compiled = place(standing.ssh.hosts["a"]) / "pycache"
+    found = {(path.parts[-3], path.name.partition(".")[0]): path.stat().st_ino for path in compiled.rglob("*.pyc")}
+    old, new = first, document["release"]
+    assert found[old, "same"] == found[new, "same"] and found[old, "changed"] != found[new, "changed"]
 
     assert standing.deploy("--format", "json") == 0  # again
     again = json.loads(capfd.readouterr().out)
