@@ -93,16 +93,24 @@ def _rotate(options: Namespace) -> int:
             if failed.outcome == deployment.NOTHING_CHANGED:
                 failed.outcome += f", and {old} stays its key"
             raise
-        with suppress(FileNotFoundError):
-            before.unlink()
-        os.link(old, before)
-        os.replace(waiting, old)
+        _take_place(old, before, waiting)
         return done
 
     status = _run(options, finish)
-    if options.format == "text":
+    if status == cli.HOLDS and options.format == "text":
         print(f"{old} is the new key; {before} is the one before, for a rollback. Copy {old} to all who stop the fleet")
     return status
+
+
+def _take_place(old: Path, before: Path, waiting: Path) -> None:
+    """Make the waiting key the fleet's, and keep the old one. Raises Failure."""
+    try:
+        before.unlink(missing_ok=True)
+        _write_key(before, old.read_bytes())
+        os.replace(waiting, old)
+    except OSError as error:
+        message = f"all robots have the key in {waiting}, but it could not take the place of {old}: {error.strerror}"
+        raise cli.Failure(cli.SURROUNDINGS, message, "run the command again: it only moves the files") from None
 
 
 def _with(path: Path, ending: str) -> Path:
@@ -153,15 +161,11 @@ def _run(options: Namespace, run: Callable[[Say], Done]) -> int:
     """Run a deployment, show its progress on a terminal, and report what became of it. Raises Failure."""
     from koordgen.operate.deploy import Failed
 
-    with _progress(options) as say:
-        try:
+    try:
+        with _progress(options) as say:
             done = run(say)
-        except Failed as failed:
-            error = failed
-        else:
-            error = None
-    if error is not None:
-        return _report_failure(options, error)
+    except Failed as failed:
+        return _report_failure(options, failed)
     if options.format == "json":
         cli._print_document(options, _as_data(done))
     else:

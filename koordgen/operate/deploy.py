@@ -226,8 +226,13 @@ async def _refuse_other_fleets(crew: Crew, inspected: Mapping[Host, Answer], bui
     deployed = [host for host, answer in inspected.items() if answer["deployment"]["confirmed"]]
 
     async def look(session: Session) -> None:
-        confirmed = inspected[session.host]["deployment"]["confirmed"]
-        document = (await session.call("release", id=confirmed))["release"]
+        try:
+            confirmed = inspected[session.host]["deployment"]["confirmed"]
+            document = (await session.call("release", id=confirmed))["release"]
+        except HostError as error:
+            if error.code == "missing":  # somebody deleted it; this deployment repairs that
+                return
+            raise
         strange = [name for name in document["robots"] if name not in built.bundles]
         other = document["application_id"] != built.application_id
         if strange or other:
