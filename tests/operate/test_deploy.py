@@ -340,3 +340,20 @@ from host_tool.__main__ import main
 raise SystemExit(main())
 """
     monkeypatch.setattr(host_tool_archive, "_STUB", stub)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "its host key is not in known_hosts", "its host key is not the one in known_hosts", "it refuses your SSH keys",
+        "no address is known", "did not answer within", "refuses connections", "and agents need 64 bits",
+        "there is no wheel of", "agents run there", "works here since", "it has a release of another fleet", "no space",
+        "cannot be written", "the disk of this host is read-only", "behind", "services would end there when",
+        "its bundle does not load", "the link was cut", "its login shell prints too much", "is not understood",
+    ],
+)  # fmt: skip
+def test_the_messages_of_the_page_are_those_of_the_code(words: str) -> None:
+    operate = Path(__file__).parents[2] / "koordgen/operate"
+    page = (operate.parents[1] / "docs/deploy.md").read_text(encoding="utf-8")
+    assert words in page.partition("\n## Messages\n")[2].partition("\n## Security\n")[0]
+    assert any(words in path.read_text(encoding="utf-8") for path in operate.rglob("*.py"))
