@@ -38,7 +38,7 @@ def start(options: Namespace) -> int:
         print(f"started {_names(fleet, done.robots)}, release {done.release[:8]}", flush=True)
     if done.idle:
         print(f"running before: {_names(fleet, done.idle)}", flush=True)
-    return _ended(done, f"`koordgen stop {options.fleet}` stops those that were started")
+    return _ended(done, f"`koordgen stop {options.fleet}` stops those that were started" if done.robots else "")
 
 
 def stop(options: Namespace) -> int:

@@ -18,7 +18,7 @@ from tests.replay.kept import Kept
 
 HOSTS = {"alice": "one", "bert": "one", "cleo": "two"}
 AGENT = b"""\
-import json, signal, sys, time
+import json, os, signal, socket, sys, time
 if "--doctor" in sys.argv:
     name = json.load(open(sys.argv[0] + "/settings.json"))["robot"]
     state = "fail" if name == "cleo" else "ok"
@@ -31,6 +31,7 @@ if "--help" in sys.argv:
     raise SystemExit(0)
 signal.signal(signal.SIGTERM, lambda *_: (print("landing", flush=True), sys.exit(0)))
 print("flying", flush=True)
+socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM).sendto(b"READY=1", os.environ["NOTIFY_SOCKET"].replace("@", "\\0"))
 while True:
     time.sleep(0.05)
 """
