@@ -80,6 +80,7 @@ FLOORS = {
         "runtime",  # which knows whether a requirement is for this computer
         "scenario",
         "pipeline",
+        "fleet",
         "bundle",
         "check",
         "ir",
