@@ -91,6 +91,7 @@ FLOORS = {
         "sarif",
         "format",
         "estop",
+        "fleet",
         "operate",
         "basestation",
         "doctor",
