@@ -80,7 +80,6 @@ FLOORS = {
         "runtime",  # which knows whether a requirement is for this computer
         "scenario",
         "pipeline",
-        "fleet",
         "bundle",
         "check",
         "ir",
