@@ -8,6 +8,7 @@ from typing import Any
 
 import yaml
 
+from koordgen.deployment import Deployment, read_deployment
 from koordgen.located import Reader, Report, YamlNode
 from koordgen.manifest import Target
 from koordgen.medium import Link, read_link, read_network
@@ -58,6 +59,7 @@ class Fleet(Node):
     link: Link | None  # None: nothing is said of it
     network: dict[str, Any]  # `transport`, and what the file says of it
     mocap: Mocap
+    deployment: Deployment
 
 
 def read(
@@ -86,7 +88,7 @@ def _read(
 ) -> Fleet:
     harnesses = sorted(name for name, t in targets.items() if t.kind == "harness")
     optional = ["application_id", "key", "insecure", "params", "safety", "obstacles", "modules"]
-    optional += ["monitors", "planner_budget", "avoid", "link", "network", "mocap", "world", *harnesses]
+    optional += ["monitors", "planner_budget", "avoid", "link", "network", "mocap", "world", "deploy", *harnesses]
     top = reader.table(reader.document(), "the fleet file", ["delta", "origin", "geofence", "robots"], optional)
     origin = reader.table(top.get("origin"), "origin", ["latitude", "longitude", "altitude"], [])
     geofence = read_box(reader, top.get("geofence"), "geofence")
@@ -120,6 +122,7 @@ def _read(
         link=read_link(reader, top.get("link")),
         network=read_network(reader, top.get("network")),
         mocap=read_mocap(reader, top.get("mocap")),
+        deployment=read_deployment(reader, top.get("deploy")),
     )
 
 

@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from koordgen.deployment import Login, read_login
 from koordgen.located import Reader, YamlNode
 from koordgen.manifest import Target
 from koordgen.node import Node
@@ -28,6 +29,7 @@ class Robot(Node):
     start: dict[str, Any]
     settings: dict[str, Any]
     harness: dict[str, dict[str, Any]]  # by harness: what is said of this robot there, no defaults
+    login: Login | None  # `host` of the fleet file: the computer on which its agent runs
 
 
 class Roster(Node):
@@ -58,7 +60,7 @@ def read_robots(reader: Reader, node: YamlNode | None, targets: Mapping[str, Tar
     robots: list[Robot] = []
     starts: list[YamlNode | None] = []
     harnesses = {name: target for name, target in targets.items() if target.kind == "harness"}
-    optional = ["control", "start", "settings", *sorted(harnesses)]
+    optional = ["control", "host", "start", "settings", *sorted(harnesses)]
     seen: dict[object, str] = {}
     for pid, entry in enumerate(entries):
         what = f"robot {pid}"
@@ -81,7 +83,8 @@ def read_robots(reader: Reader, node: YamlNode | None, targets: Mapping[str, Tar
             settings = read_settings(reader, keys.get("settings"), f"{what}'s settings", target.settings, known)
         start = _start(reader, keys.get("start"), what)
         own = {n: _in_harness(reader, keys[n], f"{what}'s {n}", t, known) for n, t in harnesses.items() if n in keys}
-        robots.append(Robot(name or "", pid, target.name if target else "", host, port, control, start, settings, own))
+        login, kind = read_login(reader, keys.get("host")), target.name if target else ""
+        robots.append(Robot(name or "", pid, kind, host, port, control, start, settings, own, login))
         starts.append(keys.get("start"))
     return Roster(tuple(robots), tuple(starts))
 

@@ -38,17 +38,33 @@ FLOORS = {
     "verify": BASE | {"ir", "check", "semantics", "prove", "runtime"},
     "manifest": {"node", "resources"},
     "mocap": {"node", "located"},
+    "deployment": {"node", "located"},
     "mesh": {"node"},
     "obstacles": BASE | {"located", "mesh"},
     "medium": BASE | {"located"},
     "offered": {"node", "located", "manifest"},
-    "robots": {"node", "located", "manifest", "offered"},
+    "robots": {"node", "located", "deployment", "manifest", "offered"},
     "world": {"node", "located", "obstacles", "offered"},
     "starts": {"node", "located", "manifest", "obstacles", "robots", "world"},
-    "fleet": BASE | {"located", "manifest", "medium", "obstacles", "mocap", "offered", "robots", "starts", "world"},
+    "fleet": BASE
+    | {"located", "deployment", "manifest", "medium", "obstacles", "mocap", "offered", "robots", "starts", "world"},
     "bundle": BASE | {"ir", "emit", "manifest", "medium", "fleet", "offered", "robots"},
     "estop": BASE | {"fleet", "robots", "runtime"},  # what people and agents say to one another
-    "operate": BASE | {"estop", "runtime"},
+    "operate": BASE
+    | {
+        "audit",
+        "bundle",
+        "check",
+        "deployment",
+        "emit",
+        "estop",
+        "fleet",
+        "ir",
+        "pipeline",
+        "replay",
+        "robots",
+        "runtime",
+    },
     "basestation": BASE | {"fleet", "manifest", "mocap", "robots", "runtime"},
     "doctor": BASE,
     "campaign": BASE | {"runtime"},  # how to install a package
@@ -74,6 +90,7 @@ FLOORS = {
         "sarif",
         "format",
         "estop",
+        "fleet",
         "operate",
         "basestation",
         "doctor",
@@ -91,6 +108,7 @@ FLOORS = {
     "runtime": set(),
     "_generated": set(),
 }
+HOST_TOOL = PACKAGE / "operate" / "host_tool"  # becomes a package of its own on robots, so its imports are relative
 GENERATED_READERS = {"syntax": "koordgen._generated.grammar"}
 HEAVY = {
     "pybullet",
@@ -120,8 +138,10 @@ def _imports(path: Path) -> Iterator[str]:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path}: relative import"
+            assert node.level <= (path.parent == HOST_TOOL), f"{path}: relative import"
             module = node.module or ""
+            if node.level:
+                module = f"koordgen.operate.host_tool.{module}".rstrip(".")
             yield from (f"{module}.{alias.name}" for alias in node.names)
 
 
@@ -169,6 +189,15 @@ def test_the_runtime_is_an_island() -> None:
             own = module.startswith("koordgen.runtime") or top in sys.stdlib_module_names or top == "msgspec"
             chosen = (path.name, top) == ("zenoh_transport.py", "zenoh")  # loaded when the settings ask for it
             assert own or chosen, f"{path.name} imports {module}"
+
+
+def test_the_host_tool_is_an_island() -> None:
+    """It runs with whatever Python of 3.10 or later a robot has."""
+    for path in HOST_TOOL.glob("*.py"):
+        ast.parse(path.read_text(encoding="utf-8"), feature_version=(3, 10))
+        for module in imports(path):
+            own = module.startswith("koordgen.operate.host_tool")
+            assert own or module.split(".")[0] in sys.stdlib_module_names, f"{path.name} imports {module}"
 
 
 def files_of(module: str) -> Iterator[Path]:

@@ -27,7 +27,7 @@ Files = dict[str, bytes]
 # In each bundle of a fleet, the name of what was built together: agents of other releases are not listened to.
 RELEASE, RELEASE_SIZE = "RELEASE", 16  # bytes of the digest
 ZENOH = "eclipse-zenoh>=1.10"
-# In a harness's bundle and in what its run leaves: all that tells what a trace is of, so that it can be replayed.
+# In every bundle, and in what a run leaves: all that tells what a trace is of, so that it can be replayed.
 SOURCE, PARAMS = "source", "params.json"
 
 
@@ -90,6 +90,7 @@ def _agent(these: Ingredients, target: Target, text: bytes, robot: Robot | None)
         "program.py": text,
         "properties.py": _properties(these),
         program.path: these.source,
+        PARAMS: _json(dict(these.params)),
         "requirements.txt": _requirements(fleet, target),
         "README.md": render("README_agent.md", **values).encode(),
     }
@@ -209,8 +210,7 @@ def _scenario(these: Ingredients, fleet: Fleet, harness: Target) -> dict[str, An
         "source": these.program.path,
         **{k: facts[k] for k in ("program_hash", "application_id", "delta", "origin", "geofence", "obstacles")},
         "world": fleet.world.facts,
-        "shared": [{"name": v.name, "kind": v.kind, "type": str(v.type)} for v in these.program.shared],
-        "records": {str(r.type): [[name, str(t)] for name, t in r.type.fields] for r in these.program.records},
+        **store_facts(these.program),
         "drivers": _drivers(these),
         "harness": fleet.harness.get(harness.name) or {k: s.default for k, s in harness.settings.items()},
         "robots": [
@@ -226,6 +226,14 @@ def _scenario(these: Ingredients, fleet: Fleet, harness: Target) -> dict[str, An
             }
             for r in fleet.robots
         ],
+    }
+
+
+def store_facts(program: Program) -> dict[str, Any]:
+    """Return the shared variables and record types, as a scenario and the header of a run's trace have them."""
+    return {
+        "shared": [{"name": v.name, "kind": v.kind, "type": str(v.type)} for v in program.shared],
+        "records": {str(r.type): [[name, str(t)] for name, t in r.type.fields] for r in program.records},
     }
 
 

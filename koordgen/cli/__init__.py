@@ -252,9 +252,22 @@ def _basestation(options: Namespace) -> int:
     return HOLDS
 
 
+def _fleet_command(options: Namespace) -> int:
+    from koordgen.cli import collect, fleet_commands
+
+    commands = {"start": fleet_commands.start, "stop": fleet_commands.stop, "logs": fleet_commands.logs}
+    return {**commands, "collect": collect.collect}[options.command](options)
+
+
 def _doctor(options: Namespace) -> int:
     from koordgen.doctor import CannotExamine, NoBundle, examine
 
+    if (options.bundle is None) == (options.fleet is None):
+        raise Failure(USAGE, "one of BUNDLE and --fleet FLEET is expected", "`koordgen help doctor` shows examples")
+    if options.fleet is not None:
+        from koordgen.cli.fleet_commands import doctor
+
+        return doctor(options)
     try:
         return examine(options.bundle, options.settings, options.format)
     except CannotExamine as error:
@@ -262,28 +275,10 @@ def _doctor(options: Namespace) -> int:
         raise Failure(status, str(error), error.help) from None
 
 
-def _key(options: Namespace) -> int:
-    import os
-    import secrets
+def _deploy(options: Namespace) -> int:
+    from koordgen.cli import deploy
 
-    try:
-        descriptor = os.open(options.file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        try:
-            with os.fdopen(descriptor, "wb") as file:
-                file.write(secrets.token_bytes(32))
-                file.flush()
-                os.fsync(descriptor)
-        except BaseException:
-            os.unlink(options.file)  # half a key would stand in the way of a whole one
-            raise
-    except FileExistsError:
-        raise Failure(
-            SURROUNDINGS, f"{options.file} exists", "a key is never overwritten; choose another name"
-        ) from None
-    except OSError as error:
-        raise Failure(SURROUNDINGS, f"{options.file}: {error.strerror}") from None
-    print(f"{options.file}: copy it to every robot of the fleet, beside settings.json, by a safe way")
-    return HOLDS
+    return {"deploy": deploy.deploy, "rollback": deploy.rollback, "key": deploy.key}[options.command](options)
 
 
 def _campaign(options: Namespace) -> int:
@@ -343,10 +338,12 @@ def _completion(options: Namespace) -> int:
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "help": _help, "completion": _completion, "check": _check, "dump": _dump, "build": _build,
     "prove": _prove, "explore": _explore, "fmt": _fmt, "explain": _explain, "estop": _estop,
-    "status": _status, "dashboard": _dashboard, "basestation": _basestation, "doctor": _doctor, "key": _key,
-    "report": _afterwards,
-    "export": _afterwards, "show": _afterwards, "campaign": _campaign,
-    "replay": _replay, "validate": _validate, "audit": _audit, "docs": _docs, "new": _new, "examples": _examples,
+    "status": _status, "dashboard": _dashboard, "basestation": _basestation, "doctor": _doctor,
+    "key": _deploy,
+    "start": _fleet_command, "stop": _fleet_command, "logs": _fleet_command, "collect": _fleet_command,
+    "deploy": _deploy, "rollback": _deploy, "report": _afterwards, "export": _afterwards, "show": _afterwards,
+    "campaign": _campaign, "replay": _replay, "validate": _validate, "audit": _audit, "docs": _docs, "new": _new,
+    "examples": _examples,
 }  # fmt: skip
 
 

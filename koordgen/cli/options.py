@@ -145,6 +145,7 @@ def status(command: Parser) -> None:
     asking = command.add_argument_group("asking")
     _key(asking)
     asking.add_argument("--watch", action="store_true", help="ask again every second, until Ctrl-C")
+    _ssh(command)
     _format(command.add_argument_group("output"))
 
 
@@ -183,16 +184,82 @@ def basestation(command: Parser) -> None:
 
 def doctor(command: Parser) -> None:
     """Options of `koordgen doctor`."""
-    command.positional.add_argument("bundle", metavar="BUNDLE", help="a robot's folder, as `koordgen build` wrote it")
+    bundle = "a robot's folder on this computer, as `koordgen build` wrote it"
+    command.positional.add_argument("bundle", metavar="BUNDLE", nargs="?", help=bundle)
     settings = "JSON that replaces entries of the bundle's settings.json"
     command.add_argument_group("settings").add_argument("--settings", metavar="FILE", help=settings)
+    _fleet(command.add_argument_group("fleet"), "ask all robots of this fleet file over SSH, instead of a BUNDLE")
+    _ssh(command)
     _format(command.add_argument_group("output"))
+
+
+def start(command: Parser) -> None:
+    """Options of `koordgen start`."""
+    _deployed(command)
+    _ssh(command)
+
+
+def stop(command: Parser) -> None:
+    """Options of `koordgen stop`."""
+    _deployed(command)
+    seconds = "time in which a robot must be at rest and its agent have ended (default: 30)"
+    stopping = command.add_argument_group("stopping")
+    stopping.add_argument("--seconds", metavar="S", type=values.seconds, default=30.0, help=seconds)
+    _ssh(command)
+
+
+def logs(command: Parser) -> None:
+    """Options of `koordgen logs`."""
+    _deployed(command)
+    lines = command.add_argument_group("lines")
+    lines.add_argument("--lines", metavar="N", type=values.natural, default=50, help="of each robot (default: 50)")
+    lines.add_argument("--follow", action="store_true", help="show new lines as they come, until Ctrl-C")
+    _ssh(command)
+
+
+def collect(command: Parser) -> None:
+    """Options of `koordgen collect`."""
+    _named_fleet(command)
+    output = command.add_argument_group("output")
+    folder = "the run folder to write, or one of an earlier collection, which goes on"
+    output.add_argument("-o", "--out", metavar="FOLDER", required=True, help=folder)
+    _quiet(output)
+    _ssh(command)
 
 
 def key(command: Parser) -> None:
     """Options of `koordgen key`."""
-    command.positional.add_argument("action", choices=("new",), help="`new` makes a key")
-    command.positional.add_argument("file", metavar="FILE", help="the key's file; an existing file is not overwritten")
+    action = "`new` makes a key; `rotate` gives a deployed fleet a new key, all robots or none"
+    command.positional.add_argument("action", choices=("new", "rotate"), help=action)
+    file = "new: the key's file, which must not exist yet; rotate: the fleet file (YAML)"
+    command.positional.add_argument("file", metavar="FILE", help=file)
+    _key(command.add_argument_group("rotate"))
+    _ssh(command)
+    _deployment_output(command)
+
+
+def deploy(command: Parser) -> None:
+    """Options of `koordgen deploy`."""
+    _program(command)
+    what = command.add_argument_group("what to deploy")
+    _fleet(what, "the fleet file (YAML), with a `host` for each robot", required=True)
+    _params(what)
+    _key(what)
+    over = "replace the release of another fleet, which a host has in this folder"
+    what.add_argument("--take-over", action="store_true", help=over)
+    _ssh(command)
+    _deployment_output(command)
+
+
+def rollback(command: Parser) -> None:
+    """Options of `koordgen rollback`."""
+    command.positional.add_argument("fleet", metavar="FLEET", type=values.fleet, help="the fleet file (YAML)")
+    what = command.add_argument_group("where to")
+    to = "a release that all robots still have (default: the one before the present one)"
+    what.add_argument("--to", metavar="ID", type=values.release, help=to)
+    _key(what)
+    _ssh(command)
+    _deployment_output(command)
 
 
 # Conditions of all links between robots; they replace those of the scenario.
@@ -384,6 +451,33 @@ def _duration(group: Group, help: str) -> None:
 def _key(group: Group) -> None:
     where = "the fleet's key (default: beside the fleet file, or in the working directory)"
     group.add_argument("--key", metavar="FILE", help=where)
+
+
+def _deployed(command: Parser) -> None:
+    _named_fleet(command)
+    robots = "the robots that are meant (default: all of the fleet)"
+    command.positional.add_argument("robots", metavar="ROBOT", nargs="*", help=robots)
+
+
+def _named_fleet(command: Parser) -> None:
+    command.positional.add_argument("fleet", metavar="FLEET", type=values.fleet, help="the fleet file (YAML)")
+    command.set_defaults(format="text")  # of mistakes in that file
+
+
+def _ssh(command: Parser) -> None:
+    group = command.add_argument_group("ssh")
+    config = "configuration of SSH (default: ~/.ssh/config)"
+    group.add_argument("--ssh-config", metavar="FILE", help=config)
+    known = "host keys that are trusted (default: as SSH is configured, ~/.ssh/known_hosts)"
+    group.add_argument("--known-hosts", metavar="FILE", help=known)
+    identity = "your private key (default: as SSH is configured, or that of ssh-agent)"
+    group.add_argument("--identity", metavar="FILE", help=identity)
+
+
+def _deployment_output(command: Parser) -> None:
+    output = command.add_argument_group("output")
+    _quiet(output)
+    _format(output)
 
 
 def _quiet(group: Group) -> None:

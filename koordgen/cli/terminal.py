@@ -8,6 +8,7 @@ import shutil
 from typing import TextIO
 
 _RED, _GREEN, _YELLOW, _CYAN = "1;31", "1;32", "1;33", "1;36"
+_NAMES = ("36", "33", "32", "35", "34", "96", "93", "92", "95", "94")
 _COLOURS = {
     "error": _RED, "warning": _YELLOW, "note": _CYAN, "help": _CYAN,
     "PROVED": _GREEN, "HELD": _GREEN, "HOLDS": _GREEN, "VALIDATED": _GREEN, "held": _GREEN,
@@ -59,6 +60,11 @@ def coloured_message(text: str, stream: TextIO) -> str:
 def coloured_verdicts(text: str, stream: TextIO) -> str:
     """Return a report with its verdicts in colours, where the stream has colours."""
     return _VERDICTS.sub(_word, text) if has_colours(stream) else text
+
+
+def coloured_name(name: str, index: int, stream: TextIO) -> str:
+    """Return a robot's name in the colour of its place in the fleet, where the stream has colours."""
+    return f"\x1b[{_NAMES[index % len(_NAMES)]}m{name}\x1b[0m" if has_colours(stream) else name
 
 
 def _word(found: re.Match[str]) -> str:

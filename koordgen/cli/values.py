@@ -25,6 +25,13 @@ def fleet(text: str) -> str:
     return text
 
 
+def release(text: str) -> str:
+    """Return the id of a release, 16 hex digits."""
+    if len(text) != 16 or not set(text) <= set("0123456789abcdef"):
+        raise argparse.ArgumentTypeError(f"expected the 16 hex digits of a release, not {text!r}")
+    return text
+
+
 def seconds(text: str) -> float:
     """Return a time in seconds, 0.01 to 86400."""
     return _number(text, 0.01, LONGEST, "seconds")

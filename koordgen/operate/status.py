@@ -1,6 +1,7 @@
 """Status of a whole fleet: each robot's agent is asked over its control port, and one table shows the answers.
 
-A robot that does not answer has a row of its own that says why. Nothing is changed on any robot.
+A robot that does not answer has a row of its own that says why; its host may be asked over SSH
+(koordgen/operate/installed.py), and the row shows that answer then. Nothing is changed on any robot.
 """
 
 from __future__ import annotations
@@ -16,23 +17,27 @@ from contextlib import suppress
 from typing import Any
 
 from koordgen.estop import Fleet, Place
-from koordgen.node import Node
+from koordgen.node import Node, replace
+from koordgen.operate.installed import Installed
 from koordgen.runtime.orders import LONG, NONCE
 from koordgen.runtime.status import Asking
 
 PATIENCE = 2.0  # seconds for all robots together
 _REPEAT = 0.05  # seconds between two questions to one robot
-_COLUMNS = ("robot", "release", "phase", "round", "current", "loss", "late ms", "clock ms", "disk", "temp", "notes")
+_COLUMNS = (
+    "robot", "release", "phase", "round", "current", "loss", "late ms", "clock ms", "battery", "disk", "temp", "notes",
+)  # fmt: skip
 
 
 class Asked(Node):
     """One robot's answer. `report` is None without one, and `note` says why, or what is odd about it; `after` in
-    seconds."""
+    seconds. `host` is what its computer says over SSH when it was asked."""
 
     place: Place
     report: Mapping[str, Any] | None
     after: float
     note: str
+    host: Installed | None = None
 
 
 def ask_all(fleet: Fleet, key: bytes | None, patience: float = PATIENCE) -> list[Asked]:
@@ -91,10 +96,34 @@ def _listen(asker: socket.socket, asking: Asking, until: float) -> None:
             return
 
 
+def with_hosts(answers: Sequence[Asked], found: Mapping[str, Installed], failed: Mapping[str, str]) -> list[Asked]:
+    """Return the answers with what hosts say of robots that gave none: by robot their state, or why there is none."""
+    return [
+        replace(a, host=found[a.place.name], note=found[a.place.name].note)
+        if a.place.name in found
+        else replace(a, note=f"{a.note}; SSH: {failed[a.place.name]}")
+        if a.place.name in failed
+        else a
+        for a in answers
+    ]
+
+
+def release_of(asked: Asked) -> str:
+    """Return the release that a robot runs, or that would start on it; empty when it is not known."""
+    if asked.report is not None:
+        return str(asked.report.get("release", ""))
+    return asked.host.release if asked.host is not None else ""
+
+
 def odd_releases(answers: Sequence[Asked]) -> dict[str, str]:
-    """Return robot -> release for those whose release is not the one that most robots run; empty when all are equal. A
-    fleet of several releases cannot begin a mission."""
-    releases = {a.place.name: str(a.report.get("release", "")) for a in answers if a.report is not None}
+    """Return robot -> release for those whose release is not the one that most robots have, running or installed; empty
+    when all are equal. A fleet of several releases cannot begin a mission."""
+    hosts = {a.place.name: a.host.id for a in answers if a.host is not None}  # these differ with the key, too
+    builds = {a.place.name: release_of(a) for a in answers if a.report is not None or a.host is not None}
+    return _odd(hosts) | _odd(builds)
+
+
+def _odd(releases: Mapping[str, str]) -> dict[str, str]:
     counted = Counter(releases.values()).most_common()
     return {name: release for name, release in releases.items() if release != counted[0][0]}
 
@@ -109,6 +138,7 @@ def to_json(answers: Sequence[Asked]) -> str:
             "after_ms": round(a.after * 1e3, 1) if a.report is not None else None,
             "note": a.note,
             "report": a.report,
+            "host": a.host and a.host.to_data(),
         }
         for a in answers
     ]
@@ -129,11 +159,7 @@ def table(answers: Sequence[Asked]) -> str:
 def _row(asked: Asked) -> tuple[str, ...]:
     report = asked.report
     if report is None:
-        return (
-            asked.place.name,
-            *("-",) * (len(_COLUMNS) - 2),
-            f"{asked.note} ({asked.place.host}:{asked.place.port})",
-        )
+        return _silent_row(asked)
     host = report.get("host", {})
     losses = [peer["loss"] for peer in report["peers"].values() if peer["loss"] is not None]
     violated = [f"violated: {each['of']} {each['name']}".strip() for each in report["monitors"]["violated"]]
@@ -146,10 +172,21 @@ def _row(asked: Asked) -> tuple[str, ...]:
         f"{100 * max(losses):.1f} %" if losses else "-",
         f"{report['late_ms']['p99']:.1f}" if report["late_ms"] else "-",
         _number(host.get("clock_ms"), "{:.2f}"),
+        _number(report.get("battery"), "{:.0%}"),
         _number(host.get("disk_gb"), "{:.1f} GB"),
         _number(host.get("temperature"), "{:.0f} °C"),
         "; ".join([asked.note] * bool(asked.note) + violated),
     )
+
+
+def _silent_row(asked: Asked) -> tuple[str, ...]:
+    """The row of a robot whose agent gave no answer: what its host says, if it was asked."""
+    note = f"{asked.note} ({asked.place.host}:{asked.place.port})"
+    if (host := asked.host) is None:
+        return (asked.place.name, *("-",) * (len(_COLUMNS) - 2), note)
+    temperature = _number(host.temperature, "{:.0f} °C")
+    unknown = ("-",) * (len(_COLUMNS) - 5)
+    return (asked.place.name, host.release[:8] or "none", *unknown, f"{host.free / 1e9:.1f} GB", temperature, note)
 
 
 def _number(value: float | None, form: str) -> str:

@@ -114,18 +114,32 @@ def _externally_managed() -> bool:
 def needed(line: str) -> str:
     """Return the package that a line of requirements names; "" if its markers exclude this Python or this computer.
     Raises ValueError for a line that is not understood."""
-    named = _REQUIREMENT.fullmatch(line)
-    if named is None:
-        raise ValueError(f"{line!r} is not understood")
+    named = _understood(line)
     return named["name"] if _applies(named) else ""
 
 
-def _applies(named: re.Match[str]) -> bool:
+def requirement_for(line: str, python: tuple[int, int], machine: str) -> str:
+    """Return a line of requirements without its markers, as in "a==1"; "" if these exclude a computer with such a
+    Python and processor. Raises ValueError for a line that is not understood."""
+    named = _understood(line)
+    applies = _applies(named, python, machine)
+    return f"{named['name']}{named['relation']}{named['version']}" if applies else ""
+
+
+def _understood(line: str) -> re.Match[str]:
+    named = _REQUIREMENT.fullmatch(line)
+    if named is None:
+        raise ValueError(f"{line!r} is not understood")
+    return named
+
+
+def _applies(named: re.Match[str], python: tuple[int, int] | None = None, machine: str | None = None) -> bool:
+    """Return whether the markers fit a Python and a processor (default: those of this computer)."""
     if named["when"] is None:
         return True
-    if named["machine"] not in (None, platform.machine()):
+    if named["machine"] not in (None, machine or platform.machine()):
         return False
-    here, there = sys.version_info[:2], _numbers(named["python"])
+    here, there = python or sys.version_info[:2], _numbers(named["python"])
     return {"<": here < there, "<=": here <= there, ">": here > there, ">=": here >= there}[named["when"]]
 
 

@@ -23,10 +23,14 @@ MISSING = [
     "validate geofence.koord --fleet no.yaml", f"campaign {APP} --fleet no.yaml --runs 1", f"sim {APP} --fleet no.yaml",
     "basestation no.yaml --system vicon --host h", "estop no.yaml", "status no.yaml", "status fleet.yaml --key no.key",
     "dashboard no.yaml", "dashboard fleet.yaml --key no.key",
+    "start no.yaml", "stop no.yaml", "logs no.yaml", "collect no.yaml -o out", "doctor --fleet no.yaml",
+    "start fleet.yaml", "stop fleet.yaml", "logs fleet.yaml", "doctor --fleet fleet.yaml",  # which names no hosts
     "report no", "show no", "export no --to csv", "replay no",
     "audit no", "doctor no", f"explore {APP} --env no.yaml", f"sim {APP} {FLEET} --scenario no.yaml",
     f"sim {APP} {FLEET} --follow no", "prove geofence.koord --attack-from no",
     f"campaign {APP} {FLEET} --runs 1 --verdict no.py", "estop fleet.yaml", "estop fleet.yaml --key no.key",
+    f"deploy no.koord {FLEET}", f"deploy {APP} --fleet no.yaml", f"deploy {APP} {FLEET}", "rollback no.yaml",
+    "rollback fleet.yaml", "key rotate no.yaml", "key rotate fleet.yaml",
     "basestation feed.yaml --system vicon --host h", "basestation feed.yaml --system vicon --host h --key no.key",
 ]  # fmt: skip
 # A folder or file that cannot be written: it is below a file.
@@ -34,13 +38,14 @@ UNWRITABLE = [
     "key new fleet.yaml/fleet.key", f"build {APP} {FLEET} -o fleet.yaml/out",
     "prove geofence.koord --emit fleet.yaml/out", f"campaign {APP} {FLEET} --runs 1 --lockstep --out fleet.yaml/out",
     f"sim {APP} {FLEET} --lockstep --duration 1 --out fleet.yaml/out", "new taken",
-    "examples copy election fleet.yaml/out",
+    "examples copy election fleet.yaml/out", "collect fleet.yaml -o fleet.yaml/out", "collect fleet.yaml -o fleet.yaml",
 ]  # fmt: skip
 USAGE = [f"{name} --no-such-option" for name in (*COMMANDS, *harnesses())] + [
     f"build {APP} --target boat", "explain K999", "help boat", "estop", "estop --address robot --key no.key",
     f"build {APP} {FLEET} --param nope=1", f"sim {APP} {FLEET} --param nope=1", f"prove {APP} --param nope=1",
     f"validate geofence.koord {FLEET} --param nope=1", "new no-name", "examples copy boat", "examples copy",
-    "docs boat", "docs fleet#boat", "dashboard fleet.yaml --bind 0.0.0.0",
+    "docs boat", "docs fleet#boat", "dashboard fleet.yaml --bind 0.0.0.0", "doctor", "doctor build --fleet fleet.yaml", "collect fleet.yaml",
+    "rollback fleet.yaml --to before", f"deploy {APP}",
 ]  # fmt: skip
 
 

@@ -80,7 +80,7 @@ def test_a_robot_of_another_release_is_named(
         (folder / "RELEASE").write_text(release * 32 + "\n")
         start(folder, started)
     status, found, said = ask_until(fleet, capsys, "joining")
-    assert status == 1 and "bert run another release than the rest" in said
+    assert status == 1 and "another release than the rest: bert" in said
     assert found["odd_releases"] == {"bert": "b" * 32}
     main(["status", fleet])
     assert "other releases than the rest: bert (bbbbbbbb)" in capsys.readouterr().out

@@ -1,0 +1,275 @@
+"""Collection of robots' traces and logs from their hosts into one run folder.
+
+A file arrives as NAME.part and gets its name when all bytes that it had are there. A later collection into the same
+folder goes on: only bytes that are missing travel. A robot's current trace becomes an older, numbered part whenever its
+agent begins anew (koordgen/runtime/trace_parts.py); it is recognised by its last bytes, and not fetched again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import fcntl
+import json
+import os
+import shutil
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any
+
+from koordgen.node import Node
+from koordgen.operate.hosts import HostError, Session, Sessions
+from koordgen.operate.logs import clock_offset
+from koordgen.operate.run_folder import ROBOTS, TRACE
+from koordgen.runtime.trace_parts import base_of, numbered
+
+MARKER = ".koord-collect"  # what later collections need to know; a simulation never clears a folder with it
+LOG = "log.txt"
+PART = ".part"
+AT_ONCE = 1 << 20  # bytes of one request
+OVERLAP = 512  # bytes that are fetched again, to see that a file is still the same one
+
+
+class CannotCollect(Exception):
+    """Nothing, or nothing of one robot, can be collected into the folder; `help` is the way out."""
+
+    def __init__(self, message: str, help: str) -> None:
+        super().__init__(message)
+        self.help = help
+
+
+class Collected(Node):
+    """What there is of one robot: files, and bytes that were fetched this time."""
+
+    robot: str
+    files: int
+    fetched: int
+
+
+class Folder:
+    """The run folder, claimed for one collection, as a context manager. Raises CannotCollect when other files are in
+    it or another collection runs, OSError."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._marker: IO[str] | None = None
+        self._known: dict[str, Any] = {}
+
+    def __enter__(self) -> Folder:
+        path = self.path
+        if path.exists() and (not path.is_dir() or (any(path.iterdir()) and not (path / MARKER).is_file())):
+            raise CannotCollect(
+                f"{path}: holds something that `koordgen collect` did not write", "choose another -o FOLDER"
+            )
+        path.mkdir(parents=True, exist_ok=True)
+        self._marker = (path / MARKER).open("a+", encoding="utf-8")
+        try:
+            fcntl.flock(self._marker, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self._marker.close()
+            raise CannotCollect(f"{path}: another collection into it runs", "wait for its end") from None
+        self._marker.seek(0)
+        with suppress(ValueError):
+            found = json.loads(self._marker.read() or "{}")
+            self._known = found if isinstance(found, dict) else {}
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._marker is not None:
+            self._marker.close()
+
+    def robot(self, name: str) -> Path:
+        """Return the folder of one robot's files; it is made when it is missing."""
+        folder = self.path / ROBOTS / name
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder
+
+    def known(self, robot: str) -> Mapping[str, Any]:
+        """Return what earlier collections noted of a robot's log: `next`, the time of
+        its last line by the host's clock, and `size` in bytes."""
+        found = self._known.get(robot)
+        return found if isinstance(found, dict) else {}
+
+    def note(self, robot: str, **what: Any) -> None:
+        """Note it for later collections."""
+        assert self._marker is not None
+        self._known[robot] = what
+        self._marker.seek(0)
+        self._marker.truncate()
+        json.dump(self._known, self._marker)
+        self._marker.flush()
+
+
+class Collection(Node):
+    """What there is of each robot, why others were missed, and the programs of the releases that hosts still have: of
+    each one its files by name, the newest release first."""
+
+    robots: dict[str, Collected]
+    missed: dict[str, HostError | CannotCollect | OSError]
+    programs: list[dict[str, bytes]]
+
+
+async def collect_all(sessions: Sessions, into: Folder, progress: Callable[[int], None]) -> Collection:
+    """Bring the traces and logs of all robots into the folder, hosts side by side."""
+    found: dict[str, Collected] = {}
+    missed: dict[str, HostError | CannotCollect | OSError] = {
+        robot: error for error in sessions.failed for robot in error.host.robots
+    }
+    programs: list[dict[str, bytes]] = []
+
+    async def of_host(session: Session) -> None:
+        for robot in session.host.robots:
+            try:
+                ahead = (await clock_offset(session)).ahead
+                try:
+                    found[robot] = await collect(session, robot, into, ahead, progress)
+                except CannotCollect:  # its agent may have begun another part between the list and a file
+                    found[robot] = await collect(session, robot, into, ahead, progress)
+                if not programs:
+                    programs.extend(await _programs(session, robot))
+            except (HostError, CannotCollect, OSError) as error:
+                missed[robot] = error
+
+    await asyncio.gather(*map(of_host, sessions.reached))
+    return Collection(found, missed, programs)
+
+
+async def _programs(session: Session, robot: str) -> list[dict[str, bytes]]:
+    """Return what a trace is replayed with, of each release that the host has: program, params, extern functions."""
+    deployment = (await session.call("inspect"))["deployment"]
+    found = []
+    for release in dict.fromkeys([deployment["confirmed"], *reversed(deployment["history"])]):
+        if release is not None:
+            files = (await session.call("source", id=release, robot=robot))["files"]
+            found.append({str(name): str(text).encode() for name, text in files.items() if "/" not in name})
+    return found
+
+
+async def collect(
+    session: Session, robot: str, into: Folder, ahead: float, progress: Callable[[int], None]
+) -> Collected:
+    """Bring one robot's traces and log into the folder. `ahead`: how far the host's clock is ahead, in seconds;
+    `progress` is called with bytes as they arrive. Raises HostError, CannotCollect, OSError."""
+    folder = into.robot(robot)
+    answer = await session.call("traces", robot=robot)
+    sizes = {str(each["name"]): int(each["size"]) for each in answer["files"]}
+    _must_be_plain(sizes, robot)
+    fetched = await _recognise_current(session, robot, folder, sizes)
+    for name in sorted(sizes, key=lambda each: (base_of(folder / each)[1] is None, len(each), each)):
+        fetched += await _fetch(session, robot, folder / name, sizes[name], progress)
+    fetched += await _fetch_log(session, robot, into, ahead)
+    return Collected(robot, len(sizes) + 1, fetched)
+
+
+def _must_be_plain(names: Mapping[str, int], robot: str) -> None:
+    """Raise CannotCollect unless all names are those of trace files: they become paths here."""
+    for name in names:
+        if "/" in name or not name.startswith(TRACE.partition(".")[0]) or not name.endswith(".jsonl"):
+            raise CannotCollect(
+                f"{robot}: its host lists {name!r}, which is no trace", "look at the folder traces/ there"
+            )
+
+
+async def _recognise_current(session: Session, robot: str, folder: Path, sizes: Mapping[str, int]) -> int:
+    """Give the current trace of an earlier collection the number that it has on the host by now, if any; return the
+    bytes that were fetched to find out."""
+    current = folder / TRACE
+    latest = max((number for number, _ in numbered(current)), default=0)
+    newer = [number for name in sizes if (number := _number(name)) > latest]
+    if not newer or not current.exists():
+        return 0
+    name = f"{current.stem}-{latest + 1}{current.suffix}"
+    fetched = 0
+    if name in sizes:
+        same, fetched = await _is_continued(session, robot, name, current, sizes[name])
+        if not same:
+            still, more = await _is_continued(session, robot, TRACE, current, sizes.get(TRACE, 0))
+            if not still:
+                raise _other(current)
+            return fetched + more  # its agent began another part while the trace was fetched the last time
+    current.replace(folder / name)
+    (folder / f"{TRACE}{PART}").unlink(missing_ok=True)
+    return fetched
+
+
+def _number(name: str) -> int:
+    """Return the number of an older part; 0 of the current one."""
+    _, dash, number = name.removesuffix(".jsonl").rpartition("-")
+    return int(number) if dash and number.isdecimal() else 0
+
+
+async def _fetch(session: Session, robot: str, path: Path, size: int, progress: Callable[[int], None]) -> int:
+    """Bring the first `size` bytes of a file; return how many were fetched. Raises CannotCollect when the file here is
+    of another recording."""
+    part = path.with_name(f"{path.name}{PART}")
+    here, arrived = (each.stat().st_size if each.exists() else 0 for each in (path, part))
+    start = part if arrived > here else path
+    same, fetched = await _is_continued(session, robot, path.name, start, size) if start.exists() else (True, 0)
+    if not same:
+        raise _other(path)
+    if here == size and path.exists():
+        part.unlink(missing_ok=True)
+        return fetched
+    if start is path and here:
+        shutil.copyfile(path, part)
+    known = max(here, arrived)
+    with part.open("ab") as file:
+        for offset in range(known, size, AT_ONCE):
+            length = min(AT_ONCE, size - offset)
+            data = await _bytes(session, robot, path.name, offset, length)
+            file.write(data)
+            fetched += len(data)
+            progress(len(data))
+        file.flush()
+        os.fsync(file.fileno())
+    part.replace(path)
+    return fetched
+
+
+async def _is_continued(session: Session, robot: str, name: str, path: Path, size: int) -> tuple[bool, int]:
+    """Return whether a file of `size` bytes on the host begins as `path` does, as far as the last bytes tell; and the
+    bytes fetched."""
+    known = path.stat().st_size
+    if not 0 < known <= size:
+        return known == 0, 0
+    length = min(OVERLAP, known)
+    data = await _bytes(session, robot, name, known - length, length)
+    with path.open("rb") as file:
+        file.seek(known - length)
+        return file.read(length) == data, length
+
+
+async def _bytes(session: Session, robot: str, name: str, offset: int, length: int) -> bytes:
+    answer = await session.call("fetch", robot=robot, file=name, offset=offset, length=length)
+    if len(answer.data) != length:
+        raise CannotCollect(
+            f"{robot}: {name} has changed while it was fetched", "collect again: what was fetched stays"
+        )
+    return answer.data
+
+
+def _other(path: Path) -> CannotCollect:
+    help = "collect into a new folder: what stands in this one is kept"
+    return CannotCollect(f"{path} is of another recording than the file of that name on the robot", help)
+
+
+async def _fetch_log(session: Session, robot: str, into: Folder, ahead: float) -> int:
+    """Append the log lines that are new, each with its time by this computer's clock; return their bytes."""
+    path, known, fetched = into.robot(robot) / LOG, into.known(robot), 0
+    with path.open("ab") as file:
+        file.truncate(int(known.get("size", 0)))  # what was written after the last note is fetched again
+        file.seek(0, os.SEEK_END)
+        cursor = known.get("next", 0.0)
+        while True:
+            answer = await session.call("logs", robot=robot, since=cursor)
+            if not answer["lines"]:
+                return fetched
+            data = "".join(f"{time - ahead:.3f} {text}\n" for time, text in answer["lines"]).encode()
+            file.write(data)
+            file.flush()
+            fetched += len(data)
+            cursor = answer["next"]
+            into.note(robot, next=cursor, size=file.tell())

@@ -1,0 +1,461 @@
+"""Deployments that the whole fleet takes or none of it: stage all, verify all, switch all, then confirm in two phases.
+
+A host that switched returns to its old release by itself unless it is confirmed in time. Phase one (`prepare`) finds
+out whether every host could confirm; only then phase two (`confirm`) begins. A failure before phase two reverts all
+hosts. A host that misses phase two returns by itself; then robots of two releases cannot begin a mission together,
+and the next deployment repairs the fleet.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable, Collection, Coroutine, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from koordgen.node import Node
+from koordgen.operate.host_tool_archive import archive
+from koordgen.operate.hosts import Answer, Host, HostError, Options, Session, Sessions, owner, sessions
+from koordgen.operate.release import (
+    REQUIREMENTS,
+    Bundles,
+    FileMap,
+    Fleetwide,
+    HostPart,
+    batches,
+    file_map,
+    key_id,
+    objects_of,
+    parts_of,
+    release_id,
+    robots_entry,
+)
+from koordgen.operate.wheels import CannotFetch, WheelSet, platform_of, wheel_set
+
+CONFIRM_WITHIN = 60.0  # seconds from the switch in which a host must be prepared, and again to be confirmed
+MOST_CLOCK_ERROR = 60.0  # seconds between a host's clock and this computer's
+NOTHING_CHANGED = "nothing was changed: every robot keeps its release"
+
+Say = Callable[[str], None]
+
+
+class Failed(Exception):
+    """The fleet does not run what was asked. `outcome` says in one sentence what every robot has now. Without errors
+    the user interrupted it."""
+
+    def __init__(self, errors: Iterable[HostError], outcome: str = NOTHING_CHANGED) -> None:
+        self.errors = tuple(errors)
+        self.outcome = outcome
+        super().__init__("; ".join(map(str, self.errors)))
+
+
+class Missed(Failed):
+    """Some hosts missed phase two, and the others did not."""
+
+
+class Interrupted(Exception):
+    """The user interrupted a phase, whose results and failures are here."""
+
+    def __init__(self, results: tuple[dict[Host, Any], list[HostError]]) -> None:
+        super().__init__("interrupted")
+        self.results = results
+
+
+class Deployed(Node):
+    """What became of each host. `before` and `changed` by host; `seconds` by phase; `sent` in bytes by host."""
+
+    release: str
+    before: dict[Host, str | None]
+    changed: tuple[Host, ...]
+    seconds: dict[str, float]
+    sent: dict[Host, int]
+
+
+class Built(Node):
+    """What a build and the fleet file give. `wheels`: as in the fleet file; `folder`: that of the fleet file."""
+
+    bundles: Bundles
+    app: str
+    application_id: int
+    key: bytes | None
+    service: str
+    wheels: str
+    folder: Path
+
+
+class Phases:
+    """The sessions of one deployment. Every phase runs on all hosts side by side, and fails when it fails on one."""
+
+    def __init__(self, opened: Sessions, say: Say) -> None:
+        self.hosts = opened.reached
+        self.seconds: dict[str, float] = {}
+        self._say = say
+
+    async def phase(
+        self,
+        name: str,
+        ask: Callable[[Session], Awaitable[Any]],
+        among: Collection[Host] | None = None,
+        patient: bool = False,
+    ) -> dict[Host, Any]:
+        """Ask hosts (default: all). Raises Failed, once all have answered."""
+        found, failed = await self.attempt(name, ask, among, patient)
+        if failed:
+            raise Failed(failed)
+        return found
+
+    async def attempt(
+        self,
+        name: str,
+        ask: Callable[[Session], Awaitable[Any]],
+        among: Collection[Host] | None = None,
+        patient: bool = False,
+    ) -> tuple[dict[Host, Any], list[HostError]]:
+        """Ask hosts (default: all); return the results and the failures. `patient`: an interrupt waits until all have
+        answered, because a request that was cut off leaves its host in a state that nobody knows."""
+        asked = tuple(each for each in self.hosts if among is None or each.host in among)
+        self._say(f"{name}: {len(asked)} host{'s' if len(asked) != 1 else ''}")
+        began = time.monotonic()
+        try:
+            work = Sessions(asked, ()).each(ask)
+            return await (_completed(work) if patient else work)
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.monotonic() - began
+
+
+async def _completed(work: Coroutine[Any, Any, Any]) -> Any:
+    """Return the result of `work`, also after an interrupt: raises Interrupted with it once the work is done."""
+    task = asyncio.ensure_future(work)
+    try:
+        return await asyncio.shield(task)
+    except asyncio.CancelledError:
+        await asyncio.wait([task])
+        raise Interrupted(task.result()) from None
+
+
+def deploy(hosts: Sequence[Host], options: Options, built: Built, take_over: bool, say: Say) -> Deployed:
+    """Bring all hosts to the release that was built. Raises Failed, Missed, NoHosts."""
+
+    async def run(phases: Phases) -> Deployed:
+        inspected = await _begin(phases, "deploy", built.service)
+        await _refuse_other_fleets(phases, inspected, built, take_over)
+        sets = await _wheel_sets(phases, inspected, built)
+        python = phases.hosts[0].host.python
+        fleetwide = Fleetwide(built.application_id, built.app, built.service, python, key_id(built.key))
+        entries = {
+            robot: robots_entry(built.bundles[robot], each.host, found.venv if (found := sets[each.host]) else "")
+            for each in phases.hosts for robot in each.host.robots
+        }  # fmt: skip
+        files = {each.host: file_map(built.bundles, each.host.robots) for each in phases.hosts}
+        name, parts = parts_of(fleetwide, files, entries)
+        await _send(phases, parts, built.bundles, sets, built.key)
+        await phases.phase("verify", lambda session: session.call("verify", id=name))
+        return await _switch(phases, name, inspected)
+
+    return asyncio.run(_with_sessions(hosts, options, say, run))
+
+
+async def _with_sessions(
+    hosts: Sequence[Host], options: Options, say: Say, run: Callable[[Phases], Awaitable[Deployed]]
+) -> Deployed:
+    say(f"connect: {len(hosts)} host{'s' if len(hosts) != 1 else ''}")
+    began = time.monotonic()
+    done: Deployed | None = None
+    try:
+        async with sessions(hosts, options, archive()) as opened:
+            if opened.failed:
+                raise Failed(opened.failed)
+            phases = Phases(opened, say)
+            phases.seconds["connect"] = time.monotonic() - began
+            done = await run(phases)
+    except asyncio.CancelledError:  # Ctrl-C before the switch, or when all is done
+        if done is None:
+            raise Failed(()) from None
+    assert done is not None
+    return done
+
+
+async def _begin(phases: Phases, what: str, service: str = "") -> dict[Host, Answer]:
+    """Lock all hosts, and refuse those on which nothing may be changed now. The first host's lock decides between two
+    deployments at once; then the rest is free."""
+    first, *rest = sorted(each.host.login.text for each in phases.hosts)
+    by_text = {each.host.login.text: each.host for each in phases.hosts}
+
+    async def lock(session: Session) -> Answer:
+        return await session.call("lock", owner=owner(), what=what)
+
+    await phases.phase("lock", lock, [by_text[first]])
+    if rest:
+        await phases.phase("lock", lock, [by_text[text] for text in rest])
+
+    async def inspect(session: Session) -> Answer:
+        before = time.time()
+        answer = await session.call("inspect")
+        _refuse_state(session.host, answer, before, time.time(), service)
+        return answer
+
+    return await phases.phase("inspect", inspect)
+
+
+def _refuse_state(host: Host, answer: Answer, before: float, after: float, service: str) -> None:
+    """Raises HostError for a host on which a deployment would fail or do harm. Times in seconds since 1970: the answer
+    was given between `before` and `after`."""
+    if not answer["writable"]:
+        help = "an SD card that fails becomes read-only: look at `dmesg`, then mount it for writing"
+        raise HostError(host, "read-only", f"{answer['folder']} cannot be written", help)
+    flying = {name: robot for name, robot in answer["robots"].items() if robot["running"]}
+    if flying:
+        named = ", ".join(f"{name} ({robot['phase'] or 'phase unknown'})" for name, robot in flying.items())
+        help = "bring the fleet to rest and end its agents: `koordgen stop FLEET`"
+        raise HostError(host, "in flight", f"agents run there: {named}", help)
+    error = min(0.0, answer["clock"] - before) + max(0.0, answer["clock"] - after)
+    if abs(error) > MOST_CLOCK_ERROR:
+        side = "behind" if error < 0 else "ahead of"
+        help = f"`ssh {host.login.user}@{host.login.name} sudo date -u --set=@{after:.0f}` sets it"
+        message = f"its clock is {abs(error):.0f} s {side} this computer's; at most {MOST_CLOCK_ERROR:g} s are allowed"
+        raise HostError(host, "clock", message, help)
+    if service == "systemd" and not answer["linger"]:
+        message = f"{answer['user']}'s services would end there when {answer['user']} logs out"
+        help = f"run `sudo loginctl enable-linger {answer['user']}` there, or say `deploy: {{service: none}}`"
+        raise HostError(host, "linger", message, help)
+
+
+async def _refuse_other_fleets(phases: Phases, inspected: Mapping[Host, Answer], built: Built, take_over: bool) -> None:
+    """Raises Failed when a host runs a release of another application, or of robots that this fleet does not have."""
+    if take_over:
+        return
+    deployed = [host for host, answer in inspected.items() if answer["deployment"]["confirmed"]]
+
+    async def look(session: Session) -> None:
+        try:
+            confirmed = inspected[session.host]["deployment"]["confirmed"]
+            document = (await session.call("release", id=confirmed))["release"]
+        except HostError as error:
+            if error.code == "missing":  # somebody deleted it; this deployment repairs that
+                return
+            raise
+        strange = [name for name in document["robots"] if name not in built.bundles]
+        other = document["application_id"] != built.application_id
+        if strange or other:
+            whose = f"application_id {document['application_id']}" if other else f"robots {', '.join(strange)}"
+            message = f"it has a release of another fleet: {document['app']}, {whose}"
+            help = "name another `deploy: {folder: ...}`, or replace that fleet with --take-over"
+            raise HostError(session.host, "other fleet", message, help)
+
+    if deployed:
+        await phases.phase("compare", look, deployed)
+
+
+async def _wheel_sets(phases: Phases, inspected: Mapping[Host, Answer], built: Built) -> dict[Host, WheelSet | None]:
+    """Return the wheels for each host; None where its interpreter has the packages already. Raises Failed."""
+    if built.wheels == "host":
+        return {each.host: None for each in phases.hosts}
+    folder = None if built.wheels == "index" else built.folder / built.wheels
+    fetched: dict[Any, asyncio.Future[WheelSet]] = {}
+
+    async def fetch(session: Session) -> WheelSet:
+        texts = [built.bundles[robot][REQUIREMENTS].decode() for robot in session.host.robots]
+        wanted = "".join(dict.fromkeys(line for text in texts for line in text.splitlines(keepends=True)))
+        try:
+            platform = platform_of(inspected[session.host])
+            if (wanted, platform) not in fetched:
+                work = asyncio.to_thread(wheel_set, wanted, platform, folder)
+                fetched[wanted, platform] = asyncio.ensure_future(work)
+            return await fetched[wanted, platform]
+        except CannotFetch as error:
+            raise HostError(session.host, "wheels", str(error), error.help) from None
+
+    return await phases.phase("wheels", fetch)
+
+
+async def _send(
+    phases: Phases,
+    parts: Mapping[Host, HostPart],
+    bundles: Bundles,
+    sets: Mapping[Host, WheelSet | None],
+    key: bytes | None,
+) -> None:
+    """Send what each host lacks, and stage its part of the release there: complete, but not used yet."""
+    packed: dict[tuple[str, ...], Any] = {}
+
+    def pack(contents: list[tuple[str, str, bytes]]) -> Any:
+        names = tuple(digest for _, digest, _ in contents)
+        if names not in packed:
+            packed[names] = list(batches(contents))
+        return packed[names]
+
+    async def send(session: Session) -> None:
+        host, wheels = session.host, sets[session.host]
+        objects = objects_of(bundles, host.robots)
+        listed = list(wheels.digests.items()) if wheels else []
+        lacking = await session.call("missing", objects=list(objects), wheels=listed)
+        for entries, data in pack([(digest, digest, objects[digest]) for digest in lacking["objects"]]):
+            await session.call("store", data, kind="objects", entries=entries)
+        if wheels:
+            for name in lacking["wheels"]:
+                for entries, data in pack([(name, wheels.digests[name], wheels.files[name].read_bytes())]):
+                    await session.call("store", data, kind="wheels", entries=entries)
+        await _send_key(session, key)
+        if wheels:
+            await session.call(
+                "packages", digest=wheels.venv, requirements=wheels.requirements, wheels=list(wheels.files)
+            )
+        await session.call("stage", release=parts[host].document, files=parts[host].files)
+
+    await phases.phase("send", send)
+
+
+async def _send_key(session: Session, key: bytes | None) -> None:
+    if key is not None:
+        await session.call("key", key, id=key_id(key))
+
+
+async def _switch(phases: Phases, name: str, inspected: Mapping[Host, Answer]) -> Deployed:
+    """Switch all hosts that do not run `name` yet, and confirm it in two phases. Raises Failed, Missed."""
+    states = {host: answer["deployment"] for host, answer in inspected.items()}
+    before = {host: state["confirmed"] for host, state in states.items()}
+    late = [host for host, state in states.items() if state["confirmed"] != name or state["pending"]]
+    if late:
+        try:
+            await phases.phase("switch", lambda each: each.call("switch", id=name, seconds=CONFIRM_WITHIN), late, True)
+            await phases.phase("prepare", lambda each: each.call("prepare", id=name), late, True)
+        except (Failed, Interrupted, asyncio.CancelledError) as error:
+            outcome = await _revert(phases, name, late)
+            raise Failed(error.errors if isinstance(error, Failed) else (), outcome) from None
+        await _confirm(phases, name, late)
+    sent = {session.host: session.sent for session in phases.hosts}
+    return Deployed(name, before, tuple(late), phases.seconds, sent)
+
+
+async def _revert(phases: Phases, name: str, late: Collection[Host]) -> str:
+    """Return all hosts to their releases; say in one sentence what they have then."""
+    _, failed = await phases.attempt("revert", lambda each: each.call("revert", id=name), late)
+    if not failed:
+        return NOTHING_CHANGED
+    named = ", ".join(robot for error in failed for robot in error.host.robots)
+    return (
+        f"every robot keeps its release; the hosts of {named} could not be told, and return to it by themselves within "
+        f"{2 * CONFIRM_WITHIN:g} s"
+    )
+
+
+async def _confirm(phases: Phases, name: str, late: Collection[Host]) -> None:
+    """Phase two. It is not given up once it began: the more hosts confirm, the less is there to repair."""
+    try:
+        _, failed = await phases.attempt("confirm", lambda each: each.call("confirm", id=name), late, True)
+    except Interrupted as interrupted:
+        _, failed = interrupted.results
+    if not failed:
+        return
+    there = sum(len(each.host.robots) for each in phases.hosts) - sum(len(error.host.robots) for error in failed)
+    named = ", ".join(robot for error in failed for robot in error.host.robots)
+    raise Missed(
+        failed,
+        f"{there} robots have release {name}; {named} missed the second phase, and return to the release before within "
+        f"{2 * CONFIRM_WITHIN:g} s unless the confirmation arrived. The fleet cannot begin a mission; the same command "
+        "repairs it",
+    )
+
+
+def rollback(hosts: Sequence[Host], options: Options, to: str | None, key: bytes | None, say: Say) -> Deployed:
+    """Bring all hosts to a release that they still have: `to`, or the one before. Raises Failed, Missed, NoHosts."""
+
+    async def run(phases: Phases) -> Deployed:
+        inspected = await _begin(phases, "rollback")
+        name = _common_release(inspected, to)
+
+        async def check(session: Session) -> None:
+            await session.call("verify", id=name, load=False)  # its bundles were loaded when it was deployed
+            document = (await session.call("release", id=name))["release"]
+            _refuse_robots(session.host, document)
+            if document["key"] != key_id(key):
+                message = f"release {name} has another key than the one given"
+                help = "after a rotation the key before is in the key's file with `.before` added: name it with --key"
+                raise HostError(session.host, "key", message, help)
+
+        await phases.phase("verify", check)
+        return await _switch(phases, name, inspected)
+
+    return asyncio.run(_with_sessions(hosts, options, say, run))
+
+
+def _common_release(inspected: Mapping[Host, Answer], to: str | None) -> str:
+    """Return the release to return to: the newest one that all hosts have and not all run. Raises Failed."""
+    histories = {host: answer["deployment"]["history"] for host, answer in inspected.items()}
+    confirmed = {answer["deployment"]["confirmed"] for answer in inspected.values()}
+    first = next(iter(histories.values()))
+    common = [name for name in first if all(name in history for history in histories.values())]
+    if to is not None:
+        lacking = [host for host, history in histories.items() if to not in history]
+        if lacking:
+            raise Failed(
+                HostError(host, "missing", f"release {to} is not there; it has {', '.join(histories[host]) or 'none'}",
+                          "`koordgen deploy` builds and deploys any program") for host in lacking
+            )  # fmt: skip
+        return to
+    candidates: list[str] = [name for name in common if confirmed != {name}]
+    if not candidates:
+        help = "`koordgen deploy` deploys the program that you want"
+        message = "there is no release before the present one that all hosts of the fleet have"
+        raise Failed(HostError(host, "missing", message, help) for host in list(histories)[:1])
+    return candidates[-1]
+
+
+def _refuse_robots(host: Host, document: Mapping[str, Any]) -> None:
+    if set(document["robots"]) != set(host.robots):
+        message = f"its release {document['id']} is of {', '.join(document['robots'])}"
+        raise HostError(host, "other fleet", message, "run `koordgen deploy` with this fleet file first")
+
+
+def rotate(hosts: Sequence[Host], options: Options, new: bytes, say: Say) -> Deployed:
+    """Bring all hosts to their present release with another key. Raises Failed, Missed, NoHosts."""
+
+    async def run(phases: Phases) -> Deployed:
+        inspected = await _begin(phases, "key rotate")
+        present = await phases.phase("compare", lambda each: _present(each, inspected[each.host]))
+        documents = {host: answer["release"] for host, answer in present.items()}
+        entries = {robot: entry for document in documents.values() for robot, entry in document["robots"].items()}
+        _refuse_several(documents, entries)
+        files: dict[Host, FileMap] = {host: answer["files"] for host, answer in present.items()}
+        name, parts = parts_of(_fleetwide_of(next(iter(documents.values())), key_id(new)), files, entries)
+
+        async def stage(session: Session) -> None:
+            await _send_key(session, new)
+            part = parts[session.host]
+            await session.call("stage", release=part.document, files=part.files)
+
+        await phases.phase("send", stage)
+        await phases.phase("verify", lambda session: session.call("verify", id=name))
+        return await _switch(phases, name, inspected)
+
+    return asyncio.run(_with_sessions(hosts, options, say, run))
+
+
+async def _present(session: Session, inspected: Answer) -> Answer:
+    """Return the confirmed release of a host. Raises HostError."""
+    confirmed = inspected["deployment"]["confirmed"]
+    if confirmed is None:
+        raise HostError(session.host, "missing", "no release is there", "run `koordgen deploy` first")
+    answer = await session.call("release", id=confirmed)
+    _refuse_robots(session.host, answer["release"])
+    return answer
+
+
+def _fleetwide_of(document: Mapping[str, Any], key: str) -> Fleetwide:
+    return Fleetwide(document["application_id"], document["app"], document["service"], document["python"], key)
+
+
+def _refuse_several(documents: Mapping[Host, Mapping[str, Any]], entries: Mapping[str, Mapping[str, str]]) -> None:
+    """Raises Failed when hosts have releases that differ in more than the key: a rotation that some hosts missed is
+    repaired by the next one."""
+    odd = [
+        host for host, document in documents.items()
+        if release_id(_fleetwide_of(document, document["key"]), entries) != document["id"]
+    ]  # fmt: skip
+    if odd:
+        help = "run `koordgen deploy` first, which repairs the fleet"
+        raise Failed(
+            HostError(host, "mixed", f"its release {documents[host]['id']} is not that of the other robots", help)
+            for host in odd
+        )

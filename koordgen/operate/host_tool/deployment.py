@@ -1,0 +1,182 @@
+"""Decisions about releases: which one is confirmed, which one waits for its confirmation and until when.
+
+`deployment.json` is replaced as a whole. A release that is not confirmed in time counts as never switched to, whether
+or not a process is left to write that down: `current` and `deployment.json` are repaired by whoever looks next.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from . import releases
+from .folder import Folder, ToolError, checked_release, read_json, sync_folder, write_json
+
+_KEPT = 3  # releases
+
+
+class Boot:
+    """Clock of the host that goes on while it sleeps, and the id of its present boot."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+
+    def id(self) -> str:
+        return self.file.read_text(encoding="ascii").strip()
+
+    def now(self) -> float:
+        """Seconds since this boot."""
+        return time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
+class Deployment:
+    """State of the deployments in one folder. Call every method but `read` inside `lock.deciding`."""
+
+    def __init__(self, folder: Folder, boot: Boot) -> None:
+        self._folder = folder
+        self._boot = boot
+
+    def read(self) -> dict[str, Any]:
+        """Return the content of `deployment.json`. Raises ToolError when it is damaged."""
+        path = self._folder.deployment
+        if not path.exists():
+            return {"confirmed": None, "history": [], "pending": None}
+        found = read_json(path)
+        if not isinstance(found, dict) or not {"confirmed", "history", "pending"} <= found.keys():
+            raise ToolError("damaged", f"{path} is damaged", "move it away, then deploy again")
+        return found
+
+    def current(self) -> str | None:
+        """Return the release that the link `current` names."""
+        try:
+            return Path(os.readlink(self._folder.current)).name
+        except OSError:
+            return None
+
+    def has_expired(self, pending: dict[str, Any]) -> bool:
+        return bool(pending["boot"] != self._boot.id() or self._boot.now() >= pending["deadline"])
+
+    def runnable(self) -> str:
+        """Return the release that may start. Raises ToolError while another one waits, or when there is none."""
+        state = self.read()
+        pending, confirmed = state["pending"], state["confirmed"]
+        if pending is not None and not self.has_expired(pending):
+            left = pending["deadline"] - self._boot.now()
+            raise ToolError(
+                "unconfirmed",
+                f"release {pending['id']} waits for its confirmation; without it this host returns to "
+                f"{confirmed or 'having none'} in {left:.0f} s",
+                "wait, or deploy again",
+            )
+        if confirmed is None:
+            raise ToolError("unconfirmed", "no release was confirmed on this host", "deploy one")
+        return str(confirmed)
+
+    def repair(self) -> None:
+        """Return from a pending release that has expired, and make `current` name the release that counts."""
+        state = self.read()
+        pending = state["pending"]
+        if pending is not None and self.has_expired(pending):
+            self._return(state)
+        elif pending is None and self.current() != state["confirmed"]:
+            self._link(state["confirmed"])
+
+    def switch(self, release: str, seconds: float, check: Callable[[], None]) -> str:
+        """Make `release` the pending one for `seconds`. `check` raises when the robots must not be touched now.
+
+        A session that holds the lock may replace the pending release of a session that is gone. Returns the nonce.
+        """
+        releases.read_release(self._folder, release, candidate=True)
+        check()
+        with self._folder.room():
+            state = self.read()
+            if state["pending"] is not None:
+                self._return(state)
+            nonce = secrets.token_hex(8)
+            pending = {
+                "id": release,
+                "from": state["confirmed"],
+                "boot": self._boot.id(),
+                "deadline": self._boot.now() + seconds,
+                "seconds": seconds,
+                "prepared": False,
+                "nonce": nonce,
+            }
+            self._write(state | {"pending": pending})
+            self._link(release)
+        return nonce
+
+    def prepare(self, release: str) -> None:
+        """First phase: this host could confirm. The deadline moves once, by as long as was given at the switch."""
+        state, pending = self._pending(release)
+        releases.read_release(self._folder, release, candidate=True)
+        if not pending["prepared"]:
+            deadline = pending["deadline"] + pending["seconds"]
+            with self._folder.room():
+                self._write(state | {"pending": pending | {"prepared": True, "deadline": deadline}})
+
+    def confirm(self, release: str) -> None:
+        """Second phase: `release` is the one that runs from now on. Confirming it twice is the same as once."""
+        state = self.read()
+        if state["pending"] is None and state["confirmed"] == checked_release(release):
+            return
+        state, pending = self._pending(release)
+        if not pending["prepared"]:
+            raise ToolError("not prepared", f"release {release} was not prepared", "prepare it first")
+        history = [each for each in state["history"] if each != release] + [release]
+        with self._folder.room():
+            releases.accept(self._folder, release)
+            self._write({"confirmed": release, "history": history[-_KEPT:], "pending": None})
+        with suppress(OSError, ToolError):  # the decision stands; what is left here is removed next time
+            releases.prune(self._folder, history[-_KEPT:])
+
+    def revert(self, release: str) -> bool:
+        """Return to the release before `release`; returns whether there was anything to do."""
+        state = self.read()
+        pending = state["pending"]
+        if pending is not None and pending["id"] == checked_release(release):
+            self._return(state)
+            return True
+        if state["confirmed"] == release:
+            raise ToolError("confirmed", f"release {release} is confirmed", "roll back to another one instead")
+        self.repair()
+        return False
+
+    def _pending(self, release: str) -> tuple[dict[str, Any], dict[str, Any]]:
+        checked_release(release)
+        state = self.read()
+        pending = state["pending"]
+        if pending is None or pending["id"] != release:
+            raise ToolError("expired", f"release {release} does not wait for a confirmation here", "deploy it again")
+        if self.has_expired(pending) or self.current() != release:
+            self.repair()
+            raise ToolError("expired", f"release {release} was not confirmed in time", "deploy it again")
+        return state, pending
+
+    def _return(self, state: dict[str, Any]) -> None:
+        """The link first: a release whose link is gone can no longer be confirmed."""
+        self._link(state["confirmed"])
+        self._write(state | {"pending": None})
+
+    def _write(self, state: dict[str, Any]) -> None:
+        write_json(self._folder.deployment, state)
+
+    def _link(self, release: str | None) -> None:
+        """Make `current` name a release by one rename."""
+        path = self._folder.current
+        if self.current() == release:
+            return
+        if release is None:
+            path.unlink()
+        else:
+            beside = path.with_name(f".current.{os.getpid()}")
+            with suppress(FileNotFoundError):
+                beside.unlink()
+            os.symlink(f"releases/{release}", beside)
+            os.replace(beside, path)
+        sync_folder(path.parent)

@@ -1,0 +1,115 @@
+"""Locks of the folder: one session at a time may change it, and each of its decisions is one critical section.
+
+All locks are flock(2) on open files, so the kernel releases them when their process ends, however it ends.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from .folder import Folder, ToolError, read_json, write_json
+
+_PATIENCE = 60.0  # seconds that a process waits for a critical section of another process
+_PROBED = 0.3  # seconds; a process that only looks at a lock holds it for microseconds
+
+
+def try_lock(path: Path, patience: float = _PROBED) -> int | None:
+    """Return an open file that holds the lock of `path` until it is closed, None when another process holds it."""
+    file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    end = time.monotonic() + patience
+    try:
+        while True:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                return file
+            except BlockingIOError:
+                if time.monotonic() > end:
+                    os.close(file)
+                    return None
+                time.sleep(0.02)
+    except OSError:
+        os.close(file)
+        raise
+
+
+def is_locked(path: Path) -> bool:
+    """Return whether a process holds the lock of `path`."""
+    try:
+        file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    finally:
+        os.close(file)
+    return False
+
+
+@contextmanager
+def deciding(folder: Folder) -> Iterator[None]:
+    """Critical section around each reading and change of `deployment.json`, and around each start of an agent."""
+    file = try_lock(folder.deployment_lock, _PATIENCE)
+    if file is None:
+        raise ToolError("busy", f"another process has worked in {folder.root} for {_PATIENCE:.0f} s", "try again")
+    try:
+        yield
+    finally:
+        os.close(file)
+
+
+class SessionLock:
+    """Lock of one session on the whole folder. `lock.json` names its owner for others."""
+
+    def __init__(self, folder: Folder) -> None:
+        self._folder = folder
+        self._file: int | None = None
+
+    @property
+    def held(self) -> bool:
+        return self._file is not None
+
+    def take(self, owner: str, what: str) -> None:
+        """Raises ToolError "locked" that names the present owner and the lock's age."""
+        if self._file is None:
+            self._file = try_lock(self._folder.lock)
+        if self._file is None:
+            other = locked_by(self._folder) or {}
+            age = time.time() - float(other.get("since", time.time()))
+            raise ToolError(
+                "locked",
+                f"{other.get('owner', 'somebody')} works here since {age:.0f} s "
+                f"({other.get('what', 'not known what')}, process {other.get('pid', 'unknown')})",
+                "wait until that command has ended; its lock ends with it",
+            )
+        try:
+            write_json(
+                self._folder.lock_owner, {"owner": owner, "pid": os.getpid(), "since": time.time(), "what": what}
+            )
+        except OSError:
+            self.release()
+            raise
+
+    def release(self) -> None:
+        if self._file is not None:
+            with suppress(OSError):
+                self._folder.lock_owner.unlink()
+            os.close(self._file)
+            self._file = None
+
+
+def locked_by(folder: Folder) -> dict[str, Any] | None:
+    """Owner of the session lock as `lock.json` tells it, None when no living process holds the lock."""
+    if not is_locked(folder.lock):
+        return None
+    found = read_json(folder.lock_owner)
+    return found if isinstance(found, dict) else {}

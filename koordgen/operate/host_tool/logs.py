@@ -1,0 +1,129 @@
+"""Log files of agents, bounded in size, and what is read from a host: log lines, traces, pieces of files."""
+
+from __future__ import annotations
+
+import os
+import stat
+import time
+from collections import deque
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from itertools import islice
+from pathlib import Path
+from typing import Any, TextIO
+
+from .folder import Folder, ToolError, checked_path
+
+_PART = 4_000_000  # bytes after which a log file is set aside
+_PARTS = 4  # files of one robot's log
+_LONGEST = 4000  # characters of a line
+MOST_LINES = 5000  # in one answer
+_MOST_BYTES = 16 * 1024 * 1024  # in one answer
+
+Line = tuple[float, str]
+
+
+class Log:
+    """Log of one robot: each line begins with its Unix time, which increases. A full disk costs lines, nothing else."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._file: TextIO | None = None
+        self._last = 0.0
+        self._lost = 0
+
+    def write(self, text: str) -> None:
+        if self._lost:
+            lost, self._lost = self._lost, 0
+            self._append(f"{lost} lines were lost: the disk was full")
+        self._append(text)
+
+    def close(self) -> None:
+        if self._file is not None:
+            with suppress(OSError):
+                self._file.close()
+            self._file = None
+
+    def _append(self, text: str) -> None:
+        self._last = max(time.time(), self._last + 1e-6)
+        try:
+            if self._file is None:
+                self._file = self._path.open("a", encoding="utf-8", errors="replace", buffering=1)
+            self._file.write(f"{self._last:.6f} {text[:_LONGEST]}\n")
+            if self._file.tell() >= _PART:
+                self._set_aside()
+        except OSError:
+            self._lost += 1
+            self.close()
+
+    def _set_aside(self) -> None:
+        self.close()
+        for number in range(_PARTS - 1, 0, -1):
+            with suppress(FileNotFoundError):
+                os.replace(_part(self._path, number - 1), _part(self._path, number))
+
+
+def _part(path: Path, number: int) -> Path:
+    return path.with_name(f"{path.name}.{number}") if number else path
+
+
+def read_log(path: Path) -> Iterator[Line]:
+    """Return all lines of a log, oldest first."""
+    for number in range(_PARTS - 1, -1, -1):
+        with suppress(FileNotFoundError), _part(path, number).open(encoding="utf-8", errors="replace") as file:
+            for line in file:
+                stamp, _, text = line.rstrip("\n").partition(" ")
+                with suppress(ValueError):  # a line that a full disk cut
+                    yield float(stamp), text
+
+
+def selected(lines: Iterable[Line], most: int, since: float | None) -> dict[str, Any]:
+    """Return at most `most` lines: the oldest after Unix time `since`, or the last ones without it. `next` is the
+    `since` that asks for the lines after them."""
+    most = max(0, min(most, MOST_LINES))
+    if since is None:
+        found = list(deque(lines, most))
+    else:
+        found = list(islice((line for line in lines if line[0] > since), most))
+    return {"lines": [list(line) for line in found], "next": found[-1][0] if found else since or 0.0}
+
+
+def traces(folder: Folder, robot: Any) -> list[dict[str, Any]]:
+    """Return name, size in bytes and Unix time of the last change of each trace file of a robot."""
+    place, listed = folder.trace_folder(robot), []
+    for path in sorted(place.iterdir()) if place.is_dir() else []:
+        with suppress(OSError):
+            state = path.lstat()
+            if stat.S_ISREG(state.st_mode):
+                listed.append({"name": path.name, "size": state.st_size, "modified": state.st_mtime})
+    return listed
+
+
+class Fetching:
+    """Pieces of one file after another. A file that is renamed meanwhile is read on from where it is now."""
+
+    def __init__(self, folder: Folder) -> None:
+        self._folder = folder
+        self._next: tuple[Path, int] | None = None  # the file that is open, and the offset after the last part
+        self._file = -1
+
+    def fetch(self, robot: Any, name: Any, offset: int, length: int) -> bytes:
+        """Return up to `length` bytes of a trace file of a robot. A part that does not follow the one before opens the
+        file anew."""
+        path = self._folder.trace_folder(robot) / checked_path(name)
+        if path.parent.name != robot or offset < 0 or length < 0:
+            raise ToolError("bad request", f"{name!r}, from {offset}: not a part of a file that `traces` lists")
+        if (path, offset) != self._next:
+            self.close()
+            try:
+                self._file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+            except OSError as error:
+                raise ToolError("missing", f"{name}: {error.strerror}", "ask for the list of traces again") from None
+        data = os.pread(self._file, min(length, _MOST_BYTES), offset)
+        self._next = (path, offset + len(data))
+        return data
+
+    def close(self) -> None:
+        if self._file >= 0:
+            os.close(self._file)
+        self._file, self._next = -1, None

@@ -1,0 +1,162 @@
+"""Content store: each file of every bundle once, named by its SHA-256, and the wheels of packages."""
+
+from __future__ import annotations
+
+import os
+import zlib
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from .folder import (
+    PIECE,
+    RESERVE,
+    Folder,
+    ToolError,
+    checked_sha256,
+    make_folder,
+    sha256_of,
+    sync_folder,
+)
+
+_READ_ONLY = 0o444
+
+
+def missing(folder: Folder, objects: Sequence[str], wheels: Sequence[tuple[str, str]]) -> dict[str, Any]:
+    """Return those objects and wheels that are absent or damaged."""
+    return {
+        "objects": [digest for digest in objects if sha256_of(folder.object(digest)) != digest],
+        "wheels": [name for name, digest in wheels if sha256_of(folder.wheel(name)) != checked_sha256(digest)],
+    }
+
+
+def store(folder: Folder, kind: str, entries: Sequence[Any], pieces: Iterable[bytes]) -> int:
+    """Store the concatenated contents of `entries` ([name, SHA-256, size]) from their zlib-compressed `pieces`.
+
+    A content gets its name only after its digest was found right. Returns the number of entries.
+    """
+    places = [_place(folder, kind, entry) for entry in entries]
+    total = sum(size for _, _, size in places)
+    with folder.room(total + RESERVE):
+        make_folder(folder.objects if kind == "objects" else folder.wheels)
+        contents = _Contents(pieces)
+        for path, digest, size in places:
+            _store_one(path, digest, contents.take(size))
+        contents.finish()
+        if places:
+            sync_folder(places[0][0].parent)
+    return len(places)
+
+
+def _place(folder: Folder, kind: str, entry: Any) -> tuple[Path, str, int]:
+    if not isinstance(entry, list) or len(entry) != 3 or not isinstance(entry[2], int) or entry[2] < 0:
+        raise ToolError("bad request", f"{entry!r}: an entry is [name, SHA-256, size]")
+    name, digest, size = entry
+    if kind == "objects" and name == checked_sha256(digest):
+        return folder.object(name), digest, size
+    if kind == "wheels":
+        return folder.wheel(name), checked_sha256(digest), size
+    raise ToolError("bad request", f"kind {kind!r}, name {name!r}: not an object and not a wheel")
+
+
+def _store_one(path: Path, digest: str, pieces: Iterator[bytes]) -> None:
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    found = sha256()
+    try:
+        with open(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600), "wb") as file:
+            for piece in pieces:
+                found.update(piece)
+                file.write(piece)
+            file.flush()
+            os.fchmod(file.fileno(), _READ_ONLY)
+            os.fsync(file.fileno())
+        if found.hexdigest() != digest:
+            raise ToolError("damaged", f"{path.name}: the content that arrived has another SHA-256", "try again")
+        os.replace(beside, path)
+    except BaseException:
+        with suppress(OSError):
+            beside.unlink()
+        raise
+
+
+class _Contents:
+    """Decompressed contents, one after another. Never holds more than about a piece of them."""
+
+    def __init__(self, pieces: Iterable[bytes]) -> None:
+        self._pieces = iter(pieces)
+        self._inflate = zlib.decompressobj()
+        self._input = b""
+
+    def take(self, size: int) -> Iterator[bytes]:
+        while size:
+            piece = self._more(min(size, PIECE))
+            if not piece:
+                raise ToolError("damaged", "the data that arrived are shorter than announced", "try again")
+            size -= len(piece)
+            yield piece
+
+    def finish(self) -> None:
+        """Raises ToolError unless everything was taken."""
+        if self._more(1) or not self._inflate.eof:
+            raise ToolError("damaged", "the data that arrived are longer than announced, or cut", "try again")
+
+    def _more(self, most: int) -> bytes:
+        """Up to `most` bytes; none at the end."""
+        try:
+            while not self._inflate.eof:
+                if not self._input and (piece := next(self._pieces, b"")):
+                    self._input = piece
+                elif not self._input:
+                    return self._inflate.decompress(b"", most)
+                found = self._inflate.decompress(self._input, most)
+                self._input = self._inflate.unconsumed_tail
+                if found:
+                    return found
+        except zlib.error as error:
+            raise ToolError("damaged", f"the data that arrived cannot be decompressed: {error}", "try again") from None
+        return b""
+
+
+def link(folder: Folder, digest: str, executable: bool, path: Path) -> None:
+    """Make `path` a hard link to an object, replacing what was there.
+
+    A file's mode belongs to its content on the disk, so an executable file has an object of its own.
+    """
+    source = folder.object(digest)
+    if executable:
+        source = _executable(source)
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        os.link(source, beside)
+        os.replace(beside, path)
+    except FileNotFoundError:
+        raise ToolError("missing", f"object {digest} is not here", "store it first") from None
+    finally:
+        with suppress(OSError):
+            beside.unlink()  # os.replace leaves it where both are the same file already
+
+
+def _executable(source: Path) -> Path:
+    path = source.with_name(source.name + "x")
+    if sha256_of(path) != source.name:
+        _store_one(path, source.name, _pieces(source))
+    os.chmod(path, _READ_ONLY | 0o111)
+    return path
+
+
+def _pieces(path: Path) -> Iterator[bytes]:
+    with path.open("rb") as file:
+        while piece := file.read(PIECE):
+            yield piece
+
+
+def prune(folder: Folder) -> None:
+    """Remove objects that no release links to, and what a killed process left half written."""
+    if not folder.objects.is_dir():
+        return
+    for path in folder.objects.iterdir():
+        with suppress(OSError):
+            if path.name.startswith(".") or path.stat().st_nlink == 1:
+                path.unlink()

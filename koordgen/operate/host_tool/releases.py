@@ -1,0 +1,374 @@
+"""Releases: folders of bundles made of hard links to objects, complete or absent, and verified before they are used.
+
+`release.json` tells how the robots of a release are run. When a release that is here already is staged again, its new
+`release.json` waits as `next.json` until it is confirmed, so a refused deployment cannot break the release that runs.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import stat
+import subprocess
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from . import objects, packages
+from .folder import (
+    Folder,
+    ToolError,
+    checked_path,
+    checked_release,
+    checked_robot,
+    checked_sha256,
+    key_id,
+    make_folder,
+    read_json,
+    remove_tree,
+    sha256_of,
+    sync_folder,
+    write_file,
+    write_json,
+)
+
+_TIME_FOR_HELP = 120.0  # seconds for a bundle's --help, which imports all of it
+_FILES, _RELEASE, _NEXT = "files.json", "release.json", "next.json"
+
+
+class Release(NamedTuple):
+    """How the robots of a release on this host are run. `key`: a key id, empty for a fleet without a key."""
+
+    id: str
+    robots: tuple[str, ...]
+    key: str
+    venv: str
+    python: str
+    service: str
+
+
+def read_release(folder: Folder, release: str, candidate: bool = False) -> Release:
+    """Return a release that is here. `candidate`: as it will be once it is confirmed."""
+    place = folder.release(release)
+    found = read_json(place / _NEXT) if candidate else None
+    document = found if found is not None else read_json(place / _RELEASE)
+    if document is None:
+        raise ToolError("missing", f"release {release} is not on this host", "deploy it")
+    return parse_release(folder, document)
+
+
+def readable(folder: Folder, ids: Iterable[str | None]) -> list[Release]:
+    """Return those of the releases that are here in whole, as they will be once confirmed."""
+    found = []
+    for release in ids:
+        with suppress(ToolError):
+            found += [] if release is None else [read_release(folder, release, candidate=True)]
+    return found
+
+
+def builds(folder: Folder, release: str | None) -> dict[str, str]:
+    """Return robot -> the name of the build in its bundle, which agents tell one another; none without a release."""
+    found = {}
+    for known in readable(folder, [release]):
+        for robot in known.robots:
+            with suppress(OSError):
+                found[robot] = (folder.bundle(known.id, robot) / "RELEASE").read_text(encoding="ascii").strip()
+    return found
+
+
+def source(folder: Folder, release: str, robot: str) -> dict[str, str]:
+    """Return by name the files of a robot's bundle that say of which program its traces are: the program, the values
+    of its params, and its extern functions."""
+    bundle = folder.bundle(checked_release(release), checked_robot(robot))
+    found = [*bundle.glob("*.koord"), *bundle.glob("*_functions.py"), *bundle.glob("params.json")]
+    return {path.name: path.read_text(encoding="utf-8") for path in found}
+
+
+def describe(folder: Folder, release: str) -> dict[str, Any]:
+    """Return `release.json` of a release that is here, and the files of its bundles."""
+    read_release(folder, release)
+    place = folder.release(release)
+    return {"release": read_json(place / _RELEASE), "files": read_json(place / _FILES) or {}}
+
+
+def parse_release(folder: Folder, document: Any) -> Release:
+    if not isinstance(document, dict) or not isinstance(document.get("robots"), dict):
+        raise ToolError("bad request", "a release is an object with `id`, `robots`, `key`, `venv`, `service`, `python`")
+    texts = {name: document.get(name) or "" for name in ("key", "venv", "python", "service")}
+    if not all(isinstance(text, str) for text in texts.values()) or "\0" in texts["python"]:
+        raise ToolError("bad request", "a release's `key`, `venv`, `service` and `python` are texts")
+    if texts["service"] not in ("systemd", "none"):
+        raise ToolError("bad request", f"service {texts['service']!r}: it is systemd or none")
+    release = Release(
+        checked_release(document.get("id")),
+        tuple(sorted(checked_robot(name) for name in document["robots"])),
+        texts["key"],
+        texts["venv"],
+        texts["python"] or "python3",
+        texts["service"],
+    )
+    if release.key:
+        folder.key(release.key)
+    if release.venv:
+        folder.venv(release.venv)
+    return release
+
+
+def interpreter(folder: Folder, release: Release) -> str:
+    """Return the path of the Python that runs a release's bundles."""
+    wanted = str(folder.venv(release.venv) / "bin" / "python") if release.venv else release.python
+    found = shutil.which(wanted)
+    if found is None:
+        raise ToolError("no python", f"{wanted}: no such interpreter on this host", "check `python` in the fleet file")
+    return os.path.abspath(found)
+
+
+def command(folder: Folder, release: Release, robot: str, *options: str) -> list[str]:
+    """Return the command that runs the bundle of a robot with the settings of this host."""
+    overlay = str(folder.overlay(release.id, robot))
+    return [interpreter(folder, release), str(folder.bundle(release.id, robot)), "--settings", overlay, *options]
+
+
+def environment(folder: Folder) -> dict[str, str]:
+    """Return the environment of bundles: compiled modules go elsewhere, so that a release never changes."""
+    kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    return kept | {"PYTHONPYCACHEPREFIX": str(folder.pycache)}
+
+
+def run(folder: Folder, release: Release, robot: str, *options: str, seconds: float) -> tuple[int, str, str]:
+    """Run a bundle until it ends; returns its exit status, output and errors. Status 124: not done in `seconds`."""
+    try:
+        done = subprocess.run(
+            command(folder, release, robot, *options), env=environment(folder), timeout=seconds,
+            stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace", start_new_session=True,
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        return 124, "", f"not done in {seconds:.0f} s"
+    except OSError as error:
+        return 126, "", f"{error.filename}: {error.strerror}"
+    return done.returncode, done.stdout, done.stderr
+
+
+def stage(folder: Folder, document: Any, files: Mapping[str, Mapping[str, Sequence[Any]]]) -> None:
+    """Make a release of objects that are here. Nothing is seen of it before all of it is there."""
+    release = parse_release(folder, document)
+    wanted = _wanted(release, files)
+    place = folder.release(release.id)
+    with folder.room():
+        make_folder(folder.releases)
+        make_folder(folder.pycache)
+        if place.is_dir():
+            _complete(folder, place, document, wanted)
+        else:
+            staging = folder.releases / f".staging-{release.id}"
+            remove_tree(staging)
+            staging.mkdir()
+            try:
+                _fill(folder, staging, wanted)
+                write_json(staging / _FILES, wanted)
+                write_json(staging / _RELEASE, document)
+                _write_overlays(folder, release, staging)
+                os.rename(staging, place)
+            except BaseException:
+                remove_tree(staging)
+                raise
+            sync_folder(folder.releases)
+            _link_compiled(folder, release, wanted)
+
+
+def _link_compiled(folder: Folder, release: Release, wanted: Mapping[str, Mapping[str, Any]]) -> None:
+    """Give a new release the compiled modules of files that it has in common with the current one. Compiling them again
+    takes most of the time of loading a bundle."""
+    with suppress(OSError):
+        current = folder.releases / Path(os.readlink(folder.current)).name
+        known = read_json(current / _FILES) or {}
+        for robot, files in wanted.items():
+            bases = (current / robot, folder.bundle(release.id, robot))
+            there, here = (folder.pycache / str(base).lstrip("/") for base in bases)
+            for compiled in there.rglob("*.pyc"):
+                place = compiled.relative_to(there)
+                source = str(place.parent / f"{place.name.partition('.')[0]}.py")
+                if source in files and files[source] == known.get(robot, {}).get(source):
+                    (here / place).parent.mkdir(parents=True, exist_ok=True)
+                    os.link(compiled, here / place)
+
+
+def _complete(folder: Folder, place: Path, document: Any, wanted: dict[str, dict[str, Any]]) -> None:
+    """Stage a release that is here already: robots may have come to this host, and files may be damaged."""
+    _fill(folder, place, wanted)
+    write_json(place / _FILES, (read_json(place / _FILES) or {}) | wanted)
+    release = parse_release(folder, document)
+    _write_overlays(folder, release, place)
+    if read_json(place / _RELEASE) == document:
+        remove_tree(place / _NEXT)
+    else:
+        write_json(place / _NEXT, document)
+
+
+def _wanted(release: Release, files: Any) -> dict[str, dict[str, Any]]:
+    if not isinstance(files, dict) or tuple(sorted(files)) != release.robots:
+        raise ToolError("bad request", "`files` and the release name different robots")
+    wanted: dict[str, dict[str, Any]] = {}
+    for robot, bundle in files.items():
+        if not isinstance(bundle, dict) or "__main__.py" not in bundle:
+            raise ToolError("bad request", f"robot {robot}: its bundle has no __main__.py")
+        wanted[robot] = {}
+        for path, entry in bundle.items():
+            if not isinstance(entry, list) or len(entry) != 2 or not isinstance(entry[1], int):
+                raise ToolError("bad request", f"robot {robot}, {path!r}: a file is [SHA-256, mode]")
+            wanted[robot][checked_path(path)] = [checked_sha256(entry[0]), entry[1]]
+    return wanted
+
+
+def _fill(folder: Folder, place: Path, wanted: Mapping[str, Mapping[str, Any]]) -> None:
+    """Make the bundles in `place` hold exactly the wanted files; files that are right are not touched."""
+    for robot, files in wanted.items():
+        bundle = place / robot
+        folders = sorted(_folders_of(bundle, files))
+        for path in folders:
+            if path.is_symlink() or not path.is_dir():
+                remove_tree(path)
+                path.mkdir()
+        for path in _extra(bundle, files):
+            remove_tree(path)
+        for name, (digest, mode) in files.items():
+            if sha256_of(bundle / name) != digest:
+                objects.link(folder, digest, bool(mode & stat.S_IXUSR), bundle / name)
+        for path in reversed(folders):
+            sync_folder(path)
+    sync_folder(place)
+
+
+def _folders_of(bundle: Path, files: Mapping[str, Any]) -> set[Path]:
+    """Return the folder of a bundle and all folders in it."""
+    above = {parent for path in files for parent in (bundle / path).parents}
+    return {path for path in above if path.is_relative_to(bundle)}
+
+
+def _extra(bundle: Path, files: Mapping[str, Any]) -> list[Path]:
+    """Return the entries of a bundle's folder that belong to none of its files."""
+    wanted, folders = {bundle / path for path in files}, _folders_of(bundle, files)
+    found = []
+    for here, subfolders, names in os.walk(bundle):
+        found += [p for n in names if (p := Path(here) / n) not in wanted]
+        unknown = [n for n in subfolders if (p := Path(here) / n) not in folders or p.is_symlink()]
+        found += [Path(here) / n for n in unknown]
+        subfolders[:] = [n for n in subfolders if n not in unknown]
+    return found
+
+
+def _write_overlays(folder: Folder, release: Release, place: Path) -> None:
+    """Write the settings that are laid over each bundle's own: nothing is kept inside a release."""
+    for robot in release.robots:
+        path = folder.overlay(release.id, robot)
+        make_folder(path.parent)
+        make_folder(folder.trace_folder(robot))
+        overlay = {"state": str(folder.state), "trace": str(folder.trace_folder(robot) / "trace.jsonl")}
+        if release.key:
+            overlay["key_file"] = str(folder.key(release.key))
+        elif not (read_json(place / robot / "settings.json") or {}).get("insecure", True):
+            raise ToolError("no key", f"robot {robot}: its settings ask for a key, the release has none")
+        if read_json(path) != overlay:
+            write_json(path, overlay)
+
+
+def verify(folder: Folder, release_id: str, load: bool = True) -> int:
+    """Check every file, the key and (`load`) that each bundle loads; returns the number of files. Raises ToolError."""
+    release = read_release(folder, release_id, candidate=True)
+    known = read_json(folder.release(release.id) / _FILES) or {}
+    count = 0
+    for robot in release.robots:
+        bundle, files = folder.bundle(release.id, robot), known.get(robot, {})
+        wrong = [path for path, (digest, _) in files.items() if sha256_of(bundle / path) != digest]
+        wrong += [str(path.relative_to(bundle)) for path in _extra(bundle, files)]
+        if wrong or not files:
+            raise ToolError("damaged", f"robot {robot}: {', '.join(wrong[:3]) or 'no file'}: missing or changed")
+        count += len(files)
+    if release.key:
+        check_key(folder, release.key)
+    if load:
+        with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
+            list(pool.map(lambda robot: _check_loads(folder, release, robot), release.robots))
+    return count
+
+
+def _check_loads(folder: Folder, release: Release, robot: str) -> None:
+    status, output, errors = run(folder, release, robot, "--help", seconds=_TIME_FOR_HELP)
+    if status:
+        last = (errors or output).strip()[-500:]
+        raise ToolError("does not run", f"robot {robot}: its bundle does not load (status {status}): {last}")
+
+
+def write_key(folder: Folder, key: str, content: bytes) -> None:
+    path = folder.key(key)
+    if key_id(content) != key:
+        raise ToolError("damaged", f"the key that arrived is not {key}", "try again")
+    with folder.room():
+        make_folder(folder.keys, 0o700)
+        os.chmod(folder.keys, 0o700)
+        write_file(path, content, 0o600)
+
+
+def check_key(folder: Folder, key: str) -> None:
+    path = folder.key(key)
+    try:
+        mode, content = path.stat().st_mode, path.read_bytes()
+    except OSError as error:
+        raise ToolError("no key", f"{path}: {error.strerror}", "deploy again") from None
+    if mode & 0o077 or key_id(content) != key:
+        raise ToolError("no key", f"{path}: another key, or others may read it", "deploy again")
+
+
+def accept(folder: Folder, release: str) -> None:
+    """Make the way in which a release was last staged the way in which it is run."""
+    place = folder.release(release)
+    with suppress(FileNotFoundError):
+        os.replace(place / _NEXT, place / _RELEASE)
+        sync_folder(place)
+
+
+def clean(folder: Folder) -> None:
+    """Remove what sessions that ended too early left behind. Not while a release waits for its confirmation."""
+    for path in [*folder.releases.glob(".staging-*"), *folder.releases.glob(f"*/{_NEXT}")]:
+        remove_tree(path)
+
+
+def staged(folder: Folder) -> list[str]:
+    """Return the ids of the releases that are here."""
+    if not folder.releases.is_dir():
+        return []
+    return sorted(p.name for p in folder.releases.iterdir() if not p.name.startswith(".") and p.is_dir())
+
+
+def prune(folder: Folder, keep: Sequence[str]) -> None:
+    """Remove all releases but those in `keep`, and the settings, keys, packages and objects that only they used."""
+    if folder.releases.is_dir():
+        for path in list(folder.releases.iterdir()):
+            if path.name not in keep:
+                remove_tree(path)
+                remove_tree(folder.settings / path.name)
+                remove_tree(folder.pycache / str(path).lstrip("/"))
+    here = [release for release in keep if folder.release(release).is_dir()]
+    kept = [read_release(folder, release, candidate=c) for release in here for c in (False, True)]
+    _prune_files(folder.keys, {f"{release.key}.key" for release in kept})
+    _prune_files(folder.venvs, {release.venv for release in kept})
+    _prune_files(folder.wheels, {w for r in kept if r.venv for w in packages.wheels_of(folder.venv(r.venv))})
+    objects.prune(folder)
+
+
+def _prune_files(place: Path, keep: set[str]) -> None:
+    if place.is_dir():
+        for path in list(place.iterdir()):
+            if path.name not in keep:
+                remove_tree(path)
+
+
+def to_document(text: str) -> Any:
+    """Return the JSON document that a bundle printed, None when it printed another thing."""
+    try:
+        return json.loads(text)
+    except ValueError:
+        return None

@@ -1,0 +1,165 @@
+"""Supervisor of one agent, where no service manager does it: restarts, watchdog, log.
+
+It does what the systemd unit of service.py does: the agent reports by the protocol of sd_notify, is started again when
+it failed, and is killed when its round loop gives no sign of life.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import select
+import signal
+import socket
+import subprocess
+import time
+from contextlib import closing, suppress
+from pathlib import Path
+from types import FrameType
+
+from .agents import supervisor_lock, write_pid
+from .deployment import Boot
+from .entry import command
+from .folder import Folder, ToolError, make_folder, read_json, write_json
+from .lock import try_lock
+from .logs import Log
+from .service import NO_RESTART, WATCHDOG
+
+_FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 30.0  # seconds before the agent is started again; doubles each time
+_LONG_RUN = 60.0  # seconds after which a failure counts as the first one again
+_TURN = 0.5  # seconds at most between two looks at everything
+
+
+def state_file(folder: Folder, robot: str) -> Path:
+    """File in which a supervisor tells {"pid", "state": starting, ready, waiting or ended, "status"}."""
+    return folder.running / f"{robot}.json"
+
+
+def start(folder: Folder, boot: Boot, robot: str) -> subprocess.Popen[bytes]:
+    """Start a supervisor, detached from the session."""
+    make_folder(folder.running)
+    make_folder(folder.logs)
+    return subprocess.Popen(
+        command(folder, boot, "supervise", robot),
+        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        cwd=folder.root, start_new_session=True,
+    )  # fmt: skip
+
+
+def state_of(folder: Folder, robot: str, supervisor: subprocess.Popen[bytes]) -> str:
+    """Return the state of a robot's agent as its supervisor told it."""
+    ended = supervisor.poll() is not None
+    found = read_json(state_file(folder, robot))
+    if isinstance(found, dict) and found.get("pid") == supervisor.pid:
+        return str(found.get("state"))
+    return "ended" if ended else "starting"
+
+
+def supervise(folder: Folder, boot: Boot, robot: str) -> int:
+    """Run the agent of `robot` until it ends well or somebody stops it; returns its last exit status."""
+    lock = try_lock(supervisor_lock(folder, robot))
+    if lock is None:
+        raise ToolError("running", f"robot {robot}: its supervisor runs already")
+    write_pid(lock)
+    with closing(Log(folder.log(robot))) as log:
+        return _Supervisor(folder, boot, robot, log).run()
+
+
+class _Supervisor:
+    def __init__(self, folder: Folder, boot: Boot, robot: str, log: Log) -> None:
+        self._folder, self._robot, self._log = folder, robot, log
+        self._command = command(folder, boot, "launch", robot)
+        self._stops = 0  # signals that ask for an end
+        self._forwarded = 0
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            signal.signal(number, self._stop)
+
+    def _stop(self, number: int, frame: FrameType | None) -> None:
+        self._stops += 1
+
+    def _is_stopping(self) -> bool:
+        return self._stops > 0
+
+    def run(self) -> int:
+        pause = _FIRST_PAUSE
+        while True:
+            began = time.monotonic()
+            self._tell("starting", None)
+            status = self._run_once()
+            if status in NO_RESTART or self._is_stopping():
+                self._log.write(f"the agent has ended with status {status}")
+                self._tell("ended", status)
+                return status
+            if time.monotonic() - began > _LONG_RUN:
+                pause = _FIRST_PAUSE
+            self._log.write(f"the agent has failed with status {status}; it is started again in {pause:.0f} s")
+            self._tell("waiting", status)
+            end = time.monotonic() + pause
+            while not self._is_stopping() and time.monotonic() < end:
+                time.sleep(0.1)
+            pause = min(2 * pause, _LONGEST_PAUSE)
+
+    def _run_once(self) -> int:
+        """Run the agent once; returns its exit status, that of a signal negative."""
+        name = f"koordgen-{secrets.token_hex(12)}"
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as notices:
+            notices.bind("\0" + name)  # an abstract name: no path of a deep folder is too long for it
+            notices.setblocking(False)
+            environment = os.environ | {"NOTIFY_SOCKET": f"@{name}", "WATCHDOG_USEC": str(WATCHDOG * 1_000_000)}
+            environment.pop("WATCHDOG_PID", None)
+            with subprocess.Popen(
+                self._command, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+            ) as agent:  # fmt: skip
+                self._attend(agent, notices)
+                return agent.wait()
+
+    def _attend(self, agent: subprocess.Popen[bytes], notices: socket.socket) -> None:
+        """Return when the agent has ended and all its output is in the log."""
+        assert agent.stdout is not None
+        output, notified, rest = agent.stdout.fileno(), notices.fileno(), b""
+        alive: float | None = None
+        os.set_blocking(output, False)
+        while True:
+            ended = agent.poll() is not None
+            ready, _, _ = select.select([output, notified], [], [], 0.0 if ended else _TURN)
+            if notified in ready:
+                alive = self._hear(notices, alive)
+            piece = b""
+            if output in ready:
+                with suppress(BlockingIOError):
+                    piece = os.read(output, 65536)
+                *lines, rest = (rest + piece).split(b"\n")
+                for line in lines:
+                    self._log.write(line.decode("utf-8", "replace"))
+            if ended and not piece:
+                if rest:
+                    self._log.write(rest.decode("utf-8", "replace"))
+                return
+            if output in ready and not piece:
+                time.sleep(0.05)  # closed while the agent goes on: select would return at once for ever
+            if self._stops > self._forwarded and not ended:
+                self._forwarded += 1
+                agent.send_signal(signal.SIGTERM)
+            if alive is not None and time.monotonic() - alive > WATCHDOG and not ended:
+                self._log.write(f"the agent gave no sign of life for {WATCHDOG} s and is killed")
+                agent.kill()
+                alive = None
+
+    def _hear(self, notices: socket.socket, alive: float | None) -> float | None:
+        """Read a notice of the agent; returns when it last gave a sign of life, None before it is ready."""
+        with suppress(OSError):
+            words = notices.recv(4096).decode("utf-8", "replace").split("\n")
+            if "READY=1" in words:
+                self._tell("ready", None)
+                return time.monotonic()
+            if "STOPPING=1" in words:
+                return None  # landing takes as long as it takes
+            if "WATCHDOG=1" in words and alive is not None:
+                return time.monotonic()
+        return alive
+
+    def _tell(self, state: str, status: int | None) -> None:
+        with suppress(OSError):  # a full disk ends no flight
+            found = {"pid": os.getpid(), "state": state, "status": status}
+            write_json(state_file(self._folder, self._robot), found)

@@ -1,0 +1,491 @@
+"""SSH sessions with the hosts of a fleet, side by side.
+
+A host is a computer of robots, `user@name[:port]`; several robots may share it, and then share its session. A session
+runs the tool of koordgen/operate/host_tool on the host and asks it one request at a time. The tool is uploaded when the
+host does not have it. Host keys must stand in known_hosts: an unknown or a changed key is an error, never accepted.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import getpass
+import json
+import os
+import shlex
+import socket
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from koordgen.deployment import Deployment, Login
+from koordgen.fleet import Fleet
+from koordgen.node import Node
+
+if TYPE_CHECKING:
+    import asyncssh
+
+CONNECT_TIMEOUT = 10.0  # seconds
+START_TIMEOUT = 60.0  # seconds in which a slow computer has started the tool
+KEEPALIVE = 5.0  # seconds between two questions of SSH whether the host is still there; three unanswered end the link
+PING = 10.0  # seconds without a request after which the tool gets one, so that it does not end the session
+LONGEST_LINE = 1 << 24  # bytes of one answer, without its data
+_CHATTER = 1 << 16  # bytes that a login shell may print before the tool answers
+OLDEST_PYTHON = (3, 10)
+
+
+class Host(Node):
+    """One computer, and the robots of the fleet that live on it. `folder` and `python` as in the fleet file."""
+
+    login: Login
+    robots: tuple[str, ...]
+    folder: str
+    python: str
+
+    @property
+    def title(self) -> str:
+        """The robots and the login, for messages."""
+        return f"{', '.join(self.robots)} ({self.login.text})"
+
+
+class Options(Node):
+    """How connections are made. Without files, ~/.ssh/config, ~/.ssh/known_hosts and the user's own keys or agent are
+    used. `timeout` in seconds."""
+
+    ssh_config: str | None = None
+    known_hosts: str | None = None
+    identity: str | None = None
+    timeout: float = CONNECT_TIMEOUT
+
+
+class HostError(Exception):
+    """One host refused a request, or cannot be reached.
+
+    `code` is the tool's own error code, or one of: "unreachable", "unknown key", "changed key", "refused key",
+    "settings", "python", "folder", "refused", "link", "tool". `message` does not name the host; the text of the
+    exception does.
+    """
+
+    def __init__(self, host: Host, code: str, message: str, help: str = "") -> None:
+        super().__init__(f"{host.title}: {message}")
+        self.host = host
+        self.code = code
+        self.message = message
+        self.help = help
+
+
+class NoHosts(Exception):
+    """The fleet file names no host for some robots, or asyncssh is missing; `help` is the way out."""
+
+    def __init__(self, message: str, help: str, is_file_wrong: bool = True) -> None:
+        super().__init__(message)
+        self.help = help
+        self.is_file_wrong = is_file_wrong
+
+
+class Answer(dict[str, Any]):
+    """The tool's answer to one request, and the bytes that came with it."""
+
+    data: bytes = b""
+
+
+def hosts_of(fleet: Fleet, robots: Sequence[str] | None = None) -> tuple[Host, ...]:
+    """Return the hosts of the fleet (or of some robots only), in the order of the fleet file. Raises NoHosts when a
+    robot has none."""
+    asked = [robot for robot in fleet.robots if robots is None or robot.name in robots]
+    without = [robot.name for robot in asked if robot.login is None]
+    if without:
+        help = "add `host: USER@NAME` to each of them, for example `host: pi@alice.local`"
+        raise NoHosts(f"the fleet file names no host for {', '.join(without)}", help)
+    by_login: dict[Login, list[str]] = {}
+    for robot in asked:
+        if robot.login is not None:
+            by_login.setdefault(robot.login, []).append(robot.name)
+    place: Deployment = fleet.deployment
+    return tuple(Host(login, tuple(names), place.folder, place.python) for login, names in by_login.items())
+
+
+def owner() -> str:
+    """Return the name under which locks are taken: the user and this computer."""
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):  # a user without a name
+        user = str(os.getuid())
+    return f"{user}@{socket.gethostname()}"
+
+
+class Session:
+    """A conversation with one host's tool. Requests are asked one after the other, whoever calls."""
+
+    def __init__(
+        self, host: Host, connection: asyncssh.SSHClientConnection, process: asyncssh.SSHClientProcess[bytes]
+    ) -> None:
+        self.host = host
+        self.sent = 0  # bytes of data that went to the host, the tool itself included
+        self._connection = connection
+        self._process = process
+        self._turn = asyncio.Lock()
+        self._last = asyncio.get_running_loop().time()
+        self._cut: HostError | None = None
+
+    async def call(self, verb: str, data: bytes = b"", **arguments: Any) -> Answer:
+        """Ask the tool, with raw data if there is any. Raises HostError when the tool refuses or the link is cut."""
+        request: dict[str, Any] = {"verb": verb, **arguments}
+        if data:
+            request["length"] = len(data)
+        async with self._turn:
+            answer = await self.exchange(json.dumps(request).encode() + b"\n" + data, f"during `{verb}`")
+            self._last = asyncio.get_running_loop().time()
+        if answer.get("ok") is not True:
+            code, message = str(answer.get("error", "tool")), str(answer.get("message", "the tool refused"))
+            raise HostError(self.host, code, message, str(answer.get("help", "")))
+        return answer
+
+    async def exchange(self, sent: bytes, when: str) -> Answer:
+        """Send bytes, and read one answer. Raises HostError once the link is cut, and for ever after."""
+        if self._cut is not None:
+            raise self._cut
+        try:
+            if sent:
+                self.sent += len(sent)
+                self._process.stdin.write(sent)
+                await self._process.stdin.drain()
+            answer = await self._read()
+        except Exception as error:
+            self._cut = await self._why_cut(when, error)
+            raise self._cut from None
+        except BaseException:  # a request that was left half-way cannot be followed by another one
+            self._cut = HostError(self.host, "link", f"it was interrupted {when}")
+            raise
+        return answer
+
+    async def _read(self) -> Answer:
+        """Read one line that is an answer, and its data. Raises EOFError, OSError, ValueError, asyncssh.Error."""
+        chatter = 0
+        while True:
+            line: bytes = await self._process.stdout.readline()
+            if not line.endswith(b"\n"):
+                raise EOFError
+            if line.startswith(b"{"):
+                break
+            chatter += len(line)  # from the user's shell, such as a greeting in .bashrc
+            if chatter > _CHATTER:
+                raise ValueError("its login shell prints too much")
+        if len(line) > LONGEST_LINE:
+            raise ValueError("its answer is too long")
+        answer = Answer(json.loads(line))
+        if length := int(answer.get("length", 0)):
+            answer.data = await self._process.stdout.readexactly(length)
+        return answer
+
+    async def _why_cut(self, when: str, error: Exception) -> HostError:
+        with suppress(asyncio.TimeoutError):
+            async with asyncio.timeout(1.0):
+                await self._process.wait_closed()
+        status, lines = self._process.returncode, await self._complaint()
+        said = lines[-1][:200] if lines else ""
+        if status == 127 or (status == 126 and said):
+            return _no_python(self.host)
+        if isinstance(error, ValueError):
+            return HostError(self.host, "tool", f"the answer {when} is not understood: {error}", _SHELL)
+        if status is not None and status != 0:
+            what = f"the tool on the host ended {when} with status {status}" + (f": {said}" if said else "")
+            return HostError(self.host, "tool", what, "run the command again; if it comes again, log in and look")
+        what = f"the link was cut {when}"
+        return HostError(self.host, "link", what, "is the host on, and in reach? then run the command again")
+
+    async def _complaint(self) -> list[str]:
+        with suppress(Exception):
+            async with asyncio.timeout(0.2):
+                text: bytes = await self._process.stderr.read(4096)
+                return [line for line in text.decode("utf-8", "replace").splitlines() if line.strip()]
+        return []
+
+    async def keep_alive(self) -> None:
+        """Ask for nothing whenever there was no request for some time, until cancelled or the link is cut."""
+        loop = asyncio.get_running_loop()
+        with suppress(HostError):
+            while True:
+                await asyncio.sleep(max(0.0, self._last + PING - loop.time()))
+                if not self._turn.locked() and loop.time() >= self._last + PING:
+                    await self.call("ping")
+                elif self._turn.locked():
+                    await asyncio.sleep(1.0)
+
+    async def close(self) -> None:
+        """End the tool, and with it all locks that it holds, then the connection."""
+        with suppress(Exception):
+            self._process.stdin.write_eof()
+            async with asyncio.timeout(2.0):
+                await self._process.wait_closed()
+        self._connection.close()
+        with suppress(Exception):
+            async with asyncio.timeout(2.0):
+                await self._connection.wait_closed()
+
+
+_SHELL = "`ssh HOST true` must print nothing: remove what its .bashrc or .profile prints"
+
+
+class Sessions(Node):
+    """Hosts that were reached, in the order of the fleet file, and why others were not."""
+
+    reached: tuple[Session, ...]
+    failed: tuple[HostError, ...]
+
+    async def call(self, verb: str, **arguments: Any) -> tuple[dict[Host, Answer], list[HostError]]:
+        """Ask all reached hosts the same, side by side; return answers by host, and the failures."""
+        return await self.each(lambda session: session.call(verb, **arguments))
+
+    async def each(self, ask: Callable[[Session], Awaitable[Any]]) -> tuple[dict[Host, Any], list[HostError]]:
+        """Run `ask` for every reached host side by side; return results by host, and the failures."""
+        results = await asyncio.gather(*map(ask, self.reached), return_exceptions=True)
+        found: dict[Host, Any] = {}
+        failed: list[HostError] = []
+        for session, result in zip(self.reached, results, strict=True):
+            if isinstance(result, HostError):
+                failed.append(result)
+            elif isinstance(result, BaseException):
+                raise result
+            else:
+                found[session.host] = result
+        return found, failed
+
+
+@asynccontextmanager
+async def sessions(hosts: Iterable[Host], options: Options, tool: bytes) -> AsyncIterator[Sessions]:
+    """Connect to all hosts side by side, and run `tool`, the archive of the robot-side tool, on each. Hosts that
+    cannot be reached are listed in `failed`; the caller decides. Raises NoHosts when asyncssh is missing."""
+    require_asyncssh()
+    hosts = tuple(hosts)
+    async with AsyncExitStack() as stack:
+        opened = await asyncio.gather(*(_open(host, options, tool) for host in hosts), return_exceptions=True)
+        reached = [each for each in opened if isinstance(each, Session)]
+        stack.push_async_callback(_close_all, reached)
+        for each in opened:
+            if not isinstance(each, (Session, HostError)):
+                raise each
+        pings = [asyncio.create_task(session.keep_alive()) for session in reached]
+        try:
+            yield Sessions(tuple(reached), tuple(each for each in opened if isinstance(each, HostError)))
+        finally:
+            for task in pings:
+                task.cancel()
+            await asyncio.gather(*pings, return_exceptions=True)
+
+
+async def _close_all(opened: Sequence[Session]) -> None:
+    await asyncio.gather(*(session.close() for session in opened))
+
+
+def require_asyncssh() -> None:
+    """Raises NoHosts when the package is missing."""
+    try:
+        import asyncssh  # noqa: F401
+    except ImportError as error:
+        from koordgen.runtime.host import pip_install
+
+        missing = error.name or "asyncssh"
+        raise NoHosts(f"the Python package {missing} is missing", pip_install("'koordgen[deploy]'"), False) from None
+
+
+async def _open(host: Host, options: Options, tool: bytes) -> Session:
+    """Connect to a host and start its tool. Raises HostError."""
+    connection = await _connect(host, options)
+    try:
+        digest = sha256(tool).hexdigest()
+        process = await connection.create_process(_command(host, digest, len(tool)), encoding=None)
+        session = Session(host, connection, process)
+        async with asyncio.timeout(START_TIMEOUT):
+            answer = await session.exchange(b"", "at its start")
+        if answer.get("upload"):
+            answer = await session.exchange(tool, "while the tool was sent")
+        if answer.get("ok") is not True:
+            message = str(answer.get("message", "the tool does not start"))
+            raise HostError(host, str(answer.get("error", "tool")), message, str(answer.get("help", "")))
+    except BaseException as error:
+        connection.abort()
+        import asyncssh
+
+        if isinstance(error, TimeoutError):
+            raise HostError(host, "tool", f"it started no tool within {START_TIMEOUT:g} s", _SHELL) from None
+        if isinstance(error, (asyncssh.Error, OSError)):
+            raise HostError(host, "refused", f"it starts no command: {error}", _SHELL) from None
+        raise
+    return session
+
+
+# Runs with any Python, old ones too, and says what is wrong with it. Then it takes the tool from standard input if it
+# is not there, and becomes the tool.
+_BOOT = """
+import json, os, sys
+def say(**what):
+    os.write(1, json.dumps(what).encode() + b"\\n")
+def refuse(error, message, help):
+    say(ok=False, error=error, message=message, help=help)
+    sys.exit(0)
+folder, digest, size = sys.argv[1], sys.argv[2], int(sys.argv[3])
+if sys.version_info < (3, 10):
+    refuse("python", "its Python is %d.%d, and agents need 3.10 or later" % sys.version_info[:2],
+           "install a newer one there, and name it in the fleet file: `deploy: {python: python3.11}`")
+import hashlib
+home = os.path.join(folder, "tool")
+place = os.path.join(home, digest + ".pyz")
+def is_there():
+    try:
+        with open(place, "rb") as file:
+            return hashlib.sha256(file.read()).hexdigest() == digest
+    except OSError:
+        return False
+try:
+    if not is_there():
+        os.makedirs(home, mode=0o700, exist_ok=True)
+        say(ok=True, upload=True)
+        data = b""
+        while len(data) < size:
+            part = os.read(0, size - len(data))
+            if not part:
+                sys.exit(1)
+            data += part
+        beside = "%s.%d" % (place, os.getpid())
+        try:
+            with open(beside, "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            os.rename(beside, place)
+        except OSError:
+            if os.path.exists(beside):
+                os.unlink(beside)
+            raise
+        if not is_there():
+            refuse("tool", "the tool arrived damaged", "run the command again")
+except OSError as error:
+    refuse("folder", "%s cannot be written: %s" % (error.filename or folder, error.strerror),
+           "make room there, make the disk writable, or name another `deploy: {folder: ...}`")
+say(ok=True)
+os.execv(sys.executable, [sys.executable, "-I", place, "--folder", folder, "session"])
+"""
+
+
+def _command(host: Host, digest: str, size: int) -> str:
+    """Return the one command that a host's shell runs."""
+    python, folder = shlex.quote(host.python), shlex.quote(host.folder)
+    script = f"umask 077; cd && exec {python} -I -c {shlex.quote(_BOOT)} {folder} {digest} {size}"
+    return f"sh -c {shlex.quote(script)}"
+
+
+def _no_python(host: Host) -> HostError:
+    help = "install Python 3.10 or later there, or name the interpreter: `deploy: {python: /usr/bin/python3}`"
+    return HostError(host, "python", f"there is no {host.python} on it", help)
+
+
+async def _connect(host: Host, options: Options) -> asyncssh.SSHClientConnection:
+    import asyncssh
+
+    offered: list[asyncssh.SSHKey] = []
+    known = 0  # keys of this host in known_hosts
+
+    class Client(asyncssh.SSHClient):
+        def validate_host_public_key(self, host: str, addr: str, port: int, key: asyncssh.SSHKey) -> bool:
+            offered.append(key)
+            return False
+
+    def trusted(name: str, address: str, port: int | None) -> Any:
+        nonlocal known
+        found = asyncssh.read_known_hosts(files).match(name, address, port)
+        known = len(found[0]) + len(found[1]) + len(found[2])
+        return found
+
+    try:
+        settings = await asyncssh.SSHClientConnectionOptions.construct(**_settings(host, options))
+        files = _known_hosts(options, settings.known_hosts)
+        settings = await asyncssh.SSHClientConnectionOptions.construct(
+            settings, known_hosts=trusted, client_factory=Client
+        )
+        return await asyncssh.connect(host.login.name, options=settings)
+    except asyncssh.HostKeyNotVerifiable:
+        raise _untrusted(host, offered, known, options) from None
+    except asyncssh.KeyExchangeFailed as error:
+        if known:
+            raise _untrusted(host, offered, known, options) from None
+        raise HostError(host, "unreachable", f"SSH finds no common method: {error}", "") from None
+    except asyncssh.PermissionDenied:
+        who = f"{host.login.user} at {host.login.name}"
+        help = f"give the host your key: `ssh-copy-id {_target(host)}`; or name another with --identity FILE"
+        raise HostError(host, "refused key", f"it refuses your SSH keys for {who}", help) from None
+    except (asyncssh.KeyImportError, asyncssh.KeyEncryptionError, asyncssh.ConfigParseError, ValueError) as error:
+        help = "a key with a passphrase must be in ssh-agent: run `ssh-add`, and leave --identity out"
+        raise HostError(host, "settings", f"the SSH files of this computer cannot be used: {error}", help) from None
+    except (TimeoutError, asyncio.TimeoutError, OSError, asyncssh.Error) as error:
+        raise _unreachable(host, error, options) from None
+
+
+def _settings(host: Host, options: Options) -> dict[str, Any]:
+    found: dict[str, Any] = {
+        "host": host.login.name,
+        "username": host.login.user,
+        "connect_timeout": options.timeout,
+        "login_timeout": options.timeout,
+        "keepalive_interval": KEEPALIVE,
+        "keepalive_count_max": 3,
+    }
+    if host.login.port is not None:
+        found["port"] = host.login.port
+    if options.ssh_config is not None:
+        found["config"] = [options.ssh_config]
+    if options.identity is not None:
+        found |= {"client_keys": [options.identity], "agent_path": None}
+    return found
+
+
+def _known_hosts(options: Options, configured: Any) -> list[str]:
+    """Return the files of trusted host keys that are there. No setting turns the check off."""
+    if options.known_hosts is not None:
+        return [options.known_hosts]
+    files = [configured] if isinstance(configured, str) else list(configured or [])
+    usual = ["~/.ssh/known_hosts", "~/.ssh/known_hosts2", "/etc/ssh/ssh_known_hosts"]
+    places = [os.path.expanduser(str(each)) for each in (files or usual)]
+    return [each for each in places if Path(each).is_file()]
+
+
+def _target(host: Host) -> str:
+    port = f"-p {host.login.port} " if host.login.port else ""
+    return f"{port}{host.login.user}@{host.login.name}"
+
+
+def _untrusted(host: Host, offered: Sequence[asyncssh.SSHKey], known: int, options: Options) -> HostError:
+    """Return what to say of a host key that is not in known_hosts, or is another one than there."""
+    port = f"-p {host.login.port} " if host.login.port else ""
+    file = options.known_hosts or "~/.ssh/known_hosts"
+    shown = f"{offered[0].get_fingerprint()} ({offered[0].get_algorithm()})" if offered else "of another kind"
+    look = "ssh-keygen -lf /etc/ssh/ssh_host_ed25519_key.pub"
+    add = f"ssh-keyscan {port}{host.login.name} >> {file}"
+    if not known:
+        help = f"compare it with what `{look}` prints on the host itself; if it is the same, run `{add}`"
+        return HostError(host, "unknown key", f"its host key is not in known_hosts: {shown}", help)
+    name = f"[{host.login.name}]:{host.login.port}" if host.login.port not in (None, 22) else host.login.name
+    help = (
+        "if the host was installed anew, compare with what "
+        f"`{look}` prints on it, then run `ssh-keygen -R '{name}' -f {file}` and `{add}`; "
+        "if it was not, somebody may stand between: do not connect"
+    )
+    return HostError(host, "changed key", f"its host key is not the one in known_hosts: {shown}", help)
+
+
+def _unreachable(host: Host, error: BaseException, options: Options) -> HostError:
+    where = f"{host.login.name}" + (f" port {host.login.port}" if host.login.port else "")
+    number = getattr(error, "errno", None)
+    if isinstance(error, socket.gaierror):
+        what, help = f"no address is known for {host.login.name}", "is the name right? try its IP address as `host`"
+    elif isinstance(error, TimeoutError) or number == errno.ETIMEDOUT:
+        what = f"{where} did not answer within {options.timeout:g} s"
+        help = "is the host on, and in the same network?"
+    elif number == errno.ECONNREFUSED:
+        what, help = f"{where} refuses connections", "is its SSH server on? `sudo systemctl enable --now ssh` there"
+    else:
+        reason = getattr(error, "strerror", None) or getattr(error, "reason", None) or str(error) or "closed"
+        what, help = f"{where} cannot be reached: {reason}", "is the host on, and in the same network?"
+    return HostError(host, "unreachable", what, help)

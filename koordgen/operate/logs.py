@@ -1,0 +1,149 @@
+"""Log lines of all robots of a fleet in one order.
+
+Hosts stamp lines with their own clocks. How far a host's clock is off is measured through its session: the tool reads
+the clock between the request and its answer, so the quickest of some requests knows it to half of its round trip.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import heapq
+import math
+import time
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+from koordgen.node import Node
+from koordgen.operate.hosts import HostError, Session, Sessions
+
+ASKED = 5  # requests for a host's clock, of which the quickest counts
+EVERY = 0.3  # seconds from one question for new lines to the next
+
+
+class Line(Node):
+    """One line of a robot's log. `time`: Unix time in seconds, by the clock of this computer."""
+
+    time: float
+    robot: str
+    text: str
+
+
+class Offset(Node):
+    """How far a host's clock is ahead of this computer's, and the bound of the error, both in seconds."""
+
+    ahead: float
+    error: float
+
+
+def offset_of(samples: Iterable[tuple[float, float, float]]) -> Offset:
+    """Return the offset by (sent, the host's clock, received): the sample with the shortest round trip is used."""
+    sent, clock, received = min(samples, key=lambda sample: sample[2] - sample[0])
+    return Offset(clock - (sent + received) / 2, (received - sent) / 2)
+
+
+async def clock_offset(session: Session, now: Callable[[], float] = time.time) -> Offset:
+    """Measure how far the host's clock is ahead. Raises HostError."""
+    samples = []
+    for _ in range(ASKED):
+        sent = now()
+        answer = await session.call("ping")
+        samples.append((sent, float(answer["clock"]), now()))
+    return offset_of(samples)
+
+
+def merged(lines: Iterable[Sequence[Line]]) -> list[Line]:
+    """Return the lines of several robots by time; each robot's lines keep their order."""
+    return list(heapq.merge(*map(_ascending, lines), key=lambda line: line.time))
+
+
+def _ascending(lines: Sequence[Line]) -> list[Line]:
+    """Return lines whose times never decrease: a clock that was set back does not tear a robot's lines apart."""
+    found: list[Line] = []
+    for line in lines:
+        latest = found[-1].time if found else line.time
+        found.append(line if line.time >= latest else Line(latest, line.robot, line.text))
+    return found
+
+
+class Follower:
+    """Order of lines that arrive while they are written. A line is shown once all robots were asked after its time."""
+
+    def __init__(self) -> None:
+        self._waiting: list[Line] = []
+
+    def add(self, lines: Iterable[Line]) -> None:
+        """Take in lines, each robot's in their order."""
+        self._waiting.extend(lines)
+
+    def ready(self, asked: float) -> list[Line]:
+        """Return, in order, all lines until `asked`: the time at which the last questions to all robots began."""
+        ordered = merged(_by_robot([self._waiting]))
+        self._waiting = [line for line in ordered if line.time > asked]
+        return [line for line in ordered if line.time <= asked]
+
+
+class Reader:
+    """Lines of all robots of one host, stamped by this computer's clock. Make it with `reader_of`."""
+
+    def __init__(self, session: Session, offset: Offset) -> None:
+        self.session = session
+        self._offset = offset
+        self._next: dict[str, float] = {}  # robot -> time of its last line, by the host's clock
+
+    async def last(self, count: int) -> list[Line]:
+        """Return the last `count` lines of each robot. Raises HostError."""
+        return [line for robot in self.session.host.robots for line in await self._read(robot, lines=count)]
+
+    async def new(self) -> list[Line]:
+        """Return the lines since those that were read last. Raises HostError."""
+        return [line for robot, at in self._next.items() for line in await self._read(robot, since=at)]
+
+    async def _read(self, robot: str, **which: Any) -> list[Line]:
+        answer = await self.session.call("logs", robot=robot, **which)
+        self._next[robot] = float(answer["next"])
+        return [Line(float(at) - self._offset.ahead, robot, str(text)) for at, text in answer["lines"]]
+
+
+async def reader_of(session: Session) -> Reader:
+    """Measure the host's clock, and return a reader of its robots' lines. Raises HostError."""
+    return Reader(session, await clock_offset(session))
+
+
+async def show_lines(
+    sessions: Sessions, count: int, follow: bool, show: Callable[[Line], None], lost: Callable[[HostError], None]
+) -> None:
+    """Show the last `count` lines of each robot, and with `follow` those that come, until no host is left. `lost` is
+    called for each host whose lines are missing from then on."""
+
+    async def ask(one: Callable[[Reader], Any]) -> list[list[Line]]:
+        results = await asyncio.gather(*map(one, readers.values()), return_exceptions=True)
+        for session, result in zip(list(readers), results, strict=True):
+            if isinstance(result, HostError):
+                lost(result)
+                del readers[session]
+            elif isinstance(result, BaseException):
+                raise result
+        return [result for result in results if not isinstance(result, BaseException)]
+
+    made, failed = await sessions.each(reader_of)
+    for error in (*sessions.failed, *failed):
+        lost(error)
+    readers: dict[Session, Reader] = {reader.session: reader for reader in made.values()}
+    for line in merged(_by_robot(await ask(lambda reader: reader.last(count)))):
+        show(line)
+    follower = Follower()
+    while follow and readers:
+        asked = time.time()
+        for lines in await ask(lambda reader: reader.new()):
+            follower.add(lines)
+        for line in follower.ready(asked if readers else math.inf):
+            show(line)
+        await asyncio.sleep(EVERY)
+
+
+def _by_robot(results: Iterable[Iterable[Line]]) -> list[list[Line]]:
+    found: dict[str, list[Line]] = {}
+    for lines in results:
+        for line in lines:
+            found.setdefault(line.robot, []).append(line)
+    return list(found.values())

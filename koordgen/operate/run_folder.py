@@ -1,0 +1,106 @@
+"""Run folder of a flight: the merged trace of what robots wrote, beside each robot's own traces and the program.
+
+`report`, `replay`, `export` and `audit` take such a folder as they take one of `koordgen sim`.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from koordgen.audit.reading import found, opened
+from koordgen.audit.story import Mission, mission
+from koordgen.bundle.functions import functions_file
+from koordgen.bundle.plan import PARAMS, SOURCE, store_facts
+from koordgen.check.params import BadParam, with_params
+from koordgen.emit.program import program_hash
+from koordgen.fleet import Fleet
+from koordgen.ir.decl import Program
+from koordgen.pipeline import Rejected, check_file
+from koordgen.replay.trace import BadTrace
+
+ROBOTS, TRACE = "robots", "trace.jsonl"
+_FORMAT = "koord-trace/1"
+
+
+def flown(folder: Path) -> Mission:
+    """Return the mission that the robots' traces in a run folder are of: the last one that all of them had a part in.
+    Raises BadTrace."""
+    return mission([opened(path) for path in found(folder / ROBOTS)])
+
+
+def write_source(folder: Path, programs: Iterable[Mapping[str, bytes]], wanted: str) -> Program | None:
+    """Write the program with the hash `wanted` into a run folder's `source/`, and return it; None where none of the
+    `programs` has it. What stands there already is used if it fits. Each program: its files by name. Raises OSError."""
+    source, made = folder / SOURCE, folder / f".{SOURCE}"
+    if (program := _fitting(source, wanted)) is not None:
+        return program
+    for files in programs:
+        shutil.rmtree(made, ignore_errors=True)
+        made.mkdir()
+        for name, data in files.items():
+            (made / name).write_bytes(data)
+        if (program := _fitting(made, wanted)) is not None:
+            shutil.rmtree(source, ignore_errors=True)
+            made.rename(source)
+            return program
+    shutil.rmtree(made, ignore_errors=True)
+    return None
+
+
+def _fitting(source: Path, wanted: str) -> Program | None:
+    """Return the program in a folder `source/` if it has the hash `wanted`."""
+    found = sorted(source.glob("*.koord"))
+    if len(found) != 1:
+        return None
+    try:
+        params = source / PARAMS
+        given = dict(json.loads(params.read_bytes())) if params.is_file() else {}
+        program = with_params(check_file(str(found[0])).program, given)
+    except (Rejected, BadParam, ValueError):  # of another version of the language
+        return None
+    functions = functions_file(program, source, None)
+    its = program_hash(program, functions.read_bytes() if functions and functions.is_file() else b"")
+    return program if its == wanted else None
+
+
+def write_trace(folder: Path, whole: Mission, program: Program, fleet: Fleet) -> None:
+    """Write the merged trace of a mission into its run folder; a trace that stands there is replaced when the new one
+    is complete. Raises BadTrace when the traces are not of this fleet, OSError."""
+    from targets.sim.collected import merge
+
+    names = [robot.name for robot in fleet.robots]
+    flew = [story.name if story.lives else name for story, name in zip(whole.stories, names, strict=False)]
+    if flew != names:
+        raise BadTrace(f"the traces are of the robots {', '.join(flew)}, and the fleet file lists {', '.join(names)}")
+    end = whole.last * whole.delta
+    header = _header(whole, program, fleet, end)
+    made = folder / f".{TRACE}"
+    merge(made, header, [_files(whole, pid) for pid in range(len(names))], end)
+    made.replace(folder / TRACE)
+
+
+def _files(whole: Mission, pid: int) -> Sequence[Path]:
+    """One robot's files of the mission that tell of any round, in the order of their rounds."""
+    return list(dict.fromkeys(life.log.path for life in whole.stories[pid].lives if life.tells))
+
+
+def _header(whole: Mission, program: Program, fleet: Fleet, end: float) -> dict[str, Any]:
+    return {
+        "kind": "header",
+        "format": _FORMAT,
+        "app": whole.app,
+        "program_hash": whole.log.program_hash,
+        "delta": whole.delta,
+        "seed": 0,
+        "robots": [{"name": robot.name, "pid": robot.pid, "target": robot.target} for robot in fleet.robots],
+        "duration": end,
+        "min_separation": max((each.get("min_separation", 0.0) for each in fleet.harness.values()), default=0.0),
+        "geofence": [fleet.geofence["lo"], fleet.geofence["hi"]],
+        "obstacles": fleet.obstacles,
+        "world": fleet.world.facts,
+        **store_facts(program),
+    }

@@ -1,0 +1,173 @@
+"""Python packages of robots: wheels for each host's processor, C library and Python, fetched on this computer.
+
+Robots have no internet. `pip download` fetches what a bundle's requirements.txt asks for, and pip itself, into a cache
+of this computer: a set of wheels is there as a whole or not at all.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from koordgen.node import Node
+from koordgen.operate.release import digest_of
+from koordgen.runtime.host import pip_install, requirement_for
+
+PIP = "pip"  # its wheel fills virtual environments: Debian's own Python has no ensurepip
+PATIENCE = 900.0  # seconds for one download
+_OLDEST_GLIBC = 17  # minor version of glibc 2 that manylinux2014 stands for
+_PYTHONS = range(10, 15)  # minor versions of Python 3 on which agents run
+_WIDE = ("x86_64", "aarch64", "riscv64", "ppc64le", "s390x", "loongarch64", "amd64", "arm64")
+
+
+class CannotFetch(Exception):
+    """No set of wheels for a platform; `help` is the way out."""
+
+    def __init__(self, message: str, help: str) -> None:
+        super().__init__(message)
+        self.help = help
+
+
+class WheelPlatform(Node):
+    """For which computer wheels are: `machine` as uname tells it, the minor version of glibc 2 (None: musl), and the
+    minor version of Python 3."""
+
+    machine: str
+    glibc: int | None
+    python: int
+
+    @property
+    def title(self) -> str:
+        """The platform for messages."""
+        libc = "musl" if self.glibc is None else f"glibc 2.{self.glibc}"
+        return f"{self.machine}, {libc}, Python 3.{self.python}"
+
+
+class WheelSet(Node):
+    """All wheels for one platform. `venv` names the environment that is made of them."""
+
+    venv: str
+    requirements: str
+    files: dict[str, Path]  # by file name
+    digests: dict[str, str]  # SHA-256 by file name
+
+
+def platform_of(inspected: Mapping[str, Any]) -> WheelPlatform:
+    """Return the platform of a host from the tool's `inspect`. Raises CannotFetch for one that no agent runs on."""
+    machine, (libc, version) = str(inspected["machine"]), inspected["libc"]
+    major, minor = inspected["python"][:2]
+    if machine not in _WIDE:
+        help = "the packages have no 32-bit wheels: install a 64-bit system on it"
+        raise CannotFetch(f"its processor is {machine}, and agents need 64 bits", help)
+    if major != 3 or minor not in _PYTHONS:
+        help = "name an interpreter from 3.10 to 3.14 in the fleet file: `deploy: {python: python3.11}`"
+        raise CannotFetch(f"its Python is {major}.{minor}, and agents run on 3.10 to 3.14", help)
+    glibc = re.fullmatch(r"2\.(\d+).*", str(version)) if libc == "glibc" else None
+    return WheelPlatform(machine, int(glibc[1]) if glibc else None, minor)
+
+
+def wheel_set(requirements: str, platform: WheelPlatform, folder: Path | None) -> WheelSet:
+    """Return the wheels for a requirements.txt: from `folder`, or (None) from the cache or the package index.
+    Raises CannotFetch."""
+    lines = needed_lines(requirements, platform)
+    if folder is not None and not folder.is_dir():
+        raise CannotFetch(f"deploy.wheels: {folder}: no such folder", "it is relative to the fleet file's folder")
+    key = digest_of([lines, platform.machine, platform.glibc, platform.python, _from_folder(folder)])[:32]
+    kept = _cache() / key
+    if not kept.is_dir():
+        _download([*lines, PIP], platform, folder, kept)
+    files = {path.name: path for path in sorted(kept.glob("*.whl"))}
+    digests = {name: sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
+    text = "".join(f"{line}\n" for line in lines)
+    return WheelSet(digest_of([text, digests, platform.python])[:32], text, files, digests)
+
+
+def needed_lines(requirements: str, platform: WheelPlatform) -> list[str]:
+    """Return the lines of a requirements.txt that apply to a platform, without their markers: pip would judge these by
+    this computer's Python. Raises CannotFetch for a line that is not understood."""
+    found: dict[str, None] = {}
+    for line in filter(None, (each.partition("#")[0].strip() for each in requirements.splitlines())):
+        try:
+            found[requirement_for(line, (3, platform.python), platform.machine)] = None
+        except ValueError as error:
+            raise CannotFetch(f"requirements.txt: {error}", "write NAME==VERSION or NAME>=VERSION") from None
+    return sorted(filter(None, found))
+
+
+def platform_tags(platform: WheelPlatform) -> list[str]:
+    """Return the platform tags of wheels that run there, best first."""
+    machine = platform.machine
+    if platform.glibc is None:
+        return [f"musllinux_1_2_{machine}", f"musllinux_1_1_{machine}"]
+    tags = [f"manylinux_2_{minor}_{machine}" for minor in range(platform.glibc, _OLDEST_GLIBC - 1, -1)]
+    tags += [f"manylinux2014_{machine}"]
+    if machine == "x86_64":
+        tags += ["manylinux_2_12_x86_64", "manylinux2010_x86_64", "manylinux_2_5_x86_64", "manylinux1_x86_64"]
+    return [*tags, f"linux_{machine}"]
+
+
+def _from_folder(folder: Path | None) -> list[list[Any]]:
+    """Return what tells one state of a folder of wheels from another."""
+    if folder is None:
+        return []
+    found = []
+    for path in sorted(folder.glob("*.whl")):
+        state = path.stat()
+        found.append([str(path.resolve()), state.st_size, state.st_mtime_ns])
+    return found
+
+
+def _cache() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "koordgen/wheels"
+
+
+def _download(lines: list[str], platform: WheelPlatform, folder: Path | None, kept: Path) -> None:
+    """Let pip put the wheels into `kept`, all or none."""
+    where = ["--no-index", "--find-links", str(folder)] if folder is not None else []
+    command = [
+        sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--only-binary", ":all:",
+        "--implementation", "cp", "--python-version", f"3.{platform.python}",
+        "--abi", f"cp3{platform.python}", "--abi", "abi3", "--abi", "none", *where,
+    ]  # fmt: skip
+    for tag in platform_tags(platform):
+        command += ["--platform", tag]
+    try:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=kept.parent, prefix=".fetching-") as beside:
+            result = _run([*command, "--dest", f"{beside}/wheels", *lines])
+            if result.returncode:
+                raise _refused(result.stderr, platform, folder)
+            os.rename(f"{beside}/wheels", kept)
+    except OSError as error:
+        if not kept.is_dir():  # else another deployment was faster
+            raise CannotFetch(f"{error.filename or kept}: {error.strerror}", "make room on this computer") from None
+
+
+def _run(command: list[str]) -> subprocess.CompletedProcess[str]:
+    try:
+        return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    except subprocess.TimeoutExpired:
+        message = f"the package index did not deliver within {PATIENCE:g} s"
+        raise CannotFetch(message, "is this computer on the internet? `deploy: {wheels: FOLDER}` needs none") from None
+
+
+def _refused(said: str, platform: WheelPlatform, folder: Path | None) -> CannotFetch:
+    """Return what to say after pip failed."""
+    if "No module named pip" in said:
+        return CannotFetch("this computer's Python has no pip, which fetches wheels", pip_install("pip"))
+    missing = re.search(r"No matching distribution found for (\S+)", said)
+    unreached = re.search(r"connection|resolve|timed out|network", said, re.IGNORECASE) and folder is None
+    if missing and not unreached:
+        place = f"in {folder}" if folder else "at the package index"
+        help = "`deploy: {python: ...}` names another interpreter; `wheels: FOLDER` takes wheels that you built"
+        return CannotFetch(f"there is no wheel of {missing[1]} {place} for it ({platform.title})", help)
+    last = next((line for line in reversed(said.splitlines()) if line.strip()), "pip failed").strip()
+    help = "is this computer on the internet? `deploy: {wheels: FOLDER}` needs none"
+    return CannotFetch(f"wheels for {platform.title} cannot be fetched: {last}", help)
