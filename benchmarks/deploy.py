@@ -20,11 +20,11 @@ import time
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.fixtures.deployed import Deployed, deployed
 
+ROOT = Path(__file__).resolve().parents[1]
 HOSTS, QUICK = 20, 4
 STARTED_WITHIN = 300.0  # seconds
 
@@ -94,6 +94,11 @@ class Fleet:
             _timed([*self._to(robot), f"PYTHONDONTWRITEBYTECODE=1 {sys.executable} {bundle}"], (0, 5))
         return time.perf_counter() - began
 
+    def bundle_bytes(self) -> int:
+        """Return the size of all robots' bundles."""
+        folders = (self._build / "line" / robot for robot in self._fleet.robots)
+        return sum(path.stat().st_size for folder in folders for path in folder.rglob("*") if path.is_file())
+
     def _to(self, robot: str) -> list[str]:
         user, _, place = self._fleet.ssh.hosts[self._fleet.robots[robot]].login.partition("@")
         name, _, port = place.partition(":")
@@ -135,6 +140,7 @@ def measured(fleet: Fleet) -> dict[str, Any]:
     fleet.write(2)
     figures["deploy"], figures["loop_deploy"] = fleet.deploy(), fleet.loop_deploy()
     figures["rollback"], figures["rollback_sent_bytes"] = fleet.rollback()
+    figures["bundle_bytes"] = fleet.bundle_bytes()
     fleet.write(1)
     figures["loop_rollback"] = fleet.loop_deploy()
     try:
@@ -169,7 +175,10 @@ def main() -> int:
     ):  # fmt: skip
         ours, loop = figures[name], figures[f"loop_{name}"]
         print(f"  {what:34}  {ours:8.2f}  {loop:16.2f}  {figures[f'{name}_to_loop']:5.2f}")
-    print(f"  bytes of requests of the rollback, all hosts: {figures['rollback_sent_bytes']}; of bundles: 0")
+    print(
+        f"  the rollback sent {figures['rollback_sent_bytes']} bytes of requests to all hosts; their bundles have "
+        f"{figures['bundle_bytes']} bytes"
+    )
     if arguments.json is not None:
         arguments.json.write_text(json.dumps({"hosts": count, **figures}, indent=2) + "\n")
     return 0

@@ -80,6 +80,7 @@ FLOORS = {
         "runtime",  # which knows whether a requirement is for this computer
         "scenario",
         "pipeline",
+        "fleet",
         "bundle",
         "check",
         "ir",
@@ -90,6 +91,7 @@ FLOORS = {
         "sarif",
         "format",
         "estop",
+        "fleet",
         "operate",
         "basestation",
         "doctor",

@@ -17,7 +17,7 @@ from koordgen.cli.terminal import Line
 
 if TYPE_CHECKING:
     from koordgen.fleet import Fleet
-    from koordgen.operate.deploy import Done, Failed, Say
+    from koordgen.operate.deploy import Deployed, Failed, Say
 
 BEFORE, NEXT = ".before", ".next"  # added to a key's file name: the key before the last rotation, the one of the next
 
@@ -83,7 +83,7 @@ def _rotate(options: Namespace) -> int:
         _write_key(waiting, secrets.token_bytes(32))
     new = _read_key(waiting)
 
-    def finish(say: Say) -> Done:
+    def finish(say: Say) -> Deployed:
         try:
             done = deployment.rotate(hosts, connecting, new, say)
         except deployment.Missed as missed:
@@ -93,16 +93,24 @@ def _rotate(options: Namespace) -> int:
             if failed.outcome == deployment.NOTHING_CHANGED:
                 failed.outcome += f", and {old} stays its key"
             raise
-        with suppress(FileNotFoundError):
-            before.unlink()
-        os.link(old, before)
-        os.replace(waiting, old)
+        _take_place(old, before, waiting)
         return done
 
     status = _run(options, finish)
-    if options.format == "text":
+    if status == cli.HOLDS and options.format == "text":
         print(f"{old} is the new key; {before} is the one before, for a rollback. Copy {old} to all who stop the fleet")
     return status
+
+
+def _take_place(old: Path, before: Path, waiting: Path) -> None:
+    """Make the waiting key the fleet's, and keep the old one. Raises Failure."""
+    try:
+        before.unlink(missing_ok=True)
+        _write_key(before, old.read_bytes())
+        os.replace(waiting, old)
+    except OSError as error:
+        message = f"all robots have the key in {waiting}, but it could not take the place of {old}: {error.strerror}"
+        raise cli.Failure(cli.SURROUNDINGS, message, "run the command again: it only moves the files") from None
 
 
 def _with(path: Path, ending: str) -> Path:
@@ -149,19 +157,15 @@ def _read_key(path: Path) -> bytes:
         raise cli.Failure(cli.WRONG, str(error), "nothing was changed") from None
 
 
-def _run(options: Namespace, run: Callable[[Say], Done]) -> int:
+def _run(options: Namespace, run: Callable[[Say], Deployed]) -> int:
     """Run a deployment, show its progress on a terminal, and report what became of it. Raises Failure."""
     from koordgen.operate.deploy import Failed
 
-    with _progress(options) as say:
-        try:
+    try:
+        with _progress(options) as say:
             done = run(say)
-        except Failed as failed:
-            error = failed
-        else:
-            error = None
-    if error is not None:
-        return _report_failure(options, error)
+    except Failed as failed:
+        return _report_failure(options, failed)
     if options.format == "json":
         cli._print_document(options, _as_data(done))
     else:
@@ -198,7 +202,7 @@ def _report_failure(options: Namespace, failed: Failed) -> int:
     return status
 
 
-def _as_data(done: Done) -> dict[str, object]:
+def _as_data(done: Deployed) -> dict[str, object]:
     return {
         "release": done.release,
         "hosts": [
@@ -216,7 +220,7 @@ def _as_data(done: Done) -> dict[str, object]:
     }
 
 
-def _as_text(done: Done) -> str:
+def _as_text(done: Deployed) -> str:
     robots = sum(len(host.robots) for host in done.before)
     sent = sum(done.sent.values())
     took = sum(done.seconds.values())

@@ -35,8 +35,10 @@ def start(options: Namespace) -> int:
     except HostError as error:
         raise cli.Failure(status_of([error]), str(error), _join(error.help, "nothing was started")) from None
     if done.robots:
-        print(f"started {_names(fleet, done)}, release {done.release[:8]}", flush=True)
-    return _ended(done, f"`koordgen stop {options.fleet}` stops those that were started")
+        print(f"started {_names(fleet, done.robots)}, release {done.release[:8]}", flush=True)
+    if done.idle:
+        print(f"running before: {_names(fleet, done.idle)}", flush=True)
+    return _ended(done, f"`koordgen stop {options.fleet}` stops those that were started" if done.robots else "")
 
 
 def stop(options: Namespace) -> int:
@@ -45,7 +47,9 @@ def stop(options: Namespace) -> int:
     robots = _chosen(fleet, options.robots)
     done = on_hosts(options, fleet, robots, lambda opened: stop_agents(opened, options.seconds))
     if done.robots:
-        print(f"stopped {_names(fleet, done)}", flush=True)
+        print(f"stopped {_names(fleet, done.robots)}", flush=True)
+    if done.idle:
+        print(f"not running: {_names(fleet, done.idle)}", flush=True)
     return _ended(done, f"in an emergency: `koordgen estop {options.fleet}`")
 
 
@@ -111,8 +115,8 @@ def _ended(done: Done, help: str) -> int:
     return cli.HOLDS
 
 
-def _names(fleet: Fleet, done: Done) -> str:
-    return ", ".join(robot.name for robot in fleet.robots if robot.name in done.robots)
+def _names(fleet: Fleet, robots: Sequence[str]) -> str:
+    return ", ".join(robot.name for robot in fleet.robots if robot.name in robots)
 
 
 def _join(*parts: str) -> str:

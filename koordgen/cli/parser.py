@@ -48,6 +48,12 @@ class Parser(argparse.ArgumentParser):
         """Return the options. Raises SystemExit when they are wrong, and after printing help."""
         self._arguments = arguments
         options, more = self.parse_known_args(arguments)
+        if more and not any(argument.startswith("-") for argument in more):
+            # argparse fills a list of arguments with those before an option, and leaves those behind it.
+            for action in self._actions:
+                if action.nargs == "*" and not action.option_strings:
+                    getattr(options, action.dest).extend(more)
+                    more = []
         if more:
             self.error(f"unexpected argument: {more[0]}")
         return options

@@ -1,1 +1,1 @@
-"""Operation of a fleet from one computer, over the control ports of its robots."""
+"""Operation of a fleet from one computer, over the control ports of its robots and over SSH."""

@@ -18,7 +18,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
 
-from koordgen.bundle.plan import PARAMS
 from koordgen.node import Node
 from koordgen.operate.hosts import HostError, Session, Sessions
 from koordgen.operate.logs import clock_offset
@@ -29,7 +28,6 @@ MARKER = ".koord-collect"  # what later collections need to know; a simulation n
 LOG = "log.txt"
 PART = ".part"
 AT_ONCE = 1 << 20  # bytes of one request
-_SOURCES = (".koord", "_functions.py")
 OVERLAP = 512  # bytes that are fetched again, to see that a file is still the same one
 
 
@@ -126,7 +124,10 @@ async def collect_all(sessions: Sessions, into: Folder, progress: Callable[[int]
         for robot in session.host.robots:
             try:
                 ahead = (await clock_offset(session)).ahead
-                found[robot] = await collect(session, robot, into, ahead, progress)
+                try:
+                    found[robot] = await collect(session, robot, into, ahead, progress)
+                except CannotCollect:  # its agent may have begun another part between the list and a file
+                    found[robot] = await collect(session, robot, into, ahead, progress)
                 if not programs:
                     programs.extend(await _programs(session, robot))
             except (HostError, CannotCollect, OSError) as error:
@@ -141,19 +142,10 @@ async def _programs(session: Session, robot: str) -> list[dict[str, bytes]]:
     deployment = (await session.call("inspect"))["deployment"]
     found = []
     for release in dict.fromkeys([deployment["confirmed"], *reversed(deployment["history"])]):
-        if release is None:
-            continue
-        files = (await session.call("release", id=release))["files"].get(robot, {})
-        wanted = [name for name in files if name == PARAMS or ("/" not in name and name.endswith(_SOURCES))]
-        found.append({name: await _whole(session, f"releases/{release}/{robot}/{name}") for name in wanted})
+        if release is not None:
+            files = (await session.call("source", id=release, robot=robot))["files"]
+            found.append({str(name): str(text).encode() for name, text in files.items() if "/" not in name})
     return found
-
-
-async def _whole(session: Session, file: str) -> bytes:
-    data = b""
-    while piece := (await session.call("fetch", file=file, offset=len(data), length=AT_ONCE)).data:
-        data += piece
-    return data
 
 
 async def collect(
@@ -163,9 +155,7 @@ async def collect(
     `progress` is called with bytes as they arrive. Raises HostError, CannotCollect, OSError."""
     folder = into.robot(robot)
     answer = await session.call("traces", robot=robot)
-    place = f"traces/{robot}/"
-    listed = {str(each["file"]): int(each["size"]) for each in answer["files"]}
-    sizes = {file.removeprefix(place): size for file, size in listed.items() if file.startswith(place)}
+    sizes = {str(each["name"]): int(each["size"]) for each in answer["files"]}
     _must_be_plain(sizes, robot)
     fetched = await _recognise_current(session, robot, folder, sizes)
     for name in sorted(sizes, key=lambda each: (base_of(folder / each)[1] is None, len(each), each)):
@@ -194,10 +184,12 @@ async def _recognise_current(session: Session, robot: str, folder: Path, sizes: 
     name = f"{current.stem}-{latest + 1}{current.suffix}"
     fetched = 0
     if name in sizes:
-        size = current.stat().st_size
-        same, fetched = await _is_continued(session, robot, name, current, size) if size <= sizes[name] else (False, 0)
+        same, fetched = await _is_continued(session, robot, name, current, sizes[name])
         if not same:
-            raise _other(current)
+            still, more = await _is_continued(session, robot, TRACE, current, sizes.get(TRACE, 0))
+            if not still:
+                raise _other(current)
+            return fetched + more  # its agent began another part while the trace was fetched the last time
     current.replace(folder / name)
     (folder / f"{TRACE}{PART}").unlink(missing_ok=True)
     return fetched
@@ -212,20 +204,18 @@ def _number(name: str) -> int:
 async def _fetch(session: Session, robot: str, path: Path, size: int, progress: Callable[[int], None]) -> int:
     """Bring the first `size` bytes of a file; return how many were fetched. Raises CannotCollect when the file here is
     of another recording."""
-    here = path.stat().st_size if path.exists() else 0
     part = path.with_name(f"{path.name}{PART}")
-    known = max(here, part.stat().st_size if part.exists() else 0)
-    if known > size:
-        raise _other(path)
-    start = path if known == here else part
-    same, fetched = await _is_continued(session, robot, path.name, start, known) if known else (True, 0)
+    here, arrived = (each.stat().st_size if each.exists() else 0 for each in (path, part))
+    start = part if arrived > here else path
+    same, fetched = await _is_continued(session, robot, path.name, start, size) if start.exists() else (True, 0)
     if not same:
         raise _other(path)
-    if known == size and path.exists() and here == size:
+    if here == size and path.exists():
         part.unlink(missing_ok=True)
         return fetched
     if start is path and here:
         shutil.copyfile(path, part)
+    known = max(here, arrived)
     with part.open("ab") as file:
         for offset in range(known, size, AT_ONCE):
             length = min(AT_ONCE, size - offset)
@@ -239,8 +229,12 @@ async def _fetch(session: Session, robot: str, path: Path, size: int, progress: 
     return fetched
 
 
-async def _is_continued(session: Session, robot: str, name: str, path: Path, known: int) -> tuple[bool, int]:
-    """Return whether a file on the host begins as `path` does, as far as the last bytes tell; and the bytes fetched."""
+async def _is_continued(session: Session, robot: str, name: str, path: Path, size: int) -> tuple[bool, int]:
+    """Return whether a file of `size` bytes on the host begins as `path` does, as far as the last bytes tell; and the
+    bytes fetched."""
+    known = path.stat().st_size
+    if not 0 < known <= size:
+        return known == 0, 0
     length = min(OVERLAP, known)
     data = await _bytes(session, robot, name, known - length, length)
     with path.open("rb") as file:
@@ -249,10 +243,11 @@ async def _is_continued(session: Session, robot: str, name: str, path: Path, kno
 
 
 async def _bytes(session: Session, robot: str, name: str, offset: int, length: int) -> bytes:
-    answer = await session.call("fetch", file=f"traces/{robot}/{name}", offset=offset, length=length)
+    answer = await session.call("fetch", robot=robot, file=name, offset=offset, length=length)
     if len(answer.data) != length:
-        what = f"{name} has become shorter while it was fetched"
-        raise HostError(session.host, "fetch", what, "collect again: what was fetched stays")
+        raise CannotCollect(
+            f"{robot}: {name} has changed while it was fetched", "collect again: what was fetched stays"
+        )
     return answer.data
 
 

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     import asyncssh
 
 CONNECT_TIMEOUT = 10.0  # seconds
+START_TIMEOUT = 60.0  # seconds in which a slow computer has started the tool
 KEEPALIVE = 5.0  # seconds between two questions of SSH whether the host is still there; three unanswered end the link
 PING = 10.0  # seconds without a request after which the tool gets one, so that it does not end the session
 LONGEST_LINE = 1 << 24  # bytes of one answer, without its data
@@ -152,11 +153,11 @@ class Session:
                 self._process.stdin.write(sent)
                 await self._process.stdin.drain()
             answer = await self._read()
-        except BaseException as error:
-            # A request that was left half-way cannot be followed by another one.
+        except Exception as error:
             self._cut = await self._why_cut(when, error)
-            if isinstance(error, Exception):
-                raise self._cut from None
+            raise self._cut from None
+        except BaseException:  # a request that was left half-way cannot be followed by another one
+            self._cut = HostError(self.host, "link", f"it was interrupted {when}")
             raise
         return answer
 
@@ -179,8 +180,8 @@ class Session:
             answer.data = await self._process.stdout.readexactly(length)
         return answer
 
-    async def _why_cut(self, when: str, error: BaseException) -> HostError:
-        with suppress(asyncio.TimeoutError, asyncio.CancelledError):
+    async def _why_cut(self, when: str, error: Exception) -> HostError:
+        with suppress(asyncio.TimeoutError):
             async with asyncio.timeout(1.0):
                 await self._process.wait_closed()
         status, lines = self._process.returncode, await self._complaint()
@@ -297,7 +298,8 @@ async def _open(host: Host, options: Options, tool: bytes) -> Session:
         digest = sha256(tool).hexdigest()
         process = await connection.create_process(_command(host, digest, len(tool)), encoding=None)
         session = Session(host, connection, process)
-        answer = await session.exchange(b"", "at its start")
+        async with asyncio.timeout(START_TIMEOUT):
+            answer = await session.exchange(b"", "at its start")
         if answer.get("upload"):
             answer = await session.exchange(tool, "while the tool was sent")
         if answer.get("ok") is not True:
@@ -307,6 +309,8 @@ async def _open(host: Host, options: Options, tool: bytes) -> Session:
         connection.abort()
         import asyncssh
 
+        if isinstance(error, TimeoutError):
+            raise HostError(host, "tool", f"it started no tool within {START_TIMEOUT:g} s", _SHELL) from None
         if isinstance(error, (asyncssh.Error, OSError)):
             raise HostError(host, "refused", f"it starts no command: {error}", _SHELL) from None
         raise
@@ -413,7 +417,7 @@ async def _connect(host: Host, options: Options) -> asyncssh.SSHClientConnection
         help = f"give the host your key: `ssh-copy-id {_target(host)}`; or name another with --identity FILE"
         raise HostError(host, "refused key", f"it refuses your SSH keys for {who}", help) from None
     except (asyncssh.KeyImportError, asyncssh.KeyEncryptionError, asyncssh.ConfigParseError, ValueError) as error:
-        help = "look at --identity, --ssh-config and --known-hosts; a key with a passphrase needs ssh-agent"
+        help = "a key with a passphrase must be in ssh-agent: run `ssh-add`, and leave --identity out"
         raise HostError(host, "settings", f"the SSH files of this computer cannot be used: {error}", help) from None
     except (TimeoutError, asyncio.TimeoutError, OSError, asyncssh.Error) as error:
         raise _unreachable(host, error, options) from None

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import heapq
+import math
 import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -135,7 +136,7 @@ async def show_lines(
         asked = time.time()
         for lines in await ask(lambda reader: reader.new()):
             follower.add(lines)
-        for line in follower.ready(asked):
+        for line in follower.ready(asked if readers else math.inf):
             show(line)
         await asyncio.sleep(EVERY)
 

@@ -70,17 +70,14 @@ def _fitting(source: Path, wanted: str) -> Program | None:
 def write_trace(folder: Path, whole: Mission, program: Program, fleet: Fleet) -> None:
     """Write the merged trace of a mission into its run folder; a trace that stands there is replaced when the new one
     is complete. Raises BadTrace when the traces are not of this fleet, OSError."""
-    import msgspec  # an agent's package, which this computer has for the simulator
-
     from targets.sim.collected import merge
-    from targets.sim.trace import Header
 
     names = [robot.name for robot in fleet.robots]
     flew = [story.name if story.lives else name for story, name in zip(whole.stories, names, strict=False)]
     if flew != names:
         raise BadTrace(f"the traces are of the robots {', '.join(flew)}, and the fleet file lists {', '.join(names)}")
     end = whole.last * whole.delta
-    header = msgspec.convert(_header(whole, program, fleet, end), Header)
+    header = _header(whole, program, fleet, end)
     made = folder / f".{TRACE}"
     merge(made, header, [_files(whole, pid) for pid in range(len(names))], end)
     made.replace(folder / TRACE)

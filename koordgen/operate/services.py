@@ -24,9 +24,11 @@ class Refused(Exception):
 
 
 class Done(Node):
-    """Robots that were started or stopped, the release that hosts have confirmed, and the hosts that failed."""
+    """Robots that were started or stopped, those for which there was nothing to do, the release that hosts have
+    confirmed, and the hosts that failed."""
 
     robots: tuple[str, ...]
+    idle: tuple[str, ...]
     release: str
     failed: tuple[HostError, ...]
 
@@ -39,7 +41,9 @@ async def start(sessions: Sessions) -> Done:
         raise error
     release = confirmed({host: answer["deployment"] for host, answer in inspected.items()})
     started, failed = await sessions.each(lambda session: session.call("start", robots=list(session.host.robots)))
-    return Done(_robots(started), release, tuple(failed))
+    states = {robot: state for answer in started.values() for robot, state in answer["robots"].items()}
+    running = tuple(robot for robot, state in states.items() if state == "running")  # before
+    return Done(tuple(robot for robot in states if robot not in running), running, release, tuple(failed))
 
 
 async def stop(sessions: Sessions, seconds: float = STOP_WITHIN) -> Done:
@@ -47,7 +51,9 @@ async def stop(sessions: Sessions, seconds: float = STOP_WITHIN) -> Done:
     stopped, failed = await sessions.each(
         lambda session: session.call("stop", robots=list(session.host.robots), seconds=seconds)
     )
-    return Done(_robots(stopped), "", (*sessions.failed, *failed))
+    ended = tuple(robot for answer in stopped.values() for robot in answer["stopped"])
+    idle = tuple(robot for host in stopped for robot in host.robots if robot not in ended)
+    return Done(ended, idle, "", (*sessions.failed, *failed))
 
 
 def confirmed(deployments: Mapping[Host, Mapping[str, Any]]) -> str:
@@ -69,7 +75,3 @@ def confirmed(deployments: Mapping[Host, Mapping[str, Any]]) -> str:
         named = "; ".join(f"{id_[:8]} on {', '.join(robots)}" for id_, robots in releases.items())
         raise Refused(f"robots have different releases: {named}", deploy)
     return next(iter(releases))
-
-
-def _robots(answers: Mapping[Host, Any]) -> tuple[str, ...]:
-    return tuple(robot for host in answers for robot in host.robots)

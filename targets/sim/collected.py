@@ -10,7 +10,7 @@ from __future__ import annotations
 import heapq
 import json
 from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -51,12 +51,14 @@ class _Clock:
         return round(time - self._zeros[max(0, bisect_right(self._times, time) - 1)], 6)
 
 
-def merge(path: Path, header: Header, traces: Sequence[Sequence[Path]], end: float) -> None:
-    """Write the merged trace: `traces` are each robot's files in the order of pids, oldest first, all of one mission;
-    `end` is the mission's end (s since round 1). Lines that are no records are left out. Raises OSError."""
-    streams = [_records(files, pid, header.delta) for pid, files in enumerate(traces)]
+def merge(path: Path, header: Mapping[str, Any], traces: Sequence[Sequence[Path]], end: float) -> None:
+    """Write the merged trace: `header` as plain values, `traces` are each robot's files in the order of pids, oldest
+    first, all of one mission; `end` is the mission's end (s since round 1). Lines that are no records are left out.
+    Raises OSError."""
+    head = msgspec.convert(header, Header)
+    streams = [_records(files, pid, head.delta) for pid, files in enumerate(traces)]
     with path.open("wb") as out:
-        out.write(_encoder.encode(header) + b"\n")
+        out.write(_encoder.encode(head) + b"\n")
         ended = iter([(end, _encoder.encode(End(end, "collected")))])
         for _, line in heapq.merge(*streams, ended, key=lambda pair: pair[0]):
             out.write(line + b"\n")

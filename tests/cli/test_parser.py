@@ -29,6 +29,10 @@ def left(arguments: Sequence[str]) -> int:
         return ended.code
 
 
+def test_robots_may_stand_before_and_behind_options() -> None:
+    assert parsed(["logs", "fleet.yaml", "alice", "--follow", "bert", "cleo"]).robots == ["alice", "bert", "cleo"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "usage", "words"),
     [

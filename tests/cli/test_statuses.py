@@ -28,6 +28,8 @@ MISSING = [
     "audit no", "doctor no", f"explore {APP} --env no.yaml", f"sim {APP} {FLEET} --scenario no.yaml",
     f"sim {APP} {FLEET} --follow no", "prove geofence.koord --attack-from no",
     f"campaign {APP} {FLEET} --runs 1 --verdict no.py", "estop fleet.yaml", "estop fleet.yaml --key no.key",
+    f"deploy no.koord {FLEET}", f"deploy {APP} --fleet no.yaml", f"deploy {APP} {FLEET}", "rollback no.yaml",
+    "rollback fleet.yaml", "key rotate no.yaml", "key rotate fleet.yaml",
     "basestation feed.yaml --system vicon --host h", "basestation feed.yaml --system vicon --host h --key no.key",
 ]  # fmt: skip
 # A folder or file that cannot be written: it is below a file.
@@ -42,6 +44,7 @@ USAGE = [f"{name} --no-such-option" for name in (*COMMANDS, *harnesses())] + [
     f"build {APP} {FLEET} --param nope=1", f"sim {APP} {FLEET} --param nope=1", f"prove {APP} --param nope=1",
     f"validate geofence.koord {FLEET} --param nope=1", "new no-name", "examples copy boat", "examples copy",
     "docs boat", "docs fleet#boat", "doctor", "doctor build --fleet fleet.yaml", "collect fleet.yaml",
+    "rollback fleet.yaml --to before", f"deploy {APP}",
 ]  # fmt: skip
 
 

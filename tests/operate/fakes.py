@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ class FakeSession(Session):
         self.traces: dict[str, Path] = {}  # robot -> folder of its traces
         self.lines: dict[str, list[tuple[float, str]]] = {}
         self.fetched = 0  # bytes
+        self.ahead = 0.0  # seconds by which its clock is ahead
         self.cut_after = 1 << 40  # bytes after which the link is cut
 
     async def call(self, verb: str, data: bytes = b"", **arguments: Any) -> Answer:
@@ -36,19 +38,25 @@ class FakeSession(Session):
     def answer_inspect(self) -> dict[str, Any]:
         return {"deployment": self.deployment}
 
+    def answer_ping(self) -> dict[str, Any]:
+        return {"clock": time.time() + self.ahead}
+
+    def answer_source(self, id: str, robot: str) -> dict[str, Any]:
+        return {"files": {"a.koord": id}}
+
     def answer_start(self, robots: list[str]) -> dict[str, Any]:
-        return {"robots": robots}
+        return {"robots": {robot: "running" if robot == "bert" else "ready" for robot in robots}}
 
     def answer_stop(self, robots: list[str], seconds: float) -> dict[str, Any]:
-        return {"robots": robots}
+        return {"stopped": [robot for robot in robots if robot != "bert"]}
 
     def answer_traces(self, robot: str) -> dict[str, Any]:
         files = sorted(self.traces[robot].iterdir())
-        return {"files": [{"file": f"traces/{robot}/{path.name}", "size": path.stat().st_size} for path in files]}
+        return {"files": [{"name": path.name, "size": path.stat().st_size} for path in files]}
 
-    def answer_fetch(self, file: str, offset: int, length: int) -> Answer:
-        answer, (_, robot, name) = Answer(), file.split("/")
-        answer.data = (self.traces[robot] / name).read_bytes()[offset : offset + length]
+    def answer_fetch(self, robot: str, file: str, offset: int, length: int) -> Answer:
+        answer = Answer()
+        answer.data = (self.traces[robot] / file).read_bytes()[offset : offset + length]
         self.fetched += len(answer.data)
         if self.fetched > self.cut_after:
             raise HostError(self.host, "link", "the link was cut during `fetch`", "run the command again")

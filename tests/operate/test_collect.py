@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from koordgen.operate.collect import AT_ONCE, MARKER, OVERLAP, CannotCollect, Collected, Folder, collect
+from koordgen.operate.collect import AT_ONCE, MARKER, OVERLAP, CannotCollect, Collected, Folder, collect, collect_all
 from koordgen.operate.hosts import HostError
-from tests.operate.fakes import FakeSession
+from tests.operate.fakes import FakeSession, reached, unreachable
 
 
 @pytest.fixture
@@ -116,6 +117,45 @@ def test_a_whole_file_stays_while_more_of_it_arrives(alice: FakeSession, tmp_pat
     assert (home / "trace.jsonl").read_bytes() == whole
 
 
+def test_a_part_that_begins_while_the_trace_is_fetched_harms_nothing(alice: FakeSession, tmp_path: Path) -> None:
+    first = written(alice, "trace.jsonl", 100)
+    listed = alice.answer_traces("alice")
+
+    def lists(robot: str) -> dict[str, Any]:
+        """Answer with the files of before, and begin another part at once."""
+        del alice.answer_traces  # type: ignore[attr-defined]
+        (alice.traces["alice"] / "trace.jsonl").rename(alice.traces["alice"] / "trace-1.jsonl")
+        written(alice, "trace.jsonl", 300, 5000)
+        return listed
+
+    alice.answer_traces = lists  # type: ignore[method-assign]
+    collected(alice, tmp_path / "run")
+    collected(alice, tmp_path / "run")
+    home = tmp_path / "run/robots/alice"
+    assert (home / "trace-1.jsonl").read_bytes() == first
+    assert (home / "trace.jsonl").read_bytes() == (alice.traces["alice"] / "trace.jsonl").read_bytes()
+
+
+def test_a_whole_fleet_is_collected_and_robots_that_are_missed_are_named(alice: FakeSession, tmp_path: Path) -> None:
+    bert = FakeSession("bert", "cleo")
+    for robot in ("bert", "cleo"):
+        bert.traces[robot] = tmp_path / robot
+        bert.traces[robot].mkdir()
+    (bert.traces["cleo"] / "trace.jsonl").write_bytes(b"{}\n")
+    bert.lines["cleo"] = [(1000.0, "hello")]
+    bert.ahead, bert.deployment["history"] = 100.0, ["b" * 16, "c" * 16]
+    alice.broken.add("fetch")
+    written(alice, "trace.jsonl", 1)
+    with Folder(tmp_path / "run") as into:
+        sessions = reached(bert, alice, failed=(unreachable("dora"),))
+        found = asyncio.run(collect_all(sessions, into, lambda count: None))
+    assert {name: each.files for name, each in found.robots.items()} == {"bert": 1, "cleo": 2}
+    assert set(found.missed) == {"alice", "dora"}
+    assert found.programs == [{"a.koord": letter.encode() * 16} for letter in "acb"]
+    (line,) = (tmp_path / "run/robots/cleo/log.txt").read_text().splitlines()
+    assert float(line.split()[0]) == pytest.approx(900.0, abs=1.0)
+
+
 @pytest.mark.parametrize("count", [5, 500])
 def test_another_recording_is_never_mixed_with_this_one(alice: FakeSession, tmp_path: Path, count: int) -> None:
     first = written(alice, "trace.jsonl", 100)
@@ -129,7 +169,7 @@ def test_another_recording_is_never_mixed_with_this_one(alice: FakeSession, tmp_
 
 @pytest.mark.parametrize("name", ["../trace.jsonl", "passwd", "trace/../../x.jsonl"])
 def test_names_of_a_host_do_not_leave_the_folder(alice: FakeSession, tmp_path: Path, name: str) -> None:
-    alice.answer_traces = lambda robot: {"files": [{"file": f"traces/{robot}/{name}", "size": 3}]}  # type: ignore[method-assign]
+    alice.answer_traces = lambda robot: {"files": [{"name": name, "size": 3}]}  # type: ignore[method-assign]
     with pytest.raises(CannotCollect, match="which is no trace"):
         collected(alice, tmp_path / "run")
 

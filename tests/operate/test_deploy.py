@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import fcntl
 import json
+import os
+import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,6 +20,7 @@ from koordgen.operate import host_tool_archive
 from koordgen.operate.host_tool_archive import archive
 from koordgen.operate.hosts import Answer, Session, sessions
 
+FIRST: set[str | None] = set()  # the release with which each test begins
 ROBOTS = {"alice": "a", "bert": "b", "cleo": "c", "dora": "c"}
 
 
@@ -39,12 +42,33 @@ def test_real_bundles_on_three_hosts(fleet: Deployed, capfd: pytest.CaptureFixtu
     assert key.read_bytes() == fleet.key.read_bytes() and key.stat().st_mode & 0o777 == 0o600
 
 
+@pytest.mark.slow
+def test_real_bundles_on_twenty_hosts(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    names = [f"robot-{number:02}" for number in range(20)]
+    with deployed(tmp_path, {name: name for name in names}) as fleet:
+        capfd.readouterr()
+        assert fleet.deploy("--format", "json") == 0
+        (first,) = fleet.confirmed()
+        assert json.loads(capfd.readouterr().out)["release"] == first
+        fleet.write(version=2)
+        assert fleet.deploy("--format", "json") == 0
+        second = json.loads(capfd.readouterr().out)
+        assert fleet.confirmed() == {second["release"]} != {first}
+        assert all(host["sent_bytes"] < 100_000 for host in second["hosts"])
+        assert fleet.rollback("--format", "json") == 0
+        assert fleet.confirmed() == {first}
+        print(second["seconds"], json.loads(capfd.readouterr().out)["seconds"])
+
+
 @pytest.fixture
 def standing(fleet: Deployed, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Deployed:
     """The fleet with a confirmed release of bundles that do nothing, and newer ones that are not deployed yet."""
     monkeypatch.setattr(cli, "_planned", fleet.planned)
     fleet.write(version=1)
-    assert fleet.deploy() == 0
+    if fleet.confirmed() != FIRST or any(found and found["pending"] for found in fleet.states().values()):
+        assert fleet.deploy() == 0
+        FIRST.clear()
+        FIRST.update(fleet.confirmed())
     fleet.write(version=3)
     capfd.readouterr()
     return fleet
@@ -56,6 +80,10 @@ def test_a_change_and_the_way_back(standing: Deployed, capfd: pytest.CaptureFixt
     document = json.loads(capfd.readouterr().out)
     assert all(host["changed"] and host["before"] == first for host in document["hosts"])
     assert standing.confirmed() == {document["release"]} != {first}
+    compiled = place(standing.ssh.hosts["a"]) / "pycache"
+    found = {(path.parts[-3], path.name.partition(".")[0]): path.stat().st_ino for path in compiled.rglob("*.pyc")}
+    old, new = str(first), document["release"]
+    assert found[old, "same"] == found[new, "same"] and found[old, "changed"] != found[new, "changed"]
 
     assert standing.deploy("--format", "json") == 0  # again
     again = json.loads(capfd.readouterr().out)
@@ -247,6 +275,38 @@ def test_rolling_back_to_what_is_not_there(standing: Deployed, capfd: pytest.Cap
     assert "0123456789abcdef is not there" in told and "alice (" in told and "nothing was changed" in told
 
 
+@pytest.mark.parametrize("verb", ["missing", "switch", "prepare"])
+def test_an_interrupt_before_phase_two_reverts_all(
+    standing: Deployed, capfd: pytest.CaptureFixture[str], verb: str
+) -> None:
+    before = standing.states()
+    with interrupt_at(verb):
+        assert standing.deploy() == 130
+    assert "nothing was changed" in capfd.readouterr().err
+    assert standing.states() == before
+
+
+def test_an_interrupt_within_phase_two_comes_too_late(standing: Deployed, capfd: pytest.CaptureFixture[str]) -> None:
+    with interrupt_at("confirm"):
+        assert standing.deploy("--format", "json") == 0
+    assert standing.confirmed() == {json.loads(capfd.readouterr().out)["release"]}
+
+
+@contextmanager
+def interrupt_at(verb: str) -> Iterator[None]:
+    """Interrupt this process, as Ctrl-C does, when the host of bert is asked `verb`."""
+    call = Session.call
+
+    async def interrupting(session: Session, asked: str, data: bytes = b"", **arguments: Any) -> Answer:
+        if asked == verb and "bert" in session.host.robots:
+            os.kill(os.getpid(), signal.SIGINT)
+        return await call(session, asked, data, **arguments)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Session, "call", interrupting)
+        yield
+
+
 @contextmanager
 def cut_before(fleet: Deployed, verb: str) -> Iterator[None]:
     """Cut the link to the host of bert as soon as it is asked `verb`."""
@@ -280,3 +340,20 @@ from host_tool.__main__ import main
 raise SystemExit(main())
 """
     monkeypatch.setattr(host_tool_archive, "_STUB", stub)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "its host key is not in known_hosts", "its host key is not the one in known_hosts", "it refuses your SSH keys",
+        "no address is known", "did not answer within", "refuses connections", "and agents need 64 bits",
+        "there is no wheel of", "agents run there", "works here since", "it has a release of another fleet", "no space",
+        "cannot be written", "the disk of this host is read-only", "behind", "services would end there when",
+        "its bundle does not load", "the link was cut", "its login shell prints too much", "is not understood",
+    ],
+)  # fmt: skip
+def test_the_messages_of_the_page_are_those_of_the_code(words: str) -> None:
+    operate = Path(__file__).parents[2] / "koordgen/operate"
+    page = (operate.parents[1] / "docs/deploy.md").read_text(encoding="utf-8")
+    assert words in page.partition("\n## Messages\n")[2].partition("\n## Security\n")[0]
+    assert any(words in path.read_text(encoding="utf-8") for path in operate.rglob("*.py"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import io
 import socket
+import subprocess
 import sys
 import zipfile
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ import pytest
 
 from benchmarks.fixtures.ssh_hosts import SshFleet, make_key, ssh_fleet
 from koordgen.node import replace
+from koordgen.operate import hosts
 from koordgen.operate.hosts import Host, HostError, Options, Sessions, sessions
 
 # Answers each request with itself, and sends data back; `die` ends it.
@@ -46,9 +48,9 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SshFleet]:
         yield running
 
 
-def reach(hosts: list[Host], options: Options, ask: str = "inspect") -> Sessions:
+def reach(asked: list[Host], options: Options, ask: str = "inspect") -> Sessions:
     async def run() -> Sessions:
-        async with sessions(hosts, options, tool()) as opened:
+        async with sessions(asked, options, tool()) as opened:
             for session in opened.reached:
                 await session.call(ask)
             return opened
@@ -134,6 +136,31 @@ def test_a_changed_host_key(fleet: SshFleet, tmp_path: Path) -> None:
     assert "ssh-keygen -R" in error.help and "do not connect" in error.help
 
 
+def test_known_hosts_that_is_damaged(fleet: SshFleet, tmp_path: Path) -> None:
+    damaged = tmp_path / "known_hosts"
+    damaged.write_text("nonsense\n")
+    error = failure(fleet.hosts["alice"].host(), replace(fleet.options, known_hosts=str(damaged)))
+    assert error.code == "settings" and "nonsense" in error.message
+
+
+def test_a_key_with_a_passphrase(fleet: SshFleet, tmp_path: Path) -> None:
+    key = tmp_path / "secret"
+    subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "secret", "-f", str(key)], check=True)
+    error = failure(fleet.hosts["alice"].host(), replace(fleet.options, identity=str(key)))
+    assert error.code == "settings" and "ssh-add" in error.help
+
+
+def test_a_login_shell_that_hangs(fleet: SshFleet, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hosts, "START_TIMEOUT", 0.5)
+    rc = fleet.hosts["bert"].home / ".bashrc"
+    rc.write_text("sleep 60\n")
+    try:
+        error = failure(fleet.hosts["bert"].host(), fleet.options)
+    finally:
+        rc.unlink()
+    assert error.code == "tool" and "within 0.5 s" in error.message
+
+
 def test_a_refused_key(fleet: SshFleet, tmp_path: Path) -> None:
     make_key(tmp_path / "other")
     error = failure(fleet.hosts["alice"].host(), replace(fleet.options, identity=str(tmp_path / "other")))
@@ -192,13 +219,13 @@ def test_a_tool_that_dies(fleet: SshFleet) -> None:
 
 def test_a_link_that_is_cut(fleet: SshFleet) -> None:
     async def run() -> None:
-        hosts = [fleet.hosts[name].host() for name in ("alice", "bert")]
-        async with sessions(hosts, fleet.options, tool()) as opened:
+        both = [fleet.hosts[name].host() for name in ("alice", "bert")]
+        async with sessions(both, fleet.options, tool()) as opened:
             fleet.hosts["alice"].cut()
             answers, failed = await opened.call("inspect")
-            assert list(answers) == [hosts[1]]
+            assert list(answers) == [both[1]]
             assert [error.code for error in failed] == ["link"] and "during `inspect`" in failed[0].message
             answers, failed = await opened.call("inspect")  # it stays cut
-            assert list(answers) == [hosts[1]] and [error.code for error in failed] == ["link"]
+            assert list(answers) == [both[1]] and [error.code for error in failed] == ["link"]
 
     asyncio.run(run())

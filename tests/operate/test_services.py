@@ -14,7 +14,7 @@ from tests.operate.fakes import FakeSession, reached, unreachable
 def test_all_robots_of_one_release_start() -> None:
     one, two = FakeSession("alice", "bert"), FakeSession("cleo")
     done = asyncio.run(start(reached(one, two)))
-    assert (done.robots, done.release, done.failed) == (("alice", "bert", "cleo"), "a" * 16, ())
+    assert (done.robots, done.idle, done.release, done.failed) == (("alice", "cleo"), ("bert",), "a" * 16, ())
     assert one.calls[-1] == ("start", {"robots": ["alice", "bert"]})
 
 
@@ -52,9 +52,9 @@ def test_a_host_that_fails_to_start_is_named() -> None:
 
 
 def test_stop_reaches_all_that_can_be_reached() -> None:
-    one, two = FakeSession("alice"), FakeSession("bert")
+    one, two = FakeSession("alice", "bert"), FakeSession("emil")
     two.broken.add("stop")
     done = asyncio.run(stop(reached(one, two, failed=(unreachable("cleo"),)), 9.0))
-    assert done.robots == ("alice",)
-    assert [error.host.robots for error in done.failed] == [("cleo",), ("bert",)]
-    assert one.calls == [("stop", {"robots": ["alice"], "seconds": 9.0})]
+    assert (done.robots, done.idle) == (("alice",), ("bert",))
+    assert [error.host.robots for error in done.failed] == [("cleo",), ("emil",)]
+    assert one.calls == [("stop", {"robots": ["alice", "bert"], "seconds": 9.0})]

@@ -79,6 +79,14 @@ def builds(folder: Folder, release: str | None) -> dict[str, str]:
     return found
 
 
+def source(folder: Folder, release: str, robot: str) -> dict[str, str]:
+    """Return by name the files of a robot's bundle that say of which program its traces are: the program, the values
+    of its params, and its extern functions."""
+    bundle = folder.bundle(checked_release(release), checked_robot(robot))
+    found = [*bundle.glob("*.koord"), *bundle.glob("*_functions.py"), *bundle.glob("params.json")]
+    return {path.name: path.read_text(encoding="utf-8") for path in found}
+
+
 def describe(folder: Folder, release: str) -> dict[str, Any]:
     """Return `release.json` of a release that is here, and the files of its bundles."""
     read_release(folder, release)
@@ -168,6 +176,24 @@ def stage(folder: Folder, document: Any, files: Mapping[str, Mapping[str, Sequen
                 remove_tree(staging)
                 raise
             sync_folder(folder.releases)
+            _link_compiled(folder, release, wanted)
+
+
+def _link_compiled(folder: Folder, release: Release, wanted: Mapping[str, Mapping[str, Any]]) -> None:
+    """Give a new release the compiled modules of files that it has in common with the current one. Compiling them again
+    takes most of the time of loading a bundle."""
+    with suppress(OSError):
+        current = folder.releases / Path(os.readlink(folder.current)).name
+        known = read_json(current / _FILES) or {}
+        for robot, files in wanted.items():
+            bases = (current / robot, folder.bundle(release.id, robot))
+            there, here = (folder.pycache / str(base).lstrip("/") for base in bases)
+            for compiled in there.rglob("*.pyc"):
+                place = compiled.relative_to(there)
+                source = str(place.parent / f"{place.name.partition('.')[0]}.py")
+                if source in files and files[source] == known.get(robot, {}).get(source):
+                    (here / place).parent.mkdir(parents=True, exist_ok=True)
+                    os.link(compiled, here / place)
 
 
 def _complete(folder: Folder, place: Path, document: Any, wanted: dict[str, dict[str, Any]]) -> None:
@@ -249,8 +275,8 @@ def _write_overlays(folder: Folder, release: Release, place: Path) -> None:
             write_json(path, overlay)
 
 
-def verify(folder: Folder, release_id: str) -> int:
-    """Check every file, the key and that each bundle loads; returns the number of files. Raises ToolError."""
+def verify(folder: Folder, release_id: str, load: bool = True) -> int:
+    """Check every file, the key and (`load`) that each bundle loads; returns the number of files. Raises ToolError."""
     release = read_release(folder, release_id, candidate=True)
     known = read_json(folder.release(release.id) / _FILES) or {}
     count = 0
@@ -263,8 +289,9 @@ def verify(folder: Folder, release_id: str) -> int:
         count += len(files)
     if release.key:
         check_key(folder, release.key)
-    with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
-        list(pool.map(lambda robot: _check_loads(folder, release, robot), release.robots))
+    if load:
+        with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
+            list(pool.map(lambda robot: _check_loads(folder, release, robot), release.robots))
     return count
 
 

@@ -224,7 +224,7 @@ def _release(session: Session, request: Request) -> Answer:
 
 
 def _verify(session: Session, request: Request) -> Answer:
-    return {"checked": releases.verify(session.folder, request["id"])}
+    return {"checked": releases.verify(session.folder, request["id"], request.get("load", True) is not False)}
 
 
 def _switch(session: Session, request: Request) -> Answer:
@@ -251,6 +251,10 @@ def _confirm(session: Session, request: Request) -> Answer:
 def _revert(session: Session, request: Request) -> Answer:
     with deciding(session.folder):
         return {"changed": session.deployment.revert(request["id"])}
+
+
+def _source(session: Session, request: Request) -> Answer:
+    return {"files": releases.source(session.folder, request["id"], request["robot"])}
 
 
 def _packages(session: Session, request: Request) -> Answer:
@@ -294,6 +298,7 @@ VERBS = {
     "ping": Verb(_ping, False),
     "inspect": Verb(_inspect, False),
     "lock": Verb(_lock, False),
+    "source": Verb(_source, False),
     "release": Verb(_release, False),
     "missing": Verb(_missing, False),
     "store": Verb(_store, True),
