@@ -230,8 +230,8 @@ def test_paths_stay_inside_a_bundle(host: FakeHost, ports: dict[str, int]) -> No
             files["alice"][name] = [some, 0o644]
             assert refused(session.call, "stage", release=release.document, files=files).code == "bad request"
         for entry in (None, some, [some], [None, 0o644], ["../x", 0o644], [some, "0644"]):
-            files = release.files | {"alice": {"__main__.py": entry}}
-            assert refused(session.call, "stage", release=release.document, files=files).code == "bad request"
+            bad: dict[str, Any] = release.files | {"alice": {"__main__.py": entry}}
+            assert refused(session.call, "stage", release=release.document, files=bad).code == "bad request"
     assert sorted(p.name for p in host.root.iterdir()) == ["boot_id", "fleet", "tool.pyz"]
     assert not list((host.folder / "releases").glob("*")) and not list(host.folder.rglob("out"))
 
