@@ -11,7 +11,7 @@ PY := $(VENV)/bin/python
 STAMP := $(VENV)/.ready
 QUIET := PIP_DISABLE_PIP_VERSION_CHECK=1
 
-.PHONY: demo test test-sim lint slow prover-campaign clearance-campaign bench generated lock clean
+.PHONY: demo test test-sim lint slow prover-campaign clearance-campaign deploy-campaign bench generated lock clean
 
 DEMO := koordgen sim examples/lineform/lineform.koord --fleet examples/lineform/fleet.yaml --duration 30 --seed 1
 
@@ -53,6 +53,11 @@ prover-campaign: $(STAMP)
 clearance-campaign: $(STAMP)
 	$(PY) -m tests.sim.clearance_campaign --from 0 --count 500 --folder build/clearance-campaign
 	$(PY) -m tests.sim.clearance_campaign --scenes targets --from 0 --count 100 --folder build/clearance-targets
+
+# Deployments to three hosts with real SSH servers while the deploying process is killed, a link cut, a disk filled or a
+# host rebooted: 200 take an hour. Run again, it goes on where it ended. It needs root.
+deploy-campaign: $(STAMP)
+	$(PY) -m tests.operate.fault_trials --count 200 --folder build/fault-trials
 
 bench: $(STAMP)
 	$(PY) benchmarks/compile.py

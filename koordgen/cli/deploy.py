@@ -17,7 +17,7 @@ from koordgen.cli.terminal import Line
 
 if TYPE_CHECKING:
     from koordgen.fleet import Fleet
-    from koordgen.operate.deploy import Done, Failed, Say
+    from koordgen.operate.deploy import Deployed, Failed, Say
 
 BEFORE, NEXT = ".before", ".next"  # added to a key's file name: the key before the last rotation, the one of the next
 
@@ -83,7 +83,7 @@ def _rotate(options: Namespace) -> int:
         _write_key(waiting, secrets.token_bytes(32))
     new = _read_key(waiting)
 
-    def finish(say: Say) -> Done:
+    def finish(say: Say) -> Deployed:
         try:
             done = deployment.rotate(hosts, connecting, new, say)
         except deployment.Missed as missed:
@@ -157,7 +157,7 @@ def _read_key(path: Path) -> bytes:
         raise cli.Failure(cli.WRONG, str(error), "nothing was changed") from None
 
 
-def _run(options: Namespace, run: Callable[[Say], Done]) -> int:
+def _run(options: Namespace, run: Callable[[Say], Deployed]) -> int:
     """Run a deployment, show its progress on a terminal, and report what became of it. Raises Failure."""
     from koordgen.operate.deploy import Failed
 
@@ -202,7 +202,7 @@ def _report_failure(options: Namespace, failed: Failed) -> int:
     return status
 
 
-def _as_data(done: Done) -> dict[str, object]:
+def _as_data(done: Deployed) -> dict[str, object]:
     return {
         "release": done.release,
         "hosts": [
@@ -220,7 +220,7 @@ def _as_data(done: Done) -> dict[str, object]:
     }
 
 
-def _as_text(done: Done) -> str:
+def _as_text(done: Deployed) -> str:
     robots = sum(len(host.robots) for host in done.before)
     sent = sum(done.sent.values())
     took = sum(done.seconds.values())

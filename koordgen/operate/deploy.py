@@ -22,7 +22,7 @@ from koordgen.operate.release import (
     Bundles,
     FileMap,
     Fleetwide,
-    Part,
+    HostPart,
     batches,
     file_map,
     key_id,
@@ -62,7 +62,7 @@ class Interrupted(Exception):
         self.results = results
 
 
-class Done(Node):
+class Deployed(Node):
     """What became of each host. `before` and `changed` by host; `seconds` by phase; `sent` in bytes by host."""
 
     release: str
@@ -84,7 +84,7 @@ class Built(Node):
     folder: Path
 
 
-class Crew:
+class Phases:
     """The sessions of one deployment. Every phase runs on all hosts side by side, and fails when it fails on one."""
 
     def __init__(self, opened: Sessions, say: Say) -> None:
@@ -134,39 +134,41 @@ async def _completed(work: Coroutine[Any, Any, Any]) -> Any:
         raise Interrupted(task.result()) from None
 
 
-def deploy(hosts: Sequence[Host], options: Options, built: Built, take_over: bool, say: Say) -> Done:
+def deploy(hosts: Sequence[Host], options: Options, built: Built, take_over: bool, say: Say) -> Deployed:
     """Bring all hosts to the release that was built. Raises Failed, Missed, NoHosts."""
 
-    async def run(crew: Crew) -> Done:
-        inspected = await _begin(crew, "deploy", built.service)
-        await _refuse_other_fleets(crew, inspected, built, take_over)
-        sets = await _wheel_sets(crew, inspected, built)
-        python = crew.hosts[0].host.python
+    async def run(phases: Phases) -> Deployed:
+        inspected = await _begin(phases, "deploy", built.service)
+        await _refuse_other_fleets(phases, inspected, built, take_over)
+        sets = await _wheel_sets(phases, inspected, built)
+        python = phases.hosts[0].host.python
         fleetwide = Fleetwide(built.application_id, built.app, built.service, python, key_id(built.key))
         entries = {
             robot: robots_entry(built.bundles[robot], each.host, found.venv if (found := sets[each.host]) else "")
-            for each in crew.hosts for robot in each.host.robots
+            for each in phases.hosts for robot in each.host.robots
         }  # fmt: skip
-        files = {each.host: file_map(built.bundles, each.host.robots) for each in crew.hosts}
+        files = {each.host: file_map(built.bundles, each.host.robots) for each in phases.hosts}
         name, parts = parts_of(fleetwide, files, entries)
-        await _send(crew, parts, built.bundles, sets, built.key)
-        await crew.phase("verify", lambda session: session.call("verify", id=name))
-        return await _switch(crew, name, inspected)
+        await _send(phases, parts, built.bundles, sets, built.key)
+        await phases.phase("verify", lambda session: session.call("verify", id=name))
+        return await _switch(phases, name, inspected)
 
-    return asyncio.run(_with_crew(hosts, options, say, run))
+    return asyncio.run(_with_sessions(hosts, options, say, run))
 
 
-async def _with_crew(hosts: Sequence[Host], options: Options, say: Say, run: Callable[[Crew], Awaitable[Done]]) -> Done:
+async def _with_sessions(
+    hosts: Sequence[Host], options: Options, say: Say, run: Callable[[Phases], Awaitable[Deployed]]
+) -> Deployed:
     say(f"connect: {len(hosts)} host{'s' if len(hosts) != 1 else ''}")
     began = time.monotonic()
-    done: Done | None = None
+    done: Deployed | None = None
     try:
         async with sessions(hosts, options, archive()) as opened:
             if opened.failed:
                 raise Failed(opened.failed)
-            crew = Crew(opened, say)
-            crew.seconds["connect"] = time.monotonic() - began
-            done = await run(crew)
+            phases = Phases(opened, say)
+            phases.seconds["connect"] = time.monotonic() - began
+            done = await run(phases)
     except asyncio.CancelledError:  # Ctrl-C before the switch, or when all is done
         if done is None:
             raise Failed(()) from None
@@ -174,18 +176,18 @@ async def _with_crew(hosts: Sequence[Host], options: Options, say: Say, run: Cal
     return done
 
 
-async def _begin(crew: Crew, what: str, service: str = "") -> dict[Host, Answer]:
+async def _begin(phases: Phases, what: str, service: str = "") -> dict[Host, Answer]:
     """Lock all hosts, and refuse those on which nothing may be changed now. The first host's lock decides between two
     deployments at once; then the rest is free."""
-    first, *rest = sorted(each.host.login.text for each in crew.hosts)
-    by_text = {each.host.login.text: each.host for each in crew.hosts}
+    first, *rest = sorted(each.host.login.text for each in phases.hosts)
+    by_text = {each.host.login.text: each.host for each in phases.hosts}
 
     async def lock(session: Session) -> Answer:
         return await session.call("lock", owner=owner(), what=what)
 
-    await crew.phase("lock", lock, [by_text[first]])
+    await phases.phase("lock", lock, [by_text[first]])
     if rest:
-        await crew.phase("lock", lock, [by_text[text] for text in rest])
+        await phases.phase("lock", lock, [by_text[text] for text in rest])
 
     async def inspect(session: Session) -> Answer:
         before = time.time()
@@ -193,7 +195,7 @@ async def _begin(crew: Crew, what: str, service: str = "") -> dict[Host, Answer]
         _refuse_state(session.host, answer, before, time.time(), service)
         return answer
 
-    return await crew.phase("inspect", inspect)
+    return await phases.phase("inspect", inspect)
 
 
 def _refuse_state(host: Host, answer: Answer, before: float, after: float, service: str) -> None:
@@ -219,7 +221,7 @@ def _refuse_state(host: Host, answer: Answer, before: float, after: float, servi
         raise HostError(host, "linger", message, help)
 
 
-async def _refuse_other_fleets(crew: Crew, inspected: Mapping[Host, Answer], built: Built, take_over: bool) -> None:
+async def _refuse_other_fleets(phases: Phases, inspected: Mapping[Host, Answer], built: Built, take_over: bool) -> None:
     """Raises Failed when a host runs a release of another application, or of robots that this fleet does not have."""
     if take_over:
         return
@@ -242,13 +244,13 @@ async def _refuse_other_fleets(crew: Crew, inspected: Mapping[Host, Answer], bui
             raise HostError(session.host, "other fleet", message, help)
 
     if deployed:
-        await crew.phase("compare", look, deployed)
+        await phases.phase("compare", look, deployed)
 
 
-async def _wheel_sets(crew: Crew, inspected: Mapping[Host, Answer], built: Built) -> dict[Host, WheelSet | None]:
+async def _wheel_sets(phases: Phases, inspected: Mapping[Host, Answer], built: Built) -> dict[Host, WheelSet | None]:
     """Return the wheels for each host; None where its interpreter has the packages already. Raises Failed."""
     if built.wheels == "host":
-        return {each.host: None for each in crew.hosts}
+        return {each.host: None for each in phases.hosts}
     folder = None if built.wheels == "index" else built.folder / built.wheels
     fetched: dict[Any, asyncio.Future[WheelSet]] = {}
 
@@ -264,12 +266,12 @@ async def _wheel_sets(crew: Crew, inspected: Mapping[Host, Answer], built: Built
         except CannotFetch as error:
             raise HostError(session.host, "wheels", str(error), error.help) from None
 
-    return await crew.phase("wheels", fetch)
+    return await phases.phase("wheels", fetch)
 
 
 async def _send(
-    crew: Crew,
-    parts: Mapping[Host, Part],
+    phases: Phases,
+    parts: Mapping[Host, HostPart],
     bundles: Bundles,
     sets: Mapping[Host, WheelSet | None],
     key: bytes | None,
@@ -301,7 +303,7 @@ async def _send(
             )
         await session.call("stage", release=parts[host].document, files=parts[host].files)
 
-    await crew.phase("send", send)
+    await phases.phase("send", send)
 
 
 async def _send_key(session: Session, key: bytes | None) -> None:
@@ -309,26 +311,26 @@ async def _send_key(session: Session, key: bytes | None) -> None:
         await session.call("key", key, id=key_id(key))
 
 
-async def _switch(crew: Crew, name: str, inspected: Mapping[Host, Answer]) -> Done:
+async def _switch(phases: Phases, name: str, inspected: Mapping[Host, Answer]) -> Deployed:
     """Switch all hosts that do not run `name` yet, and confirm it in two phases. Raises Failed, Missed."""
     states = {host: answer["deployment"] for host, answer in inspected.items()}
     before = {host: state["confirmed"] for host, state in states.items()}
     late = [host for host, state in states.items() if state["confirmed"] != name or state["pending"]]
     if late:
         try:
-            await crew.phase("switch", lambda each: each.call("switch", id=name, seconds=CONFIRM_WITHIN), late, True)
-            await crew.phase("prepare", lambda each: each.call("prepare", id=name), late, True)
+            await phases.phase("switch", lambda each: each.call("switch", id=name, seconds=CONFIRM_WITHIN), late, True)
+            await phases.phase("prepare", lambda each: each.call("prepare", id=name), late, True)
         except (Failed, Interrupted, asyncio.CancelledError) as error:
-            outcome = await _revert(crew, name, late)
+            outcome = await _revert(phases, name, late)
             raise Failed(error.errors if isinstance(error, Failed) else (), outcome) from None
-        await _confirm(crew, name, late)
-    sent = {session.host: session.sent for session in crew.hosts}
-    return Done(name, before, tuple(late), crew.seconds, sent)
+        await _confirm(phases, name, late)
+    sent = {session.host: session.sent for session in phases.hosts}
+    return Deployed(name, before, tuple(late), phases.seconds, sent)
 
 
-async def _revert(crew: Crew, name: str, late: Collection[Host]) -> str:
+async def _revert(phases: Phases, name: str, late: Collection[Host]) -> str:
     """Return all hosts to their releases; say in one sentence what they have then."""
-    _, failed = await crew.attempt("revert", lambda each: each.call("revert", id=name), late)
+    _, failed = await phases.attempt("revert", lambda each: each.call("revert", id=name), late)
     if not failed:
         return NOTHING_CHANGED
     named = ", ".join(robot for error in failed for robot in error.host.robots)
@@ -338,15 +340,15 @@ async def _revert(crew: Crew, name: str, late: Collection[Host]) -> str:
     )
 
 
-async def _confirm(crew: Crew, name: str, late: Collection[Host]) -> None:
+async def _confirm(phases: Phases, name: str, late: Collection[Host]) -> None:
     """Phase two. It is not given up once it began: the more hosts confirm, the less is there to repair."""
     try:
-        _, failed = await crew.attempt("confirm", lambda each: each.call("confirm", id=name), late, True)
+        _, failed = await phases.attempt("confirm", lambda each: each.call("confirm", id=name), late, True)
     except Interrupted as interrupted:
         _, failed = interrupted.results
     if not failed:
         return
-    there = sum(len(each.host.robots) for each in crew.hosts) - sum(len(error.host.robots) for error in failed)
+    there = sum(len(each.host.robots) for each in phases.hosts) - sum(len(error.host.robots) for error in failed)
     named = ", ".join(robot for error in failed for robot in error.host.robots)
     raise Missed(
         failed,
@@ -356,11 +358,11 @@ async def _confirm(crew: Crew, name: str, late: Collection[Host]) -> None:
     )
 
 
-def rollback(hosts: Sequence[Host], options: Options, to: str | None, key: bytes | None, say: Say) -> Done:
+def rollback(hosts: Sequence[Host], options: Options, to: str | None, key: bytes | None, say: Say) -> Deployed:
     """Bring all hosts to a release that they still have: `to`, or the one before. Raises Failed, Missed, NoHosts."""
 
-    async def run(crew: Crew) -> Done:
-        inspected = await _begin(crew, "rollback")
+    async def run(phases: Phases) -> Deployed:
+        inspected = await _begin(phases, "rollback")
         name = _common_release(inspected, to)
 
         async def check(session: Session) -> None:
@@ -372,10 +374,10 @@ def rollback(hosts: Sequence[Host], options: Options, to: str | None, key: bytes
                 help = "after a rotation the key before is in the key's file with `.before` added: name it with --key"
                 raise HostError(session.host, "key", message, help)
 
-        await crew.phase("verify", check)
-        return await _switch(crew, name, inspected)
+        await phases.phase("verify", check)
+        return await _switch(phases, name, inspected)
 
-    return asyncio.run(_with_crew(hosts, options, say, run))
+    return asyncio.run(_with_sessions(hosts, options, say, run))
 
 
 def _common_release(inspected: Mapping[Host, Answer], to: str | None) -> str:
@@ -406,12 +408,12 @@ def _refuse_robots(host: Host, document: Mapping[str, Any]) -> None:
         raise HostError(host, "other fleet", message, "run `koordgen deploy` with this fleet file first")
 
 
-def rotate(hosts: Sequence[Host], options: Options, new: bytes, say: Say) -> Done:
+def rotate(hosts: Sequence[Host], options: Options, new: bytes, say: Say) -> Deployed:
     """Bring all hosts to their present release with another key. Raises Failed, Missed, NoHosts."""
 
-    async def run(crew: Crew) -> Done:
-        inspected = await _begin(crew, "key rotate")
-        present = await crew.phase("compare", lambda each: _present(each, inspected[each.host]))
+    async def run(phases: Phases) -> Deployed:
+        inspected = await _begin(phases, "key rotate")
+        present = await phases.phase("compare", lambda each: _present(each, inspected[each.host]))
         documents = {host: answer["release"] for host, answer in present.items()}
         entries = {robot: entry for document in documents.values() for robot, entry in document["robots"].items()}
         _refuse_several(documents, entries)
@@ -423,11 +425,11 @@ def rotate(hosts: Sequence[Host], options: Options, new: bytes, say: Say) -> Don
             part = parts[session.host]
             await session.call("stage", release=part.document, files=part.files)
 
-        await crew.phase("send", stage)
-        await crew.phase("verify", lambda session: session.call("verify", id=name))
-        return await _switch(crew, name, inspected)
+        await phases.phase("send", stage)
+        await phases.phase("verify", lambda session: session.call("verify", id=name))
+        return await _switch(phases, name, inspected)
 
-    return asyncio.run(_with_crew(hosts, options, say, run))
+    return asyncio.run(_with_sessions(hosts, options, say, run))
 
 
 async def _present(session: Session, inspected: Answer) -> Answer:

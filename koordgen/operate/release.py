@@ -31,7 +31,7 @@ class Fleetwide(Node):
     key: str  # key id; empty for a fleet without a key
 
 
-class Part(Node):
+class HostPart(Node):
     """What one host stores of a release: `document` is its release.json. The contents of `files` are in the bundles."""
 
     document: dict[str, Any]
@@ -75,7 +75,7 @@ def release_id(fleetwide: Fleetwide, robots: Mapping[str, Mapping[str, str]]) ->
 
 def parts_of(
     fleetwide: Fleetwide, files: Mapping[Host, FileMap], robots: Mapping[str, Mapping[str, str]]
-) -> tuple[str, dict[Host, Part]]:
+) -> tuple[str, dict[Host, HostPart]]:
     """Return the id of a release, and each host's part. `robots` are the entries of all robots of the fleet."""
     name = release_id(fleetwide, robots)
     parts = {}
@@ -92,7 +92,7 @@ def parts_of(
             "service": fleetwide.service,
             "python": fleetwide.python,
         }
-        parts[host] = Part(document, own)
+        parts[host] = HostPart(document, own)
     return name, parts
 
 

@@ -35,7 +35,7 @@ class CannotFetch(Exception):
         self.help = help
 
 
-class Platform(Node):
+class WheelPlatform(Node):
     """For which computer wheels are: `machine` as uname tells it, the minor version of glibc 2 (None: musl), and the
     minor version of Python 3."""
 
@@ -59,7 +59,7 @@ class WheelSet(Node):
     digests: dict[str, str]  # SHA-256 by file name
 
 
-def platform_of(inspected: Mapping[str, Any]) -> Platform:
+def platform_of(inspected: Mapping[str, Any]) -> WheelPlatform:
     """Return the platform of a host from the tool's `inspect`. Raises CannotFetch for one that no agent runs on."""
     machine, (libc, version) = str(inspected["machine"]), inspected["libc"]
     major, minor = inspected["python"][:2]
@@ -70,10 +70,10 @@ def platform_of(inspected: Mapping[str, Any]) -> Platform:
         help = "name an interpreter from 3.10 to 3.14 in the fleet file: `deploy: {python: python3.11}`"
         raise CannotFetch(f"its Python is {major}.{minor}, and agents run on 3.10 to 3.14", help)
     glibc = re.fullmatch(r"2\.(\d+).*", str(version)) if libc == "glibc" else None
-    return Platform(machine, int(glibc[1]) if glibc else None, minor)
+    return WheelPlatform(machine, int(glibc[1]) if glibc else None, minor)
 
 
-def wheel_set(requirements: str, platform: Platform, folder: Path | None) -> WheelSet:
+def wheel_set(requirements: str, platform: WheelPlatform, folder: Path | None) -> WheelSet:
     """Return the wheels for a requirements.txt: from `folder`, or (None) from the cache or the package index.
     Raises CannotFetch."""
     lines = needed_lines(requirements, platform)
@@ -89,7 +89,7 @@ def wheel_set(requirements: str, platform: Platform, folder: Path | None) -> Whe
     return WheelSet(digest_of([text, digests, platform.python])[:32], text, files, digests)
 
 
-def needed_lines(requirements: str, platform: Platform) -> list[str]:
+def needed_lines(requirements: str, platform: WheelPlatform) -> list[str]:
     """Return the lines of a requirements.txt that apply to a platform, without their markers: pip would judge these by
     this computer's Python. Raises CannotFetch for a line that is not understood."""
     found: dict[str, None] = {}
@@ -101,7 +101,7 @@ def needed_lines(requirements: str, platform: Platform) -> list[str]:
     return sorted(filter(None, found))
 
 
-def platform_tags(platform: Platform) -> list[str]:
+def platform_tags(platform: WheelPlatform) -> list[str]:
     """Return the platform tags of wheels that run there, best first."""
     machine = platform.machine
     if platform.glibc is None:
@@ -128,7 +128,7 @@ def _cache() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "koordgen/wheels"
 
 
-def _download(lines: list[str], platform: Platform, folder: Path | None, kept: Path) -> None:
+def _download(lines: list[str], platform: WheelPlatform, folder: Path | None, kept: Path) -> None:
     """Let pip put the wheels into `kept`, all or none."""
     where = ["--no-index", "--find-links", str(folder)] if folder is not None else []
     command = [
@@ -158,7 +158,7 @@ def _run(command: list[str]) -> subprocess.CompletedProcess[str]:
         raise CannotFetch(message, "is this computer on the internet? `deploy: {wheels: FOLDER}` needs none") from None
 
 
-def _refused(said: str, platform: Platform, folder: Path | None) -> CannotFetch:
+def _refused(said: str, platform: WheelPlatform, folder: Path | None) -> CannotFetch:
     """Return what to say after pip failed."""
     if "No module named pip" in said:
         return CannotFetch("this computer's Python has no pip, which fetches wheels", pip_install("pip"))

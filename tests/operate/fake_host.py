@@ -24,7 +24,7 @@ KEY_ID = blake2s(KEY, person=b"koordgen", digest_size=8).hexdigest()
 
 # Answers --help and --status as an agent does, holds its control port while it runs, ends at SIGTERM, and ends with
 # the status in the file `ends` when that is there. It prints which release it belongs to.
-_MAIN = """
+MAIN = """
 import json, pathlib, signal, socket, sys, time
 here = pathlib.Path(__file__).resolve().parent
 settings = json.loads((here / "settings.json").read_text())
@@ -174,7 +174,7 @@ class FakeRelease:
     def __init__(self, text: str, ports: Mapping[str, int], key: str = KEY_ID, **settings: Any) -> None:
         self.bundles: dict[str, dict[str, bytes]] = {
             robot: {
-                "__main__.py": _MAIN.encode(),
+                "__main__.py": MAIN.encode(),
                 "settings.json": json.dumps(
                     {"robot": robot, "pid": 0, "control": port, "peers": [{"host": "127.0.0.1", "port": 47000}]}
                     | settings

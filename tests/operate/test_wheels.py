@@ -12,9 +12,9 @@ import pytest
 
 from benchmarks.fixtures.deployed import Deployed, deployed, place
 from koordgen import cli
-from koordgen.operate.wheels import CannotFetch, Platform, needed_lines, platform_of, platform_tags, wheel_set
+from koordgen.operate.wheels import CannotFetch, WheelPlatform, needed_lines, platform_of, platform_tags, wheel_set
 
-PI = Platform("aarch64", 36, 11)
+PI = WheelPlatform("aarch64", 36, 11)
 
 
 def make_wheel(folder: Path, name: str, tag: str = "py3-none-any") -> None:
@@ -44,7 +44,7 @@ def test_lines_are_chosen_for_the_host() -> None:
         "c==1; python_version < '3.14' and platform_machine == 'x86_64'\n"
     )
     assert needed_lines(text, PI) == ["a==1.0", "b==3.0"]
-    assert needed_lines(text, Platform("x86_64", 31, 10)) == ["a==1.0", "b==2.0", "c==1"]
+    assert needed_lines(text, WheelPlatform("x86_64", 31, 10)) == ["a==1.0", "b==2.0", "c==1"]
     with pytest.raises(CannotFetch, match="not understood"):
         needed_lines("git+https://example.com/a\n", PI)
 
@@ -53,7 +53,7 @@ def test_tags_go_from_the_newest_library_to_the_oldest() -> None:
     tags = platform_tags(PI)
     assert tags[0] == "manylinux_2_36_aarch64" and "manylinux_2_17_aarch64" in tags and "manylinux2014_aarch64" in tags
     assert "manylinux_2_16_aarch64" not in tags and not any("x86" in tag for tag in tags)
-    assert platform_tags(Platform("x86_64", None, 11))[0] == "musllinux_1_2_x86_64"
+    assert platform_tags(WheelPlatform("x86_64", None, 11))[0] == "musllinux_1_2_x86_64"
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_hosts_on_which_no_agent_runs(machine: str, python: list[int], words: st
 def test_a_host_is_told_by_its_inspection() -> None:
     inspected = {"machine": "aarch64", "libc": ["glibc", "2.36"], "python": [3, 11, 2]}
     assert platform_of(inspected) == PI
-    assert platform_of({**inspected, "libc": ["musl", ""]}) == Platform("aarch64", None, 11)
+    assert platform_of({**inspected, "libc": ["musl", ""]}) == WheelPlatform("aarch64", None, 11)
 
 
 def test_a_set_of_a_folder(folder: Path) -> None:
@@ -85,7 +85,7 @@ def test_a_wheel_for_another_processor_is_none(folder: Path) -> None:
     make_wheel(folder, "tiny", "cp311-cp311-manylinux_2_17_x86_64")
     with pytest.raises(CannotFetch, match=r"no wheel of tiny==1.0 in .*aarch64, glibc 2.36, Python 3.11"):
         wheel_set("tiny==1.0\n", PI, folder)
-    assert wheel_set("tiny==1.0\n", Platform("x86_64", 31, 11), folder).files
+    assert wheel_set("tiny==1.0\n", WheelPlatform("x86_64", 31, 11), folder).files
 
 
 def test_a_folder_without_pip(folder: Path) -> None:
