@@ -37,7 +37,7 @@ class Installed(Node):
 
     def to_data(self) -> dict[str, Any]:
         """Return plain values, as `status --format json` prints them."""
-        return {name: getattr(self, name) for name in type(self).__match_args__}  # type: ignore[attr-defined]
+        return {name: getattr(self, name) for name in type(self).__match_args__}
 
 
 async def installed(sessions: Sessions) -> tuple[dict[str, Installed], dict[str, HostError]]:

@@ -21,7 +21,11 @@ class FakeSession(Session):
         self.host = host(*robots)
         self.calls: list[tuple[str, dict[str, Any]]] = []
         self.broken: set[str] = set()
-        self.deployment = {"confirmed": confirmed, "history": [], "pending": {"id": pending} if pending else None}
+        self.deployment: dict[str, Any] = {
+            "confirmed": confirmed,
+            "history": [],
+            "pending": {"id": pending} if pending else None,
+        }
         self.traces: dict[str, Path] = {}  # robot -> folder of its traces
         self.lines: dict[str, list[tuple[float, str]]] = {}
         self.fetched = 0  # bytes

@@ -123,7 +123,7 @@ def test_a_part_that_begins_while_the_trace_is_fetched_harms_nothing(alice: Fake
 
     def lists(robot: str) -> dict[str, Any]:
         """Answer with the files of before, and begin another part at once."""
-        del alice.answer_traces  # type: ignore[attr-defined]
+        del alice.answer_traces
         (alice.traces["alice"] / "trace.jsonl").rename(alice.traces["alice"] / "trace-1.jsonl")
         written(alice, "trace.jsonl", 300, 5000)
         return listed

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -168,7 +169,8 @@ def test_the_lock_names_its_owner_and_ends_with_its_process(host: FakeHost) -> N
         assert refused(one.call, "stage", release={}, files={}).code == "not locked"
         one.call("lock", owner="anna@laptop", what="deploy")
         error = refused(two.call, "lock", owner="ben@desk", what="rollback")
-        assert error.code == "locked" and "anna@laptop works here since 0 s (deploy, process" in error.message
+        assert error.code == "locked"
+        assert re.match(r"anna@laptop works here since \d+ s \(deploy, process \d+\)", error.message)
         one.process.kill()
         one.process.wait()
         two.call("lock", owner="ben@desk", what="rollback")
@@ -218,18 +220,20 @@ def test_a_refused_change_of_the_interpreter_leaves_the_confirmed_release_as_it_
         assert session.call("verify", id=release.id) == {"checked": 6}
 
 
-@pytest.mark.parametrize("name", ["../out", "/etc/passwd", "", "a//b", "a/./b", "a\\b", "a\0b", "a\nb", ".", 7, None])
-def test_paths_stay_inside_a_bundle(host: FakeHost, ports: dict[str, int], name: Any) -> None:
+def test_paths_stay_inside_a_bundle(host: FakeHost, ports: dict[str, int]) -> None:
     release = FakeRelease("one", ports)
     with host.session() as session:
         release.put(session, "store")
         some = next(iter(release.contents))
-        files = release.files
-        files["alice"][name] = [some, 0o644]
-        if name in (7, None):  # JSON has only texts as names
-            files["alice"] = {"__main__.py": [name, 0o644]}
-        assert refused(session.call, "stage", release=release.document, files=files).code == "bad request"
+        for name in ("../out", "/etc/passwd", "", "a//b", "a/./b", "a\\b", "a\0b", "a\nb", ".", "a/", "a/../../b"):
+            files = release.files
+            files["alice"][name] = [some, 0o644]
+            assert refused(session.call, "stage", release=release.document, files=files).code == "bad request"
+        for entry in (None, some, [some], [None, 0o644], ["../x", 0o644], [some, "0644"]):
+            bad: dict[str, Any] = release.files | {"alice": {"__main__.py": entry}}
+            assert refused(session.call, "stage", release=release.document, files=bad).code == "bad request"
     assert sorted(p.name for p in host.root.iterdir()) == ["boot_id", "fleet", "tool.pyz"]
+    assert not list((host.folder / "releases").glob("*")) and not list(host.folder.rglob("out"))
 
 
 def test_names_in_requests_are_checked(host: FakeHost, ports: dict[str, int]) -> None:
@@ -296,7 +300,7 @@ def test_a_session_without_requests_ends(host: FakeHost) -> None:
 def test_a_session_killed_at_any_moment_leaves_a_runnable_release(host: FakeHost, ports: dict[str, int]) -> None:
     """Deploy again and again, and kill the session at random; each time the release that may run is a whole one."""
     chance = random.Random(28)
-    releases = [FakeRelease(str(i), ports) for i in range(8)]
+    releases = [FakeRelease(str(i), ports) for i in range(6)]
     with host.session() as session:
         releases[0].put(session)
     confirmed = {releases[0].id}

@@ -263,6 +263,7 @@ def test_packages_are_installed_from_stored_wheels_alone(host: FakeHost, ports: 
     assert subprocess.run([python, "-c", "import hat; print(hat.SIZE)"], capture_output=True).stdout == b"58\n"
 
 
+@pytest.mark.slow
 def test_a_real_agent_runs_from_its_release(host: FakeHost, tmp_path: Path) -> None:
     """A quad of examples/lineform: it waits for its autopilot and the other robots, and comes to rest when asked."""
     position, own, peer, *control = free_ports(5)

@@ -110,8 +110,9 @@ class Fetching:
     def fetch(self, robot: Any, name: Any, offset: int, length: int) -> bytes:
         """Return up to `length` bytes of a trace file of a robot. A part that does not follow the one before opens the
         file anew."""
-        path = self._folder.trace_folder(robot) / checked_path(name)
-        if path.parent.name != robot or offset < 0 or length < 0:
+        place = self._folder.trace_folder(robot)
+        path = place / checked_path(name)
+        if path.parent != place or offset < 0 or length < 0:
             raise ToolError("bad request", f"{name!r}, from {offset}: not a part of a file that `traces` lists")
         if (path, offset) != self._next:
             self.close()

@@ -100,10 +100,10 @@ def start(folder: Folder, boot: Boot, robots: Sequence[str]) -> None:
     for robot, unit in zip(robots, units, strict=True):
         write_file(place / unit, unit_text(folder, boot, robot).encode())
     _systemctl("daemon-reload")
-    _systemctl("enable", *units)
-    status, _, said = _systemctl("start", *units, seconds=_START + _TIME)
-    if status:
-        raise ToolError("not started", said.strip()[-500:] or "systemctl failed", "`koordgen logs` shows why")
+    for arguments in (("start", *units), ("enable", *units)):
+        status, _, said = _systemctl(*arguments, seconds=_START + _TIME)
+        if status:
+            raise ToolError("not started", said.strip()[-500:] or "systemctl failed", "`koordgen logs` shows why")
 
 
 def stop(folder: Folder, robots: Sequence[str]) -> None:
