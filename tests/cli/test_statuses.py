@@ -44,7 +44,8 @@ USAGE = [f"{name} --no-such-option" for name in (*COMMANDS, *harnesses())] + [
     f"build {APP} --target boat", "explain K999", "help boat", "estop", "estop --address robot --key no.key",
     f"build {APP} {FLEET} --param nope=1", f"sim {APP} {FLEET} --param nope=1", f"prove {APP} --param nope=1",
     f"validate geofence.koord {FLEET} --param nope=1", "new no-name", "examples copy boat", "examples copy",
-    "docs boat", "docs fleet#boat", "dashboard fleet.yaml --bind 0.0.0.0", "doctor", "doctor build --fleet fleet.yaml", "collect fleet.yaml",
+    "docs boat", "docs fleet#boat", "dashboard fleet.yaml --bind 0.0.0.0",
+    "doctor", "doctor build --fleet fleet.yaml", "collect fleet.yaml",
     "rollback fleet.yaml --to before", f"deploy {APP}",
 ]  # fmt: skip
 
