@@ -91,7 +91,6 @@ FLOORS = {
         "sarif",
         "format",
         "estop",
-        "fleet",
         "operate",
         "basestation",
         "doctor",
