@@ -90,7 +90,6 @@ FLOORS = {
         "sarif",
         "format",
         "estop",
-        "fleet",
         "operate",
         "basestation",
         "doctor",

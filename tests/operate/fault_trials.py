@@ -34,7 +34,7 @@ from benchmarks.fixtures.deployed import Deployed, place, state
 from benchmarks.fixtures.ssh_hosts import SshFleet, SshHost
 from koordgen import cli
 from koordgen.bundle.write import SUMS, sums
-from koordgen.operate import deploy
+from koordgen.operate.deploy import Phases
 from tests.operate.fake_host import MAIN
 from tests.runtime.transports import free_ports
 
@@ -141,7 +141,7 @@ class Trials:
         self._ports = dict(zip(ROBOTS, free_ports(len(ROBOTS)), strict=True))
         self._phases = log.with_name("phases")
         cli._planned = self._planned  # type: ignore[assignment]
-        deploy.Crew.attempt = self._attempt(deploy.Crew.attempt)  # type: ignore[method-assign]
+        Phases.attempt = self._attempt(Phases.attempt)  # type: ignore[method-assign]
 
     def _planned(self, *_: object) -> tuple[dict[str, dict[str, bytes]], str]:
         """Return bundles of agents that only tell which release they are of."""
@@ -158,12 +158,12 @@ class Trials:
         return bundles, "line"
 
     def _attempt(self, original: Callable[..., Any]) -> Callable[..., Any]:
-        """Return `Crew.attempt` that tells each phase in a file."""
+        """Return `Phases.attempt` that tells each phase in a file."""
 
-        def attempt(crew: deploy.Crew, name: str, *arguments: Any, **named: Any) -> Any:
+        def attempt(phases: Phases, name: str, *arguments: Any, **named: Any) -> Any:
             with self._phases.open("a") as file:
                 file.write(f"{name}\n")
-            return original(crew, name, *arguments, **named)
+            return original(phases, name, *arguments, **named)
 
         return attempt
 
