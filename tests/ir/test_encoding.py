@@ -33,7 +33,7 @@ AT = Span(7, 7, 7, 8)
 ONE, TWO = expr.Const(1, INT, AT), expr.Const(2, INT, AT)
 
 # The fields that take no part in the encoding, beside every span and the types of expressions.
-MARKS = {
+MARKS: dict[type, set[str]] = {
     expr.SlotRead: {"proved"},
     expr.Binary: {"proved"},
     expr.At: {"proved"},
@@ -58,7 +58,7 @@ def compiled(text: str) -> decl.Program:
     return program
 
 
-def ir_classes() -> set[type]:
+def ir_classes() -> set[type[Node]]:
     """The node classes of koordgen.ir, but for the builtins' own table."""
     names = [m.name for m in pkgutil.iter_modules(koordgen.ir.__path__, "koordgen.ir.")]
     found = [c for name in names for c in vars(importlib.import_module(name)).values() if isinstance(c, type)]
@@ -70,7 +70,7 @@ def unencoded(node: type) -> set[str]:
     return {"span"} | MARKS.get(node, set()) | ({"type"} if node in EXPRESSIONS - TYPED else set())
 
 
-@pytest.mark.parametrize("node", sorted(ir_classes() | set(LAYOUTS), key=lambda c: (c.__module__, c.__name__)))
+@pytest.mark.parametrize("node", sorted(ir_classes() | set(LAYOUTS), key=str))
 def test_each_field_of_each_node_is_encoded_or_listed_as_a_mark(node: type[Node]) -> None:
     assert node in LAYOUTS, "give the new node kind a tag"
     encoded = [field.lstrip("~:^=") for field in LAYOUTS[node][1].split()]
