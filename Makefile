@@ -37,7 +37,7 @@ test-sim: $(STAMP)
 lint: $(STAMP)
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
-	$(VENV)/bin/mypy koordgen targets tests benchmarks examples
+	$(VENV)/bin/mypy koordgen targets tests benchmarks examples tools
 
 # Up to 90 minutes on two cores; ends with a table of each group's outcomes and times. The chaos tests lay cables between
 # network namespaces: they need root, ip and nft.

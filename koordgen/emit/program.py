@@ -13,6 +13,7 @@ from koordgen.emit.names import Names
 from koordgen.emit.render import render
 from koordgen.emit.types import annotation, bound, default, display
 from koordgen.ir import decl as ir
+from koordgen.ir.encoding import encode
 from koordgen.ir.stmt import Block
 from koordgen.ir.types import MapOf, RecordType, TupleOf, Type
 from koordgen.ir.types import Sequence as SequenceOf
@@ -36,14 +37,15 @@ def program_text(program: ir.Program, functions: bytes = b"") -> str:
 
 
 def program_hash(program: ir.Program, functions: bytes = b"") -> str:
-    """16 hexadecimal digits over all that the program means, its extern functions included; where it stands in the
-    source takes no part. Robots with different ones refuse one another."""
-    return _digest(f"{program!r} {blake2s(functions).hexdigest()}")
+    """16 hexadecimal digits over the canonical encoding of the program (ir/encoding.py) and the bytes of its functions
+    file. Robots with different hashes refuse one another."""
+    return _digest(encode("program", program, blake2s(functions).hexdigest()))
 
 
 def interface_hash(program: ir.Program) -> str:
     """16 hexadecimal digits over what peers must agree on to read one another's datagrams."""
-    return _digest(repr((WIRE_FORMAT, [(v.name, v.kind, v.type) for v in program.shared])))
+    shared = tuple([(v.name, v.kind, v.type) for v in program.shared])
+    return _digest(encode("interface", WIRE_FORMAT, shared))
 
 
 def functions_module(program: ir.Program) -> str:
@@ -52,8 +54,8 @@ def functions_module(program: ir.Program) -> str:
     return re.sub(r"\W", "_", f"{program.name}_functions")
 
 
-def _digest(text: str) -> str:
-    return blake2s(text.encode(), digest_size=8).hexdigest()
+def _digest(data: bytes) -> str:
+    return blake2s(data, digest_size=8).hexdigest()
 
 
 def _values(program: ir.Program, names: Names) -> dict[str, Any]:

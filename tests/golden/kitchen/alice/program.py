@@ -262,8 +262,8 @@ LINES: dict[int, int] = {68: 36, 69: 37, 70: 38, 71: 39, 72: 40, 131: 18, 132: 1
 PROGRAM = Program(
     name="kitchen",
     source="kitchen.koord",
-    program_hash="3315572f65966cb3",
-    interface_hash="4eaa313236b36138",
+    program_hash="73b2c0ec92074122",
+    interface_hash="bfed35c843f64314",
     locals=(
         Variable("count", "local", int, Fixed(9), lambda: 0),  # kitchen.koord:66
         Variable("level", "local", float, Fixed(9), lambda: PARAM_MARGIN * 2.0),  # kitchen.koord:67

@@ -42,8 +42,8 @@ LINES: dict[int, int] = {25: 10, 30: 13, 35: 15, 36: 16, 50: 7}
 PROGRAM = Program(
     name="lineform",
     source="lineform.koord",
-    program_hash="966de5957a9fc560",
-    interface_hash="26ab2d59d73bcc45",
+    program_hash="721185f0cebf9cf3",
+    interface_hash="8b61013e6f246a12",
     locals=(
     ),
     shared=(
