@@ -23,7 +23,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from hashlib import sha256
 from pathlib import Path
 from random import Random
@@ -140,8 +140,6 @@ class Trials:
         self.hosts: dict[str, IsolatedHost] = fleet.ssh.hosts  # type: ignore[assignment]
         self._ports = dict(zip(ROBOTS, free_ports(len(ROBOTS)), strict=True))
         self._phases = log.with_name("phases")
-        cli._planned = self._planned  # type: ignore[assignment]
-        Phases.attempt = self._attempt(Phases.attempt)  # type: ignore[method-assign]
 
     def _planned(self, *_: object) -> tuple[dict[str, dict[str, bytes]], str]:
         """Return bundles of agents that only tell which release they are of."""
@@ -178,6 +176,8 @@ class Trials:
             output = os.open(self.log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
             os.dup2(output, 1)
             os.dup2(output, 2)
+            cli._planned = self._planned  # type: ignore[assignment]
+            Phases.attempt = self._attempt(Phases.attempt)  # type: ignore[method-assign]
             status = cli.main(list(command))
         finally:
             sys.stdout.flush()
@@ -327,15 +327,13 @@ def hosts_in(folder: Path) -> Iterator[SshFleet]:
     """Run isolated hosts below an empty folder."""
     Path("/run/sshd").mkdir(exist_ok=True)  # sshd wants it
     fleet = SshFleet(folder, sorted(set(ROBOTS.values())), IsolatedHost)
-    try:
+    with ExitStack() as opened:  # closes the other hosts also when an interrupt comes while one is closed
         for host in fleet.hosts.values():
+            assert isinstance(host, IsolatedHost)
+            opened.callback(host.close)
             host.start()
         fleet.write()
         yield fleet
-    finally:
-        for host in fleet.hosts.values():
-            assert isinstance(host, IsolatedHost)
-            host.close()
 
 
 def table(records: Sequence[dict[str, Any]]) -> str:
