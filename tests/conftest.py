@@ -1,8 +1,9 @@
-"""Settings of the random tests, and the table of times that ends a run of the slow tests."""
+"""Settings of the random tests and of signals, and the table of times that ends a run of the slow tests."""
 
 from __future__ import annotations
 
 import os
+import signal
 from collections import Counter, defaultdict
 
 import pytest
@@ -12,6 +13,10 @@ from hypothesis import settings
 settings.register_profile("everyday", derandomize=True, deadline=None)
 settings.register_profile("random", deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "everyday"))
+
+# A shell starts commands in the background with SIGINT ignored, and processes that tests start would inherit that.
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 OUTCOMES = ("passed", "failed", "error", "skipped")
 

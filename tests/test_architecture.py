@@ -90,6 +90,7 @@ FLOORS = {
         "sarif",
         "format",
         "estop",
+        "fleet",
         "operate",
         "basestation",
         "doctor",
