@@ -297,6 +297,7 @@ def test_a_session_without_requests_ends(host: FakeHost) -> None:
     session.close()
 
 
+@pytest.mark.slow
 def test_a_session_killed_at_any_moment_leaves_a_runnable_release(host: FakeHost, ports: dict[str, int]) -> None:
     """Deploy again and again, and kill the session at random; each time the release that may run is a whole one."""
     chance = random.Random(28)

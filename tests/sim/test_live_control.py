@@ -258,6 +258,7 @@ def test_a_pause_ends_with_the_pages_server_and_with_the_run(tmp_path: Path) -> 
     assert not run.page.gone
 
 
+@pytest.mark.slow
 def test_faults_by_hand_in_real_time_beside_a_stream(tmp_path: Path) -> None:
     with watched(tmp_path, "--duration", "2", "--no-report", "--foxglove", "0") as (process, port):
         assert process.stderr is not None
