@@ -366,14 +366,14 @@ except OSError as error:
     refuse("folder", "%s cannot be written: %s" % (error.filename or folder, error.strerror),
            "make room there, make the disk writable, or name another `deploy: {folder: ...}`")
 say(ok=True)
-os.execv(sys.executable, [sys.executable, "-I", place, "--folder", folder, "session"])
+os.execv(sys.executable, [sys.executable, "-IS", place, "--folder", folder, "session"])
 """
 
 
 def _command(host: Host, digest: str, size: int) -> str:
     """Return the one command that a host's shell runs."""
     python, folder = shlex.quote(host.python), shlex.quote(host.folder)
-    script = f"umask 077; cd && exec {python} -I -c {shlex.quote(_BOOT)} {folder} {digest} {size}"
+    script = f"umask 077; cd && exec {python} -IS -c {shlex.quote(_BOOT)} {folder} {digest} {size}"
     return f"sh -c {shlex.quote(script)}"
 
 

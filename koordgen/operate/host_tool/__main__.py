@@ -6,11 +6,11 @@ import argparse
 import sys
 from pathlib import Path
 
-from . import agents, guardian, session, supervise
 from .deployment import Boot, Deployment
 from .folder import Folder, ToolError
 
 _SURROUNDINGS = 5  # exit status of agents that may be started again
+_IDLE = 30.0  # seconds without a request after which a session ends
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 
@@ -21,7 +21,7 @@ def main() -> int:
         "--folder", type=Path, required=True, help="folder of the fleet, absolute or in the home folder"
     )
     parser.add_argument("--boot-id", type=Path, default=_BOOT_ID, metavar="FILE", help="file with the id of this boot")
-    parser.add_argument("--idle", type=float, default=session.IDLE, help="seconds without a request that end a session")
+    parser.add_argument("--idle", type=float, default=_IDLE, help="seconds without a request that end a session")
     verbs = parser.add_subparsers(dest="verb", required=True)
     verbs.add_parser("session", help="answer requests on the standard input")
     verbs.add_parser("guardian", help="return from a release that is not confirmed in time").add_argument("nonce")
@@ -30,13 +30,22 @@ def main() -> int:
     arguments = parser.parse_args()
     folder = Folder((Path.home() / arguments.folder).resolve())
     boot = Boot(arguments.boot_id)
+    # Python compiles what it imports from an archive anew at each start, so each verb loads only its own modules.
     if arguments.verb == "session":
+        from . import session
+
         return session.serve(folder, boot, arguments.idle)
     try:
         if arguments.verb == "guardian":
+            from . import guardian
+
             return guardian.guard(folder, boot, arguments.nonce)
         if arguments.verb == "supervise":
+            from . import supervise
+
             return supervise.supervise(folder, boot, arguments.robot)
+        from . import agents
+
         agents.launch(folder, Deployment(folder, boot), arguments.robot)
     except ToolError as error:
         print(f"error: {error.message}" + (f"\n  help: {error.help}" if error.help else ""), file=sys.stderr)

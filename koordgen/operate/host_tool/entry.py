@@ -10,6 +10,7 @@ from .folder import Folder
 
 
 def command(folder: Folder, boot: Boot, *arguments: str) -> list[str]:
-    """Return the command of this very tool on the same folder."""
+    """Return the command of this very tool on the same folder. Without site packages, which it does not need, it starts
+    sooner."""
     options = ["--folder", str(folder.root), "--boot-id", str(boot.file)]
-    return [sys.executable, "-I", os.path.abspath(sys.argv[0]), *options, *arguments]
+    return [sys.executable, "-IS", os.path.abspath(sys.argv[0]), *options, *arguments]

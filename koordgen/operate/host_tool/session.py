@@ -21,7 +21,6 @@ from .deployment import Boot, Deployment
 from .folder import PIECE, Folder, ToolError, make_folder
 from .lock import SessionLock, deciding
 
-IDLE = 30.0  # seconds
 _LONGEST_LINE = 64 * 1024 * 1024  # bytes
 _WITH_DATA = ("store", "key")
 _LONGEST_WAIT = 3600.0  # seconds that a request may ask for
