@@ -104,13 +104,17 @@ def _run(command: list[str], options: Namespace) -> int:
         asked = signal.SIGTERM if number == signal.SIGHUP else number
         started[0].send_signal(asked) if started else early.append(asked)
 
-    for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(each) != signal.SIG_IGN:  # nohup
-            signal.signal(each, pass_on)
-    started.append(subprocess.Popen(command, stdout=cli._output(options), process_group=0))
-    for asked in early:
-        started[0].send_signal(asked)
-    status = started[0].wait()
+    watched = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+    heard = [each for each in watched if signal.getsignal(each) != signal.SIG_IGN]  # not with nohup
+    before = {each: signal.signal(each, pass_on) for each in heard}
+    try:
+        started.append(subprocess.Popen(command, stdout=cli._output(options), process_group=0))
+        for asked in early:
+            started[0].send_signal(asked)
+        status = started[0].wait()
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
     if status < 0:
         message = f"the run was killed by {signal.Signals(-status).name}; it left no report"
         raise cli.Failure(cli.SURROUNDINGS, message)
