@@ -20,7 +20,7 @@ _PLACE = re.compile(r"[A-Za-z0-9._/][A-Za-z0-9._/-]{0,199}")  # unit files and s
 
 
 class Login(Node):
-    """How a computer is reached by SSH. `port` is None where the fleet file names none: SSH's own configuration, or
+    """SSH address of a computer. `port` is None where the fleet file names none: SSH's own configuration, or
     22, holds then."""
 
     user: str
@@ -35,7 +35,7 @@ class Login(Node):
 
 
 class Deployment(Node):
-    """Where releases are kept on hosts, and how they run.
+    """Folder of the releases on hosts, and the way of running them.
 
     folder: relative to the home folder, or absolute.
     python: the interpreter on the hosts.

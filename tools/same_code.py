@@ -53,7 +53,7 @@ class Unreadable(Exception):
 
 
 class Rules(NamedTuple):
-    """What may differ. `renames`: (old, new, file or folder of OLD). `literals`: None unless text may change."""
+    """Allowed differences. `renames`: (old, new, file or folder of OLD). `literals`: None unless text may change."""
 
     renames: tuple[tuple[str, str, str], ...] = ()
     literals: frozenset[tuple[str, str]] | None = None
@@ -247,7 +247,7 @@ class Commit:
                 module.imports.setdefault(bound, f"{name}.{bound}")
 
     def resolve(self, dotted: str, depth: int = 0) -> tuple[Definition | Module | None, str, list[str]]:
-        """What a dotted path denotes, its name, and the attributes behind it; None outside of the repository."""
+        """Return what a dotted path denotes, its name, and the attributes behind it; None outside the repository."""
         parts = dotted.split(".")
         for size in range(len(parts), 0, -1):
             module = self.modules.get(".".join(parts[:size]))
@@ -265,7 +265,7 @@ class Commit:
 
 
 class _Walk:
-    """The tokens of one definition."""
+    """Tokens of one definition."""
 
     def __init__(self, commit: Commit, module: Module) -> None:
         self.commit, self.module = commit, module
@@ -531,7 +531,7 @@ def _inside(
     moves: set[tuple[Module, Module]],
     rules: Rules,
 ) -> Iterator[str]:
-    """What differs between partners: what their names denote, and their strings."""
+    """Differences between partners: in what their names denote, and in their strings."""
     for a, b in zip(one.tokens, other.tokens, strict=True):
         places = f"{one.module.path}:{a.line} -> {other.module.path}:{b.line}: {one.label}"
         match a.target, b.target:

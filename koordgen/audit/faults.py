@@ -75,7 +75,7 @@ def loops(program: decl.Program, mission: Mission) -> list[Finding]:
 
 
 def _miss(findings: list[Finding], mission: Mission) -> None:
-    """Count the rounds that no trace tells of, of each robot."""
+    """Count the rounds of each robot that no trace records."""
     if mission.first:
         for finding in findings:
             finding.miss(mission.first, len(mission.stories))

@@ -86,12 +86,12 @@ class Finding:
         return "held" if self.rounds and not self.unseen else "unknown"
 
     def miss(self, first: int, of_each: int) -> None:
-        """No trace tells of a round before `first`; `of_each`: in how many windows a round is looked at."""
+        """Count rounds before `first`, which no trace records; `of_each`: number of windows that judge a round."""
         if self.unchecked:
             return
         self.unknown += first * of_each
         self.unseen = self.of == "assume"
-        self.missing[f"rounds 0 to {first - 1}: no trace tells of them"] = first * of_each
+        self.missing[f"rounds 0 to {first - 1}: no trace records them"] = first * of_each
         self.spans.append(Span(0, first - 1, "unknown"))
 
     def at(self, round_: int) -> Outcome:

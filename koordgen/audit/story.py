@@ -113,7 +113,7 @@ class Mission:
 
     @property
     def first(self) -> int:
-        """The first round to look at: no trace tells of an earlier one. 0: all is told, from `init` on."""
+        """First round that a trace records. 0: everything is recorded, from `init` on."""
         return min((story.since for story in self.stories if story.lives), default=0)
 
     @property

@@ -27,7 +27,7 @@ Files = dict[str, bytes]
 # In each bundle of a fleet, the name of what was built together: agents of other releases are not listened to.
 RELEASE, RELEASE_SIZE = "RELEASE", 16  # bytes of the digest
 ZENOH = "eclipse-zenoh>=1.10"
-# In every bundle, and in what a run leaves: all that tells what a trace is of, so that it can be replayed.
+# In every bundle and every run's folder: the source and params that a replay of its traces needs.
 SOURCE, PARAMS = "source", "params.json"
 
 

@@ -50,7 +50,7 @@ def explore(options: Namespace) -> int:
     except BadParam as error:
         raise Failure(USAGE, str(error)) from None
     except Lacking as error:
-        raise Failure(USAGE, str(error), "`koordgen docs explore` tells how such a file is written") from None
+        raise Failure(USAGE, str(error), "`koordgen docs explore` explains such a file") from None
     if options.format == "json":
         print(json.dumps(document(result, program, robots), indent=2), flush=True)
     else:

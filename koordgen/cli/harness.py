@@ -73,7 +73,7 @@ def _harness(options: Namespace) -> int:
 
 
 def _print_verdict(options: Namespace, out: Path, status: int, began: float) -> None:
-    """Print what the run left, as JSON; nothing for a run that left no summary, whose error was told."""
+    """Print the run's results as JSON; nothing for a run without a summary, whose error was reported."""
     summary = out / "summary.json"
     try:
         if summary.stat().st_mtime < began:

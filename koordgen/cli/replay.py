@@ -57,7 +57,7 @@ def replay(options: Namespace) -> int:
     if trace.cut:
         _say(f"note: {trace.place(trace.cut)}: the trace is cut off here; what stands before was replayed")
     if trace.since:
-        _say(f"note: rounds before {trace.since} are unknown: the parts of the trace that tell of them are not there")
+        _say(f"note: rounds before {trace.since} are unknown: the parts of the trace that record them are missing")
     if ended:
         _say(f"note: ended by --seconds {options.seconds:g}: what follows in the trace was not replayed")
     if found:

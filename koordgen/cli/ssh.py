@@ -1,4 +1,4 @@
-"""What commands that reach robots by SSH have in common: the fleet's hosts, connections, and failures."""
+"""Common part of commands that reach robots by SSH: the fleet's hosts, connections, and failures."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ class CannotCollect(Exception):
 
 
 class Collected(Node):
-    """What there is of one robot: files, and bytes that were fetched this time."""
+    """Files of one robot, and the bytes that were fetched this time."""
 
     robot: str
     files: int
@@ -104,7 +104,7 @@ class Folder:
 
 
 class Collection(Node):
-    """What there is of each robot, why others were missed, and the programs of the releases that hosts still have: of
+    """Files of each robot, why other robots were missed, and the programs of the releases that hosts still have: of
     each one its files by name, the newest release first."""
 
     robots: dict[str, Collected]

@@ -19,7 +19,7 @@ SHORTEST_TOKEN = 32  # characters
 
 
 class Refused(Exception):
-    """The dashboard does not start like this; `help` says what to do. `usage`: the options are wrong, not a file."""
+    """The dashboard cannot start; `help` is the way out. `usage`: the options are wrong, not a file."""
 
     def __init__(self, message: str, help: str, usage: bool = False) -> None:
         super().__init__(message)

@@ -63,7 +63,7 @@ class Interrupted(Exception):
 
 
 class Deployed(Node):
-    """What became of each host. `before` and `changed` by host; `seconds` by phase; `sent` in bytes by host."""
+    """Outcome on each host. `before` and `changed` by host; `seconds` by phase; `sent` in bytes by host."""
 
     release: str
     before: dict[Host, str | None]
@@ -73,7 +73,7 @@ class Deployed(Node):
 
 
 class Built(Node):
-    """What a build and the fleet file give. `wheels`: as in the fleet file; `folder`: that of the fleet file."""
+    """Input of a deployment. `wheels`: as in the fleet file; `folder`: the folder of the fleet file."""
 
     bundles: Bundles
     app: str

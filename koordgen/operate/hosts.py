@@ -51,7 +51,7 @@ class Host(Node):
 
 
 class Options(Node):
-    """How connections are made. Without files, ~/.ssh/config, ~/.ssh/known_hosts and the user's own keys or agent are
+    """Options of SSH connections. Without files, ~/.ssh/config, ~/.ssh/known_hosts and the user's own keys or agent are
     used. `timeout` in seconds."""
 
     ssh_config: str | None = None

@@ -10,7 +10,7 @@ from koordgen.operate.hosts import Answer, HostError, Sessions
 
 
 class Installed(Node):
-    """What a robot's host says. `release` is the build that would start, empty without one; `id` and `pending` are
+    """Answer of a robot's host. `release` is the build that would start, empty without one; `id` and `pending` are
     names of releases, empty without one. `free` in bytes, `temperature` in degrees Celsius, `uptime` in seconds."""
 
     release: str

@@ -29,7 +29,7 @@ class Line(Node):
 
 
 class Offset(Node):
-    """How far a host's clock is ahead of this computer's, and the bound of the error, both in seconds."""
+    """Offset of a host's clock: seconds ahead of this computer's, and the bound of the error in seconds."""
 
     ahead: float
     error: float

@@ -22,7 +22,7 @@ FileMap = dict[str, dict[str, list[Any]]]  # robot -> path -> [SHA-256, mode]
 
 
 class Fleetwide(Node):
-    """What of the fleet file and the build every host's part of a release says."""
+    """Entries that are equal in every host's part of a release."""
 
     application_id: int
     app: str
@@ -32,14 +32,14 @@ class Fleetwide(Node):
 
 
 class HostPart(Node):
-    """What one host stores of a release: `document` is its release.json. The contents of `files` are in the bundles."""
+    """Part of a release that one host stores. `document`: its release.json; bundles hold the contents of `files`."""
 
     document: dict[str, Any]
     files: FileMap
 
 
 def key_id(key: bytes | None) -> str:
-    """Return the name of a key, which tells nothing about it; empty without a key."""
+    """Return the name of a key, which reveals nothing about the key; empty without a key."""
     return "" if key is None else blake2s(key, person=b"koordgen", digest_size=8).hexdigest()
 
 

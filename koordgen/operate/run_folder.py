@@ -84,7 +84,7 @@ def write_trace(folder: Path, whole: Mission, program: Program, fleet: Fleet) ->
 
 
 def _files(whole: Mission, pid: int) -> Sequence[Path]:
-    """One robot's files of the mission that tell of any round, in the order of their rounds."""
+    """Return one robot's files of the mission that record a round, in the order of their rounds."""
     return list(dict.fromkeys(life.log.path for life in whole.stories[pid].lives if life.tells))
 
 

@@ -36,7 +36,7 @@ class CannotFetch(Exception):
 
 
 class WheelPlatform(Node):
-    """For which computer wheels are: `machine` as uname tells it, the minor version of glibc 2 (None: musl), and the
+    """Computer that wheels are for: `machine` as uname prints it, the minor version of glibc 2 (None: musl), and the
     minor version of Python 3."""
 
     machine: str
@@ -114,7 +114,7 @@ def platform_tags(platform: WheelPlatform) -> list[str]:
 
 
 def _from_folder(folder: Path | None) -> list[list[Any]]:
-    """Return what tells one state of a folder of wheels from another."""
+    """Return a fingerprint of a folder of wheels, which changes when a file changes."""
     if folder is None:
         return []
     found = []

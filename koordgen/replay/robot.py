@@ -33,7 +33,7 @@ class Difference(NamedTuple):
 
 
 class Unreplayable(Exception):
-    """What a trace says cannot be replayed: the number of its line, and why."""
+    """A trace cannot be replayed: the number of its line, and the reason."""
 
     def __init__(self, number: int, why: str) -> None:
         super().__init__(f"line {number}: {why}")

@@ -61,7 +61,7 @@ def examine(
 
 
 def _trace(path: Path, limit: float | None) -> Finding:
-    """Whether the trace reaches its limit before the disk is full."""
+    """Return whether the trace reaches its limit before the disk is full."""
     try:
         free, used = shutil.disk_usage(path.parent).free / MEGABYTE, size_of(path) / MEGABYTE
     except OSError as error:

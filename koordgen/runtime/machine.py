@@ -122,13 +122,13 @@ class Agent:
         return tally(self._link.rejected, self._transport.troubles, self._body.slow_calls, counters)
 
     def clock_error(self, now: float) -> float | None:
-        """How far fleet time may be off at local time `now`, in seconds; None while nothing is known of it."""
+        """Bound of the error of fleet time at local time `now`, in seconds; None while unknown."""
         bound = self._fleet_clock.bound(now)
         return bound if bound < math.inf else None
 
     def snapshot(self, now: float) -> dict[str, Any]:
         """Plain values for people, at local time `now`: `pose` (position in metres, ENU; yaw in radians; its age in
-        seconds) and `battery` (0 to 1), None where unknown; `goal`: points that the robot was told to go to; and what
+        seconds) and `battery` (0 to 1), None where unknown; `goal`: points that the robot was sent to; and what
         happened lately (see `recent`)."""
         sensed, found = self._platform.sense(now), vitals(self._platform)
         places = (v for name, v in sensed.values.items() if name.endswith(".position") and isinstance(v, Point))

@@ -33,7 +33,7 @@ class Notifier:
         self._send("READY=1")
 
     def alive(self, now: float, status: str) -> None:
-        """Call in each turn of the loop that must not hang: feeds the watchdog, and tells `status` when it changed."""
+        """Call in each turn of the loop that must not hang: feeds the watchdog, and sends `status` when it changed."""
         if self._socket is None:
             return
         if status != self._status:

@@ -56,14 +56,14 @@ class Trace:
         self._encoder = msgspec.json.Encoder(enc_hook=repr)
         self._pid = -1
         self._slots: Collection[str] = ()
-        self._told: dict[str, Any] = {}  # of the shared store, as this part has told it
+        self._told: dict[str, Any] = {}  # of the shared store, as this part has recorded it
         # For the beginning of the next part:
         self._header: dict[str, Any] = {}
         self._part = 0
         self._phase = ""
         self._phases: dict[str, Mapping[str, Any]] = {}  # the record with which each phase but the first began
         self._view: Mapping[str, Any] | None = None
-        self._life: Life | None = None  # own variables after the last round that was told; None: not known yet
+        self._life: Life | None = None  # own variables after the last recorded round; None: not known yet
         self._last = -1  # that round; 0: `init`
 
     @property
@@ -172,7 +172,7 @@ class Trace:
         self._live(record)
 
     def _live(self, record: Record) -> None:
-        """Follow the robot's own variables through a round that was told."""
+        """Update the robot's own variables by a round that was recorded."""
         self._last, effects = record.round, record.effects
         life = self._life = record.restored or self._life
         if life is not None and effects is not None:

@@ -17,7 +17,7 @@ from targets.car.shapes import Footprint, named
 from targets.planning.world import Path, Scene
 
 LOOK = 0.05  # metres between two places of a way that are looked at
-ROUGH = 0.01  # metres: as exactly as the car's place is known
+ROUGH = 0.01  # metres: the accuracy of the car's position
 
 
 class Lane:

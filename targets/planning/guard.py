@@ -40,7 +40,7 @@ class Guard:
         return self._met(here, (position, *path[:1])) or self._met(self._beyond(here), (*path[:1], *path))
 
     def _beyond(self, here: Room) -> Room:
-        """What is kept away from after the first part of a way."""
+        """Return the obstacles, with the distances to keep, for a path after its first part."""
         if not self._near:
             return here
         found = Room(Point())

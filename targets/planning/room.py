@@ -75,7 +75,7 @@ class Room:
             self._add(thing, bounds, margin)
 
     def keep_all(self, things: Iterable[Thing], kept: Callable[[str], float]) -> None:
-        """Keep the distance that `kept` tells for a name, even from what is nearer to the start."""
+        """Keep the distance `kept(name)` to each thing, even if the start is nearer to it."""
         for thing in things:
             margin = kept(thing.name)
             self._add(thing, thing.grown(margin), margin)

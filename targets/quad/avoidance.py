@@ -90,7 +90,8 @@ class Avoidance:
         return self._world.radius + self._world.kept
 
     def may_land(self, position: Point, place: Point) -> bool:
-        """See `landing.Surroundings`. Where something stands under the quad, it may land on something else, too."""
+        """Return whether the quad may land at `place` (see `landing.Surroundings`). It may land on an obstacle only
+        if an obstacle is under it already."""
         lifted = self._lifted(place)
         within = (lifted.x, lifted.y) == (place.x, place.y)
         way = self.clear(position, place, RUNNING)

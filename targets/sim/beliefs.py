@@ -14,7 +14,7 @@ import msgspec
 
 from targets.sim.trace import Header, Init, Phase, Pose, Record, Round, Values, fault_text
 
-IDLE = "no event enabled"  # why a robot that looked at its copy of the store skipped
+IDLE = "no event enabled"  # reason for which a robot with a current copy of the store skipped a round
 Of = Literal["sensor", "local", "actuator", "shared"]
 _decoder = msgspec.json.Decoder()
 

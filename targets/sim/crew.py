@@ -86,7 +86,7 @@ class Agent(ABC):
     @property
     @abstractmethod
     def frozen(self) -> bool:
-        """Whether a freeze lasts."""
+        """True if a freeze goes on."""
 
     @abstractmethod
     def thaw(self) -> None:

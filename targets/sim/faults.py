@@ -96,7 +96,7 @@ def check_robots(schedule: Schedule, robots: Sequence[Robot]) -> None:
 
 
 def check_obstacles(schedule: Schedule, count: int) -> None:
-    """Whether the world has the obstacles that move. Raises BadScenario."""
+    """Check that the world has the obstacles that move. Raises BadScenario."""
     for event in schedule.events:
         if event.kind == "obstacle" and event.number >= count:
             there = f"they are numbered 0 to {count - 1}" if count else "this world has none"

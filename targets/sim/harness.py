@@ -382,7 +382,7 @@ def _report(folder: Path) -> None:
 
 
 def _reproduce(root: Path, scenario: Scenario, folder: Path, options: argparse.Namespace, given: int) -> dict[str, str]:
-    """What one needs to do it again, by name. `given`: how many faults were given by hand."""
+    """Values that repeat the run, by name. `given`: how many faults were given by hand."""
     command = ["python3", str(root), "--duration", f"{options.duration:g}", "--seed", str(options.seed)]
     if options.lockstep:
         command.append("--lockstep")

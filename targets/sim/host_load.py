@@ -29,7 +29,7 @@ SIMULATOR = "the simulator"
 SHARE = 0.5  # of the time that an event has: one that had no core for longer was late by the host
 STARVED = 0.5  # seconds at a stretch without a core, after which bodies do what no agent wants
 AFTER = 1.0  # seconds for which that explains what bodies do
-KEPT = 5.0  # seconds of samples: a round is told some rounds after it happened
+KEPT = 5.0  # seconds of samples: a round is recorded some rounds after it happened
 SAMPLES = 4  # in a round
 LEAST_PERIOD, MOST_PERIOD = 0.005, 0.05  # seconds between two samples
 

@@ -92,7 +92,7 @@ class Run:
 
     @property
     def interrupted(self) -> bool:
-        """Whether the run is to end by a signal."""
+        """True if a signal has asked the run to end."""
         return self._interrupts > 0
 
     def finish(self, why: str) -> None:

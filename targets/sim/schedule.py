@@ -367,7 +367,7 @@ class _Form:
 
 
 def _subjects(event: Event) -> tuple[str, ...]:
-    """What an event acts on: of all events of one kind on one of these only one goes on at a time."""
+    """Object that an event acts on. Of one kind of event, only one at a time may act on an object."""
     match event.kind:
         case "partition" | "wind" | "network":
             return ("",)

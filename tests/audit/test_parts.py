@@ -32,7 +32,7 @@ def flown(run: Run, seed: int) -> Path:
 
 
 def first_round(folder: Path) -> int:
-    """The first round that a robot's parts tell of; 0: `init`."""
+    """Return the first round that a robot's parts record; 0: `init`."""
     lines = [json.loads(line) for path in folder.glob("*.jsonl") for line in path.read_bytes().splitlines()]
     return min(int(line.get("round", 0)) for line in lines if line["kind"] in ("init", "round"))
 

@@ -1,4 +1,4 @@
-"""Usage errors lead on, options are never abbreviated, and `koordgen help` tells of every command and option."""
+"""Usage errors lead on, options are never abbreviated, and `koordgen help` explains every command and option."""
 
 from __future__ import annotations
 

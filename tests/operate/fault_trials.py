@@ -156,7 +156,7 @@ class Trials:
         return bundles, "line"
 
     def _attempt(self, original: Callable[..., Any]) -> Callable[..., Any]:
-        """Return `Phases.attempt` that tells each phase in a file."""
+        """Return `Phases.attempt` that records each phase in a file."""
 
         def attempt(phases: Phases, name: str, *arguments: Any, **named: Any) -> Any:
             with self._phases.open("a") as file:
@@ -260,7 +260,7 @@ class Trials:
         return wrong
 
     def starts_one_release_or_none(self, confirmed: set[str | None]) -> list[str]:
-        """Start the fleet as a user would, and stop it; return what is wrong with what started."""
+        """Start the fleet as a user would, and stop it; return the faults of the agents that started."""
         before = {name: len(host.runs) for name, host in self.hosts.items()}
         status = self.run(*self.operation("start"))
         started = {release for name, host in self.hosts.items() for release in host.runs[before[name] :]}

@@ -391,7 +391,7 @@ def test_nothing_is_written_beyond_its_room(n_sys: int, together: int, last: byt
 
 
 def test_what_nests_too_deeply_for_msgspec_is_left_to_others() -> None:
-    nested = b"\x91" * 1040 + b"\x00"  # a datagram has no room for much more
+    nested = b"\x91" * 1040 + b"\x00"  # about as deep as a datagram can nest
     try:
         msgspec.msgpack.decode(nested)
         pytest.skip("this Python lets msgspec nest deeper than a datagram can")

@@ -129,7 +129,7 @@ def test_a_quad_whose_planner_finds_no_way() -> None:
 
 
 def test_a_rover_whose_motor_is_slow_is_warned_of_and_stands_at_its_target(tmp_path: Path) -> None:
-    """That a car which does circle its target is given up: tests/car/test_lag.py."""
+    """tests/car/test_lag.py tests that a car that circles its target gives up."""
     run = went(tmp_path, SLOW, 21.0)
     log = (run / "robots/carl/log.txt").read_text()
     assert "warning: the motor follows its commands with a lag of 2." in log

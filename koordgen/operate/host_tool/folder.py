@@ -138,7 +138,7 @@ def checked_path(path: Any) -> str:
 
 
 def key_id(key: bytes) -> str:
-    """Name of a key that tells nothing about it."""
+    """Name of a key. It reveals nothing about the key."""
     return blake2s(key, person=b"koordgen", digest_size=8).hexdigest()
 
 

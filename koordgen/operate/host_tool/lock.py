@@ -108,7 +108,7 @@ class SessionLock:
 
 
 def locked_by(folder: Folder) -> dict[str, Any] | None:
-    """Owner of the session lock as `lock.json` tells it, None when no living process holds the lock."""
+    """Return the owner of the session lock, from `lock.json`; None when no living process holds the lock."""
     if not is_locked(folder.lock):
         return None
     found = read_json(folder.lock_owner)

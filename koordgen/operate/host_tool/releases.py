@@ -1,6 +1,6 @@
 """Releases: folders of bundles made of hard links to objects, complete or absent, and verified before they are used.
 
-`release.json` tells how the robots of a release are run. When a release that is here already is staged again, its new
+`release.json` describes how the robots of a release are run. When a release is staged a second time, its new
 `release.json` waits as `next.json` until it is confirmed, so a refused deployment cannot break the release that runs.
 """
 
@@ -40,7 +40,7 @@ _FILES, _RELEASE, _NEXT = "files.json", "release.json", "next.json"
 
 
 class Release(NamedTuple):
-    """How the robots of a release on this host are run. `key`: a key id, empty for a fleet without a key."""
+    """Contents of a `release.json` of this host. `key`: a key id, empty for a fleet without a key."""
 
     id: str
     robots: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""Start and stop of agents, and what agents tell of themselves."""
+"""Start and stop of agents, and their status and doctor reports."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ _TURN = 0.5  # seconds at most between two looks at everything
 
 
 def state_file(folder: Folder, robot: str) -> Path:
-    """File in which a supervisor tells {"pid", "state": starting, ready, waiting or ended, "status"}."""
+    """File in which a supervisor records {"pid", "state": starting, ready, waiting or ended, "status"}."""
     return folder.running / f"{robot}.json"
 
 
@@ -47,7 +47,7 @@ def start(folder: Folder, boot: Boot, robot: str) -> subprocess.Popen[bytes]:
 
 
 def state_of(folder: Folder, robot: str, supervisor: subprocess.Popen[bytes]) -> str:
-    """Return the state of a robot's agent as its supervisor told it."""
+    """Return the state of a robot's agent, as its supervisor recorded it."""
     ended = supervisor.poll() is not None
     found = read_json(state_file(folder, robot))
     if isinstance(found, dict) and found.get("pid") == supervisor.pid:

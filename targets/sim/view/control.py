@@ -96,7 +96,7 @@ class Given:
 
 def _said(event: Event, t: float) -> str:
     """A fault that was given, in words."""
-    who = event.robots[0] if len(event.robots) == 1 else ""  # of several the detail tells
+    who = event.robots[0] if len(event.robots) == 1 else ""  # the detail names several
     lasts = "" if event.lasts is None else f" for {event.lasts:g} s"
     return f"{' '.join(filter(None, (event.kind, who, told(event))))}, at {t:.2f} s{lasts}"
 

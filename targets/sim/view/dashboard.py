@@ -69,7 +69,7 @@ def first_header(robots: list[tuple[str, str]], facts: Mapping[str, Any]) -> Hea
 
 
 class Dashboard:
-    """Gets reports, and tells the pages. `odd` gives the names of robots of another release than most."""
+    """Sends reports to the pages. `odd` returns the names of robots whose release differs from that of most."""
 
     def __init__(self, header: Header, odd: Callable[[], Collection[str]]) -> None:
         self.hub = Hub(header, Latest)

@@ -29,7 +29,7 @@ Outcomes = tuple[tuple[Count, Count, Literal["event", "skipped", "fault"], str, 
 
 
 class Place(msgspec.Struct, frozen=True):
-    """Where a robot is: metres, local ENU; yaw in radians; the age of both in seconds."""
+    """Pose of a robot: metres, local ENU; yaw in radians; the age of both in seconds."""
 
     position: Vector
     yaw: float | None = None
@@ -151,7 +151,7 @@ class FleetRows:
         self._robots = [_Known() for _ in header.robots]
 
     def renew(self, header: Header) -> None:
-        """Go on with the header of a fleet of which more is known; what each robot reported last is told anew."""
+        """Continue with a more complete header; each robot's last report is sent again."""
         before = self._robots
         self.__init__(header)  # type: ignore[misc]
         for pid, (known, old) in enumerate(zip(self._robots, before, strict=True)):
