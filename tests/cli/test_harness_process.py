@@ -40,9 +40,9 @@ sys.exit(130)
 """
 
 
-def start(program: str) -> subprocess.Popen[str]:
+def start(program: str, command: str = COMMAND) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [sys.executable, "-c", COMMAND, program],
+        [sys.executable, "-c", command, program],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
         preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
     )  # fmt: skip
@@ -66,3 +66,11 @@ def test_a_run_that_is_killed_is_told() -> None:
     _, err = command.communicate(timeout=20)
     assert command.returncode == 5
     assert "SIGKILL" in err
+
+
+def test_signals_have_their_handlers_of_before_when_the_run_has_ended() -> None:
+    handlers = "import signal\nkept = [signal.getsignal(n) for n in (2, 15, 1)]\n"
+    same = "sys.exit(7 if kept == [signal.getsignal(n) for n in (2, 15, 1)] else 8)"
+    command = start("pass", handlers + COMMAND.replace("sys.exit(cli.main", "print(cli.main") + same)
+    out, err = command.communicate(timeout=20)
+    assert (out, command.returncode) == ("0\n", 7), err

@@ -185,6 +185,18 @@ def test_a_release_of_another_fleet(standing: Deployed, capfd: pytest.CaptureFix
     assert standing.deploy("--take-over") == 0
 
 
+def test_a_release_of_robots_that_the_fleet_does_not_have(
+    standing: Deployed, capfd: pytest.CaptureFixture[str]
+) -> None:
+    robots = standing.robots
+    standing.robots = {"erna" if robot == "bert" else robot: host for robot, host in robots.items()}
+    standing.write()
+    told = refused(standing, capfd)
+    assert "erna (" in told and "robots bert" in told and "--take-over" in told
+    standing.robots = robots
+    standing.write()
+
+
 def test_a_host_that_cannot_be_reached(standing: Deployed, capfd: pytest.CaptureFixture[str]) -> None:
     host = standing.ssh.hosts["b"]
     host.stop()
