@@ -9,12 +9,17 @@ import threading
 from argparse import Namespace
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from koordgen import cli, resources
 from koordgen.estop import PATIENCE, CannotStop, Fleet, find_fleet, find_key, show, stop_all
 from koordgen.operate.dashboard import Facts, Poller, built_facts
 from koordgen.operate.dashboard_access import Refused, access
+from koordgen.runtime.host import pip_install
+
+if TYPE_CHECKING:
+    from targets.sim.trace import Header
+    from targets.sim.view.stream import FoxgloveServer
 
 
 def dashboard(options: Namespace) -> int:
@@ -35,11 +40,15 @@ def dashboard(options: Namespace) -> int:
     names = [(place.name, targets.get(place.name, "")) for place in facts.fleet.places]
     plain = {name: value for name, value in facts.plain.items() if name != "targets"}
     poller = Poller(facts.fleet, key, lambda pid, asked: board.take(pid, asked.report, asked.note))
-    board = Dashboard(first_header(names, plain), lambda: poller.odd)
+    header = first_header(names, plain)
+    board = Dashboard(
+        header, lambda: poller.odd, None if options.foxglove is None else _stream(header, options.foxglove)
+    )
     stop = _stop(facts.fleet, key) if options.control else None
     try:
         server = FleetServer(allowed.host, options.port, board, stop, allowed.token, allowed.tls)
     except (OSError, OverflowError) as error:
+        board.close()
         message = f"{allowed.host}:{options.port}: {getattr(error, 'strerror', None) or error}"
         raise cli.Failure(cli.SURROUNDINGS, message, "`--port N` names another port") from None
     print(f"dashboard: {server.url}", flush=True)
@@ -55,6 +64,21 @@ def dashboard(options: Namespace) -> int:
         board.close()
         server.shutdown()
     return cli.HOLDS
+
+
+def _stream(header: Header, port: int) -> FoxgloveServer:
+    """Return a server for Foxglove at a port of this computer; 0: any that is free."""
+    from targets.sim.view.stream import FoxgloveServer
+
+    try:
+        server = FoxgloveServer(header, port)
+    except ModuleNotFoundError as error:
+        message = f"the Python package {error.name!r} is missing"
+        raise cli.Failure(cli.SURROUNDINGS, message, pip_install("'koordgen[foxglove]'")) from None
+    except OSError as error:
+        raise cli.Failure(cli.SURROUNDINGS, str(error)) from None
+    cli._say(f"foxglove: {server.url}")
+    return server
 
 
 def _facts(fleet: Fleet, path: str) -> Facts:

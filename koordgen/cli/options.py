@@ -166,6 +166,7 @@ def dashboard(command: Parser) -> None:
     token = "the file of the token that a browser must send once; the command makes the file if there is none"
     page.add_argument("--token", metavar="FILE", help=token)
     page.add_argument("--no-browser", dest="browser", action="store_false", help="open no browser")
+    _foxglove(page, "fleet")
 
 
 def basestation(command: Parser) -> None:
@@ -292,8 +293,7 @@ def harness(command: Parser) -> None:
     watch = command.add_argument_group("watch")
     live = "show the run in a browser, on a page of 127.0.0.1 (default of PORT: any free one)"
     watch.add_argument("--live", metavar="PORT", type=values.port, nargs="?", const=0, help=live)
-    foxglove = "stream the run to Foxglove, at this port of 127.0.0.1 (default of PORT: 8765)"
-    watch.add_argument("--foxglove", metavar="PORT", type=values.port, nargs="?", const=8765, help=foxglove)
+    _foxglove(watch, "run")
     watch.add_argument("--gui", action="store_true", help="show PyBullet's window (MuJoCo has none: use --live)")
     pace = "run in lockstep at most this many times faster than real time (default: no limit)"
     watch.add_argument("--pace", metavar="FACTOR", type=values.factor, help=pace)
@@ -482,6 +482,11 @@ def _deployment_output(command: Parser) -> None:
 
 def _quiet(group: Group) -> None:
     group.add_argument("--quiet", action="store_true", help="show no progress")
+
+
+def _foxglove(group: Group, what: str) -> None:
+    help = f"stream the {what} to Foxglove, at this port of 127.0.0.1; 0: any free one (default of PORT: 8765)"
+    group.add_argument("--foxglove", metavar="PORT", type=values.port_or_any, nargs="?", const=8765, help=help)
 
 
 def _format(group: Group) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import json
+import math
 import signal
 import socket
 import ssl
@@ -26,8 +27,10 @@ from koordgen.operate.dashboard import EVERY, WITHIN, Poller, built_facts
 from koordgen.operate.dashboard_access import Refused, access, read_token
 from targets.sim.view.dashboard import TICK, Dashboard, FleetServer, first_header
 from targets.sim.view.fleet_rows import FRESH
+from targets.sim.view.stream import FoxgloveServer
 from tests.operate.stand_ins import StandIns
 from tests.sim.browser import CHROMIUM, Browser
+from tests.sim.test_stream import Client
 
 ROOT = Path(__file__).parents[2]
 STOPPED = "[...document.querySelectorAll('#stopped li')].map((row) => row.innerText)"
@@ -145,6 +148,31 @@ def test_what_is_shown_of_20_robots_is_never_more_than_a_question_old(tmp_path: 
         assert max(r["questions"] - r["answers"] for r in robots) <= 1
         size = len(json.dumps(fleet.robots[0].report()))
         assert size < 8000, f"a report has {size} bytes"
+
+
+def test_the_same_goes_to_foxglove(tmp_path: Path) -> None:
+    with StandIns(tmp_path, 2) as fleet:
+        found = find_fleet(fleet.fleet, pytest.fail)
+        poller = Poller(found, KEY, lambda pid, asked: board.take(pid, asked.report, asked.note))
+        header = first_header([(place.name, "quad") for place in found.places], {})
+        server = FoxgloveServer(header, 0)
+        board = Dashboard(header, lambda: poller.odd, server)
+        poller.start()
+        until(lambda: all(r.get("answers", 0) >= 2 for r in board._rows.table()))
+        board.tick()
+        with Client(int(server.url.rpartition(":")[2])) as client:
+            client.until("/scene", "/shared/at", "/tf", "/log")
+            standing = client.next()[2]["entities"]  # the geofence is known from reports alone
+            assert {"geofence", "robot robot00", "robot robot01"} <= {entity["id"] for entity in standing}
+            threading.Thread(target=board.run, daemon=True).start()
+            seen: dict[str, Any] = {}
+            while "/tf" not in seen:
+                topic, at, what = client.next()
+                seen[topic] = what
+                assert abs(at - time.time()) < 3600
+            assert abs(math.hypot(*(seen["/tf"]["translation"][axis] for axis in "xy")) - 4.0) < 0.01
+        poller.close()
+        board.close()
 
 
 def counted(stops: list[int]) -> list[dict[str, Any]]:

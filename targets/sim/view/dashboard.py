@@ -27,6 +27,7 @@ from targets.sim.view.fleet_rows import FRESH, FleetRows, Latest, Report, comple
 from targets.sim.view.guard import Guard
 from targets.sim.view.page import page
 from targets.sim.view.serve import Handler, Hub, Server
+from targets.sim.view.stream import FoxgloveServer
 
 TICK = 0.2  # seconds from one event for the pages to the next
 MOST_BROWSERS = 64  # that have sent the token and hold a cookie
@@ -69,14 +70,18 @@ def first_header(robots: list[tuple[str, str]], facts: Mapping[str, Any]) -> Hea
 
 
 class Dashboard:
-    """Sends reports to the pages. `odd` returns the names of robots whose release differs from that of most."""
+    """Sends reports to the pages. `odd` returns the names of robots whose release differs from that of most.
+    `stream`: where the same goes for Foxglove, if anywhere; it is closed with the dashboard."""
 
-    def __init__(self, header: Header, odd: Callable[[], Collection[str]]) -> None:
+    def __init__(
+        self, header: Header, odd: Callable[[], Collection[str]], stream: FoxgloveServer | None = None
+    ) -> None:
         self.hub = Hub(header, Latest)
+        self._stream = stream
         self._rows = FleetRows(header)
         self._odd = odd
         self._lock = threading.Lock()
-        self._zero = time.monotonic()
+        self._zero, self._wall = time.monotonic(), time.time()
         self._made = secrets.token_urlsafe(8)
         self._renewed = 0
         self._over = threading.Event()
@@ -100,6 +105,8 @@ class Dashboard:
         if header is not self._rows.header:
             self._rows.renew(header)
             self.hub.renew(header)
+            if self._stream is not None:
+                self._stream.renew(header, self._nanoseconds(t))
             self._renewed += 1
         self._rows.take(pid, report, note, t)
 
@@ -115,10 +122,16 @@ class Dashboard:
             chunk, robots = self._rows.taken(t), self._rows.table()
             if chunk:
                 self.hub.rows(chunk)
+                if self._stream is not None:
+                    self._stream.rows(chunk, self._nanoseconds)
         odd = self._odd()
         for robot, name in zip(robots, self._rows.header.robots, strict=True):
             robot["odd"] = name.name in odd
         self.hub.send("fleet", {"t": t, "wall": time.time(), "fresh": FRESH, "version": self.version, "robots": robots})
+
+    def _nanoseconds(self, t: float) -> int:
+        """Return the time since 1970 at which the dashboard had run for `t` seconds."""
+        return round((self._wall + t) * 1e9)
 
     def run(self) -> None:
         """Tick until `close`."""
@@ -129,6 +142,8 @@ class Dashboard:
         """End `run`, and tell the pages."""
         self._over.set()
         self.hub.end("the dashboard's command has ended: nothing on this page is up to date")
+        if self._stream is not None:
+            self._stream.close()
 
 
 class FleetServer(Server):

@@ -67,6 +67,11 @@ class FoxgloveServer:
         for at, message in self._messages.of_rows(chunk, nanoseconds):
             self.put(at, (message,))
 
+    def renew(self, header: Header, at: int) -> None:
+        """Continue with a more complete header from the time `at`, in nanoseconds."""
+        self._messages = Messages(header)
+        self.put(at, self._messages.standing(at))
+
     def _channel(self, topic: str, kind: str) -> Any:
         found = self._foxglove.Schema(name=kind, encoding="jsonschema", data=msgspec.json.encode(schema(kind)))
         channel = self._foxglove.Channel(topic, schema=found, message_encoding="json", context=self._context)
