@@ -366,7 +366,10 @@ except OSError as error:
     refuse("folder", "%s cannot be written: %s" % (error.filename or folder, error.strerror),
            "make room there, make the disk writable, or name another `deploy: {folder: ...}`")
 say(ok=True)
-os.execv(sys.executable, [sys.executable, "-IS", place, "--folder", folder, "session"])
+sys.argv = [os.path.abspath(place), "--folder", folder, "session"]
+sys.path.insert(0, place)
+import zipimport
+exec(zipimport.zipimporter(place).get_code("__main__"), {"__name__": "__main__"})
 """
 
 
