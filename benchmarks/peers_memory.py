@@ -16,7 +16,8 @@ from itertools import repeat
 from benchmarks.peers_agents import KEY, program, settings
 from benchmarks.peers_exchange import Heard, Place
 from koordgen.runtime import courier, gate
-from koordgen.runtime.clock import Clock, FleetClock, SystemClock
+from koordgen.runtime.clock import Clock, SystemClock
+from koordgen.runtime.fleet_clock import FleetClock
 from koordgen.runtime.keeping import Keeping
 from koordgen.runtime.layout import Layout
 from koordgen.runtime.link import Link, Usuals, as_usual

@@ -16,7 +16,9 @@ from pathlib import Path
 from typing import Any, overload
 
 from koordgen.runtime.native import Compiled, NotCompiled, declare
-from koordgen.runtime.transport import MOST_AT_ONCE
+
+MOST_AT_ONCE = 1024  # datagrams taken in one go: a flood must not keep the robot from its control loop
+
 
 SOURCE = Path(__file__).with_name("courier.c")
 LARGEST = 1201  # bytes of a datagram that are taken: one more than wire.LIMIT, which tells that it was too long

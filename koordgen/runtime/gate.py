@@ -19,13 +19,12 @@ from typing import Any, NamedTuple
 import msgspec
 
 from koordgen.runtime import ledger
-from koordgen.runtime.courier import LARGEST, CompiledInbox, Slots, address_of
+from koordgen.runtime.courier import LARGEST, MOST_AT_ONCE, CompiledInbox, Slots, address_of
 from koordgen.runtime.ledger import Ledger
 from koordgen.runtime.metrics import BUCKETS, PER_OCTAVE, RECENT
 from koordgen.runtime.native import Compiled, NotCompiled, declare
 from koordgen.runtime.seal import KEY_SIZE, MAC_SIZE
 from koordgen.runtime.sessions import WORDS
-from koordgen.runtime.transport import MOST_AT_ONCE
 from koordgen.runtime.wire import (
     LIMIT,
     MAX_ECHOES,

@@ -12,8 +12,16 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from koordgen.runtime.courier import COMPILED, GROUP, IN_TURN, LARGEST, MOST_ECHOES, Address, CompiledInbox
-from koordgen.runtime.transport import MOST_AT_ONCE
+from koordgen.runtime.courier import (
+    COMPILED,
+    GROUP,
+    IN_TURN,
+    LARGEST,
+    MOST_AT_ONCE,
+    MOST_ECHOES,
+    Address,
+    CompiledInbox,
+)
 
 NAP = 20e-6  # seconds for each datagram that is missing
 

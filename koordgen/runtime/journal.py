@@ -6,12 +6,13 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
-from koordgen.runtime.clock import Clock, FleetClock
+from koordgen.runtime.clock import Clock
+from koordgen.runtime.fleet_clock import FleetClock
 from koordgen.runtime.metrics import Metrics
-from koordgen.runtime.program import Effects, Life
+from koordgen.runtime.program import Calls, Effects, Life
 from koordgen.runtime.recent import Recent
 from koordgen.runtime.stall import State
-from koordgen.runtime.trace import Calls, Observe, Record, Trace
+from koordgen.runtime.trace import Observe, Record, Trace
 from koordgen.runtime.views import described
 from koordgen.runtime.watched import FOR_GOOD, Change
 from koordgen.runtime.wire import View

@@ -11,7 +11,8 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 from koordgen.runtime import gate
-from koordgen.runtime.clock import Clock, FleetClock, SystemClock
+from koordgen.runtime.clock import Clock, SystemClock
+from koordgen.runtime.fleet_clock import FleetClock
 from koordgen.runtime.gate import Gate, Lesson, Usual
 from koordgen.runtime.ledger import Ledger
 from koordgen.runtime.metrics import Metrics

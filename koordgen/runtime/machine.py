@@ -13,7 +13,8 @@ from typing import Any
 
 from koordgen.runtime.allowance import Cpu
 from koordgen.runtime.body import Body
-from koordgen.runtime.clock import Clock, FleetClock
+from koordgen.runtime.clock import Clock
+from koordgen.runtime.fleet_clock import FleetClock
 from koordgen.runtime.joining import Joining
 from koordgen.runtime.journal import Emit, Journal
 from koordgen.runtime.keeping import Keeping

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from random import Random
 
 from koordgen.runtime.clock import Clock
-from koordgen.runtime.transport import MOST_AT_ONCE
+from koordgen.runtime.courier import MOST_AT_ONCE
 from koordgen.runtime.wire import LIMIT
 
 OVERTAKEN = 0.05  # seconds

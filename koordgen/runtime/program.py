@@ -349,3 +349,6 @@ def _fault(program: Program, error: Exception) -> Fault:
     reason = str(error) if told else f"{type(error).__name__}: {error}"
     reason = reason if len(reason) <= LONGEST_REASON else f"{reason[:LONGEST_REASON]} ..."
     return Fault(program.source, line, reason, error.contract if isinstance(error, BadExtern) else None)
+
+
+Calls = tuple[tuple[str, tuple[Any, ...], Any], ...]  # of callable ports: port, arguments, answer

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Generic, Literal, NamedTuple, TypeVar
 
 from koordgen.runtime.containers import OutOfRange
-from koordgen.runtime.program import Program
-from koordgen.runtime.trace import Calls
+from koordgen.runtime.program import Calls, Program
 from koordgen.runtime.turns import begin
 
 T = TypeVar("T")

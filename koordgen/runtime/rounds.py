@@ -15,7 +15,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from koordgen.runtime.body import Body, unusable
-from koordgen.runtime.clock import FleetClock
+from koordgen.runtime.fleet_clock import FleetClock
 from koordgen.runtime.memory import Memory
 from koordgen.runtime.metrics import Counters
 from koordgen.runtime.outbox import AHEAD, Outbox, has_outputs

@@ -8,7 +8,8 @@ from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from koordgen.runtime.clock import Clock, FleetClock
+from koordgen.runtime.clock import Clock
+from koordgen.runtime.fleet_clock import FleetClock
 from koordgen.runtime.gate import NOT_STAMPED, Fields, Gate, Stamped
 from koordgen.runtime.ledger import Ledger
 from koordgen.runtime.pieces import cut, lacking

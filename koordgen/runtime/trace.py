@@ -16,7 +16,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 import msgspec
 
-from koordgen.runtime.program import Effects, Fault, Frame, Life, Program
+from koordgen.runtime.program import Calls, Effects, Fault, Frame, Life, Program
 from koordgen.runtime.trace_parts import Parts
 
 if TYPE_CHECKING:  # it is made of what this module has
@@ -24,8 +24,6 @@ if TYPE_CHECKING:  # it is made of what this module has
 
 FORMAT = "koord-trace/1"
 STARTING = "starting"  # the phase with which a trace begins
-
-Calls = tuple[tuple[str, tuple[Any, ...], Any], ...]  # of callable ports: port, arguments, answer
 
 
 class Record(msgspec.Struct, frozen=True):

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 if TYPE_CHECKING:  # it is made of what this module has
     from koordgen.runtime.courier import CompiledInbox
 
-MOST_AT_ONCE = 1024  # datagrams taken in one go: a flood must not keep the robot from its control loop
-
 
 class Transport(Protocol):
     """Unreliable datagrams between pids. No call blocks or raises, before and after `close`. Who sent a datagram is

@@ -11,8 +11,9 @@ from collections.abc import Callable, Sequence
 
 import zenoh
 
+from koordgen.runtime.courier import MOST_AT_ONCE
 from koordgen.runtime.settings import Settings
-from koordgen.runtime.transport import MOST_AT_ONCE, CannotOpen
+from koordgen.runtime.transport import CannotOpen
 from koordgen.runtime.wire import LIMIT
 
 MOST_WAITING = 4096  # datagrams; what comes beyond is dropped, as by a socket's buffer

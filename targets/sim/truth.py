@@ -13,9 +13,8 @@ from typing import Any
 
 import msgspec
 
-from koordgen.runtime.program import Port, Program, Variable
+from koordgen.runtime.program import Calls, Port, Program, Variable
 from koordgen.runtime.property import UNKNOWN
-from koordgen.runtime.trace import Calls
 from koordgen.runtime.values import Grid, Point
 from targets.sim.trace import Init, Round, Values
 

@@ -12,7 +12,8 @@ import pytest
 from benchmarks.fixtures.fleet import KEY, settings
 from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime import gate, wire
-from koordgen.runtime.clock import FleetClock, SimulatedClock
+from koordgen.runtime.clock import SimulatedClock
+from koordgen.runtime.fleet_clock import FleetClock
 from koordgen.runtime.gate import Gate
 from koordgen.runtime.link import Link, Usuals
 from koordgen.runtime.metrics import Metrics

@@ -9,7 +9,8 @@ from random import Random
 
 import pytest
 
-from koordgen.runtime.clock import CRYSTAL, SLEW, FleetClock, SimulatedClock
+from koordgen.runtime.clock import SimulatedClock
+from koordgen.runtime.fleet_clock import CRYSTAL, SLEW, FleetClock
 
 Delay = Callable[[Random, int, int], float]  # of a datagram from one robot to another
 

@@ -19,10 +19,9 @@ from types import FrameType
 import pytest
 
 from koordgen.runtime import courier
-from koordgen.runtime.courier import GROUP, CompiledInbox
+from koordgen.runtime.courier import GROUP, MOST_AT_ONCE, CompiledInbox
 from koordgen.runtime.inbox import Inbox, PlainInbox
 from koordgen.runtime.seal import MEMORY, unseal_all
-from koordgen.runtime.transport import MOST_AT_ONCE
 from koordgen.runtime.wire import LIMIT, MAX_ROBOTS, Head, Piece, decode, encode, opened
 from tests.runtime import sanitized
 from tests.runtime.sanitized import needs_compiler

@@ -12,9 +12,9 @@ import pytest
 
 from benchmarks.fixtures.fleet import KEY
 from koordgen.runtime import courier, gate
+from koordgen.runtime.courier import MOST_AT_ONCE
 from koordgen.runtime.native import NotCompiled, load
 from koordgen.runtime.seal import MAC_SIZE, MEMORY, seal
-from koordgen.runtime.transport import MOST_AT_ONCE
 from koordgen.runtime.wire import (
     LIMIT,
     MAX_ECHOES,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import io
 import json
 
-from koordgen.runtime.clock import FleetClock, SimulatedClock
+from koordgen.runtime.clock import SimulatedClock
+from koordgen.runtime.fleet_clock import FleetClock
 from koordgen.runtime.journal import METRICS_EVERY, Journal
 from koordgen.runtime.metrics import Metrics
 from koordgen.runtime.program import Effects

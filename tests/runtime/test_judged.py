@@ -12,10 +12,9 @@ from typing import Any
 
 import pytest
 
-from koordgen.runtime.courier import CompiledInbox
+from koordgen.runtime.courier import MOST_AT_ONCE, CompiledInbox
 from koordgen.runtime.gate import NOTED, OTHER, USUAL, Judged
 from koordgen.runtime.ledger import APPLIED, LACKING, LAST, OPEN, REACHED, SETTLED, WATCHED
-from koordgen.runtime.transport import MOST_AT_ONCE
 from koordgen.runtime.wire import Echo, encoder
 from tests.runtime.gates import needs_gate
 from tests.runtime.ledgers import Said, Table

@@ -11,10 +11,10 @@ import pytest
 
 from benchmarks.fixtures.fleet import KEY
 from koordgen.runtime import gate
+from koordgen.runtime.courier import MOST_AT_ONCE
 from koordgen.runtime.gate import FALSE, OTHER, TOO_LONG, Gate
 from koordgen.runtime.native import load
 from koordgen.runtime.seal import CONTROL, MAC_SIZE, MEMORY, POSITION, seal
-from koordgen.runtime.transport import MOST_AT_ONCE
 from koordgen.runtime.wire import LIMIT
 from tests.runtime.gates import needs_gate, opened
 

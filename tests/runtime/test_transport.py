@@ -9,7 +9,7 @@ from functools import partial
 
 import pytest
 
-from koordgen.runtime.transport import MOST_AT_ONCE
+from koordgen.runtime.courier import MOST_AT_ONCE
 from koordgen.runtime.wire import LIMIT
 from tests.runtime import transports
 from tests.runtime.transports import Opened

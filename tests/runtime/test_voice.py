@@ -15,7 +15,8 @@ import pytest
 from benchmarks.fixtures.fleet import KEY, Fleet, settings
 from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime import gate, speech, wire
-from koordgen.runtime.clock import FleetClock, SimulatedClock
+from koordgen.runtime.clock import SimulatedClock
+from koordgen.runtime.fleet_clock import FleetClock
 from koordgen.runtime.gate import Fields, Gate, Said
 from koordgen.runtime.ledger import APPLIED as APPLIED_TO
 from koordgen.runtime.ledger import DEPTH, OPEN, SETTLED, Ledger
